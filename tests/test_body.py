@@ -63,7 +63,7 @@ def ready(points, outlier):
 
 
 def frame_model(model, anchors, settings=SETTINGS):
-    return FrameModel(anchors.solvers(), anchors.arrays(model), model.arrays(), settings)
+    return FrameModel(anchors.solvers(), anchors.arrays(model), model.arrays(), settings, np.empty((0, MARKERS), dtype=np.int64))
 
 
 # --- kernels and twins

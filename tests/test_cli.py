@@ -127,7 +127,7 @@ def test_the_module_is_the_command(tmp_path: Path) -> None:
         (["lable"], "lable"),
         (["label", "a.c3d"], "--model"),
         (["info"], "FILES"),
-        (["train", "a.c3d", "-o", "m", "--miner", "sideways"], "sideways"),
+        (["train", "a.c3d", "-o", "m", "--partial-solvers", "sideways"], "sideways"),
         (["train", "a.c3d", "-o", "m", "--target-hit-rate", "99.9"], "--target-hit-rate 99.9"),
         (["train", "a.c3d", "-o", "m", "--features", "g2,g77"], "g77"),
         (["train", "a.c3d", "-o", "no/such/m"], "folder"),

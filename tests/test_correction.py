@@ -442,9 +442,10 @@ while True:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a process is killed by a signal")
-def test_a_killed_program_loses_no_touch_that_was_answered(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kills", [[1, 2], pytest.param([0, 3, 4, 5], marks=pytest.mark.slow)])
+def test_a_killed_program_loses_no_touch_that_was_answered(kills: list[int], tmp_path: Path) -> None:
     [file] = written(tmp_path)
-    for kill in range(4):
+    for kill in kills:
         run = subprocess.Popen(
             [sys.executable, "-c", KILLED, str(file), str(tmp_path / "gait.model")],
             stdout=subprocess.PIPE,

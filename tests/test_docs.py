@@ -55,3 +55,12 @@ def test_the_glossary_lists_all_its_terms_and_each_section_is_in_alphabetical_or
     for section in text.split("\n## ")[1:]:
         found = re.findall(r"^### (.+)$", section, re.MULTILINE)
         assert found == sorted(found, key=str.lower)
+
+
+def test_every_python_file_that_a_page_names_is_there() -> None:
+    there = [path.as_posix() for folder in ("src", "tests", "tools", "benchmarks", "docs") for path in (ROOT / folder).rglob("*.py")]
+    for page in PAGES:
+        text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+        named = set(re.findall(r"`([\w/]+\.py)`", text)) - {"_kernels.py"}
+        missing = [name for name in named if not any(path.endswith(f"/{name}") for path in there)]
+        assert missing == [], f"{page.name} names files that are not there: {missing}"

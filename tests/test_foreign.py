@@ -138,7 +138,7 @@ def test_of_two_labellings_that_explain_a_recording_alike_the_labels_so_far_are_
 ) -> None:
     found = label_tracklets(one.in_recording(), walks[2].clouds(), one.state.body_rules).long.found
     reference = RigidDistances.of_training(walks[0].positions, np.zeros(120, dtype=np.int64), 1.0, VerdictRules())
-    scores = _scores([found, found, found], Samples.of_scene(found.scene), walks[0].labels, reference, crowded, RULES)
+    scores = _scores(one.body_labeller, [found, found, found], Samples.of_scene(found.scene), walks[0].labels, reference, crowded, RULES)
     np.testing.assert_allclose(scores - scores[1], [RULES.prior[crowded], 0.0, 0.0], atol=1e-9)
 
 
@@ -157,7 +157,7 @@ def test_a_marker_beside_a_hidden_one_is_less_certain() -> None:
     reference = RigidDistances.of_training(np.tile(body, (20, 1, 1)), np.zeros(20, dtype=np.int64), 1.0, VerdictRules())
     samples, first, last = in_all_frames(1.1 * body[:12]), np.zeros(12, dtype=np.int64), np.full(12, 19)
     over = hidden_margins(distance_gains(np.arange(12), samples, 13, reference, RULES), np.arange(12), first, last)
-    assert over[0] < RULES.hidden_lead < over[1:].min()
+    assert over[0] < RULES.hidden_margin < over[1:].min()
 
 
 def test_a_person_worn_otherwise_is_labelled_right_and_not_certain(one: asterism.MarkerModel, walks: list[Recording]) -> None:

@@ -71,6 +71,7 @@ def test_a_changed_callee_is_seen(tmp_path):
     assert not before & after, "what was compiled from the old sources is removed"
 
 
+@pytest.mark.slow
 def test_numbas_own_cache_does_not_see_it(tmp_path):
     write_package(tmp_path, 2.0, "@njit(cache=True)")
     assert run(tmp_path) == ["12.0"]
@@ -78,6 +79,7 @@ def test_numbas_own_cache_does_not_see_it(tmp_path):
     assert run(tmp_path) == ["12.0"], "stale: this is what our cache is for"
 
 
+@pytest.mark.slow
 def test_equal_sources_in_another_folder_share_a_cache(tmp_path):
     kernels = str(tmp_path / "kernels")
     write_package(tmp_path / "one", 2.0)
@@ -88,6 +90,7 @@ def test_equal_sources_in_another_folder_share_a_cache(tmp_path):
     assert run(tmp_path / "three", NUMBA_CACHE_DIR=kernels) == ["compiles True", "18.0"]
 
 
+@pytest.mark.slow
 def test_damaged_files_compile_again(tmp_path):
     write_package(tmp_path, 2.0)
     run(tmp_path)
@@ -110,6 +113,7 @@ def unwritable(folder: Path) -> dict[str, str]:
     return {"HOME": str(folder / "home"), "XDG_CACHE_HOME": str(folder / "home"), "LOCALAPPDATA": str(folder / "home")}
 
 
+@pytest.mark.slow
 def test_the_users_cache_where_the_package_is_read_only(tmp_path):
     write_package(tmp_path, 2.0)
     home = unwritable(tmp_path)
@@ -120,6 +124,7 @@ def test_the_users_cache_where_the_package_is_read_only(tmp_path):
     assert run(tmp_path, **home) == ["12.0"]
 
 
+@pytest.mark.slow
 def test_a_temporary_cache_where_nothing_else_can_be_written(tmp_path):
     write_package(tmp_path, 2.0)
     (tmp_path / "tmp").mkdir()
@@ -130,7 +135,7 @@ def test_a_temporary_cache_where_nothing_else_can_be_written(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such locks: there both compile")
-@pytest.mark.parametrize("comes", [True, False])
+@pytest.mark.parametrize("comes", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_what_another_process_compiles_is_waited_for(comes: bool, tmp_path: Path) -> None:
     """If it never comes, because the other process was killed, it is compiled after all."""
     import fcntl

@@ -16,11 +16,10 @@ ROOT = Path(__file__).parents[1]
 
 @cache
 def trees() -> dict[str, ast.Module]:
-    """All modules of the package, parsed, by their names within it."""
-    found = {}
-    for path in sorted(PACKAGE.rglob("*.py")):
-        found[".".join(path.relative_to(PACKAGE).with_suffix("").parts)] = ast.parse(path.read_text(encoding="utf-8"))
-    return found
+    """The modules of the package in whose text kernels or Numba are named, parsed, by their names within it."""
+    texts = {path: path.read_text(encoding="utf-8") for path in sorted(PACKAGE.rglob("*.py"))}
+    named = {path: text for path, text in texts.items() if "numba" in text or "@kernel" in text}
+    return {".".join(path.relative_to(PACKAGE).with_suffix("").parts): ast.parse(text) for path, text in named.items()}
 
 
 @cache

@@ -183,7 +183,7 @@ def interval_widths(arrays):
 
 
 def test_solvers_that_were_never_searched_cannot_be_searched_again(first, walks):
-    with pytest.raises(AsterismError, match="without partial solvers; train it again with --miner bottom-up"):
+    with pytest.raises(AsterismError, match="without partial solvers; train it again with --partial-solvers bottom-up"):
         first.learn([walks[3]], search_again=True)
 
 

@@ -402,7 +402,7 @@ def test_rules_that_do_not_exist_are_refused(small, few):
 
 
 def test_the_thesis_rules_need_their_solvers(small, few):
-    with pytest.raises(AsterismError, match="train it again with --miner bottom-up"):
+    with pytest.raises(AsterismError, match="train it again with --partial-solvers bottom-up"):
         small.label_frames(few[0].clouds(), method="thesis")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -104,12 +105,17 @@ def test_the_verdict_on_a_few_frames_is_that_of_their_points() -> None:
     assert verdict.labelled == 1.0 and np.isfinite(verdict.scatter)
 
 
+@cache
+def another_walk() -> LabelledTracklets:
+    recording, _ = recorded(walks()[4], ghosts=3)
+    return labelled(recording.clouds())
+
+
 @settings(max_examples=15)
 @given(st.integers(0, 2**31), st.sampled_from([3, 2000]))
 def test_the_labelling_is_the_one_by_points_for_any_margins(seed: int, at_once: int) -> None:
     """Also where several points are the best candidate of one marker, and a candidate beats a label that is taken back."""
-    recording, _ = recorded(walks()[4], ghosts=3)
-    before = labelled(recording.clouds())
+    before = another_walk()
     rng, track = np.random.default_rng(seed), before.points.track
     of_track = np.where(track >= 0, track, track.max() + 1 + np.arange(len(track)))
     margin = rng.choice([-3.0, -0.5, 0.0, 0.4, 9.0], of_track.max() + 1)[of_track]

@@ -17,6 +17,7 @@ from asterism.labelling.whole import assignment
 from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
 from asterism.labelling.whole._residual_kernels import ResidualLimits, prediction_residuals, residual_deviations
 from asterism.labelling.whole._short_kernels import Expected, ShortLabels, ShortLimits, label_short, take_best_pairs
+from asterism.labelling.whole._twin_kernels import TwinScores, score_twins
 from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.short import ShortTrackletRules, expect_by_motion, marker_shares
 from asterism.recording.verdict import FITS, OTHER_BODY, Verdict
@@ -79,6 +80,24 @@ def test_scores_of_frames(seed: int) -> None:
     np.testing.assert_allclose(scores, wanted, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(totals, sums, rtol=1e-6, atol=1e-6)
     np.testing.assert_array_equal(poses, chosen)
+
+
+@given(seeds, st.sampled_from([5.0, 1e6]))
+@races
+def test_twins_of_labelled_frames(seed: int, gap: float) -> None:
+    """With pairs exchanged, a third of a turn, and two markers left open; only near ones, or all of them refined."""
+    rng = np.random.default_rng(seed)
+    model = random_body(rng)
+    frames, tracks, label = labelled_frames(rng, model)
+    table = np.arange(MARKERS) + np.zeros((3, 1), dtype=np.int64)
+    table[0, :4], table[1, :3], table[2, -2:] = [1, 0, 3, 2], [1, 2, 0], -1
+    offsets = np.concatenate([[0], np.cumsum([len(points) for points in frames])])
+    out = TwinScores(np.empty((4, 4)), np.empty((4, 4, MARKERS), dtype=np.int64))
+    xyz, track = np.concatenate(frames), np.concatenate(tracks)
+    score_twins(xyz, offsets, track, label, table, model.arrays(), SETTINGS, gap, 10.0, out)
+    scores, rows = twins.score_twins(model, frames, tracks, label, table, SETTINGS, gap, 10.0)
+    np.testing.assert_allclose(out.scores, scores, rtol=1e-6, atol=1e-5)
+    np.testing.assert_array_equal(out.point_of, rows)
 
 
 @given(seeds)

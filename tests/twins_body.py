@@ -9,7 +9,14 @@ import twins
 
 from asterism.labelling.body._refine_kernels import MAX_ROUNDS
 from asterism.labelling.body._score_kernels import MAX_DISTANCE
-from asterism.labelling.body._search_kernels import MAX_LABELLINGS, MAX_MARKER_SCORE, MAX_PROPOSAL_GAP
+from asterism.labelling.body._search_kernels import (
+    MARKER_GAIN,
+    MAX_LABELLINGS,
+    MAX_MARKER_SCORE,
+    MAX_PROPOSAL_GAP,
+    MAX_TURNS,
+    MAX_TWIN_GAP,
+)
 
 
 def placement(points, rows, mean, markers):
@@ -49,6 +56,25 @@ def log_density(deviation, spread):
     return -0.5 * (len(deviation) * np.log(2 * np.pi) + np.linalg.slogdet(spread)[1] + square)
 
 
+def squared_distance(deviation, spread):
+    """The squared Mahalanobis distance of a deviation."""
+    return deviation @ np.linalg.solve(spread, deviation) if len(deviation) else 0.0
+
+
+def log_tail(square, coordinates, freedom):
+    """Minus half the square up to its expectation; from there on the log of a t density, scaled and shifted to go on smoothly."""
+    if square <= coordinates:
+        return -0.5 * square
+    slope_of_t = 0.5 * (freedom + coordinates)
+    return -0.5 * coordinates - slope_of_t * (np.log(1 + square / freedom) - np.log(1 + coordinates / freedom))
+
+
+def tailed_density(deviation, spread, freedom):
+    """`log_density` with the tail of a posture that the training lacks."""
+    square = squared_distance(deviation, spread)
+    return log_density(deviation, spread) + 0.5 * square + log_tail(square, len(deviation), freedom)
+
+
 def conditional(joint, wanted, known, deviation):
     """Mean and covariance of the coordinates `wanted`, given those `known` deviate so much."""
     if not len(known):
@@ -69,7 +95,7 @@ def evidence(model, k, points, rows, outlier, settings):
     """Joint log density of the placed points, the latents integrated out, and the rewards."""
     markers, deviation = observed(k, points, rows, outlier, model)
     at = coordinates(markers)
-    score = model.log_weight[k] + log_density(deviation, covariance(model, k)[np.ix_(at, at)])
+    score = model.log_weight[k] + tailed_density(deviation, covariance(model, k)[np.ix_(at, at)], settings.tail_freedom)
     score += settings.reward * len(markers) + settings.outlier_score * sum(outlier[m] for m in range(len(rows)) if rows[m] >= 0)
     return score - settings.first_ghost_cost if sum(row >= 0 for row in rows) < len(points) else score
 
@@ -90,10 +116,14 @@ def leave_one_out_scores(model, k, points, rows, outlier, settings):
         without = [-1 if other == m else row for other, row in enumerate(rows)]
         markers = [other for other in range(len(rows)) if without[other] >= 0 and not outlier[other]]
         deviation = np.concatenate([np.empty(0), *(aligned[rows[other]] - model.mean[k, other] for other in markers)])
-        centre, spread = conditional(covariance(model, k), coordinates([m]), coordinates(markers), deviation)
+        others, joint = coordinates(markers), covariance(model, k)
+        centre, _ = conditional(joint, coordinates([m]), others, deviation)
+        without = tailed_density(deviation, joint[np.ix_(others, others)], settings.tail_freedom)
+        both = np.concatenate([others, coordinates([m])])
         for c, point in enumerate(aligned):
             away = point - model.mean[k, m] - centre
-            score = settings.reward + log_density(away, spread)
+            with_point = np.concatenate([deviation, point - model.mean[k, m]])
+            score = settings.reward + tailed_density(with_point, joint[np.ix_(both, both)], settings.tail_freedom) - without
             if np.linalg.norm(away) < settings.outlier_radius:
                 score = max(score, settings.outlier_score)
             out[m, c] = score if np.linalg.norm(away) <= MAX_DISTANCE else -np.inf
@@ -285,6 +315,36 @@ def find_labellings(model, anchors, points, settings):
     return found, best
 
 
+def add_twins(model, table, found, best, points, settings):
+    """The labellings found and the best one, after it and each better one were held against their twins; `table` as `FrameModel.twins`."""
+    markers, n = len(model.mean[0]), len(points)
+    none = np.zeros(markers, dtype=bool)
+    for _ in range(MAX_TURNS):
+        top, better = found[best][0], None
+        for twin in table.tolist():
+            trial = tuple(best[m] if m >= 0 else -1 for m in twin)
+            if trial == best or trial in found or count(trial) < 3:
+                continue
+            k = best_pose(model, points, trial, none, settings)
+            open_pairs = min(markers, n) - count(trial)
+            if evidence(model, k, points, trial, none, settings) + MARKER_GAIN * open_pairs < top - MAX_TWIN_GAP:
+                continue
+            score, rows = refine(model, k, points, trial, settings, found)
+            rows = tuple(int(row) for row in rows)
+            if np.isnan(score) or score == -np.inf or rows in found:
+                continue
+            if len(found) == MAX_LABELLINGS:
+                del found[min((other for other in found if other != best), key=lambda other: found[other][0])]
+            found[rows] = [score, found[best][1], found[best][2]]
+            if score > top + 1e-6:
+                better = rows
+                break
+        if better is None:
+            break
+        best = better
+    return found, best
+
+
 def score_held_points(model, k, points, rows, outlier, scores, settings):
     """`leave_one_out_scores`, in which a labelled point that is scored as a hidden marker says nothing of the body."""
     out = scores.copy()
@@ -359,13 +419,14 @@ def crowded(settings, points, markers):
     return settings._replace(**{name: getattr(settings, name) - crowd for name in ("reward", "outlier_score", "usual_score")})
 
 
-def label_frame(model, anchors, points, settings):
-    """Rows and margins (M,) of the best labelling of a frame."""
+def label_frame(model, anchors, points, settings, table):
+    """Rows and margins (M,) of the best labelling of a frame; table (W, M): see `FrameModel.twins`."""
     markers = len(model.mean[0])
     settings = crowded(settings, len(points), markers)
     found, best = find_labellings(model, anchors, points, settings) if len(points) >= 3 else ({}, None)
     if best is None or found[best][0] == -np.inf:
         return [-1] * markers, [-np.inf] * markers
+    found, best = add_twins(model, table, found, best, points, settings)
     top, rows, margins = nearest_changes(model, points, best, settings)
     for _ in range(3):
         if count(rows) in (markers, len(points)):

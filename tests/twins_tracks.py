@@ -273,3 +273,34 @@ def best_split(scores):
     """By how much the best split of a tracklet's samples beats the best single marker."""
     options = [max(0.0, *scores[:s].sum(axis=0)) + max(0.0, *scores[s:].sum(axis=0)) for s in range(1, len(scores))]
     return max([0.0, *(option - max(0.0, *scores.sum(axis=0)) for option in options)])
+
+
+def score_twins(model, frames, tracks, label, table, settings, gap, marker_gain):
+    """Scores (W + 1, E) and rows (W + 1, E, M) of the labels, last, and of each twin of `table`, refined where it comes near."""
+    markers, count = len(model.mean[0]), len(table)
+    scores, rows = np.full((count + 1, len(frames)), np.nan), np.full((count + 1, len(frames), markers), -1)
+    none = np.zeros(markers, dtype=bool)
+    for t, (points, track) in enumerate(zip(frames, tracks, strict=True)):
+        for c, j in enumerate(track):
+            if label[j] >= 0:
+                rows[count, t, label[j]] = c
+        own = rows[count, t].tolist()
+        if twins_body.count(own) < 3:
+            rows[count, t] = -1
+            continue
+        rules = twins_body.crowded(settings, len(points), markers)
+        top = twins_body.rescore(model, twins_body.best_pose(model, points, own, none, rules), points, own, none, rules)[0]
+        scores[count, t] = top
+        for w, twin in enumerate(table.tolist()):
+            trial = [own[m] if m >= 0 else -1 for m in twin]
+            rows[w, t] = trial
+            if twins_body.count(trial) < 3 or trial == own:
+                continue
+            k = twins_body.best_pose(model, points, trial, none, rules)
+            scores[w, t] = twins_body.evidence(model, k, points, trial, none, rules)
+            if scores[w, t] + marker_gain * (min(markers, len(points)) - twins_body.count(trial)) < top - gap:
+                continue
+            refined, better = twins_body.refine(model, k, points, trial, rules)
+            if refined > -np.inf and list(map(int, better)) != own:
+                scores[w, t], rows[w, t] = refined, better
+    return scores, rows

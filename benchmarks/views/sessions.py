@@ -12,7 +12,7 @@ from asterism.recording import Ints
 from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.simulation.views_motion import simulate_motion
 from asterism.views import ArticulatedBody, ViewsLabelling, load_body
-from asterism.views.sights import AROUND
+from asterism.views.sights import FROM_BOTH_SIDES
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.views.bodies import body_of_others, trials
 
@@ -79,5 +79,8 @@ def visibility_agreement(result: ViewsLabelling, session: ViewsSession) -> Ints:
     """
     there = np.isfinite(result.poses[:, 0])
     truth = session.in_view[there]
-    right = [int(((told[there] > 0.5) == truth).sum()) for told in (result.expected, result.foreseen(), result.foreseen(AROUND))]
+    right = [
+        int(((told[there] > 0.5) == truth).sum())
+        for told in (result.expected, result.predict_visibility(), result.predict_visibility(FROM_BOTH_SIDES))
+    ]
     return np.array([*right, truth.size], dtype=np.int64)

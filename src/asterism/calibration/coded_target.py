@@ -146,7 +146,7 @@ def calibrate_target(
     """
     target = views.board
     if not isinstance(target, CodedTarget):
-        raise AsterismError(f"the views are of a {target}, not of a coded target; calibrate with boards.calibrate_board.")
+        raise AsterismError(f"the views are of a {target}, not of a coded target; calibrate with `asterism calibrate board`.")
     raw, corrected = views.seen.xy, views
     for part in range(_ROUNDS):
 

@@ -17,7 +17,13 @@ from asterism.cli import _console, _first_compile, body, calibrate, garment, rig
 from asterism.cli._plain_values import PlainValuesCommand, PlainValuesGroup
 from asterism.errors import AsterismError
 
-_RENAMED = {"--keep": "--keep-labels", "--anyway": "--force", "--weigh-from": "--weight-reference", "--mine-again": "--search-again"}
+_RENAMED = {
+    "--keep": "--keep-labels",
+    "--anyway": "--force",
+    "--weigh-from": "--weight-reference",
+    "--mine-again": "--search-again",
+    "--miner": "--partial-solvers",
+}
 """Renamed options: the old name, which is accepted and no longer shown, and the new one."""
 _LISTS = ("--occlusions", "--ghosts", "--wand")
 

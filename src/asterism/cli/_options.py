@@ -11,8 +11,8 @@ import typer
 from asterism.errors import AsterismError
 
 
-class Miner(StrEnum):
-    """How partial solvers are chosen: thesis 4.5.3."""
+class SearchStrategy(StrEnum):
+    """How partial solvers are searched for: thesis 4.5.3."""
 
     BOTTOM_UP = "bottom-up"
     TOP_DOWN = "top-down"
@@ -75,11 +75,13 @@ Json = Annotated[
     typer.Option("--json", metavar="FILE", help="Write all results as JSON; - prints them instead of the table.", show_default=False),
 ]
 Report = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Write an HTML report.", show_default=False)]
-MinerOption = Annotated[
-    Miner | None,
+PartialSolvers = Annotated[
+    SearchStrategy | None,
     typer.Option(
-        "--miner",
-        help="Also search the partial solvers that the rules partial-solvers and thesis need, in this way; takes minutes.",
+        "--partial-solvers",
+        metavar="STRATEGY",
+        help="Also search the partial solvers that the rules partial-solvers and thesis need: bottom-up, top-down, genetic or genetic-all. "
+        "Takes minutes.",
         show_default=False,
     ),
 ]
@@ -88,7 +90,7 @@ Features = Annotated[
     typer.Option(
         "--features",
         metavar="NAMES",
-        help="What the partial solvers read, such as g2,g4,g9,g13 (docs/labelling.md lists all); implies --miner bottom-up.",
+        help="What the partial solvers read, such as g2,g4,g9,g13 (docs/labelling.md lists all); implies --partial-solvers bottom-up.",
         show_default=False,
     ),
 ]

@@ -17,8 +17,8 @@ from asterism.cli._options import (
     HitRate,
     Json,
     Markers,
-    MinerOption,
     Overwrite,
+    PartialSolvers,
     Report,
     Rules,
     RulesOption,
@@ -49,7 +49,7 @@ class EvaluateOptions:
     rules: RulesOption = Rules.WHOLE_BODY
     frame_wise: FrameWise = False
     target_hit_rate: HitRate = 0.999
-    miner: MinerOption = None
+    partial_solvers: PartialSolvers = None
     seed: Seed = 0
     vertical: Vertical = None
     overwrite: Overwrite = False
@@ -70,9 +70,8 @@ def evaluate(options: EvaluateOptions) -> None:
     Perfect: share of frames without an error. Log score: how little the confidence said of what came, as the mean of -ln of the
     probability that it gave to it; in brackets that of the best constant confidence. Less is better.
 
-    With --leave-one-subject-out the figures hold for people that
-    the model has not seen; --markers, --target-hit-rate and --miner belong to it. Rules other than whole-body need a miner:
-    bottom-up where none is named.
+    With --leave-one-subject-out the figures hold for people that the model has not seen; --markers, --target-hit-rate and --partial-solvers
+    belong to it. Rules other than whole-body need partial solvers, searched bottom-up where nothing else is said.
     """
     settings = _settings(options)
     from asterism import labelling
@@ -91,7 +90,7 @@ def evaluate(options: EvaluateOptions) -> None:
             evaluation = labelling.evaluate(model, recordings, **settings, progress=progress)
         else:
             # the whole-body rules need no partial solvers, and their search takes most of the training
-            miner = None if options.rules is Rules.WHOLE_BODY or options.miner is None else options.miner.value
+            miner = None if options.rules is Rules.WHOLE_BODY or options.partial_solvers is None else options.partial_solvers.value
             evaluation = labelling.leave_one_subject_out(
                 recordings, **settings, progress=progress, target_hit_rate=options.target_hit_rate, miner=miner
             )

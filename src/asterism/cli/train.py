@@ -20,8 +20,8 @@ from asterism.cli._options import (
     Json,
     Markers,
     MarkerTargets,
-    MinerOption,
     Overwrite,
+    PartialSolvers,
     Seed,
     Vertical,
     check_hit_rate,
@@ -45,7 +45,7 @@ class TrainOptions:
     markers: Markers = None
     target_hit_rate: HitRate = 0.999
     marker_target: MarkerTargets = None
-    miner: MinerOption = None
+    partial_solvers: PartialSolvers = None
     features: Features = None
     seed: Seed = 0
     audit: Annotated[
@@ -85,7 +85,7 @@ def train(options: TrainOptions) -> None:
             recordings,
             seed=options.seed,
             target_hit_rate=options.target_hit_rate,
-            miner=None if options.miner is None else options.miner.value,
+            miner=None if options.partial_solvers is None else options.partial_solvers.value,
             marker_set=marker_set,
             training=TrainingRules(features=features, marker_targets=targets),
             progress=progress,

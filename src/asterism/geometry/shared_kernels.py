@@ -1,4 +1,4 @@
-"""Kernels of several rooms: 3 x 3 matrices, rays, rigid placement about the vertical. Twins: tests/twins_geometry.py."""
+"""Kernels of several rooms: 3 x 3 matrices, rays, segments, rigid placement about the vertical. Twins: tests/twins_geometry.py."""
 
 from __future__ import annotations
 
@@ -49,6 +49,31 @@ def rotate_by(rotation, x, y, z, own_axes):
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     step = np.eye(3) + sine * skew + half * (skew @ skew)
     rotation[:] = np.ascontiguousarray(rotation) @ step if own_axes else step @ np.ascontiguousarray(rotation)
+
+
+@kernel(inline=True)
+def nearest_on_segments(p, q, a, b):
+    """Where two segments are nearest: returns the squared distance m2 and the share along the second.
+
+    IN  p, q and a, b (3,) m: their ends; a segment without length is a point
+    OUT nothing
+    O(1), no allocation.
+    """
+    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    vx, vy, vz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    wx, wy, wz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
+    uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
+    uw, vw = ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
+    across = uu * vv - uv * uv
+    s = 0.0
+    if across > 1e-12 * uu * vv:
+        s = min(max((uv * vw - vv * uw) / across, 0.0), 1.0)
+    t = (uv * s + vw) / vv if vv > 0.0 else 0.0
+    if t < 0.0 or t > 1.0:
+        t = min(max(t, 0.0), 1.0)
+        s = min(max((uv * t - uw) / uu, 0.0), 1.0) if uu > 0.0 else 0.0
+    dx, dy, dz = wx + s * ux - t * vx, wy + s * uy - t * vy, wz + s * uz - t * vz
+    return dx * dx + dy * dy + dz * dz, t
 
 
 @kernel(inline=True)

@@ -1,4 +1,4 @@
-"""How well a model labels: recordings with known labels in; the thesis' rates, the confidence's worth and speed out (sections 5.2, 5.3)."""
+"""How well a model labels: recordings with known labels in; the thesis' rates, how good the confidence is, and speed out (5.2, 5.3)."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Evaluation:
     subjects    whose recordings these are
     rules       how the points were labelled
     time        whether recordings were labelled as a whole, else each frame by itself
-    confidence  the worth of the confidence in all conditions together
+    confidence  how good the confidence is in all conditions together
     """
 
     markers: tuple[str, ...]

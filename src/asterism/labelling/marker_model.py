@@ -140,7 +140,9 @@ class MarkerModel:
         if self.state.training is None:
             raise AsterismError("this model was written by an earlier Asterism and keeps nothing to learn on from; train it again.")
         if search_again and self.state.training.config.miner is None:
-            raise AsterismError("this model was trained without partial solvers; train it again with --miner bottom-up to add them.")
+            raise AsterismError(
+                "this model was trained without partial solvers; train it again with --partial-solvers bottom-up to add them."
+            )
         recordings, subjects = _of_one_person_each(recordings, subjects)
         training = self.state.training.with_recordings(recordings, subjects, self.marker_set)
         earlier = None if search_again else self.state
@@ -253,7 +255,7 @@ class MarkerModel:
         solvers = self.state.solvers.get(method)
         if solvers is None:
             raise AsterismError(
-                f"this model has no partial solvers, which the method {method!r} needs; train it again with --miner bottom-up."
+                f"this model has no partial solvers, which the method {method!r} needs; train it again with --partial-solvers bottom-up."
             )
         votes = label_by_matrix(clouds, solvers, rules="completed" if method == "partial-solvers" else "printed")
         # what no solver proposed, a label that completion gave or a marker that none reached, has no share of votes

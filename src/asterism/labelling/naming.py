@@ -31,7 +31,7 @@ class JoinRules:
     """When two tracklets count as one marker. Chosen on the gait subjects HC003, HC031, HC042, HC044, HC050, checked on the others.
 
     min_evidence    nats by which "one marker" must beat "two markers"
-    min_lead        nats by which a join must beat every join that it would exclude
+    min_margin      nats by which a join must beat every join that it would exclude
     max_neighbours  tracklets at most that the places of the two are compared with
     min_shared      share of a tracklet's frames in which a neighbour must be seen
     noise           m, standard deviation of a marker about the place that its neighbours predict
@@ -42,7 +42,7 @@ class JoinRules:
     """
 
     min_evidence: float = 8.0
-    min_lead: float = 5.0
+    min_margin: float = 5.0
     max_neighbours: int = 4
     min_shared: float = 0.6
     noise: float = 0.016
@@ -95,7 +95,7 @@ def group_tracklets(clouds: Clouds, rules: JoinRules | None = None) -> MarkerGro
     is compared with that of two functions; it accounts for how much a short or a distant tracklet can show.
 
     The join with the most evidence is made first. The evidence of all pairs that it concerns is then computed again, until no join has
-    enough evidence and a clear lead over those that it would exclude. A tracklet without such a join stays a group: a wrong join costs
+    enough evidence and a clear margin over those that it would exclude. A tracklet without such a join stays a group: a wrong join costs
     a person more than one more name. O(J^2) comparisons for J tracklets.
 
     >>> from asterism.simulation import simulate_walks
@@ -229,7 +229,7 @@ class _Joining:
         return np.asarray(seen.T @ seen > 0)
 
     def _best(self) -> tuple[int, int]:
-        """The join with the most evidence that leads all joins that it would exclude; (-1, -1) where no join does."""
+        """The join with the most evidence, by a margin over all joins that it would exclude; (-1, -1) where no join has it."""
         overlap = self._overlaps()
         found, best = (-1, -1), self.rules.min_evidence
         for a, b in np.argwhere(np.triu(self.evidence) >= self.rules.min_evidence):
@@ -237,7 +237,7 @@ class _Joining:
             rivals = [self.evidence[a, x] for x in np.nonzero(overlap[b])[0] if x != b] + [
                 self.evidence[x, b] for x in np.nonzero(overlap[a])[0] if x != a
             ]
-            if value >= best and value - max(rivals, default=-np.inf) >= self.rules.min_lead:
+            if value >= best and value - max(rivals, default=-np.inf) >= self.rules.min_margin:
                 found, best = (int(a), int(b)), value
         return found
 

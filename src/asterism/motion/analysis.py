@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.files.text import some_of
 from asterism.findings import Finding, Severity
 from asterism.motion.joints.angles import functional_flexion, joint_rotation
 from asterism.motion.joints.skeleton import Skeleton, find_skeleton
@@ -56,6 +57,12 @@ class JointAngles:
     def angle(self) -> Floats:
         """(T,) rad, 0 to pi: how far the joint has turned since frame `zero`, which is what GaMoCap compares."""
         return np.asarray(np.linalg.norm(self.vectors, axis=1))
+
+    @property
+    def directions(self) -> Floats:
+        """(T, 3) the axes about which the joint has turned since frame `zero`; its main axis where that is less than 0.06 degrees."""
+        angle = self.angle[:, None]
+        return np.where(angle > 1e-3, self.vectors / np.maximum(angle, 1e-12), self.axis)
 
 
 @dataclass(frozen=True)
@@ -107,6 +114,7 @@ def analyse_motion(
     """
     rules = rules or MotionRules()
     segmentation = None
+    # Limbs that are given are not questioned: a person knows which marker they put where.
     if isinstance(limbs, Mapping):
         names, limb_of = _given_limbs(recording, limbs)
     else:
@@ -114,6 +122,7 @@ def analyse_motion(
         limb_of, names = segmentation.limb_of, tuple(f"limb {i + 1}" for i in range(segmentation.limbs))
     file = recording.metadata.get("file", "recording")
     motions, kept, left_out, problems = [], [], [], []
+    # One limb that cannot be told must not cost the angles of the others.
     for limb, name in enumerate(names):
         own = recording.positions[:, limb_of == limb]
         try:
@@ -128,14 +137,17 @@ def analyse_motion(
             progress((limb + 1) / len(names), "following limbs")
     if problems and len(kept) < 2:  # one limb alone has no joint, so there is no angle to give in spite of the other
         raise AsterismError(problems[0])
+    # Numbers without holes, so that a limb has the same number in all results.
     limb_of = np.array([kept.index(limb) if limb in kept else -1 for limb in limb_of])
     names = tuple(names[limb] for limb in kept)
     points = [recording.positions[:, limb_of == limb] for limb in range(len(names))]
+    # Joints from the motion, not from the names: it works for garments and unnamed points alike.
     skeleton = find_skeleton(motions, points, method=rules.joint_method)
     angles = tuple(joint_angles(motions[a], motions[b], (a, b), f"{names[a]} / {names[b]}") for a, b in skeleton.pairs)
     joints = [skeleton.joints[child] for _, child in skeleton.pairs]
     centres = np.array([joint.centres(motions[a], motions[b]) for (a, b), joint in zip(skeleton.pairs, joints, strict=True) if joint])
     found = (*left_out, *_findings(recording, limb_of, angles), *_apart(names, skeleton))
+    # The log says what made the angles, in the file that keeps them.
     logged = recording.logged("motion estimated", "asterism", method=rules.method, joints=rules.joint_method, limbs=len(names))
     return MotionAnalysis(
         logged, limb_of, names, tuple(motions), skeleton, angles, centres.reshape(len(angles), len(recording), 3), segmentation, found
@@ -148,8 +160,10 @@ def joint_angles(parent: LimbMotion, child: LimbMotion, pair: tuple[int, int] = 
     present = np.nonzero(np.isfinite(turned[:, 0, 0]))[0]
     if not len(present):
         raise AsterismError(f"{name or 'the joint'}: its two limbs are never known in one frame.")
+    # Angles count from the first common frame: before it there is nothing to compare with.
     zero = int(present[0])
     since = joint_rotation(parent.rotations, child.rotations, zero=zero)
+    # The flexion is about the mean pose, not about frame zero: it does not change when the first frame is hidden.
     flexion, axis = functional_flexion(turned)
     return JointAngles(*pair, name, rotation_vectors(since), flexion, axis, zero)
 
@@ -161,6 +175,7 @@ def _given_limbs(recording: Recording, limbs: Mapping[str, Sequence[str]]) -> tu
         for marker in markers:
             if marker not in recording.labels:
                 raise AsterismError(f"{file} has no marker {marker}, which the limb {name} names; correct the limb's list.")
+            # A marker on two limbs would tie them together and hide their joint.
             if marker in taken:
                 raise AsterismError(f"the marker {marker} is on two limbs, {taken[marker]} and {name}; give it to one.")
             taken[marker] = name
@@ -185,18 +200,18 @@ def _apart(names: Sequence[str], skeleton: Skeleton) -> list[Finding]:
 
 def _findings(recording: Recording, limb_of: Ints, angles: Sequence[JointAngles]) -> list[Finding]:
     found = []
+    # Only points that are on a limb: the others do not touch the result.
     share = 1 - recording.visible.mean(axis=0)
     often = [label for label, missing, limb in zip(recording.labels, share, limb_of, strict=True) if missing > OFTEN_MISSING and limb >= 0]
     if often:
-        few = ", ".join(often[:6]) + (", ..." if len(often) > 6 else "")
-        sentence = f"{len(often)} points are missing in more than half of the frames ({few}); they count where they are seen."
+        sentence = f"{len(often)} points are missing in more than half of the frames ({some_of(often, 6)}); they count where they are seen."
         found.append(Finding("motion-points-missing", Severity.NOTE, "the points", sentence, "Fill or record them anew if a limb has few."))
     unseen = [label for label, limb in zip(recording.labels, limb_of, strict=True) if limb < 0 and label]
     if unseen:
-        few = ", ".join(unseen[:6]) + (", ..." if len(unseen) > 6 else "")
-        sentence = f"{len(unseen)} points belong to no limb ({few})."
+        sentence = f"{len(unseen)} points belong to no limb ({some_of(unseen, 6)})."
         found.append(Finding("motion-points-unused", Severity.NOTE, "the points", sentence))
     for joint in angles:
+        # A joint that hardly turns has a centre and an axis all the same; they are noise.
         turned = float(np.nanmax(joint.angle))
         if turned < STILL:
             sentence = f"{joint.name} turns by {np.degrees(turned):.1f} degrees at most, which tells neither a centre nor an axis."

@@ -79,11 +79,15 @@ def smooth_paths(clouds: Clouds, covariance: ArrayLike, rules: SmoothingRules = 
         raise AsterismError(f"covariances of shape {given.shape} for {len(clouds.xyz)} points; give one 3 x 3 matrix in m2 for each.")
     if not (np.isfinite(given).all() and (len(given) == 0 or np.linalg.eigvalsh(given)[:, 0].min() > 0)):
         raise AsterismError("a covariance is not positive definite; give the 3 x 3 matrices in m2 that the reconstruction gave.")
+    # Links of one frame only: a path must not bridge a gap by which a marker could become its neighbour.
     tracklets = find_tracklets(clouds, LinkRules(noise=rules.link_miss_m))
+    # Points of one path beside each other, in order of time: the kernel takes one path at a time.
     order = np.argsort(tracklets.of_point, kind="stable")
     ends = np.cumsum(tracklets.last - tracklets.first + 1)
     rows, columns = np.triu_indices(3)
+    # The normal equations add inverse covariances; a matrix is symmetric, so six numbers hold it.
     information = np.ascontiguousarray(np.linalg.inv(given)[:, rows, columns])
+    # Beyond three widths a normal window holds nothing that counts.
     near = np.arange(-3 * int(rules.width), 3 * int(rules.width) + 1)
     weights = np.exp(-0.5 * (near / rules.width) ** 2)
     # Third differences of a motion whose jerk is white noise of power q have a variance of 11/20 q dt^5.
@@ -91,6 +95,7 @@ def smooth_paths(clouds: Clouds, covariance: ArrayLike, rules: SmoothingRules = 
     model = JerkModel(floor, rules.trust, weights, rules.rounds)
     xyz, spread, paths = clouds.xyz.copy(), given.copy(), 0
     for j, points in enumerate(np.split(order, ends[:-1]) if len(order) else []):
+        # A shorter piece has too few differences to tell its own jerk, so it stays as measured.
         if len(points) >= rules.min_frames:
             path, known = np.empty((len(points), 3)), np.empty((len(points), 3, 3))
             smooth_path(clouds.xyz[points], information[points], model, path, known)

@@ -30,6 +30,7 @@ def board_report(path: str | Path, made: BoardCalibration, *, settings: Mapping[
     summary = made.summary()
     sections = [
         Section("What to know before using it", table=_findings(made)),
+        # One camera has no rig to show.
         *([_rig(made)] if several else []),
         Section("Each camera", table=_cameras(summary), note="± is the standard deviation that the calibration leaves."),
         Section(
@@ -47,6 +48,7 @@ def board_report(path: str | Path, made: BoardCalibration, *, settings: Mapping[
 
 def _rig(made: BoardCalibration) -> Section:
     shown = made.adjustment.translations + made.adjustment.rotations @ made.views.board.points.mean(axis=0)
+    # The adjustment counts from its own origin, the rig from where it stands: the first camera is in both.
     first = made.adjustment.cameras[0]
     in_camera = shown @ first.rotation.T + first.translation
     moved = (in_camera - made.rig.cameras[0].translation) @ made.rig.cameras[0].rotation
@@ -61,6 +63,7 @@ def _lead(made: BoardCalibration) -> str:
 
 
 def _merits(made: BoardCalibration) -> list[tuple[str, str, str]]:
+    # The mean hides one bad camera among good ones.
     worst = max((camera.error for camera in made.rig), default=0.0)
     return [
         (f"{made.rms:.3f} px", "reprojection error, all together", "bad" if not made.usable else "warn" if made.findings else "good"),
@@ -101,6 +104,7 @@ def _images(made: BoardCalibration) -> figures.Figure:
     """One small picture per camera: its points, shaded by residual."""
     down = -(-len(made.rig) // _ACROSS)
     size = np.linalg.norm(made.adjustment.residuals, axis=1)
+    # A few outliers would leave all other points in one colour.
     high = float(np.nanpercentile(size, 98)) if len(size) else 1.0
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {"annotations": []}
@@ -116,6 +120,7 @@ def _images(made: BoardCalibration) -> figures.Figure:
         at = {"xref": axes["xaxis"], "yref": axes["yaxis"], "x": 0, "y": height, "xanchor": "left", "yanchor": "top"}
         layout["annotations"].append({"text": camera.name, "showarrow": False, "font": {"size": 12}, **at})
         own = np.nonzero(made.sightings.camera == c)[0]
+        # Some thousand points fill an image; more only make the page slow.
         own = own[:: max(1, len(own) // _MOST_POINTS)]
         x, y = np.round(made.sightings.xy[own], 1).T
         data.append(
@@ -133,6 +138,7 @@ def _images(made: BoardCalibration) -> figures.Figure:
 
 
 def _shared(made: BoardCalibration) -> Table:
+    # Only cameras that were calibrated: the others share no view that counts.
     order = [i for i, name in enumerate(made.linked_cameras) if name in made.rig.names]
     most = int(made.links.shared[np.ix_(order, order)].max(initial=1))
     rows: list[list[str | Cell]] = []

@@ -48,6 +48,7 @@ def capturability_report(
             folded=True,
         ),
     ]
+    # The largest gain first.
     if capturability.changes:
         ordered = sorted(capturability.changes, key=lambda c: c.hit_rate_before - c.hit_rate_after)
         sections.append(
@@ -97,6 +98,7 @@ def _thesis_sections(capturability: Capturability) -> list[Section]:
     if capturability.first_classifiers:
         together, listed = 0.0, []
         for number, chosen in enumerate(capturability.first_classifiers, start=1):
+            # Each score counts what no classifier before it rejected, so they add up.
             together += chosen.score
             listed.append([str(number), chosen.description, percent(chosen.score, 2), percent(together, 2)])
         sections.append(
@@ -130,6 +132,7 @@ def _hidden_markers(capturability: Capturability, names: list[str]) -> Section:
 
 def _worst(names: list[str], rates: np.ndarray, digits: int = 3) -> tuple[str, str]:
     """The marker with the lowest hit rate that is known, and that rate."""
+    # Where all are hidden none has a rate.
     if np.isnan(rates).all():
         return NOTHING, NOTHING
     place = int(np.nanargmin(rates))
@@ -138,6 +141,7 @@ def _worst(names: list[str], rates: np.ndarray, digits: int = 3) -> tuple[str, s
 
 def _pairs(names: list[str], confusion: np.ndarray) -> Table:
     """The ten most confused pairs."""
+    # A marker taken for itself is no confusion.
     off = confusion.copy()
     np.fill_diagonal(off, 0.0)
     order = np.argsort(-off, axis=None, kind="stable")[:10]

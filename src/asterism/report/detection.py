@@ -32,6 +32,7 @@ def detection_report(
     seconds = np.arange(len(blobs)) / blobs.rate
     step = figures.frames_per_column(len(blobs))
     starts = np.arange(0, len(blobs), step)
+    # Means over blocks of frames: an hour has more frames than a picture has columns.
     counts = (
         np.add.reduceat(blobs.counts, starts, axis=0) / np.diff([*starts, len(blobs)])[:, None]
         if len(blobs)
@@ -51,6 +52,7 @@ def detection_report(
         ),
         Section("Cameras", table=_table(cameras)),
     ]
+    # More images than expected are no loss.
     missing = sum(max(camera.expected - camera.frames, 0) for camera in cameras)
     merits = [
         (str(len(cameras)), "cameras", ""),
@@ -97,11 +99,13 @@ def _contact_sheet(cameras: tuple[CameraImages, ...]) -> figures.Figure:
 
 def _circles(camera: CameraImages, axes: Mapping[str, str]) -> list[Mapping[str, Any]]:
     """The blobs of the sample image as circles in its own pixels: those without a flag and those with one."""
+    # NaN lifts the pen between two circles.
     turn = np.append(np.linspace(0, 2 * np.pi, 17), np.nan)
     traces: list[Mapping[str, Any]] = []
     blobs = camera.sample_blobs
     for flagged, colour in ((False, "#2ad4c4"), (True, "#ffb000")):
         these = (blobs.flags > 0) == flagged
+        # Around the blob, not on it, and never too small to be seen.
         radius = np.maximum(0.5 * blobs.size[these] + 2.0, 0.007 * camera.size[0])
         x = np.round(blobs.xy[these, 0, None] + radius[:, None] * np.cos(turn), 1).ravel()
         y = np.round(blobs.xy[these, 1, None] + radius[:, None] * np.sin(turn), 1).ravel()
@@ -112,6 +116,7 @@ def _circles(camera: CameraImages, axes: Mapping[str, str]) -> list[Mapping[str,
 def _picture(camera: CameraImages) -> str:
     """The sample image as a data address: made smaller, and brighter where it is dark, so that its blobs can be seen."""
     image = camera.sample.astype(np.float64)
+    # Marker images are nearly black: scaled so that a usual blob is white.
     above = max(2.0 * camera.threshold, float(np.median(camera.sample_blobs.peak)) if len(camera.sample_blobs) else 0.0, 1.0)
     bright = float(np.median(image)) + above
     grey = np.clip(255.0 * image / bright, 0, 255).astype(np.uint8)

@@ -40,6 +40,7 @@ def evaluation_report(
     people, frames = len(evaluation.subjects), sum(c.frames for c in conditions)
     merits = [(count(people), "subjects", ""), (count(len(evaluation.markers)), "markers", ""), (count(frames), "frames labelled", "")]
     if conditions:
+        # The easiest and the hardest stand for all at the head of the page.
         easy, hard = conditions[0], conditions[-1]
         merits += [(percent(easy.fa, 3), f"wrong labels, {_name(easy)}", "good" if easy.fa <= 0.0001 else "")]
         merits += [(percent(hard.fa, 3), f"wrong labels, {_name(hard)}", "")] if hard is not easy else []
@@ -54,6 +55,7 @@ def _curves(conditions: list[Condition]) -> list[Section]:
     names = [_name(c) for c in conditions]
     by_ghosts = {g: [c for c in conditions if c.ghosts == g] for g in dict.fromkeys(c.ghosts for c in conditions)}
     sections = []
+    # One line for each number of ghosts: hidden markers and ghosts hurt in different ways.
     for key, heading, what in (("missed", "Missed markers", "missed"), ("fa", "Wrong labels", "wrong")):
         lines = {
             "no ghosts" if g == 0 else f"{g} ghost{'s' if g > 1 else ''}": ([c.occlusions for c in each], [getattr(c, key) for c in each])
@@ -134,6 +136,7 @@ def _by_marker(evaluation: Evaluation, conditions: list[Condition], names: list[
     for marker in evaluation.markers:
         values = [float(c.per_marker[marker][key]) for c in conditions]
         rows.append([marker, *(tinted(value, digits, worst, kind) for value in values)])
+    # Markers without a value are left out of the mean.
     means = [_mean([float(c.per_marker[m][key]) for m in evaluation.markers]) for c in conditions]
     rows.append(["mean of the markers", *(percent(mean, digits) for mean in means)])
     return Table(["marker", *names], rows)

@@ -23,6 +23,7 @@ _JPEG_QUALITY = 80
 
 def figure(data: Sequence[Mapping[str, Any]], height: int, **layout: Any) -> Figure:
     """A figure in the style of all pages; `layout` adds to it or overrides it."""
+    # Fixed ranges: a wheel over a figure scrolls the page; figures that zoom say so themselves.
     axis = {"gridcolor": "#e6ebf2", "zerolinecolor": "#cfd8e4", "linecolor": "#cfd8e4", "automargin": True, "fixedrange": True}
     style: Figure = {
         "height": height,
@@ -34,6 +35,7 @@ def figure(data: Sequence[Mapping[str, Any]], height: int, **layout: Any) -> Fig
         "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"},
         "hoverlabel": {"bgcolor": "#ffffff", "bordercolor": "#cfd8e4"},
     }
+    # Each axis gets the style, also the second and later ones that only `layout` names.
     for name in {"xaxis", "yaxis", *(key for key in layout if key.startswith(("xaxis", "yaxis")))}:
         style[name] = {**axis, **layout.pop(name, {})}
     return {"data": [dict(trace) for trace in data], "layout": {**style, **layout}}
@@ -71,6 +73,7 @@ def colour_bar(text: str = "", **more: Any) -> dict[str, Any]:
 
 def cell_axes(number: int, x: Mapping[str, Any], y: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, Any]]:
     """One of several small pictures in a figure, from 0: the axes that its traces name, and these axes' layout."""
+    # Plotly calls the first axis x and the second x2.
     suffix = "" if number == 0 else str(number + 1)
     layout = {f"xaxis{suffix}": {"anchor": f"y{suffix}", **x}, f"yaxis{suffix}": {"anchor": f"x{suffix}", **y}}
     return {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}, layout
@@ -80,6 +83,7 @@ def picture(image: NDArray[np.uint8], widest: int) -> str:
     """An image (h, w) grey or (h, w, 3) blue, green, red as a JPEG in a data address, at most `widest` px wide."""
     import cv2
 
+    # A page of many cameras stays small; enlarging would show nothing more.
     scale = min(1.0, widest / max(image.shape[1], 1))
     if scale < 1:
         image = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
@@ -100,10 +104,13 @@ def frames_per_column(frames: int) -> int:
 
 def matrix(names: Sequence[str], shares: Floats) -> Figure:
     """(M, M) shares as a picture, rows by columns; without the diagonal. The colour shows the root of the share."""
+    # The diagonal is right labels, which would outshine the rest.
     off = np.array(shares, dtype=np.float64)
     np.fill_diagonal(off, np.nan)
+    # A floor for the scale: a set without confusion must not show noise in full colour.
     highest = max(float(np.nanmax(off, initial=0.0)), 1e-4)
     small = len(names) > 20
+    # The colour is the root of the share, so the scale is labelled with the shares themselves.
     parts = [highest * part for part in (0, 0.1, 0.25, 0.5, 1)]
     bar = colour_bar(tickvals=[float(np.sqrt(part)) for part in parts], ticktext=[f"{100 * part:.3g} %" for part in parts])
     trace = {
@@ -132,6 +139,7 @@ def curves(lines: Mapping[str, tuple[Any, Any]], x: str, y: str, faint: Sequence
     thick = [name for name in lines if name not in faint]
     for name, (at, shares) in lines.items():
         thin = name in faint
+        # Single markers are grey: the eye shall find the mean first.
         style = {"width": 1, "color": "#c3ccd9"} if thin else {"width": 3, "color": PALETTE[thick.index(name) % len(PALETTE)]}
         drawn = line(list(at), 100 * np.asarray(shares, dtype=np.float64), name, name + ": %{y:.3f} % at %{x}", line=style)
         data.append({**drawn, "mode": "lines" if thin else "lines+markers", "marker": {"size": 8}, "showlegend": not thin})
@@ -154,6 +162,7 @@ def effort(sizes: Sequence[tuple[int, float, float]]) -> Figure:
 
 def _logarithmic(values: Sequence[float]) -> dict[str, Any]:
     """A logarithmic axis over positive values, its ticks written out: Plotly shows only their first digits."""
+    # A tenth of a decade beyond the points, so that none lies on the frame.
     logs = np.log10([value for value in values if value > 0] or [1.0])
     low, high = float(logs.min()) - 0.1, float(logs.max()) + 0.1
     ticks = [digit * 10.0**power for power in range(int(np.floor(low)), int(np.ceil(high))) for digit in (1, 2, 5)]
@@ -178,12 +187,13 @@ def reliability(lines: Mapping[str, Sequence[tuple[float, float, int]]], drawn: 
     drawn  the lines that are drawn at first; a click on the legend shows the others
     """
     ends, dotted = [0, MOST_NINES], {"color": "#9aa4b5", "dash": "dot", "width": 2}
+    # The lines drawn at first take the first colours, which differ most.
     colors = dict(zip([*drawn, *(name for name in lines if name not in drawn)], PALETTE * len(lines), strict=False))
     data: list[Mapping[str, Any]] = [line(ends, ends, "perfectly calibrated", line=dotted, hoverinfo="skip")]
     for name, bins in lines.items():
         data += _reliability_traces(name, bins, colors[name], name in drawn)
     scale = {
-        "tickvals": [_nines(tick) for tick in (0.0, 0.5, 0.9, 0.99, 0.999, 0.9999)],
+        "tickvals": nines((0.0, 0.5, 0.9, 0.99, 0.999, 0.9999)),
         "ticktext": ["0 %", "50 %", "90 %", "99 %", "99.9 %", "≥ 99.99 %"],
         "range": [-0.1, MOST_NINES + 0.1],
     }
@@ -195,17 +205,19 @@ def reliability(lines: Mapping[str, Sequence[tuple[float, float, int]]], drawn: 
 
 def _reliability_traces(name: str, bins: Sequence[tuple[float, float, int]], color: str, drawn: bool) -> list[dict[str, Any]]:
     """One condition's line of shares, and below it the line of counts; bins without labels are left out."""
+    # A bin without labels has no share; drawn as 0 it would look like an error.
     kept = [(float(confidence), float(right), int(n)) for confidence, right, n in bins if n > 0]
     text = [f"confidence {100 * confidence:.4g} %, right {100 * right:.4g} % of {n:,}" for confidence, right, n in kept]
     shared = {"legendgroup": name, "visible": True if drawn else "legendonly", "text": text, "mode": "lines+markers"}
 
-    def drawn_line(y: list[Any], width: int, size: int, **more: Any) -> dict[str, Any]:
+    def drawn_line(y: Any, width: int, size: int, **more: Any) -> dict[str, Any]:
         style = {"line": {"color": color, "width": width}, "marker": {"size": size}}
-        return line([_nines(confidence) for confidence, _, _ in kept], y, name, name + ": %{text}", **shared, **style, **more)
+        return line(nines([confidence for confidence, _, _ in kept]), y, name, name + ": %{text}", **shared, **style, **more)
 
-    shares = drawn_line([_nines(right) for _, right, _ in kept], 2, 7)
+    shares = drawn_line(nines([right for _, right, _ in kept]), 2, 7)
     return [shares, drawn_line([n for _, _, n in kept], 1, 5, yaxis="y2", showlegend=False)]
 
 
-def _nines(share: float) -> float:
-    return float(np.clip(-np.log10(max(1.0 - share, 10.0**-MOST_NINES)), 0.0, MOST_NINES))
+def nines(shares: Any) -> Floats:
+    """Shares on a scale on which each step means ten times fewer errors: 0.9 is 1, 0.99 is 2; from 0 to `MOST_NINES`."""
+    return np.clip(-np.log10(np.maximum(1.0 - np.asarray(shares, dtype=np.float64), 10.0**-MOST_NINES)), 0.0, MOST_NINES)

@@ -63,6 +63,7 @@ def garment_report(
     if criteria is not None:
         sections.append(Section("Against the truth", "The wearer is simulated, so it is known where each circle was.", table=criteria))
     sections.append(Section("What to know before using it", table=findings_table(made.findings)))
+    # The fullest frame shows the cloth best.
     shown = int(np.argmax(made.points))
     if made.points[shown]:
         text = f"Frame {made.frames[shown]}, the one with most points: triangles between neighbours on the cloth. Drag to turn."
@@ -104,9 +105,11 @@ def _cloth(made: Capture, pattern: Pattern, rig: Rig, frame: int) -> figures.Fig
     """The surface of one frame in 3D, up is up."""
     from asterism.garment.surface import surface
 
+    # Triangles between neighbours on the print: they need no guess of the shape.
     cloth = surface(made.trajectories.points(frame), pattern)
     turn = z_up_rotation(made.trajectories.vertical)
     x, y, z = np.round((cloth.points @ turn.T).T, 4) if len(cloth.points) else np.empty((3, 0))
+    # Dots in the printed colours: whoever knows the suit sees where it is.
     cells = pattern.cells(cloth.ids)
     inks = [_css(pattern.hsv[number]) for number in pattern.colours[cells[:, 0], cells[:, 1]].tolist()]
     corners = {name: cloth.triangles[:, k] for k, name in enumerate("ijk")}
@@ -136,6 +139,7 @@ def _picture(picture: Picture, pattern: Pattern) -> figures.Figure:
     traces: list[dict[str, Any]] = []
     if picture.circles is not None:
         ids = np.asarray(picture.circles.ids)
+        # A circle without an identity was found but not read; a ring would promise more.
         known = np.flatnonzero(ids >= 0)
         cells = pattern.cells(ids[known])
         colours = [_css(colour) for colour in pattern.hsv]
@@ -170,6 +174,7 @@ def _over_time(made: Capture) -> figures.Figure:
 
 def _sheet(made: Capture, pattern: Pattern) -> figures.Figure:
     """The share of frames in which each circle has a position, on the printed sheet."""
+    # Circles at the borders have no identity to capture: white, not missing.
     share = np.where(pattern.ids >= 0, 0.0, np.nan)
     cells = pattern.cells(made.trajectories.ids)
     if len(cells):
@@ -196,6 +201,7 @@ def _sheet(made: Capture, pattern: Pattern) -> figures.Figure:
 
 
 def _cameras(made: Capture, rig: Rig) -> Table:
+    # A quarter of the best camera is little, whatever the suit.
     most = float(made.read.mean(axis=0).max(initial=1.0))
     rows: list[list[str | Cell]] = []
     for c, name in enumerate(rig.names):

@@ -89,6 +89,7 @@ def label_report(
     """
     recordings = [shown] if isinstance(shown, LabelledRecording) else list(shown)
     unnamed = ["the recording"] if len(recordings) == 1 else [f"recording {i + 1}" for i in range(len(recordings))]
+    # A recording without a row still gets one: the page counts it itself.
     given_rows = [*files, *({"file": name} for name in unnamed[len(files) :])]
     rows = [{**_counted(recordings, i, row), **row} for i, row in enumerate(given_rows)]
     names = short_names([str(row.get("file", "")) or "the recording" for row in rows])
@@ -106,6 +107,7 @@ def _counted(recordings: Sequence[LabelledRecording], number: int, row: Mapping[
     if number >= len(recordings):
         return {}
     one = recordings[number]
+    # What the caller counted is not counted again; both must not differ on one page.
     if "labelled" in row:
         return {"frames": len(one.clouds)}
     return {
@@ -134,6 +136,7 @@ def _pictures(recordings: Sequence[LabelledRecording], rows: Sequence[Mapping[st
     text = "Drag to turn, shift-drag to move, Ctrl and the wheel to zoom; with the picture in focus, space plays and the arrow keys step. "
     text += "Opacity: confidence of the label. Faint: a hidden marker where it was expected. The arrow is the walking direction. "
     text += "Below, each row is a marker: the darker, the higher the confidence; amber: unsure; grey: hidden"
+    # The legend names a colour only where it is shown.
     text += "; red: a wrong label." if any(one.wrong is not None and one.wrong.any() for one in recordings) else "."
     packed = pack_recordings([_shown(one, row, name) for one, row, name in zip(recordings, rows, names, strict=False)])
     heading = f"{names[0]} in 3D and over time" if len(recordings) == 1 else "Each file in 3D and over time"
@@ -146,6 +149,7 @@ def _shown(one: LabelledRecording, row: Mapping[str, Any], name: str) -> ShownRe
         marks = np.zeros(len(one.clouds.xyz), dtype=np.int64)
         frames, markers = np.nonzero(one.wrong)
         marks[one.clouds.offsets[frames] + one.labelling.indices[frames, markers]] = WRONG
+    # Begin where something is labelled, not in the empty room before.
     first = np.nonzero(one.given.any(axis=1))[0]
     return ShownRecording(
         name,
@@ -178,12 +182,14 @@ def _merits(recordings: Sequence[LabelledRecording], rows: Sequence[Mapping[str,
         (percent(_share(rows, "hidden"), 2), "hidden", ""),
         (percent(_mean(np.concatenate([np.zeros(0), *confidence]) >= SURE), 2), "of the labels have a confidence of 99 % or more", ""),
     ]
+    # The truth is known of simulated files only.
     checked = [one.wrong[one.given] for one in recordings if one.wrong is not None]
     if checked:
         share = _mean(np.concatenate(checked))
         merits.append((percent(share, 3), "of the labels wrong", "good" if share <= _FEW_WRONG else "bad"))
     timed = [row for row in rows if row.get("frames_per_second", 0) > 0]
     if timed:
+        # Frames over seconds of all files: the mean of speeds would favour short ones.
         seconds = sum(row["frames"] / row["frames_per_second"] for row in timed)
         merits.append((count(_total(timed, "frames") / seconds if seconds else float("nan")), "frames per second", ""))
     return merits
@@ -246,8 +252,10 @@ def _against_truth(recordings: Sequence[LabelledRecording]) -> Section:
         given, visible = one.given, truth >= 0
         right = given & (one.labelling.indices == truth)
         false_labels = given & ~visible
+        # Every marker of every frame is in exactly one of five outcomes.
         hits += [int(part.sum()) for part in (right, given & visible & ~right, ~given & visible, false_labels, ~given & ~visible)]
         visible_markers, hidden_markers = visible_markers + int(visible.sum()), hidden_markers + int((~visible).sum())
+        # A frame counts as right only with every visible marker right and no hidden one labelled.
         frames_right += int(((right == visible).all(axis=1) & ~false_labels.any(axis=1)).sum())
         frames += len(truth)
     outcomes = [
@@ -278,6 +286,7 @@ def _markers(recordings: Sequence[LabelledRecording], files: Sequence[str]) -> T
 
 
 def _marker_row(name: str, recordings: Sequence[LabelledRecording], files: Sequence[str], known: bool) -> list[str | Cell]:
+    # A marker may be absent in some of the files.
     having = [
         (one, one.labelling.names.index(name), file) for one, file in zip(recordings, files, strict=False) if name in one.labelling.names
     ]
@@ -287,6 +296,7 @@ def _marker_row(name: str, recordings: Sequence[LabelledRecording], files: Seque
 
     given = [one.labelling.confidence[one.given[:, m], m] for one, m, _ in having]
     confidence = np.concatenate(given)
+    # Which file to look at first.
     lowest = [float(part.min()) if len(part) else float("inf") for part in given]
     row: list[str | Cell] = [
         name,
@@ -319,6 +329,7 @@ def _total(rows: Sequence[Mapping[str, Any]], key: str) -> float:
 
 def _share(rows: Sequence[Mapping[str, Any]], key: str) -> float:
     """The mean of a share over the frames of all files that give it."""
+    # Weighted by frames: a short file must not count as much as a long one.
     known = [(row[key], row["frames"]) for row in rows if key in row and row.get("frames", 0) > 0 and not np.isnan(row[key])]
     frames = sum(number for _, number in known)
     return sum(share * number for share, number in known) / frames if frames else float("nan")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from asterism.files.text import some_of
 from asterism.recording import Floats, Recording
 from asterism.report import figures
 from asterism.report.motion_angles import clinical_section, methods_section
@@ -25,6 +26,7 @@ REJECTED = "rejected"
 
 def segmentation_report(path: str | Path, results: Sequence[tuple[str, Recording, Segmentation]], *, title: str = "Limbs") -> None:
     """Write an HTML page on the limbs of recordings (name, recording, segmentation). Raises AsterismError where it cannot be written."""
+    # Clinical angles first: where they are, they are what the page was asked for.
     sections = []
     for name, recording, found in results:
         names = [f"limb {k + 1}" for k in range(found.limbs)]
@@ -34,7 +36,7 @@ def segmentation_report(path: str | Path, results: Sequence[tuple[str, Recording
             stray = found.stray[points, k]
             known = stray[np.isfinite(stray)]
             typical = 1000 * float(np.median(known)) if len(known) else np.nan
-            rows.append([limb, _few([recording.labels[n] for n in points]), str(len(points)), decimal(typical, 1)])
+            rows.append([limb, some_of([recording.labels[n] for n in points], 10), str(len(points)), decimal(typical, 1)])
         sections.append(
             Section(
                 name,
@@ -77,6 +79,7 @@ def motion_report(
 
 
 def _sections(name: str, analysis: MotionAnalysis, certain: UncertaintyResult | None) -> list[Section]:
+    # Hollow by the majority of frames: single frames would flicker.
     rejected = np.zeros(len(analysis.limb_of), dtype=bool)
     for limb, motion in enumerate(analysis.motions):
         rejected[analysis.limb_of == limb] = motion.rejected.mean(axis=0) > 0.5
@@ -100,7 +103,9 @@ def points_figure(
     recording: Recording, limb_of: np.ndarray, names: Sequence[str], rejected: np.ndarray | None = None, centres: Floats | None = None
 ) -> figures.Figure:
     """The frame with the most points, in space, coloured by limb; rejected points hollow, joint centres as diamonds."""
+    # The frame with the most points shows the limbs most completely.
     frame = int(np.argmax(recording.visible.sum(axis=1)))
+    # Some thousand points show a limb; more only make the page slow.
     step = max(1, -(-len(limb_of) // _MOST_POINTS))
     chosen = np.arange(0, len(limb_of), step)
     hollow = np.zeros(len(limb_of), dtype=bool) if rejected is None else rejected
@@ -145,6 +150,7 @@ def _angle_section(name: str, analysis: MotionAnalysis, joint: JointAngles, one:
 def band_figure(times: Floats, angle: Floats, bands: Sequence[tuple[str, Floats, Floats]]) -> figures.Figure:
     """An angle over time (rad, drawn in degrees) over its bands (name, low, high), the widest first; below, the bands about the angle."""
     data: list[dict[str, object]] = []
+    # Below, the bands about the angle itself: beside a range of a hundred degrees they would be a line.
     for axis, zero in (("y", np.zeros(len(angle))), ("y2", angle)) if bands else ():
         for place, (label, low, high) in enumerate(bands):
             shade = f"rgba(15, 123, 138, {0.15 + 0.2 * place})"
@@ -168,6 +174,7 @@ def _budget_section(joint: JointAngles, one: AngleUncertainty, times: Floats) ->
         data.append(figures.line(list(times), np.round(np.degrees(part), 4), source, source + " %{x:.2f} s: %{y:.2f}°", line=style))
     names = list(one.budget)
     rows: list[list[str | Cell]] = []
+    # Both: landmarks change the one and not the other.
     for label, budget in (("flexion in anatomical axes", one.budget), ("angle since the first frame", one.angle_budget)):
         rows.append([label, *(decimal(float(np.degrees(np.sqrt(np.nanmean(budget[name] ** 2)))), 2) for name in names)])
     axes = {"xaxis": figures.titled("time (s)"), "yaxis": figures.titled("standard uncertainty (°)", rangemode="tozero")}
@@ -178,7 +185,3 @@ def _budget_section(joint: JointAngles, one: AngleUncertainty, times: Floats) ->
         table=Table(["root mean square over the frames, °", *names], rows),
         note="Misplaced landmarks shift the flexion by one angle in all frames. They leave the angle since a frame as it is.",
     )
-
-
-def _few(labels: Sequence[str]) -> str:
-    return ", ".join(labels[:10]) + (", ..." if len(labels) > 10 else "")

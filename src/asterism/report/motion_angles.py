@@ -30,8 +30,10 @@ def clinical_section(name: str, times: Floats, clinical: ClinicalAngles, known: 
     for row, joint in enumerate(joints):
         for column, angle in enumerate(CLINICAL):
             cell = row * len(CLINICAL) + column
+            # What is not known, such as the ankle's adduction, gets no empty figure.
             own = [(number, each) for number, each in enumerate(clinical.joints) if each.joint == joint]
             own = [(number, each) for number, each in own if np.isfinite(each.angles[:, column]).any()]
+            # The time is named below the lowest figure of each column.
             last = row == len(joints) - 1 or (row == len(joints) - 2 and joints[-1] == "ankle" and angle == "adduction")
             axes, sides = _axes(cell, (row, len(joints)), (column, len(CLINICAL)), f"{joint} {angle} (°)", last)
             layout |= sides if own else {}
@@ -81,6 +83,7 @@ def methods_section(name: str, analysis: MotionAnalysis) -> list[Section]:
     """The angle of the joint that turns most, by every method of `estimate_limb_motion`, and how far each is from the one in use."""
     if not analysis.angles:
         return []
+    # The joint that turns most shows the differences of the methods best.
     joint = max(analysis.angles, key=lambda one: float(np.nanmax(one.angle)))
     angles, rejected = angles_by_method(analysis, joint)
     used = analysis.motions[joint.parent].method
@@ -121,6 +124,7 @@ def angles_by_method(analysis: MotionAnalysis, joint: JointAngles) -> tuple[dict
     pair = (joint.parent, joint.child)
     angles, rejected = {}, {}
     for method in METHODS:
+        # The method in use has been computed already.
         one, other = [
             own if own.method == method else estimate_limb_motion(analysis.recording.positions[:, analysis.limb_of == limb], method)
             for limb, own in ((limb, analysis.motions[limb]) for limb in pair)

@@ -39,6 +39,7 @@ def naming_report(
     The recording is shown in 3D, with the number of each frequent group beside it. Raises AsterismError where the file cannot be written.
     """
     names = names or {}
+    # How much of the recording gets a name by naming these groups.
     share = float(groups.frames[: groups.frequent].sum() / max(1, groups.frames.sum()))
     sections = [
         Section(
@@ -83,10 +84,12 @@ def _shown(
     clouds: Clouds, groups: MarkerGroups, places: Sequence[GroupPlace], names: Mapping[int, str], first_frame: int
 ) -> ShownRecording:
     """The recording with its frequent and its named groups as markers; it starts where most of them are seen."""
+    # Groups with a name are shown though they are rare: a person wants to see what they named.
     shown = sorted({*range(groups.frequent), *(group for group in names if group < len(groups))})
     column = np.full(len(groups), NULL)
     column[shown] = np.arange(len(shown))
     points = np.nonzero(column[groups.of_point] >= 0)[0]
+    # Groups become markers of a labelling, so that the same player shows them.
     frames = clouds.frame_of[points]
     indices = np.full((len(clouds), len(shown)), NULL)
     indices[frames, column[groups.of_point[points]]] = points - clouds.offsets[frames]
@@ -99,6 +102,7 @@ def _shown(
         clouds,
         first_frame,
         unsure=np.zeros(seen.shape, dtype=np.bool_),
+        # Begin where most groups are seen: they are easiest to tell apart there.
         start=int(np.argmax(seen.sum(axis=1))) if seen.size else 0,
         sides=["middle" if where == NOTHING else where for where in sides],
         names_shown="all",

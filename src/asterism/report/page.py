@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
-from importlib import metadata, resources
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from asterism.files.atomic import utf8, write_atomically
 from asterism.findings import Finding, Severity
-from asterism.report.player import deflated, player_script, player_style
+from asterism.report.player import deflated, player_script, player_style, template
 
 NOTHING = "–"
 
@@ -74,6 +74,7 @@ def write_page(path: str | Path, page: Page) -> None:
     target = Path(path)
     figures = {f"figure-{i}": s.figure for i, s in enumerate(page.sections) if s.figure is not None}
     players = {f"player-{i}": s.player for i, s in enumerate(page.sections) if s.player}
+    # Every text is escaped: labels and file names come from files of others.
     environment = Environment(
         loader=PackageLoader("asterism.report"),
         autoescape=True,
@@ -83,15 +84,17 @@ def write_page(path: str | Path, page: Page) -> None:
         finalize=visible_text,
     )
     facts = {"Asterism": _version(), **page.facts, "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")}
+    # Scripts only where something is drawn: a page of tables stays readable by any program.
     html = environment.get_template("page.html").render(
         page=page,
         facts={name.replace("_", " "): _fact_text(value) for name, value in facts.items() if not _says_nothing(value)},
-        style=_template("page.css") + player_style(),
-        script=player_script() + _template("page.js") if figures or players else "",
+        style=template("page.css") + player_style(),
+        script=player_script() + template("page.js") if figures or players else "",
         plotly=_plotly() if figures else "",
         data=_as_script({"figures": _without_markup(figures), "players": players}),
         is_cell=lambda cell: isinstance(cell, Cell),
     )
+    # Whole or not at all: a browser that reloads must not meet half a page.
     write_atomically(target, utf8(html))
 
 
@@ -105,6 +108,7 @@ def _without_markup(value: Any) -> Any:
         return _OWN_TAGS.sub(r"<\1>", visible_text(str(value)).replace("&", "&amp;").replace("<", "&lt;"))
     if isinstance(value, Mapping):
         return {key: _without_markup(item) for key, item in value.items()}
+    # Numbers hold no markup; only arrays of texts are looked through.
     if isinstance(value, np.ndarray):
         return _without_markup(value.tolist()) if value.dtype.kind in "OU" else value
     return [_without_markup(item) for item in value] if isinstance(value, list | tuple) else value
@@ -161,6 +165,7 @@ def short_names(files: Sequence[str]) -> list[str]:
 
 def tinted(share: float, digits: int, worst: float, kind: str = "warn") -> Cell:
     """A share as a cell whose tint grows with its root up to `worst`."""
+    # The root makes small shares visible beside large ones.
     known = not math.isnan(share) and worst > 0
     return Cell(percent(share, digits), min(math.sqrt(max(share, 0.0) / worst), 1.0) if known else 0.0, kind)
 
@@ -175,6 +180,7 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     if isinstance(value, np.generic):
         return plain(value.item())
+    # JSON has no NaN: a gap in a line is null.
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
@@ -193,6 +199,7 @@ def _fact_text(value: Any) -> str:
 
 
 def _as_script(value: Any) -> str:
+    # A label could close the script; written as escapes it cannot.
     text = json.dumps(plain(value), ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
@@ -204,10 +211,6 @@ def _plotly() -> str:
 
     load: Callable[[], str] = get_plotlyjs
     return deflated(np.frombuffer(load().encode("utf-8"), dtype=np.uint8))
-
-
-def _template(name: str) -> str:
-    return resources.files("asterism.report").joinpath("templates", name).read_text(encoding="utf-8")
 
 
 def _version() -> str:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from asterism.geometry import rotate_z_up
 from asterism.recording import Clouds, Floats, Ints, Labelling, MarkerSet
+from asterism.report.figures import MOST_NINES, nines
 from asterism.report.skeleton import marker_bones, marker_sides
 
 WRONG, IN_QUESTION = 1, 2
@@ -21,7 +22,6 @@ WRONG, IN_QUESTION = 1, 2
 HIDDEN, UNSURE, LOWEST, HIGHEST, WRONG_HERE = 0, 1, 2, 200, 255
 """A timeline's codes: no label and out of view, no label, labels of the lowest and the highest confidence, a wrong label."""
 SCRIPTS = ("recording", "body", "camera", "scene", "timeline", "player")
-_MOST_NINES = 4.0
 _FARTHEST = 1e6
 """m: points that are farther from the origin are drawn there."""
 
@@ -53,12 +53,12 @@ RULES = PageRules()
 
 def player_script() -> str:
     """The player's script, which defines `Asterism`."""
-    return "\n".join(_template(f"player/{name}.js") for name in SCRIPTS)
+    return "\n".join(template(f"player/{name}.js") for name in SCRIPTS)
 
 
 def player_style() -> str:
     """The player's style sheet."""
-    return _template("player/player.css")
+    return template("player/player.css")
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,7 @@ def pack_recordings(shown: Sequence[ShownRecording], rules: PageRules = RULES) -
     """
     out: list[dict[str, Any]] = [{} for _ in shown]
     left = rules.bytes
+    # Small recordings take what they need; what they leave is shared by the large ones.
     order = sorted(range(len(shown)), key=lambda i: len(shown[i].clouds.xyz))
     for place, number in enumerate(order):
         packed = _within(shown[number], left / (len(order) - place), rules)
@@ -110,12 +111,14 @@ def pack_recordings(shown: Sequence[ShownRecording], rules: PageRules = RULES) -
 def _within(one: ShownRecording, room: float, rules: PageRules) -> dict[str, Any]:
     """One recording in so many bytes, with as many frames per second as fit."""
     about = _about(one, rules)
+    # A first guess by the smallest size of a point; the loop enlarges it until it fits.
     step = max(1, int(rules.least_bytes * len(one.clouds.xyz) / max(room, 1.0)))
     while one.clouds.rate / step >= rules.least_rate or step == 1:
         packed = {**about, **_points(one, step, rules)}
         size = _size(packed)
         if size <= room:
             return packed
+        # By the measured excess, so that few rounds are needed.
         step = max(step + 1, int(np.ceil(step * size / room))) if room > 0 else len(one.clouds) + step
     return {**about, "points": None}
 
@@ -151,15 +154,19 @@ def _points(one: ShownRecording, step: int, rules: PageRules) -> dict[str, Any]:
     number = np.full(len(clouds), -1)
     number[frames] = np.arange(len(frames))
     points = np.nonzero(number[clouds.frame_of] >= 0)[0]
+    # Points, not markers: what bears no label is shown, too.
     marker, confidence = labels_of_points(one.labelling, clouds)
     series, marker_of_series, counts = _series(marker[points], clouds, points, len(one.labelling.names))
+    # Series by series, in order of time: neighbours differ little, and small numbers pack well.
     points = points[np.lexsort((points, series))]
     frame = number[clouds.frame_of[points]]
     first = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64)
+    # A coordinate of a million metres would cost all others their digits.
     xyz = np.clip(rotate_z_up(clouds.xyz[points], clouds.vertical), -_FARTHEST, _FARTHEST)
     unit = rules.fine if _span(xyz) < rules.small else rules.unit
     whole = np.rint(xyz / unit).astype(np.int64)
     marks = np.zeros(len(points), dtype=np.uint8) if one.marks is None else one.marks[points].astype(np.uint8)
+    # First differences of frames, second ones of places: constant speed packs to zeros.
     parts = [varints(differences(frame, first, 1))]
     parts += [varints(zigzag(differences(whole[:, axis], first, 2))) for axis in range(3)]
     parts += [_codes(np.nan_to_num(confidence[points]), marker[points] >= 0), marks]
@@ -182,6 +189,7 @@ def _series(marker: Ints, clouds: Clouds, points: Ints, markers: int) -> tuple[I
     A series is a marker's points, or those of a track or column that bear no label.
     """
     track = clouds.columns if clouds.tracks is None else clouds.tracks
+    # Labelled points by marker, others by track: each is a smooth path.
     key = np.where(marker >= 0, marker, markers + np.maximum(track[points], -1) + 1)
     keys, series, counts = np.unique(key, return_inverse=True, return_counts=True)
     series = series.reshape(-1).astype(np.int64)
@@ -192,14 +200,14 @@ def _span(xyz: Floats) -> float:
     """m, the size of the box that holds nearly all points."""
     if not len(xyz):
         return 1.0
+    # Without the strays, which would make a hand as large as the room.
     low, high = np.percentile(xyz, [2, 98], axis=0)
     return float((high - low).max())
 
 
 def _codes(confidence: Floats, given: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """The confidence of labels as codes from LOWEST to HIGHEST, by nines; 0 without a label."""
-    nines = np.clip(-np.log10(np.maximum(1.0 - confidence, 10.0**-_MOST_NINES)), 0.0, _MOST_NINES)
-    return np.where(given, LOWEST + np.rint((HIGHEST - LOWEST) * nines / _MOST_NINES), 0).astype(np.uint8)
+    return np.where(given, LOWEST + np.rint((HIGHEST - LOWEST) * nines(confidence) / MOST_NINES), 0).astype(np.uint8)
 
 
 def _timeline(one: ShownRecording, rules: PageRules) -> dict[str, Any]:
@@ -212,13 +220,16 @@ def _timeline(one: ShownRecording, rules: PageRules) -> dict[str, Any]:
     block = max(1, -(-len(given) // rules.columns))
     starts = np.arange(0, len(given), block)
     codes = _codes(np.nan_to_num(labelling.confidence), given)
+    # A block shows its worst label: an error must not vanish in a mean.
     lowest = np.minimum.reduceat(np.where(given, codes, 255), starts, axis=0)
     size = np.diff([*starts, len(given)])[:, None]
     doubtful, labelled = (2 * np.add.reduceat(part.astype(np.int64), starts, axis=0) for part in (unsure, given))
+    # What most of the block is; on a tie doubt wins over hidden.
     out = np.where(labelled > size, lowest, np.where(doubtful >= size - labelled / 2, UNSURE, HIDDEN)).astype(np.uint8)
     if one.marks is not None:
         marker, _ = labels_of_points(labelling, one.clouds)
         wrong = np.nonzero((one.marks & WRONG) & (marker >= 0))[0]
+        # One wrong label colours its block.
         out[one.clouds.frame_of[wrong] // block, marker[wrong]] = WRONG_HERE
     return {
         "block": block,
@@ -231,6 +242,7 @@ def _timeline(one: ShownRecording, rules: PageRules) -> dict[str, Any]:
 
 def differences(values: Ints, first: Ints, order: int) -> Ints:
     """Values less the one before in their series, so many times; first: where the series begin. Undone by sums."""
+    # The first values of a series have none before them and stay as they are.
     place = np.arange(len(values)) - np.repeat(first, np.diff([*first, len(values)]))
     for done in range(order):
         values = np.where(place > done, values - np.roll(values, 1), values)
@@ -246,6 +258,7 @@ def varints(values: Ints) -> NDArray[np.uint8]:
     """Natural numbers in as many bytes as they need, seven bits in each, the lowest first; the highest bit says that more follow."""
     if not len(values):
         return np.zeros(0, dtype=np.uint8)
+    # Seven bits in a byte, all numbers at once.
     groups = values[:, None] >> np.arange(0, 63, 7)
     used = np.maximum((groups > 0).sum(axis=1), 1)
     column = np.arange(groups.shape[1])
@@ -258,5 +271,6 @@ def deflated(data: NDArray[np.uint8]) -> str:
     return base64.b64encode(zlib.compress(data.tobytes(), 9)).decode("ascii")
 
 
-def _template(name: str) -> str:
+def template(name: str) -> str:
+    """One of the pages' own files."""
     return resources.files("asterism.report").joinpath("templates", *name.split("/")).read_text(encoding="utf-8")

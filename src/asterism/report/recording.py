@@ -57,6 +57,7 @@ def recording_report(path: str | Path, recording: Recording) -> None:
         raise AsterismError("the recording has no frames or no columns, so there is nothing to plot.")
     visible = recording.visible
     named = [column for column, label in enumerate(recording.labels) if not is_unnamed(label)]
+    # A visible column is the point of its frame's cloud at this place.
     place = np.cumsum(visible, axis=1) - 1
     shown = visible[:, named]
     labelling = Labelling(

@@ -18,6 +18,7 @@ _TINTS = {"good": 0.0, "moved": 0.6, "out of step": 0.6, "lost": 1.0, "unknown":
 
 def refinement_report(path: str | Path, made: Refinement, *, settings: Mapping[str, Any] | None = None) -> None:
     """Write an HTML page on a refinement; `settings` are named at its foot. Raises AsterismError where the file cannot be written."""
+    # By state, not by size: a camera out of step moves little and is wrong all the same.
     states = [check.state for check in made.cameras]
     rows: list[list[str | Cell]] = [
         [

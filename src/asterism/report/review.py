@@ -69,6 +69,7 @@ def review_report(
     files = [entry.file for entry in entries]
     names = dict(zip(files, short_names(files), strict=True))
     head = sum(entry.item.gain for entry in entries)
+    # The list may be the head of a longer one; the totals are of the whole.
     number, gain = totals or (len(entries), head)
     merits = [
         (count(number), "pieces of tracks to check", ""),
@@ -76,6 +77,7 @@ def review_report(
         (count(len(entries)), "listed here", ""),
         (percent(head / gain if gain else float("nan"), 1), "of the expected gain is in this list", ""),
     ]
+    # Pictures cost space: only the head of the list gets them.
     drawn = [entry for entry in entries[:pictures] if entry.labelling is not None and entry.clouds is not None]
     shown = [_shown(place, entry, names[entry.file], marker_set) for place, entry in enumerate(drawn, 1)]
     sections = [
@@ -131,6 +133,7 @@ def _shown(place: int, entry: ReviewEntry, file: str, marker_set: MarkerSet | No
     item, labelling, clouds = entry.item, entry.labelling, entry.clouds
     assert labelling is not None and clouds is not None
     reach = max(1, round(_SECONDS_AROUND * clouds.rate))
+    # Only the piece in question is ringed; its neighbours are context.
     marks = np.zeros(len(clouds.xyz), dtype=np.int64)
     marks[item.points] = IN_QUESTION
     return ShownRecording(

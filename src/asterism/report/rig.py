@@ -38,6 +38,7 @@ def rig_report(
     result  of `map_rig`; wand: of `wand_accuracy`; still: of `repeatability`, (M,) m; plan: where the rig is a proposal
     Raises AsterismError where the file cannot be written.
     """
+    # A rig that knows no vertical is drawn as its numbers stand.
     up = as_vertical("z") if rig.vertical is None else rig.vertical
     seen = sees(rig, result.places)
     three = result.coverage(3)
@@ -47,6 +48,7 @@ def rig_report(
         (millimetres(result.median_error), f"error of a marker (RMS, median) at {result.noise:.2g} px noise", ""),
         (percent(float(result.facing.mean())), "of markers on a body face two cameras or more", ""),
     ]
+    # Percentiles: one place at the edge must not take the whole scale.
     best, worst = 1000 * np.nanpercentile(result.error, (1, 99)) if np.isfinite(result.error).any() else (0.0, 1.0)
     sections = [
         Section(
@@ -68,6 +70,7 @@ def rig_report(
         Section("The cameras", table=_cameras(rig, result, seen), note="Without it: what three of the other cameras see of the volume."),
         _pairs(rig, result),
     ]
+    # What was measured stands before what was computed of single cameras.
     if wand is not None:
         sections.insert(3, _wand(rig, result, wand))
         merits.append((millimetres(wand.mean_absolute), "off the wand's lengths, on average", ""))
@@ -121,6 +124,7 @@ def pair_scalars(rig: Rig, result: RigMap) -> list[dict[str, Any]]:
     """The 12 scalars (m) of each pair of cameras in the middle of the volume, the best pair first (thesis 3.3)."""
     middle = 0.5 * (result.volume.low + result.volume.high)
     found = sensitivity(rig, middle[None], result.noise, "one-at-a-time")
+    # Pairs that see no common place come last.
     order = np.argsort(np.where(np.isfinite(found.effective[:, 0]), found.effective[:, 0], np.inf), kind="stable")
     return [
         {
@@ -191,6 +195,7 @@ def _still(still: Floats) -> Section:
 
 
 def _against_the_ring(plan: RigPlan, result: RigMap) -> Section:
+    # The same map of the ring: both are judged by one measure.
     ring = map_rig(plan.ring, result.volume, noise=result.noise)
 
     def row(name: str, value_of: Any) -> list[str | Cell]:

@@ -57,6 +57,7 @@ def marker_sides(names: Sequence[str], marker_set: MarkerSet | None = None) -> l
     >>> marker_sides(["LKNE", "RKNE", "SACR", "left_heel"])
     ['left', 'right', 'middle', 'left']
     """
+    # The set says which markers are pairs; names are only asked where it does not.
     known = marker_set if marker_set is not None and marker_set.pairs else known_set(names)
     side: dict[str, str] = {}
     for left, right in known.pairs if known is not None else ():
@@ -75,19 +76,23 @@ def marker_bones(positions: Floats, names: Sequence[str], marker_set: MarkerSet 
     """
     known = marker_set if marker_set is not None and marker_set.segments else known_set(names) or marker_set
     some = np.nonzero(np.isfinite(positions[:, :, 0]).any(axis=1))[0]
+    # Distances settle in a sample of frames.
     some = some[:: max(1, len(some) // _RULES.frames)]
     if not len(some):
         return []
     gaps = np.linalg.norm(positions[some][:, :, None] - positions[some][:, None], axis=3)
     seen = np.isfinite(gaps)
+    # Two markers that are rarely seen together have no reliable distance.
     frequent = seen.sum(axis=0) >= max(3, len(some) // 10)
     number = np.maximum(seen.sum(axis=0), 1)
     mean = np.where(seen, gaps, 0.0).sum(axis=0) / number
     spread = np.sqrt(np.where(seen, (gaps - mean) ** 2, 0.0).sum(axis=0) / number)
+    # Bones keep their length; of those that do, the short ones are likelier.
     cost = 1e-6 + spread + _RULES.by_length * mean
     index = {canonical(name): i for i, name in enumerate(names)}
     for members in known.segments.values() if known else ():
         segment = [index[canonical(name)] for name in members if canonical(name) in index]
+        # Within a segment first: it is rigid by its definition.
         cost[np.ix_(segment, segment)] *= _RULES.segment
     cost[~frequent | (mean > _RULES.longest)] = 0.0
     np.fill_diagonal(cost, 0.0)
@@ -101,6 +106,7 @@ def _side_of(name: str, every: set[str]) -> str:
     for word in ("left", "right"):
         if word in words or own.startswith(word):
             return word
+    # A single letter counts only beside another word: a marker may be called L.
     alone = [word for word in (words[:1] + words[-1:]) if word in ("l", "r")]
     if alone and len(words) > 1:
         return "left" if alone[0] == "l" else "right"

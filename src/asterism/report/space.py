@@ -24,8 +24,10 @@ def rig_in_space(
 
     values  one per point, drawn as its shade; what: their name and unit
     """
+    # Up is up on the page, whatever axis the laboratory calls up.
     turn = z_up_rotation(as_vertical("z") if rig.vertical is None else rig.vertical)
     eyes = np.stack([camera.position for camera in rig])
+    # Pyramids grow with the rig, so that they are seen in a hall.
     reach = float(np.linalg.norm(eyes.max(axis=0) - eyes.min(axis=0))) or 1.0
     data: list[Mapping[str, Any]] = []
     edges = [path for camera in rig for path in _pyramid(camera, 0.06 * reach)]
@@ -56,10 +58,12 @@ def rig_in_space(
 
 def slices(result: RigMap, values: Floats, vertical: Floats, what: str, shades: Sequence[Sequence[Any]], low: float, high: float) -> Figure:
     """Level slices through a map, from the lowest up: values (N,) of its places as shades from `low` to `high`."""
+    # Level slices: people move along the floor.
     axis = int(np.argmax(np.abs(vertical)))
     across, along = [i for i in range(3) if i != axis]
     grid = np.moveaxis(result.grid(values), axis, 0)  # height, across, along
     count = len(result.axes[axis])
+    # From the lowest up, also where the vertical points down the axis.
     layers = np.unique(np.linspace(0, count - 1, min(LAYERS, count)).round().astype(np.int64))
     layers = layers if vertical[axis] > 0 else layers[::-1]
     wide, deep = result.volume.size[across], result.volume.size[along]
@@ -87,6 +91,7 @@ def slices(result: RigMap, values: Floats, vertical: Floats, what: str, shades: 
 def _pyramid(camera: Camera, length: float) -> list[Floats]:
     """The lines of a camera's field of view, `length` m deep; 40 degrees, half as deep, where the image size is not known."""
     width, height = camera.size or (0.7 * camera.focal[0], 0.7 * camera.focal[1])
+    # Without an image size the field of view is a guess, drawn short.
     depth = length if camera.size else 0.5 * length
     x, y = 0.5 * width / camera.focal[0], 0.5 * height / camera.focal[1]
     corners = depth * np.array([(-x, -y, 1.0), (x, -y, 1.0), (x, y, 1.0), (-x, y, 1.0)]) @ camera.rotation + camera.position
@@ -95,6 +100,7 @@ def _pyramid(camera: Camera, length: float) -> list[Floats]:
 
 def _box(volume: Volume) -> list[Floats]:
     low, high = volume.low, volume.high
+    # The twelve edges join corners that differ in one coordinate.
     corners = np.array([[(low, high)[bit][i] for i, bit in enumerate(bits)] for bits in np.ndindex(2, 2, 2)])
     return [np.stack([corners[a], corners[b]]) for a in range(8) for b in range(a) if np.isclose(corners[a], corners[b]).sum() == 2]
 
@@ -103,6 +109,7 @@ def _lines(paths: Sequence[Floats], turn: Floats, color: str, width: int) -> dic
     xyz: list[list[float | None]] = []
     for path in paths:
         xyz += [[round(float(v), 3) for v in point] for point in path @ turn.T]
+        # A gap between the paths: one trace draws them all.
         xyz.append([None, None, None])
     x, y, z = zip(*xyz, strict=True)
     line = {"color": color, "width": width}

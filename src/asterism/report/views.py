@@ -28,6 +28,7 @@ def views_report(path: str | Path, result: ViewsLabelling, *, frame: int | None 
     given = result.labels >= 0
     one, more = result.views == 1, result.views >= 2
     if frame is None:
+        # Where most markers are seen by one camera alone the body does most of the work.
         frame = int(np.argmax(np.where(there, one.sum(axis=1), -1))) if there.any() else 0
     merits = [
         (percent(float(there.mean())) if len(there) else "0 %", "of the frames show the body", ""),
@@ -85,14 +86,17 @@ def _picture(result: ViewsLabelling, c: int, frame: int) -> dict[str, Any]:
         seen = camera.project(points)
         links = [(seen[m], own) for own, m in zip(xy, labels, strict=True) if m >= 0]
         traces.append(_lines(links))
+        # Expected to be hidden, and without a blob.
         hidden = (result.expected[frame, c] < 0.5) & ~np.isin(np.arange(len(points)), labels[labels >= 0])
         traces.append(_dots(seen[hidden], names[hidden], _LABEL, "circle-open", "hidden by the body"))
     labelled, alone = labels >= 0, np.zeros(len(labels), dtype=np.bool_)
+    # Labels of one camera rest on the body; they get a colour of their own.
     alone[labelled] = result.views[frame, labels[labelled]] == 1
     several = labelled & ~alone
     traces.append(_dots(xy[several], names[labels[several]], _LABEL, "circle", "labelled"))
     traces.append(_dots(xy[alone], names[labels[alone]], _ONE, "circle", "labelled, this camera alone"))
     traces.append(_dots(xy[~labelled], np.full(int((~labelled).sum()), ""), _LEFT, "x", "no label"))
+    # Strays may be anywhere: they must not shrink the person.
     left, right, top, bottom = _extent(camera, [*traces[:-1]] or traces)
     axis = {"showgrid": False, "zeroline": False}
     layout = {
@@ -127,6 +131,7 @@ def _capsule(camera: Camera, start: Floats, end: Floats, radii: Floats) -> dict[
     ]
     seen = camera.project(np.concatenate(rings))
     seen = seen[np.isfinite(seen[:, 0])]
+    # Fewer than three points before the camera have no outline.
     outline = seen[ConvexHull(seen).vertices] if len(seen) >= 3 else np.empty((0, 2))
     closed = np.concatenate([outline, outline[:1]])
     shape: dict[str, Any] = {"fill": "toself", "fillcolor": _BODY, "hoverinfo": "skip", "showlegend": False}

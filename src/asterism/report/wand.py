@@ -61,6 +61,7 @@ def wand_report(path: str | Path, made: WandCalibration, *, settings: Mapping[st
             figure=_residuals(made),
         ),
     ]  # fmt: skip
+    # A single marker has no length to measure.
     if len(made.wand.lengths) > 1:
         sections.append(
             Section(
@@ -103,6 +104,7 @@ def _cameras(made: WandCalibration, cells: Floats) -> Table:
 
 def _some(points: Floats) -> Floats:
     """Some of the points (n, 3) m that are there: as many as a picture can hold."""
+    # Every so many: evenly over the recording, not its beginning.
     points = points[np.isfinite(points).all(axis=1)]
     return points[:: max(1, len(points) // _MOST_POINTS)]
 
@@ -110,6 +112,7 @@ def _some(points: Floats) -> Floats:
 def _coverage(made: WandCalibration, cells: Floats) -> figures.Figure:
     """One small picture per camera."""
     down = -(-len(made.rig) // _ACROSS)
+    # Counts differ by powers of ten between the middle and the edge of an image.
     most = float(np.log10(1.0 + cells.max(initial=0.0)))
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {"annotations": []}
@@ -140,13 +143,15 @@ def _coverage(made: WandCalibration, cells: Floats) -> figures.Figure:
 
 
 def _volume(made: WandCalibration) -> figures.Figure:
-    """From above and from the side: the mean number of cameras that saw the wand's markers, in cells of a twentieth of the width."""
+    """From above and from the side: the mean number of cameras that saw the wand's markers, in cells of a 24th of the widest extent."""
+    # Frames that were left out have no positions.
     rows = np.searchsorted(made.used, made.sightings.frame)
     markers = len(made.wand.lengths)
     seen = np.bincount(rows * markers + made.sightings.point, minlength=len(made.used) * markers)
     points = made.positions.reshape(-1, 3)
     good = np.isfinite(points).all(axis=1)
     points, seen = points[good], seen[good]
+    # Cells of a share of the volume: small rooms and halls get pictures of the same fineness.
     size = max(float(np.ptp(points, axis=0).max()) / 24.0, 1e-6) if len(points) else 1.0
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {}
@@ -154,12 +159,14 @@ def _volume(made: WandCalibration) -> figures.Figure:
         upwards = figures.titled(f"{'xyz'[up]} in m", scaleanchor=f"x{'' if n == 0 else 2}")
         axes, sides = figures.cell_axes(n, figures.titled(f"x in m, {view}", domain=domain), upwards)
         layout |= sides
+        # Counted in cells from the lowest one.
         at = np.floor(points[:, [across, up]] / size).astype(np.int64)
         low = at.min(axis=0, initial=0) if len(at) else np.zeros(2, dtype=np.int64)
         shape = tuple((at.max(axis=0) - low + 1)[::-1]) if len(at) else (1, 1)
         total, number = np.zeros(shape), np.zeros(shape)
         np.add.at(total, (at[:, 1] - low[1], at[:, 0] - low[0]), seen)
         np.add.at(number, (at[:, 1] - low[1], at[:, 0] - low[0]), 1)
+        # Places where the wand never was stay white.
         mean = np.where(number > 0, total / np.maximum(number, 1), np.nan)
         data.append(
             {
@@ -176,6 +183,7 @@ def _residuals(made: WandCalibration) -> figures.Figure:
     size = np.linalg.norm(made.residuals, axis=1)
     data = []
     for c, camera in enumerate(made.rig):
+        # 5 and 95 %: the ends of a box must not be single outliers.
         low, first, middle, third, high = np.percentile(size[made.sightings.camera == c], [5, 25, 50, 75, 95])
         data.append(
             {
@@ -187,6 +195,7 @@ def _residuals(made: WandCalibration) -> figures.Figure:
 
 
 def _histogram(values: Floats, what: str) -> figures.Figure:
+    # Symmetric about 0: a shift to one side is a wrong scale.
     reach = float(np.percentile(np.abs(values), 99.5)) if len(values) else 1.0
     counts, edges = np.histogram(values, bins=41, range=(-reach, reach))
     trace = {"type": "bar", "x": 0.5 * (edges[1:] + edges[:-1]), "y": counts, "marker": {"color": figures.PALETTE[0]}}

@@ -129,27 +129,34 @@ def markers_of(marker_set: MarkerSet) -> tuple[str, ...]:
 def random_body(rng: np.random.Generator, height: float, markers: tuple[str, ...]) -> Body:
     """A body of this height (m) with its own proportions and its own marker places (8 mm off the table, wands more)."""
     size = height / REFERENCE_HEIGHT
+    # Each length has its own share: tall people are no scaled short ones.
     proportion = dict(zip(LENGTHS, np.clip(rng.normal(1.0, 0.04, len(LENGTHS)), 0.9, 1.1), strict=True))
     lengths = {name: size * share * proportion[name] for name, share in LENGTHS.items()}
     girth = size * float(np.clip(rng.normal(1.0, 0.09), 0.8, 1.25))
     everywhere = simulated_markers()
+    # For all markers, placed or not: a marker has the same place in each set that uses it.
     offsets = np.clip(rng.normal(0.0, 0.008, (len(everywhere), 3)), -0.02, 0.02)
+    # Wands are placed by eye along the segment.
     along = np.clip(rng.normal(0.0, 0.05, len(everywhere)), -0.1, 0.1)
     segments, places = [], []
     for name in markers:
         segment, forward, left, up = CENTRAL[name] if name in CENTRAL else SIDED[name[1:]]
         number = everywhere.index(name)
         limb = segment in ("thigh", "shank", "upper arm", "forearm")
+        # On a limb the height counts as a share of its length below the joint.
         if limb:
             wand = name[1:] in ("THI", "TIB", "UPA", "FRM", "SHN")
             up = (up + LOWER_ON_THE_RIGHT.get(name, 0.0) + wand * along[number]) * lengths[segment]
         else:
             up *= size * (proportion["trunk"] if segment == "thorax" else 1.0)
         sided = name not in CENTRAL
+        # Shoulders widen the thorax, girth all other parts.
         across = proportion["shoulders"] * size if segment == "thorax" and sided else girth
         place = np.array([forward * (size if segment == "foot" else girth), left * across, up]) + offsets[number]
+        # The tables are of the left side.
         if sided and name[0] == "R":
             place[1] = -place[1]
+        # A marker of 8 mm radius does not sink into the floor.
         if segment == "foot":
             place[2] = max(place[2], 0.008 - lengths["ankle"])
         side = "" if not sided or segment in ("pelvis", "thorax", "head") else {"L": "left ", "R": "right "}[name[0]]

@@ -57,8 +57,10 @@ def compare_rigs(rig: Rig, truth: Rig) -> RigErrors:
     if len(names) < 3:
         raise AsterismError("two rigs are compared by three common cameras or more; name their cameras alike.")
     chosen, true = rig.select(names), truth.select(names)
+    # Without a scale: a rig that is too small is wrong, not elsewhere.
     rotation, translation = fit_rigid(np.stack([c.position for c in chosen]), np.stack([c.position for c in true]))
     moved = chosen.moved(rotation, translation)
+    # Rounding may leave a cosine a little above 1.
     turned = np.clip([a.rotation[2] @ b.rotation[2] for a, b in zip(moved, true, strict=True)], -1.0, 1.0)
     return RigErrors(
         np.array([float(np.linalg.norm(a.position - b.position)) for a, b in zip(moved, true, strict=True)]),
@@ -88,8 +90,10 @@ def compare_points(clouds: Clouds, positions: ArrayLike, wanted: ArrayLike, reac
     ghosts = 0
     for t, cloud in enumerate(clouds):
         distance = np.linalg.norm(markers[t][:, None] - cloud[None], axis=2)
+        # A marker that is not there is infinitely far.
         distance = np.where(np.isfinite(distance), distance, np.inf)
         ghosts += int((distance.min(axis=0, initial=np.inf) > reach).sum())
+        # Nearest pairs first: a greedy matching is the best one while markers are farther apart than errors.
         for index in np.argsort(distance, axis=None, kind="stable"):
             m, n = divmod(int(index), len(cloud))
             if distance[m, n] > reach:

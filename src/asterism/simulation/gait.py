@@ -64,9 +64,12 @@ def random_style(rng: np.random.Generator, body: Body, vigour: float) -> Style:
     series = {}
     for name, degrees in CURVES.items():
         spectrum = np.fft.rfft(np.radians(degrees))[: HARMONICS + 1] / len(degrees)
+        # Own amplitudes and phases, less in the high harmonics: a person's gait is smooth.
         personal = (rng.normal(size=HARMONICS + 1) + 1j * rng.normal(size=HARMONICS + 1)) * np.radians([2.0, 0.9, 0.5, 0.2, 0.1, 0.1])
+        # The foot meets the floor: a large change of its pitch would lift or sink it.
         if name == "foot":
             personal *= 0.3
+        # The mean of a real curve is real; vigour scales the swing about it.
         spectrum[0] = spectrum[0].real + personal[0].real
         spectrum[1:] = (spectrum[1:] + personal[1:]) * vigour
         series[name] = spectrum
@@ -86,8 +89,10 @@ def pose(body: Body, style: Style, phase: Floats, foot_turn: tuple[Floats, Float
     phase      (T,) cycles, 0 at the left foot strike
     foot_turn  (left, right) (T,) rad, how far each foot points left of the heading, besides toeing out
     """
+    # The right side is half a cycle later.
     angle = {name: {"left": _curve(series, phase), "right": _curve(series, phase + 0.5)} for name, series in style.series.items()}
     lengths, frames = body.lengths, len(phase)
+    # The pelvis is one: it follows the mean of both sides.
     tilt = 0.5 * (angle["pelvis tilt"]["left"] + angle["pelvis tilt"]["right"])
     drop, turn = angle["pelvis drop"]["left"], angle["pelvis turn"]["left"]
     pelvis = _about("z", -turn) @ _about("x", drop) @ _about("y", tilt)
@@ -98,14 +103,17 @@ def pose(body: Body, style: Style, phase: Floats, foot_turn: tuple[Floats, Float
     for side, sign, place in (("left", 1.0, 0), ("right", -1.0, 1)):
         hip = pelvis_at + pelvis @ np.array([0.0, sign * lengths["hips"] / 2, 0.0])
         swing, bend, pitch = angle["hip"][side] - tilt, np.maximum(angle["knee"][side], 0.0), angle["foot"][side]
+        # How far the leg hangs down in this pose, from which the feet's distance gives the angle sideways.
         reach = lengths["thigh"] * np.cos(swing) + lengths["shank"] * np.cos(swing - bend)
         sideways = np.arctan2(sign * style.step_width / 2 - hip[:, 1], reach)
+        # Turning out is shared between hip and foot.
         thigh = _about("x", sideways) @ _about("y", -swing) @ _about("z", 0.5 * foot_turn[place] + sign * 0.4 * style.toe_out)
         knee = hip + thigh @ np.array([0.0, 0.0, -lengths["thigh"]])
         shank = thigh @ _about("y", bend)
         ankle = knee + shank @ np.array([0.0, 0.0, -lengths["shank"]])
         foot = _about("z", foot_turn[place] + sign * style.toe_out) @ _about("y", -pitch)
         segments |= {f"{side} thigh": (thigh, hip), f"{side} shank": (shank, knee), f"{side} foot": (foot, ankle)}
+        # Heel and ball are what can touch the floor.
         for end, point in enumerate((HEEL, BALL)):
             soles[:, 2 * place + end] = ankle + foot @ np.array([point[0] * body.size, point[1], -lengths["ankle"]])
     segments |= _upper_body(body, style, angle, pelvis, pelvis_at)
@@ -138,11 +146,13 @@ def support(soles: Floats, phase: Floats) -> tuple[Floats, Floats]:
     """
     height = soles[:, :, 2]
     cycle = np.stack([phase, phase, phase + 0.5, phase + 0.5], axis=1) % 1.0
+    # A foot in swing must not carry, though it may be the lowest for a moment.
     swing = np.clip(np.minimum(cycle - FOOT_OFF, 1.0 - cycle) / 0.04, 0.0, 1.0)
     return _soft_lowest(height + 0.3 * swing)[0], _soft_lowest(height)[1]
 
 
 def _soft_lowest(height: Floats) -> tuple[Floats, Floats]:
+    # A soft minimum: support passes from one point to the next without a jump.
     lowest = height.min(axis=1, keepdims=True)
     weight = np.exp(-(height - lowest) / FLOOR_SOFTNESS)
     total = weight.sum(axis=1, keepdims=True)

@@ -78,6 +78,7 @@ class PipelineResult:
 
     def criteria(self) -> list[Criterion]:
         """What the whole pipeline promises on simulated sessions, and what was measured."""
+        # Of the markers that were found: what no camera saw cannot be labelled.
         points, found = self.points, self.right + self.unlabelled
         return [
             Criterion("cameras that could not be calibrated", float(len(self.calibration.excluded)), 0.0, False, ""),
@@ -99,6 +100,7 @@ def run_pipeline(session: SimulatedSession, model: MarkerModel, progress: Progre
     """
     steps = TimedSteps(progress)
     steps.begin("calibrate", 0.0, "calibrating")
+    # Of the true rig only what a laboratory knows: image sizes, and the lengths of wand and frame.
     sizes = {camera.name: camera.size for camera in session.rig if camera.size is not None}
     calibration = calibrate_wand(session.wand, WAND, sizes=sizes)
     rig = in_world(calibration.rig, world_from_l_frame(calibration.rig, session.l_frame, L_FRAME), "the L-frame")

@@ -57,8 +57,10 @@ def simulate_session(
     rngs = [np.random.default_rng([seed, part]) for part in range(4)]
     rig = ring_rig(cameras, radius=4.0, height=2.6, size=(2048, 1536), rng=rngs[0])
     usual = ImagingSettings(noise=noise, strays=0.3, dropped=0.01, missed=0.01)
+    # A wand in a lit hall: outliers and one reflection for each camera, as calibrations meet them.
     waved = replace(usual, outliers=0.01, reflections=1)
     wand, truth = simulate_wand(rig, WAND, wand_frames, settings=waved, rate=60.0, rng=rngs[1])
+    # A second of a frame that lies still: its noise averages out.
     lying: Floats = np.tile(L_FRAME, (60, 1, 1))
     l_frame = simulate_blobs(rig, lying, replace(usual, reflections=1), rng=rngs[2], rate=60.0)[0]
     blobs, identity = simulate_blobs(rig, walk.positions, usual, body=walker_capsules(walk), rng=rngs[3], rate=walk.rate)

@@ -69,6 +69,7 @@ def paper_rig(cameras: int = 4, *, rng: np.random.Generator | None = None) -> Ri
 
     rng hangs each camera a little elsewhere, see `ring_rig`.
     """
+    # Always the ring of four at least: fewer cameras are some of the same ones.
     ring = ring_rig(max(cameras, 4), RADIUS, HEIGHT, SIZE, rng=rng)
     corner = np.pi / 4
     turn = np.array([[np.cos(corner), -np.sin(corner), 0.0], [np.sin(corner), np.cos(corner), 0.0], [0.0, 0.0, 1.0]])
@@ -94,14 +95,17 @@ def simulate_views(
     in which the pelvis is outside the volume are left out. Blobs have 0.5 px of noise, images two passing lights on average.
     """
     hiding = walker_capsules(recording) if body is None else body
+    # Markers and body together, so that both are sampled and turned alike.
     points = np.concatenate([recording.positions, hiding.starts, hiding.ends], axis=1)
     points = _at_rate(points, recording.rate, RATE)
     hips = [recording.labels.index(name) for name in recording.labels if name in ("LASI", "RASI", "SACR")]
+    # The pelvis says where the person is.
     middle = np.nanmean(points[:, hips], axis=1)
     points = (points - _middle_of(middle)) @ _along_x(middle).T
     middle = np.nanmean(points[:, hips], axis=1)
     points = points[(np.abs(middle[:, 0]) <= VOLUME[0] / 2) & (np.abs(middle[:, 1]) <= VOLUME[1] / 2)]
     count, parts = len(recording.labels), len(hiding.radii)
+    # Thicker than the body that hides in the labelling: a model of a body is never exact.
     starts, ends = (np.ascontiguousarray(points[:, at : at + parts]) for at in (count, count + parts))
     thick = Capsules(starts, ends, THICKER * hiding.radii, hiding.names)
     columns = [recording.labels.index(name) for name in markers]
@@ -131,5 +135,6 @@ def _middle_of(path: Floats) -> Floats:
 def _along_x(path: Floats) -> Floats:
     """The turn about z (3, 3) that lays the longest way of a path (T, 3) along x."""
     some = path[np.isfinite(path[:, 0]), :2]
+    # The direction of most spread is that of the walk.
     way = np.linalg.svd(some - some.mean(axis=0), full_matrices=False)[2][0]
     return np.array([[way[0], way[1], 0.0], [-way[1], way[0], 0.0], [0.0, 0.0, 1.0]])

@@ -28,6 +28,7 @@ def simulate_motion(
     rest height) and the body's capsules in each frame. The same arguments and generator give the same motion.
     """
     size = float(np.clip(rng.normal(1.0, 0.07), 0.8, 1.25))
+    # Another person: of another size, and a little longer or wider than the model.
     scales = size * np.clip(rng.normal(1.0, 0.03, 3), 0.9, 1.1)
     person = replace(
         body,
@@ -38,14 +39,17 @@ def simulate_motion(
     )
     time = np.arange(frames) / rate
     hinges = body.hinges
+    # Around the usual pose, as far as the hinge allows.
     angles = np.stack([np.clip(h.usual + _swinging(time, rng) * h.spread, h.low, h.high) for h in hinges], axis=1)
     for j, hinge in enumerate(hinges):
         plain = hinge.name.partition(" ")[2]
+        # Arms sweep farther than in walking: they are what hides markers.
         if plain in _FREE_ARMS:
             low, high = np.radians(_FREE_DEGREES[plain])
             angles[:, j] = np.clip(low + (high - low) * (0.5 + 0.5 * _swinging(time, rng)).clip(0.0, 1.0), hinge.low, hinge.high)
     heading = rng.uniform(-np.pi, np.pi) + 0.8 * _swinging(time, rng)
     walk = np.stack([0.3 * _swinging(time, rng), 0.3 * _swinging(time, rng)], axis=1)
+    # The lowest marker keeps its height: whoever bends does not float.
     lowest = float(person.places[:, 2].min()) * scales[2]
     points, starts, ends = [], [], []
     for t in range(frames):

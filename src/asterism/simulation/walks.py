@@ -52,6 +52,7 @@ def simulate_walks(
     for person in range(subjects):
         body = _person(seed, person, subjects, names)
         for trial in range(trials):
+            # Streams by person and trial: another number of trials leaves the first ones as they were.
             rng = np.random.default_rng([seed, person, 1 + trial])
             path = PATHS[(person + trial) % len(PATHS)]
             positions, events = _walk(body, frames, rate, path, rng, np.random.default_rng([seed, person, 0, 1]))
@@ -92,6 +93,7 @@ def simulate_standing(
 def _person(seed: int, person: int, subjects: int, names: tuple[str, ...]) -> Body:
     """The bodies of one study spread evenly over the heights, in mixed order."""
     rng = np.random.default_rng([seed, person, 0, 0])
+    # Heights in equal steps, in mixed order: a few subjects already span the range.
     slot = np.random.default_rng([seed, subjects]).permutation(subjects)[person]
     low, high = HEIGHTS
     return random_body(rng, float(low + (high - low) * (slot + rng.random()) / subjects), names)
@@ -104,11 +106,14 @@ def _walk(
     vigour = float(rng.uniform(0.8, 1.12))
     style = random_style(personal, body, vigour)
     leg = body.lengths["thigh"] + body.lengths["shank"]
+    # A pendulum: longer legs swing slower.
     cadence = personal.uniform(0.92, 1.05) * np.sqrt(0.9 / leg) * (0.55 + 0.4 * vigour)
     rhythm, wobble = rng.uniform(0, 2 * np.pi), rng.uniform(0.0, 0.012)
+    # The rhythm wanders a little, as that of people does.
     phase = rng.random() + cadence * time + wobble * np.sin(2 * np.pi * 0.31 * time + rhythm)
     heading = _heading(path, time, rng)
     turns = []
+    # A planted foot keeps its heading; it turns while it swings.
     for shift in (0.0, 0.5):
         stride, within = np.divmod(phase + shift, 1.0)
         planted = np.interp(stride + FOOT_OFF / 2 - shift, phase, heading)
@@ -120,13 +125,16 @@ def _walk(
 
     weight, floor = support(moving.soles, phase)
     spin = np.gradient(heading, time) if frames > 1 else np.zeros(1)
+    # The body goes where the feet that carry it do not slide.
     flow = np.gradient(moving.soles, time, axis=0) if frames > 1 else np.zeros_like(moving.soles)
     along = -np.einsum("ts,ts->t", weight, flow[:, :, 0] - spin[:, None] * moving.soles[:, :, 1])
     across = -np.einsum("ts,ts->t", weight, flow[:, :, 1] + spin[:, None] * moving.soles[:, :, 0])
     cos, sin = np.cos(heading), np.sin(heading)
     velocity = np.stack([cos * along - sin * across, sin * along + cos * across], axis=1)
+    # Support changes within a few frames; a body does not change its speed as fast.
     velocity = gaussian_filter1d(velocity, sigma=0.1 / cadence * rate, axis=0, mode="nearest")
     track = np.cumsum(velocity, axis=0) / rate
+    # The walk's middle near the origin, where cameras look.
     track += rng.uniform(-0.2, 0.2, 2) - track.mean(axis=0)
     room = np.empty_like(local)
     room[:, :, 0] = cos[:, None] * local[:, :, 0] - sin[:, None] * local[:, :, 1] + track[:, :1]
@@ -138,6 +146,7 @@ def _walk(
 def _stand(body: Body, frames: int, rate: float, rng: np.random.Generator) -> Floats:
     style = random_style(rng, body, 0.0)
     time = np.arange(frames) / rate
+    # Standing: nothing swings, and knees and elbows are nearly straight.
     still = {name: np.zeros_like(series) for name, series in style.series.items()}
     still["pelvis tilt"][0] = style.series["pelvis tilt"][0].real
     still["hip"][0] = still["pelvis tilt"][0] + np.radians(1.0)
@@ -148,6 +157,7 @@ def _stand(body: Body, frames: int, rate: float, rng: np.random.Generator) -> Fl
     standing = pose(body, upright, none, (none, none))
     points = _markers(body, standing.segments, 0.3 * time, rng)
     points[:, :, 2] -= support(standing.soles, none)[1][:, None]
+    # The sway grows from the floor up, like that of a pendulum on its head.
     share = points[:, :, 2:] / body.height
     for frequency in (0.21, 0.47):
         points[:, :, :2] += 0.006 * share * np.sin(2 * np.pi * (frequency * time[:, None, None] + rng.random(2)))
@@ -161,6 +171,7 @@ def _heading(path: str, time: Floats, rng: np.random.Generator) -> Floats:
     """(T,) rad: where the walker faces."""
     start, hand = rng.uniform(-np.pi, np.pi), rng.choice([-1.0, 1.0])
     wander = 0.03 * np.sin(2 * np.pi * 0.13 * time + rng.uniform(0, 2 * np.pi))
+    # A smooth step: heading and its speed have no jump.
     if path == "turn":
         middle = 0.5 * time[-1] + rng.uniform(-0.2, 0.2)
         done = np.clip((time - middle) / 1.4 + 0.5, 0.0, 1.0)
@@ -175,6 +186,7 @@ def _markers(body: Body, segments: dict[str, tuple[Floats, Floats]], phase: Floa
     count = len(body.segments)
     out = np.empty((len(phase), count, 3))
     slow = phase * rng.uniform(0.2, 0.6) + rng.random()
+    # Twice a cycle and once a cycle, and a course that the gait does not explain.
     basis = np.stack([f(2 * np.pi * k * x) for k, x in ((1, phase), (2, phase), (1, slow)) for f in (np.sin, np.cos)], axis=1)
     shares = np.array([0.6, 0.6, 0.35, 0.35, 0.3, 0.3])[:, None, None] * body.slides[None, :, None]
     sliding = np.einsum("tb,bmx->tmx", basis, rng.normal(size=(len(shares), count, 3)) * shares)
@@ -190,6 +202,7 @@ def _events(phase: Floats, time: Floats) -> tuple[Event, ...]:
     events = []
     for side, shift in (("Left", 0.0), ("Right", 0.5)):
         for label, share in (("Foot Strike", 0.0), ("Foot Off", FOOT_OFF)):
+            # Only events within the recording.
             cycles = np.arange(np.ceil(phase[0] + shift - share), np.floor(phase[-1] + shift - share) + 1)
             events += [Event(label, float(at), side) for at in np.interp(cycles + share - shift, phase, time)]
     return tuple(sorted(events, key=lambda event: (event.time, event.context)))
@@ -200,6 +213,7 @@ def _recording(
 ) -> Recording:
     """The recording in a room whose vertical is `up`: x, y, z are turned, never mirrored."""
     ahead = np.zeros(3)
+    # The next axis after the vertical: x, y, z keep their turn, so nothing is mirrored.
     ahead[(int(np.argmax(np.abs(up))) + 1) % 3] = 1.0
     ahead -= up * (ahead @ up)
     ahead /= np.linalg.norm(ahead)

@@ -74,14 +74,14 @@ def predict_visible(body, cameras, observing, pose, rotation, shares):
     )
     points, ends = np.empty((markers, 3)), np.empty((2 * capsules, 3))
     place_points(body.bones, body.places, pose, turned, moved, points)
-    if math.isinf(observing.doubt):
+    if math.isinf(observing.occlusion_tolerance):
         shares[:] = observing.shown
     else:
         place_points(body.capsule_bones, body.capsule_ends, pose, turned, moved, ends)
         girth = (pose[0] + pose[1] + pose[2]) / 3.0
         depths = np.empty(shares.shape)
         sight_depths(cameras.eyes, points, ends[:capsules], ends[capsules:], girth * body.radii, observing.clearance, depths)
-        visible_shares(depths, observing.doubt, observing.softness, observing.hidden, observing.shown, shares)
+        visible_shares(depths, observing.occlusion_tolerance, observing.softness, observing.hidden, observing.shown, shares)
     uv, slopes = np.empty((len(shares), markers, 2)), np.empty((len(shares), markers, 2, 3))
     project_linear(cameras, points, uv, slopes)
     for c in range(len(shares)):

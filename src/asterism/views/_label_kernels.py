@@ -80,7 +80,7 @@ def assign_best(gain, chosen):
 
 @kernel
 def margins(gain, chosen, out):
-    """How much gain each given label is worth beyond the best change of it: to no blob, to a free blob, or exchanged with another marker.
+    """How much more each given label gains than the best change of it: to no blob, to a free blob, or exchanged with another marker.
 
     IN  gain (M, K) nats, chosen (M,) an assignment
     OUT out (M,) nats, 0 where nothing was chosen; an upper bound of the true margin, which may need longer chains of changes
@@ -191,12 +191,12 @@ def combine_sights(uv, slopes, chosen, xy, offsets, without, weight, information
 
 
 @kernel
-def label_globally(cameras, observing, shares, points, priors, xy, offsets, rounds, together, labels, worth, means, covariances):
+def label_globally(cameras, observing, shares, points, priors, xy, offsets, rounds, together, labels, margin, means, covariances):
     """Blobs to markers in all cameras at once: each camera assigns exactly, by what the other cameras' blobs say of where a marker is.
 
     IN  shares (C, M); points (M, 3) m, priors (M, 3, 3) m2: where the posed body has its markers, and how exactly; xy (P, 2) px,
         offsets (C + 1,); rounds: how often each camera assigns at most; together: whether cameras inform each other
-    OUT labels (P,): the marker of each blob, -1 for none; worth (P,) nats: gain beyond the best change; means (M, 3) m off `points`,
+    OUT labels (P,): the marker of each blob, -1 for none; margin (P,) nats: gain beyond the best change; means (M, 3) m off `points`,
         covariances (M, 3, 3) m2: markers by all their blobs. Returns the total gain, nats
     O(rounds C M^2 (M + K)). Coordinate ascent on the joint probability of labels and places; it ends where nothing changes.
     """
@@ -206,10 +206,10 @@ def label_globally(cameras, observing, shares, points, priors, xy, offsets, roun
     information = np.empty((markers, 3, 3))
     invert_each(priors, information)
     chosen, before = np.full((count, markers), -1, dtype=np.int64), np.empty((count, markers), dtype=np.int64)
-    margin = np.empty(markers)
+    by_marker = np.empty(markers)
     weight = 1.0 / (observing.noise * observing.noise)
     labels[:] = -1
-    worth[:] = 0.0
+    margin[:] = 0.0
     total = 0.0
     for turn in range(rounds + 1):
         total = 0.0
@@ -224,15 +224,15 @@ def label_globally(cameras, observing, shares, points, priors, xy, offsets, roun
             gain = np.empty((markers, last - first))
             blob_gains(uv, slopes, shares, means, covariances, xy, first, last, c, observing, gain)
             assign_best(gain, chosen[c])
-            margins(gain, chosen[c], margin)
+            margins(gain, chosen[c], by_marker)
             for k in range(first, last):
                 labels[k] = -1
-                worth[k] = 0.0
+                margin[k] = 0.0
             for m in range(markers):
                 if chosen[c, m] >= 0:
                     total += gain[m, chosen[c, m]]
                     labels[first + chosen[c, m]] = m
-                    worth[first + chosen[c, m]] = margin[m]
+                    margin[first + chosen[c, m]] = by_marker[m]
         if turn > 0 and (before == chosen).all():
             break
     combine_sights(uv, slopes, chosen, xy, offsets, -1, weight, information, means, covariances)

@@ -5,34 +5,10 @@ from __future__ import annotations
 import math
 
 from asterism._jit import kernel
+from asterism.geometry.shared_kernels import nearest_on_segments
 
 _CLEAR = 0.05
 """m, by which a capsule that hides nothing may be passed over: the probability that it hides is below 1e-5 there."""
-
-
-@kernel(inline=True)
-def nearest_on_segments(p, q, a, b):
-    """Where two segments are nearest: returns the squared distance m2 and the share along the second.
-
-    IN  p, q and a, b (3,) m: their ends; a segment without length is a point
-    OUT nothing
-    O(1), no allocation.
-    """
-    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    vx, vy, vz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    wx, wy, wz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
-    uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
-    uw, vw = ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
-    across = uu * vv - uv * uv
-    s = 0.0
-    if across > 1e-12 * uu * vv:
-        s = min(max((uv * vw - vv * uw) / across, 0.0), 1.0)
-    t = (uv * s + vw) / vv if vv > 0.0 else 0.0
-    if t < 0.0 or t > 1.0:
-        t = min(max(t, 0.0), 1.0)
-        s = min(max((uv * t - uw) / uu, 0.0), 1.0) if uu > 0.0 else 0.0
-    dx, dy, dz = wx + s * ux - t * vx, wy + s * uy - t * vy, wz + s * uz - t * vz
-    return dx * dx + dy * dy + dz * dz, t
 
 
 @kernel(inline=True)
@@ -80,13 +56,14 @@ def sight_depths(eyes, points, starts, ends, radii, clearance, out):
 
 
 @kernel
-def visible_shares(depths, doubt, softness, hidden, shown, out):
+def visible_shares(depths, occlusion_tolerance, softness, hidden, shown, out):
     """The probability that a camera has a blob of a marker, from how deep its line of sight runs.
 
-    IN  depths (C, M) m; doubt m: what is hidden by less counts as visible; softness m; hidden, shown: the lowest and highest probability
+    IN  depths (C, M) m; occlusion_tolerance m: occlusions shallower than this do not hide; softness m
+        hidden, shown: the lowest and highest probability
     OUT out (C, M)
     O(C M), no allocation.
     """
     for c in range(depths.shape[0]):
         for m in range(depths.shape[1]):
-            out[c, m] = hidden + (shown - hidden) / (1.0 + math.exp(min((depths[c, m] - doubt) / softness, 50.0)))
+            out[c, m] = hidden + (shown - hidden) / (1.0 + math.exp(min((depths[c, m] - occlusion_tolerance) / softness, 50.0)))

@@ -17,8 +17,8 @@ class ViewsRules:
 
     noise         px, standard deviation of a blob's x and y
     strays        blobs of an image that show no marker, as many as are thought usual
-    doubt         m, what a capsule hides by less counts as visible; above 0: in doubt a marker is visible, as the paper has it. Below 0
-                  agrees best with bodies other than the model's, and gives as many right labels (a row of the benchmark)
+    occlusion_tolerance  m: occlusions shallower than this do not hide. Above 0 as the paper has it; below 0 agrees best with bodies
+                  other than the model's, and gives as many right labels
     softness      m, how fast the probability falls around that
     hidden, shown  probability of a blob of a marker that the body hides, and of one that it does not
     clearance     m, how far markers are above the surface of the body
@@ -47,14 +47,14 @@ class ViewsRules:
     both_ways     whether the frames are followed in both directions of time
     turn_frames   frames after which the followed body is compared with one that is found without a start
     taken_over    nats by which the body found without a start must be better than the followed one
-    window        frames on both sides whose gains are the lead of one direction of time over the other
+    window        frames on both sides over which the margin of one direction of time over the other is averaged
     jump          nats that it costs to go over from one direction to the other where they differ
     lost          nats per sighting that the body lets expect, below which it counts as lost and no label is given
     least_shown   share of the expected sightings that must be there, or the body counts as lost too
     longest_wait  frames until a body that was not found is sought again, at most
-    slope, offset  of the logistic that turns the worth of a label (nats) into its probability
+    slope, offset  of the logistic that turns the margin of a label (nats) into its probability
     single        what is added to its offset where no other camera has a blob of the marker
-    lead_slope    of the logistic that turns the lead of a frame over another explanation (nats) into a probability
+    rival_slope   of the logistic that turns the margin of a frame over another explanation (nats) into a probability
 
     jump, carry, drop and taken_over were chosen on simulated motion of 26 markers. The last four were the most likely ones for 91371
     labels, 185 of them wrong, of 72 simulated recordings before the labels of a frame were carried to the next: 36 people of 12 seeds, 90
@@ -65,7 +65,7 @@ class ViewsRules:
 
     noise: float = 0.8
     strays: float = 2.0
-    doubt: float = -0.003
+    occlusion_tolerance: float = -0.003
     softness: float = 0.004
     hidden: float = 0.1
     shown: float = 0.97
@@ -103,24 +103,32 @@ class ViewsRules:
     slope: float = 0.75
     offset: float = 1.4
     single: float = -1.04
-    lead_slope: float = 0.48
+    rival_slope: float = 0.48
 
-    def confidence(self, worth: Floats, single: NDArray[np.bool_], leads: Floats) -> Floats:
+    def confidence(self, margin: Floats, single: NDArray[np.bool_], rival_margin: Floats) -> Floats:
         """(N,) the probability that labels are right.
 
-        worth (N,) nats beyond the best change of the label; single (N,) whether no other camera has a blob of the marker; leads (N,) nats
-        beyond the best other explanation of the frame that labels the blob otherwise, inf where none does. O(N).
+        margin (N,) nats beyond the best change of the label; single (N,) whether no other camera has a blob of the marker;
+        rival_margin (N,) nats beyond the best other explanation of the frame that labels the blob otherwise, inf where none does. O(N).
         """
-        own = _logistic(self.slope * worth + self.offset + self.single * single)
-        whole = _logistic(self.lead_slope * np.minimum(leads, 1e3))
+        own = _logistic(self.slope * margin + self.offset + self.single * single)
+        whole = _logistic(self.rival_slope * np.minimum(rival_margin, 1e3))
         share: Floats = own * whole
         return share
 
     def observing(self, area: float) -> Observing:
         """The model of observation for images of this mean area (px2)."""
-        doubt = self.doubt if self.occlusion else float("inf")
+        occlusion_tolerance = self.occlusion_tolerance if self.occlusion else float("inf")
         return Observing(
-            self.noise, max(self.strays, 0.2) / area, doubt, self.softness, self.hidden, self.shown, self.clearance, 40.0, False
+            self.noise,
+            max(self.strays, 0.2) / area,
+            occlusion_tolerance,
+            self.softness,
+            self.hidden,
+            self.shown,
+            self.clearance,
+            40.0,
+            False,
         )
 
 

@@ -37,6 +37,7 @@ class _Refused(Exception):
 
 def make_app(session: CorrectionSession) -> Starlette:
     """The application for a sitting; behind a `Guard`."""
+    # Every answer passes one place that turns failures into sentences.
     api = _Api(session)
     trial = "/api/trials/{trial}"
     routes = [
@@ -65,11 +66,13 @@ class _Api:
         """An endpoint that answers by a method of this class, and by a sentence where it fails."""
 
         async def endpoint(request: Request) -> Response:
+            # Reading the body waits for the network; the work itself runs in a thread, so that other requests go on.
             try:
                 given = await _json_of(request) if request.method == "POST" else {}
                 found = await run_in_threadpool(answer, request, given)
             except _Refused as problem:
                 return JSONResponse({"error": problem.sentence}, problem.status)
+            # 409: the page asks for the state anew and shows what has changed.
             except StaleRevision as problem:
                 return JSONResponse({"error": str(problem)}, 409)
             except AsterismError as problem:
@@ -109,6 +112,7 @@ class _Api:
 
         def answer(request: Request, given: dict[str, Any]) -> dict[str, Any]:
             trial, revision = self._trial(request), given.get("revision")
+            # JSON has true and 1; in Python they are equal.
             if isinstance(revision, bool) or not isinstance(revision, int):
                 raise _Refused(400, "the request needs the revision that it is about, a whole number.")
             change = trial.change(revision, lambda correction: _change(correction, verb, given))
@@ -124,6 +128,7 @@ class _Api:
 
     def teach(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
         trials, name = given.get("trials"), given.get("model_out")
+        # Ids from the page are checked: they name files.
         known = {trial.id for trial in self.session.trials}
         if not isinstance(trials, list) or not all(isinstance(trial, str) and trial in known for trial in trials):
             raise _Refused(400, "the request needs the ids of trials in the field trials.")
@@ -138,11 +143,13 @@ class _Api:
         loop, waiting = asyncio.get_running_loop(), asyncio.Queue[tuple[str, int]]()
 
         def listener(trial: str, revision: int) -> None:
+            # Changes come from threads; the socket belongs to the loop.
             loop.call_soon_threadsafe(waiting.put_nowait, (trial, revision))
 
         self.session.listeners.append(listener)
         sender = asyncio.create_task(_send_all(socket, waiting))
         try:
+            # The page says nothing; waiting for it tells when it has gone.
             while True:
                 await socket.receive_text()
         except (WebSocketDisconnect, KeyError, RuntimeError):
@@ -184,11 +191,13 @@ def _change(correction: Correction, verb: str, given: dict[str, Any]) -> Correct
 
 async def _json_of(request: Request) -> dict[str, Any]:
     """The JSON object of a request."""
+    # A form of another page cannot send this type without asking first.
     if request.headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
         raise _Refused(415, "the request is no JSON.")
     body = b""
     async for part in request.stream():
         body += part
+        # Counted while it arrives: the header may lie.
         if len(body) > MAX_BODY:
             raise _Refused(413, f"the request has more than {MAX_BODY} bytes.")
     try:
@@ -205,6 +214,7 @@ def _static(name: str) -> Response:
     kind = _TYPES.get(name.rpartition(".")[2])
     if name in ("player.js", "player.css"):
         return Response(player_script() if name.endswith("js") else player_style(), media_type=kind)
+    # No path leads out of the folder of the page's files.
     if kind is None or name != name.replace("/", "").replace("\\", "") or name.startswith("."):
         return JSONResponse({"error": "there is no such file."}, 404)
     file = resources.files("asterism.web").joinpath("static", name)

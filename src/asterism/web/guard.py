@@ -48,10 +48,12 @@ class Guard:
             return
         headers = {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
         problem = self._problem(scope, headers)
+        # A socket is refused before it is accepted, with no reason told.
         if problem and scope["type"] == "websocket":
             await receive()
             await send({"type": "websocket.close", "code": 1008})
             return
+        # The policy names the host that was asked for, which has been checked by then.
         policy = _POLICY.format(host=headers.get("host", "") if not problem else "").encode("latin-1", "replace")
 
         async def send_guarded(message: Any) -> None:
@@ -70,14 +72,18 @@ class Guard:
     def _problem(self, scope: Any, headers: dict[str, str]) -> str:
         """Why a request is refused; empty where it is not."""
         host = headers.get("host", "")
+        # First the name: a foreign name that points here is another page's trick.
         if not self._is_own_name(host):
             return "this address is not the one that the page was opened with; use the address that the command printed."
+        # Browsers name the page that a request comes from; programs need not.
         origin = headers.get("origin")
         if origin is not None and origin != f"http://{host}":
             return "the request came from another page; use the address that the command printed."
+        # Style and script hold no data: a page can load them before it has the token.
         if scope["type"] == "http" and scope["method"] in ("GET", "HEAD") and scope["path"].startswith(STATIC):
             return ""
         given = headers.get("x-asterism-token") or parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+        # In constant time: its duration must not tell how much of the token was right.
         if not hmac.compare_digest(given.encode("utf-8", "replace"), self.token.encode()):
             return "the token is missing or of an earlier run; use the address that the command printed."
         return ""
@@ -90,6 +96,7 @@ class Guard:
         name = name.strip("[]").lower()
         if name in ("127.0.0.1", "localhost", "::1", self.host.lower()):
             return True
+        # Bound to one address only that one is meant; bound to all, any address of this machine.
         if self.host not in ("0.0.0.0", "::"):
             return False
         try:

@@ -41,6 +41,7 @@ def _plain_trial(trial: CorrectionTrial) -> dict[str, Any]:
     }
     if trial.state != READY:
         return row
+    # Under the trial's lock: shares and verdict are of one revision.
     with trial.opened() as correction:
         shares = label_shares(correction.labelling, correction.clouds)
         return row | {
@@ -117,6 +118,7 @@ def plain_change(change: CorrectionChange) -> list[dict[str, Any]]:
 def packed_points(correction: Correction) -> bytes:
     """What `/api/trials/ID/points` answers: numbers of frames and points, offsets, and positions with the z axis up."""
     clouds = correction.clouds
+    # Bytes instead of JSON: a long recording has millions of numbers.
     head = np.array([len(clouds), len(clouds.xyz)], dtype="<u4").tobytes() + clouds.offsets.astype("<u4").tobytes()
     return head + rotate_z_up(clouds.xyz, clouds.vertical).astype("<f4").tobytes()
 
@@ -128,6 +130,7 @@ def packed_pieces(correction: Correction) -> bytes:
 
 def _bones(correction: Correction) -> list[list[int]]:
     labelling, clouds = correction.labelling, correction.clouds
+    # Bones by a sample of frames: distances settle long before all are seen.
     frames = np.unique(np.linspace(0, len(clouds) - 1, BONE_FRAMES).round().astype(np.int64))
     some = clouds.frames(frames)
     positions = np.full((len(frames), len(correction.names), 3), np.nan)

@@ -44,7 +44,9 @@ def serve(session: CorrectionSession, place: Place, say: Callable[[str], None], 
         ) from problem
     from asterism.web.guard import Guard
 
+    # A new secret for each run: an old address opens nothing.
     token = secrets.token_urlsafe(24)
+    # Bound before anything is told, so that the address is known and the port is ours.
     with _bound(place) as listening:
         port = listening.getsockname()[1]
         address = f"http://{_in_address(place.host)}:{port}/?token={token}"
@@ -58,11 +60,13 @@ def serve(session: CorrectionSession, place: Place, say: Callable[[str], None], 
             timeout_graceful_shutdown=2,
         )
         server = uvicorn.Server(config)
+        # Labelling begins at once; the page shows each trial as it gets ready.
         thread = session.start()
         say(f"The page is at {address}")
         say("Stop with Ctrl-C. Every answer is kept in a log at once.")
         if ready is not None:
             ready(address)
+        # In a thread: some browsers return only when they are closed.
         if place.browser:
             threading.Thread(target=_open, args=(address, say), daemon=True).start()
         try:
@@ -82,6 +86,7 @@ def _bound(place: Place) -> socket.socket:
     except (OSError, OverflowError) as problem:
         raise AsterismError(f"--host {place.host} is no address of this machine; leave it out, or give one of its own.") from problem
     try:
+        # On Windows another program could share the port and read along.
         if hasattr(socket, "SO_EXCLUSIVEADDRUSE"):
             listening.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
         else:
@@ -90,6 +95,7 @@ def _bound(place: Place) -> socket.socket:
         listening.listen(128)
     except OSError as problem:
         listening.close()
+        # Each cause has its own mend.
         if problem.errno == errno.EADDRINUSE:
             raise AsterismError(
                 f"the port {place.port} is taken by another program; give another with --port, or leave it out."

@@ -114,6 +114,7 @@ class CorrectionTrial:
     def change(self, revision: int, act: Callable[[Correction], CorrectionChange]) -> CorrectionChange:
         """Change the labels. Raises StaleRevision where they are no longer those of this revision, else what `act` raises."""
         with self.opened() as correction:
+            # Two tabs may show one trial: the later answer would be about labels that are gone.
             if revision != correction.revision:
                 raise StaleRevision("the labels have changed since, perhaps in another tab; look at them again.")
             change = act(correction)
@@ -127,12 +128,14 @@ class CorrectionTrial:
         Raises AsterismError where the recording's file has changed on the disk, or the target is there and not ours.
         """
         with self.opened() as correction:
+            # Labels by row numbers of a file that was written anew would be of other points.
             if _stamp(self.path) != self._on_disk:
                 raise AsterismError(f"{self.path} has changed on the disk since it was opened; start again to correct the new one.")
             self._check_target()
             self.target.parent.mkdir(parents=True, exist_ok=True)
             assert self._labelled is not None
             lost = self._labelled.corrected(correction).write(self.target)
+            # The hash tells our file from one that someone else put there.
             self._saved, self._saved_hash = correction.revision, _hash_of_file(self.target)
             if self._log is not None:
                 self._log.append({"kind": SAVED, "file": str(self.target), "sha256": self._saved_hash})
@@ -163,6 +166,7 @@ class CorrectionTrial:
             raise
         if log.dropped:
             self.notes.append(f"{log.path.name}: the last line was not whole and was dropped; one correction may be missing.")
+        # A file that an earlier sitting saved is ours if its content still is.
         saves = [entry for entry in log.entries if entry["kind"] == SAVED and entry.get("file") == str(self.target)]
         self._saved_hash = str(saves[-1].get("sha256")) if saves else ""
         if saves and log.entries[-1] is saves[-1] and self._is_ours():
@@ -233,6 +237,7 @@ class CorrectionSession:
         if len(self.labeller.models) > 1:
             raise AsterismError("a sitting with several models teaches none of them; start again with the one to teach.")
         target = self._model_target(name)
+        # One at a time: two lessons from one model would each forget the other.
         with self._teaching:
             self.labeller.models[0].learn(recordings).save(target)
         return target
@@ -258,6 +263,7 @@ class CorrectionSession:
         with trial.opened() as correction:
             if not trial.is_saved:
                 raise AsterismError(f"{trial.path.name} is not saved; save it before the model learns it.")
+            # A recording that should not be used would teach its mistakes.
             verdict = correction.verdict
             if verdict.kind == "do-not-use":
                 raise AsterismError(f"{trial.path.name} should not be learned: {verdict.sentence}")
@@ -270,6 +276,7 @@ class CorrectionSession:
             while (target := model.with_name(f"{model.stem}-{number}{model.suffix}")).exists():
                 number += 1
             return target
+        # The name comes from the page: it must not lead to another folder.
         if not name.strip() or name != Path(name).name or "\\" in name or name.startswith("."):
             raise AsterismError(f"{name[:60]!r} is no name of a file; give one without a folder, such as better.model.")
         target = model.with_name(name if name.endswith(".model") else f"{name}.model")
@@ -285,6 +292,7 @@ def _targets(files: Sequence[Path], output: Path | None) -> list[Path]:
     targets = [(path.parent / CORRECTED if output is None else output) / path.name for path in files]
     taken: dict[str, Path] = {}
     for path, target in zip(files, targets, strict=True):
+        # Names that differ only in case are one file on some systems.
         other = taken.setdefault(str(target.absolute()).casefold(), path)
         if other is not path:
             raise AsterismError(f"{other} and {path} would both become {target}; correct them one after the other, into two folders.")

@@ -50,21 +50,25 @@ def calibrate_wand(
     """
     report: Progress = progress or (lambda fraction, doing: None)
     recording, static_lights = _detected(blobs, wand_of(lengths), lenses_and_sizes(blobs, sizes, known), distance, report)
+    # Cameras with times of their own are brought to common moments before they are compared in any way.
     frames, recording = len(recording), recording.on_common_clock()
     report(0.1, "posing cameras")
     start = initialise_cameras(recording, progress)
     if start is None:
         raise AsterismError(diagnose_no_start(recording))
     report(0.6, "comparing clocks")
+    # Roughly posed cameras are good enough to tell which of them is late, and late ones would bend the final adjustment.
     recording, cameras, lags = synchronise(recording, start.cameras)
     report(0.7, "adjusting")
     final = adjust_cameras(recording, cameras, start.noise)
     report(0.9, "measuring the wand")
     made = _calibration(recording, cameras, lags, final, frames, static_lights)
+    # A single marker has no length, so the rig's size comes from the two cameras' distance.
     if len(recording.wand) == 1 and distance is not None:
         here = np.linalg.norm(made.rig[distance[0]].position - made.rig[distance[1]].position)
         scale = distance[2] / float(here)
         made = made.moved(made.rig.moved(np.eye(3), np.zeros(3), scale), np.eye(3), np.zeros(3), scale)
+    # Findings speak of up and below: they are looked for when the rig stands level.
     turn, shift = default_world(made.rig, made.positions)
     made = made.moved(made.rig.moved(turn, shift), turn, shift)
     posed = np.array([c for c, camera in enumerate(cameras) if camera is not None])

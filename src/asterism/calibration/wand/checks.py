@@ -117,6 +117,7 @@ def _excluded(made: WandCalibration) -> Iterator[Finding]:
 
 
 def _residuals(made: WandCalibration) -> Iterator[Finding]:
+    # Errors in pixels grow with the number of pixels that the same lens spreads its image over.
     large = max(1.0, widest_image(made.rig) / RULES.usual_width)
     poor, bad = (large * limit for limit in RULES.rms)
     if made.rms > poor:
@@ -144,6 +145,7 @@ def _lengths(made: WandCalibration) -> Iterator[Finding]:
     lengths = made.lengths[np.isfinite(made.lengths)]
     if whole > 0.0 and len(lengths) > 20:
         middle = float(np.median(lengths))
+        # By the median: a few frames in which a marker was mistaken must not make a good wand look bad.
         spread = float(1.4826 * np.median(np.abs(lengths - middle))) / whole
         if spread > RULES.length_spread[0]:
             yield Finding(
@@ -197,8 +199,10 @@ def _moved(made: WandCalibration) -> Iterator[Finding]:
     """Cameras whose residuals change at one moment."""
     steps, moments = residual_steps(made.sightings, made.residuals, len(made.rig))
     turns = steps / [camera.focal[0] for camera in made.rig]
+    # With few cameras the others follow a bumped one, so that less of the bump is left to see.
     bad_turn = RULES.turn[1][min(len(made.rig), 4) - 2]
     for camera, step, turn, moment in zip(made.rig, steps, turns, moments, strict=True):
+        # A bump of one camera shows as an echo in those that shared its points; only the loudest are named.
         if turn > max(RULES.turn[0], RULES.echo * turns.max()):
             yield Finding(
                 "wand-camera-moved",
@@ -216,6 +220,7 @@ def _rejected(made: WandCalibration) -> Iterator[Finding]:
     for camera, share, parts in zip(made.rig, made.rejected_share, made.rejected_parts, strict=True):
         bad = np.nonzero(parts > np.maximum(most, usual_part))[0]
         if share > max(RULES.rejected[0], usual) or len(bad):
+            # Bad parts in one stretch tell when it happened, which helps to find the cause.
             in_one = 0 < len(bad) < PARTS and np.ptp(bad) == len(bad) - 1
             begins, ends = (100 * edge // PARTS for edge in (bad.min(initial=PARTS), bad.max(initial=-1) + 1))
             when = f", most of it between {begins} and {ends} % of the recording" if in_one else ""
@@ -270,6 +275,7 @@ def _lags(made: WandCalibration, lags: CameraLags) -> Iterator[Finding]:
 
 def _undetermined(made: WandCalibration) -> Iterator[Finding]:
     """Parameters that this waving does not determine, by their standard deviations."""
+    # How far off a camera's place may be depends on how far away it stands.
     middle = np.nanmedian(made.positions.reshape(-1, 3), axis=0)
     for c, camera in enumerate(made.rig):
         focal = float(made.sigma[c, 6]) / camera.focal[0]
@@ -301,6 +307,7 @@ def _principal_point(made: WandCalibration, c: int) -> Iterator[Finding]:
     camera = made.rig.cameras[c]
     width = (camera.size or (1280, 1024))[0]
     off = np.array(camera.centre) - 0.5 * (np.array(camera.size or camera.centre) - 1.0)
+    # Lenses sit nearly over their sensors' middles: a principal point far off mostly means another image size.
     if np.linalg.norm(off) > RULES.centre[1] * width:
         yield Finding(
             "wand-centre-far",

@@ -139,6 +139,7 @@ def frame_settings(settings, points, markers):
         min_found_share=settings.min_found_share,
         assign_margin=settings.assign_margin,
         exact_margin=settings.exact_margin,
+        tail_freedom=settings.tail_freedom,
         usual_score=settings.usual_score - log_surplus,
     )
 
@@ -161,7 +162,9 @@ def label_frame(model, points, workspace, labelling):
     if len(points) < 3:
         return
     body, settings = model.body, frame_settings(model.settings, len(points), len(point_of))
-    count, best = find_labellings(FrameModel(model.solvers, model.anchors, body, settings), points, workspace, labelling.counters)
+    count, best = find_labellings(
+        FrameModel(model.solvers, model.anchors, body, settings, model.twins), points, workspace, labelling.counters
+    )
     if best < 0 or candidates.scores[best] == -np.inf:
         return
     copy_labels(candidates.labellings[best], point_of)

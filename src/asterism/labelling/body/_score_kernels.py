@@ -10,6 +10,8 @@ from asterism._jit import kernel
 from asterism.geometry.shared_kernels import align_about_z, cofactors, symmetric_inverse
 from asterism.labelling.body._workspace_kernels import LOG_2PI
 
+NO_TAIL = 1e9
+"""Degrees of freedom so many that the density has no tail beyond a normal one's, see `log_tail`."""
 MAX_DISTANCE = 0.6
 """m; a point farther than this from where a marker is predicted scores -inf as that marker."""
 
@@ -46,11 +48,25 @@ def _cholesky(matrix):
 
 
 @kernel
+def log_tail(distance2, coordinates, freedom):
+    """How much a squared Mahalanobis distance takes from the log density of so many coordinates: nats, 0 or below.
+
+    Up to its expected value, one for each coordinate, as a normal distribution has it: minus half the distance. Beyond, the spread of the
+    whole body may be larger than the training's, with the odds of a multivariate t distribution with `freedom` degrees of freedom: a body
+    in a posture that the training lacks deviates everywhere. Continuous, and so is its slope. O(1).
+    """
+    if distance2 <= coordinates:
+        return -0.5 * distance2
+    return -0.5 * (coordinates + (freedom + coordinates) * math.log((freedom + distance2) / (freedom + coordinates)))
+
+
+@kernel
 def evidence(body, k, points, point_of, settings, workspace):
     """How likely the labelled points are all together, under one key pose.
 
     IN   body BodyArrays; k key pose; points (n, 3); point_of (M,), -1 for none; settings FrameSettings
-    OUT  workspace.aligned, residual, information (the factor of its upper triangle), latent (the latents' mean times that factor)
+    OUT  workspace.aligned, residual, information (the factor of its upper triangle), latent (the latents' mean times that factor),
+         deviation
     Markers flagged in workspace.outlier count with `settings.outlier_score` and say nothing of the body.
     Returns the labelling's score: log density of its points plus the rewards, in nats (0 is the empty labelling).
     O(M r^2 + r^3).
@@ -107,7 +123,8 @@ def evidence(body, k, points, point_of, settings, workspace):
         quadratic += latent[i] * latent[i]
         for j in range(i + 1, latents):
             latent[j] -= factor[i, j] * latent[i]
-    return score + 0.5 * (quadratic - squares)
+    workspace.deviation[0], workspace.deviation[1] = squares - quadratic, 3.0 * counted
+    return score + log_tail(squares - quadratic, 3.0 * counted, settings.tail_freedom)
 
 
 @kernel
@@ -188,10 +205,18 @@ def place_on_body(body, k, m, at):
 
 
 @kernel
-def _score_at(point, place, whiten, precision, peak, settings):
+def _squared_distance(x, y, z, precision):
+    """The squared Mahalanobis distance of a whitened residual. IN precision (6,). O(1)."""
+    xx, xy, xz, yy, yz, zz = precision
+    return x * (xx * x + 2.0 * (xy * y + xz * z)) + y * (yy * y + 2.0 * yz * z) + zz * z * z
+
+
+@kernel
+def _score_at(point, place, whiten, precision, peak, others, settings):
     """The score in nats of a placed point as a marker that is predicted at `place`.
 
-    IN  point, place (3,) m; whiten (3, 3) and precision (6,) of the prediction; peak nats, the score of a point at the place itself
+    IN  point, place (3,) m; whiten (3, 3) and precision (6,) of the prediction; peak nats, the score of a point at the place itself, less
+        what `log_tail` takes; others (2,), the `deviation` of the labelled points that predict the place
     O(1).
     """
     dx, dy, dz = point[0] - place[0], point[1] - place[1], point[2] - place[2]
@@ -201,11 +226,20 @@ def _score_at(point, place, whiten, precision, peak, settings):
     x = whiten[0, 0] * dx
     y = whiten[1, 0] * dx + whiten[1, 1] * dy
     z = whiten[2, 0] * dx + whiten[2, 1] * dy + whiten[2, 2] * dz
-    xx, xy, xz, yy, yz, zz = precision
-    score = peak - 0.5 * (x * (xx * x + 2.0 * (xy * y + xz * z)) + y * (yy * y + 2.0 * yz * z) + zz * z * z)
+    distance2, coordinates = others
+    # a point adds to the deviation of the others, so that in a foreign posture it may lie farther off
+    score = peak + log_tail(distance2 + _squared_distance(x, y, z, precision), coordinates + 3.0, settings.tail_freedom)
     if score < settings.outlier_score and near2 < settings.outlier_radius * settings.outlier_radius:
         return settings.outlier_score
     return score
+
+
+@kernel
+def _deviation_without(m, at, precision, workspace):
+    """The deviation (2,) of all labelled points but marker m's. IN at (3,), precision (6,): see `leave_one_out`. O(1)."""
+    own = workspace.residual[m]
+    distance2 = _squared_distance(own[0] - at[0], own[1] - at[1], own[2] - at[2], precision)
+    return max(0.0, workspace.deviation[0] - distance2), workspace.deviation[1] - 3.0
 
 
 @kernel
@@ -216,25 +250,30 @@ def leave_one_out_scores(body, k, point_of, settings, workspace):
     O(M n).
     """
     for m in range(body.load.shape[1]):
-        det, at, precision = leave_one_out(m, point_of[m] >= 0 and not workspace.outlier[m], workspace)
+        counts = point_of[m] >= 0 and not workspace.outlier[m]
+        det, at, precision = leave_one_out(m, counts, workspace)
         place, whiten = place_on_body(body, k, m, at), body.whiten[k, m]
+        others = _deviation_without(m, at, precision, workspace) if counts else (workspace.deviation[0], workspace.deviation[1])
         peak = body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward + 0.5 * math.log(det)
+        peak -= log_tail(others[0], others[1], settings.tail_freedom)
         for c in range(len(workspace.aligned)):
-            workspace.scores[m, c] = _score_at(workspace.aligned[c], place, whiten, precision, peak, settings)
+            workspace.scores[m, c] = _score_at(workspace.aligned[c], place, whiten, precision, peak, others, settings)
 
 
 @kernel
 def _without_marker(m, workspace, inverse, shift):
     """What changes for all predictions if a labelled marker says nothing of the body, after `predict_markers`.
 
-    OUT inverse (6,): (I - H)^-1, H the marker's `variance`; shift (3,): that times the marker's residual from its prediction. O(1).
+    OUT inverse (6,): (I - H)^-1, H the marker's `variance`; shift (3,): that times the marker's residual from its prediction.
+    Returns the deviation (2,) of all other labelled points. O(1).
     """
     v = workspace.variance
     _, xx, xy, xz, yy, yz, zz = symmetric_inverse((1.0 - v[0, m], -v[1, m], -v[2, m], 1.0 - v[3, m], -v[4, m], 1.0 - v[5, m]))
     inverse[0], inverse[1], inverse[2], inverse[3], inverse[4], inverse[5] = xx, xy, xz, yy, yz, zz
-    _, at, _ = leave_one_out(m, True, workspace)
+    _, at, precision = leave_one_out(m, True, workspace)
     for a in range(3):
         shift[a] = workspace.residual[m, a] - at[a]
+    return _deviation_without(m, at, precision, workspace)
 
 
 @kernel
@@ -249,11 +288,11 @@ def score_held_points(body, k, point_of, least, settings, workspace, scores):
     """
     markers = body.load.shape[1]
     solved, variance = workspace.solved, workspace.variance
-    inverses, shifts = np.empty((markers, 6)), np.empty((markers, 3))
+    inverses, shifts, deviations = np.empty((markers, 6)), np.empty((markers, 3)), np.empty((markers, 2))
     cross, part, at, spread = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(6)
     for o in range(markers):
         if point_of[o] >= 0 and not workspace.outlier[o]:
-            _without_marker(o, workspace, inverses[o], shifts[o])
+            deviations[o, 0], deviations[o, 1] = _without_marker(o, workspace, inverses[o], shifts[o])
     for m in range(markers):
         if point_of[m] >= 0:
             continue
@@ -280,8 +319,10 @@ def score_held_points(body, k, point_of, least, settings, workspace, scores):
                     entry += 1
             det, xx, xy, xz, yy, yz, zz = symmetric_inverse(spread)
             peak = body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward - 0.5 * math.log(max(det, 1e-9))
+            others = (deviations[o, 0], deviations[o, 1])
+            peak -= log_tail(others[0], others[1], settings.tail_freedom)
             place, precision = place_on_body(body, k, m, at), (xx, xy, xz, yy, yz, zz)
-            scores[m, c] = _score_at(workspace.aligned[c], place, body.whiten[k, m], precision, peak, settings)
+            scores[m, c] = _score_at(workspace.aligned[c], place, body.whiten[k, m], precision, peak, others, settings)
 
 
 @kernel

@@ -13,6 +13,7 @@ from asterism._jit import kernel
 from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_anchor
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
 from asterism.labelling.body._refine_kernels import refine_until_known
+from asterism.labelling.body._score_kernels import best_pose
 from asterism.labelling.body._workspace_kernels import BodyWorkspace, copy_labels, count_labelled, index_of
 from asterism.labelling.features.search_kernels import search
 
@@ -22,6 +23,13 @@ MAX_PROPOSAL_GAP = 20.0
 """nats; a proposal that is farther behind its anchor's best one is not refined."""
 MAX_MARKER_SCORE = 25.0
 """nats; one marker counts at most this much when an anchor's proposals are ranked."""
+MAX_TWIN_GAP = 40.0
+"""nats; a twin that is farther behind what was found is not refined, each pair of a missing marker and a point left over taken as
+`MARKER_GAIN`. Half of it misses turned bodies with a pelvis that is off by a third, twice as much costs time and finds no more."""
+MARKER_GAIN = 10.0
+"""nats that one more marker gains at best, about."""
+MAX_TURNS = 4
+"""How often a better twin is held against its own twins."""
 
 
 class CandidateLabellings(NamedTuple):
@@ -220,4 +228,56 @@ def find_labellings(model, points, workspace, counters):
             if best < 0 or candidates.scores[final] > candidates.scores[best]:
                 best = final
     counters[0] = evaluations[0]
+    if best >= 0 and candidates.scores[best] > -np.inf:
+        n_labellings, best = add_twins(model, points, workspace, n_labellings, best, counters)
     return n_labellings, best
+
+
+@kernel
+def add_twins(model, points, workspace, count, best, counters):
+    """Hold the best labelling against its twins: turned, mirrored, in part; each completed and refined, and any better one in its turn.
+
+    IN     model FrameModel; points (n, 3) m, z up; workspace SearchWorkspace for n points, of whose candidates the first `count` are found,
+           `best` the best one of them, with a finite score
+    IN/OUT workspace.candidates; where all of its room is taken, the worst one makes way; counters (4,), the third of which is added to
+    Returns the number of labellings and the place of the best one. O(W K (M r^2 + r^3)), and one `refine` for each twin that comes near.
+    """
+    body, settings, candidates, trial = model.body, model.settings, workspace.candidates, workspace.trial
+    markers, n, room = body.load.shape[1], len(points), len(candidates.labellings)
+    for _ in range(MAX_TURNS):
+        found = candidates.labellings[best]
+        top = candidates.scores[best]
+        better = False
+        for w in range(len(model.twins)):
+            changed = False
+            for m in range(markers):
+                trial[m] = found[model.twins[w, m]] if model.twins[w, m] >= 0 else -1
+                changed = changed or trial[m] != found[m]
+            labelled = count_labelled(trial)
+            if not changed or labelled < 3 or index_of(candidates.labellings, count, trial) >= 0:
+                continue
+            workspace.body.outlier[:] = False
+            k, score = best_pose(body, points, trial, settings, workspace.body)
+            counters[2] += 1
+            if score + MARKER_GAIN * (min(markers, n) - labelled) < top - MAX_TWIN_GAP:
+                continue
+            score, known = refine_until_known(body, k, points, trial, candidates.labellings, count, settings, workspace.body)
+            if known >= 0 or score == -np.inf or index_of(candidates.labellings, count, trial) >= 0:
+                continue
+            place = count
+            if count == room:
+                place = 1 if best == 0 else 0
+                for h in range(room):
+                    if h != best and candidates.scores[h] < candidates.scores[place]:
+                        place = h
+            count = min(count + 1, room)
+            copy_labels(trial, candidates.labellings[place])
+            candidates.scores[place] = score
+            candidates.votes[place], candidates.last_vote[place] = candidates.votes[best], candidates.last_vote[best]
+            candidates.votes_needed[place] = candidates.votes_needed[best]
+            if score > top + 1e-6:
+                best, better = place, True
+                break
+        if not better:
+            break
+    return count, best

@@ -81,16 +81,21 @@ class FrameSettings(NamedTuple):
     min_found_share: float
     assign_margin: float
     exact_margin: float
+    tail_freedom: float
     usual_score: float
 
 
 class FrameModel(NamedTuple):
-    """All that frames are labelled by: anchors as partial solvers and as predictors (the same ones), the body and the settings."""
+    """All that frames are labelled by: anchors as partial solvers and as predictors (the same ones), the body and the settings.
+
+    twins  (W, M) what is found is held against, see `twins.twins_of`
+    """
 
     solvers: SolverArrays
     anchors: AnchorArrays
     body: BodyArrays
     settings: FrameSettings
+    twins: np.ndarray
 
 
 class FrameLabelling(NamedTuple):
@@ -121,6 +126,7 @@ class BodyWorkspace(NamedTuple):
     variance     (6, M) its covariance, as far as the latents cause it: xx, xy, xz, yy, yz, zz
     outlier      (M,) bool, labelled markers that lie too far from where the others predict them
     scores       (M, n) nats, every point as every marker
+    deviation    (2,) squared Mahalanobis distance of the labelled points from the body, and the number of their coordinates
     all_markers  (M,) 0, 1, ..., M - 1
     displacement (9,) m, from an anchor's three markers in the mean body to its points
     """
@@ -135,6 +141,7 @@ class BodyWorkspace(NamedTuple):
     variance: np.ndarray
     outlier: np.ndarray
     scores: np.ndarray
+    deviation: np.ndarray
     all_markers: np.ndarray
     displacement: np.ndarray
 
@@ -154,6 +161,7 @@ def make_body_workspace(n, markers, latents):
         np.empty((6, markers)),
         np.zeros(markers, dtype=np.bool_),
         np.empty((markers, n)),
+        np.zeros(2),
         np.arange(markers),
         np.empty(9),
     )

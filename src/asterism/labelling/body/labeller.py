@@ -15,6 +15,7 @@ from asterism.labelling.body._frame_kernels import label_clouds
 from asterism.labelling.body._workspace_kernels import AnchorArrays, BodyArrays, FrameLabelling, FrameModel, FrameSettings
 from asterism.labelling.body.anchors import Anchors
 from asterism.labelling.body.model import BodyModel
+from asterism.labelling.body.twins import twins_of
 from asterism.labelling.features.search_kernels import SolverArrays
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints
@@ -53,6 +54,7 @@ class FrameLabellingSettings:
     min_found_share      share of the markers (of the points, if fewer) that a proposal must label to be refined
     assign_margin        nats by which a label must beat its rivals to be taken in the first rounds of the refinement
     exact_margin         nats: the score of a rival labelling is computed exactly if the estimate comes this close
+    tail_freedom         degrees of freedom of the tail by which a whole body may deviate from the training's postures, see `log_tail`
     """
 
     reward: float = 2.0
@@ -68,6 +70,7 @@ class FrameLabellingSettings:
     min_found_share: float = 0.5
     assign_margin: float = 3.0
     exact_margin: float = 10.0
+    tail_freedom: float = 8.0
 
     def with_usual_score(self, usual_score: float) -> FrameSettings:
         """As the kernels read them; `usual_score`: nats per label that nearly every correctly labelled frame reaches."""
@@ -105,6 +108,7 @@ class BodyLabeller:
     solvers, anchors  its anchors as partial solvers, and what each predicts of the whole body
     body              the body model as the kernels read it
     settings          how a frame is labelled
+    twins             (W, M) what a labelling is held against, see `twins_of`
     """
 
     model: BodyModel
@@ -112,11 +116,12 @@ class BodyLabeller:
     anchors: AnchorArrays
     body: BodyArrays
     settings: FrameSettings
+    twins: Ints
 
     @classmethod
     def from_model(cls, model: BodyModel, anchors: Anchors, settings: FrameSettings) -> BodyLabeller:
         """Bring a body model and its anchors into the arrays that the kernels read."""
-        return cls(model, anchors.solvers(), anchors.arrays(model), model.arrays(), settings)
+        return cls(model, anchors.solvers(), anchors.arrays(model), model.arrays(), settings, twins_of(model))
 
     def label(self, clouds: Clouds, workers: int = 1, progress: Progress | None = None) -> LabelledFrames:
         """The best labelling of each frame alone. The result depends neither on the order of the points nor on `workers`."""
@@ -147,7 +152,7 @@ class BodyLabeller:
         frames = len(offsets) - 1
         shape = (frames, self.body.mean.shape[1])
         out = FrameLabelling(np.full(shape, NULL, dtype=np.int64), np.zeros(shape), np.zeros((frames, 4), dtype=np.int64), np.zeros(shape))
-        model = FrameModel(self.solvers, self.anchors, self.body, self.settings)
+        model = FrameModel(self.solvers, self.anchors, self.body, self.settings, self.twins)
 
         def label_span(span: tuple[int, int]) -> int:
             label_clouds(model, xyz, offsets, *span, out)

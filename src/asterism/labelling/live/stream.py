@@ -47,7 +47,7 @@ class StreamRules:
     max_ghost_evidence independent frames that count at most for whether a track is a marker or a ghost that moves with the body
     ghost_margin_loss  nats that a margin loses where points are left over, as a ghost that moves with the body fits frame after frame
     log_odds_scale     nats of what then remains that make one unit of log odds
-    takeover_margin    nats by which a labelling from a search must lead, summed over independent frames, to take over
+    takeover_margin    nats by which a labelling from a search must be better, summed over independent frames, to take over
     marker_frames      frames after which a track is held for no flickering point where it has a label
     ghost_frames       frames after which an unlabelled one is; shorter ones say nothing against the label of a track that lasts
     """
@@ -172,7 +172,7 @@ class Stream:
         self._forget_person()
         decay = math.exp(-1.0 / (self._rules.evidence_memory * self.rate))
         self._tracks = TrackEvidence(len(self._model.markers), self._limits, decay, self._independent)
-        self._rival, self._lead = np.zeros(0, dtype=np.int64), 0.0
+        self._rival, self._margin = np.zeros(0, dtype=np.int64), 0.0
         self._last_search, self._age = -np.inf, 0
         self._waiting: deque[_WaitingFrame] = deque()
         self._pushed = 0
@@ -232,8 +232,8 @@ class Stream:
         carried = self._refined(frame, _assign(self._tracks.totals(self._tracks.current)))
         self._age += 1
         is_young = self._age * self._independent < 1.0
-        challenge, lead = self._challenge(frame, rival, carried, is_young)
-        chosen, self._lead = self._contest(frame, carried, challenge, lead)
+        challenge, margin = self._challenge(frame, rival, carried, is_young)
+        chosen, self._margin = self._contest(frame, carried, challenge, margin)
         if chosen.labelled < 3:
             return
         if self._verdict is not None:
@@ -256,7 +256,7 @@ class Stream:
         return _RefinedLabelling(point_of, score, 0)
 
     def _challenge(self, frame: _Frame, rival: Ints, carried: _RefinedLabelling, is_young: bool) -> tuple[Ints, float]:
-        """The labelling that competes with the carried one, (M,), and its lead in nats: the rival as linked, or one from a new search."""
+        """The labelling that competes with the carried one, (M,), and its margin in nats: the rival as linked, or one from a new search."""
         points, markers = len(frame.xyz), len(carried.point_of)
         point_of = np.full(markers, NULL, dtype=np.int64)
         if (rival >= 0).sum() >= 3:
@@ -267,22 +267,22 @@ class Stream:
         if self._pushed - self._last_search >= wait and (point_of < 0).all():
             self._last_search = self._pushed
             return self._search(frame), 0.0
-        return point_of, self._lead
+        return point_of, self._margin
 
-    def _contest(self, frame: _Frame, carried: _RefinedLabelling, challenge: Ints, lead: float) -> tuple[_RefinedLabelling, float]:
-        """The carried labelling or the challenging one, and the lead of the one that remains a rival, in nats."""
+    def _contest(self, frame: _Frame, carried: _RefinedLabelling, challenge: Ints, margin: float) -> tuple[_RefinedLabelling, float]:
+        """The carried labelling or the challenging one, and the margin of the one that remains a rival, in nats."""
         if (challenge >= 0).sum() < 3 or np.array_equal(challenge, carried.point_of):
-            return carried, lead
+            return carried, margin
         rival = self._refined(frame, challenge)
-        lead += max(self._independent, 1.0 / self._age) * (rival.score - carried.score) if np.isfinite(carried.score) else np.inf
-        if np.array_equal(rival.point_of, carried.point_of) or lead < -self._rules.takeover_margin:
+        margin += max(self._independent, 1.0 / self._age) * (rival.score - carried.score) if np.isfinite(carried.score) else np.inf
+        if np.array_equal(rival.point_of, carried.point_of) or margin < -self._rules.takeover_margin:
             return carried, 0.0
         rejected = carried.labelled < 0.5 * min(len(frame.xyz), len(challenge)) and rival.score > carried.score
-        if lead > self._rules.takeover_margin or rejected:
+        if margin > self._rules.takeover_margin or rejected:
             self._take_over(carried, rival, len(frame.xyz))
             return rival, 0.0
         self._rival = _marker_of(rival.point_of, len(frame.xyz))
-        return carried, lead
+        return carried, margin
 
     def _take_over(self, carried: _RefinedLabelling, rival: _RefinedLabelling, points: int) -> None:
         """Forget the evidence of all tracks whose label changes; and the person, if few labels stay."""
@@ -318,7 +318,7 @@ class Stream:
             )
         order = np.argsort(-frame.xyz[:, 2], kind="stable")
         counters = np.zeros(4, dtype=np.int64)
-        model = FrameModel(labeller.solvers, labeller.anchors, labeller.body, settings)
+        model = FrameModel(labeller.solvers, labeller.anchors, labeller.body, settings, labeller.twins)
         workspace = make_search_workspace(frame.workspace, self._candidates, settings.proposals_per_anchor)
         _, best = find_labellings(model, np.ascontiguousarray(frame.xyz[order]), workspace, counters)
         if best < 0 or not np.isfinite(self._candidates.scores[best]):

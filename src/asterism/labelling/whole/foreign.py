@@ -2,7 +2,7 @@
 
 The frames of a foreign recording can agree on a wrong labelling, such as the body turned round. So the mean bodies are laid into one
 frame at several headings and sizes, each is labelled from there, and the labellings are compared by three kinds of evidence: the body
-model's gain, the near-rigid distances against those of the training, and whether the body travels forward. Where the next labelling is
+model's evidence, the near-rigid distances against those of the training, and whether the body travels forward. Where the next labelling is
 as good, or where another point or marker would fit the distances as well, a label is doubtful.
 """
 
@@ -15,10 +15,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.special import expit, gammaln, logit
 
-from asterism.labelling.body.model import BodyModel
+from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole.joint import SceneLabelling
 from asterism.labelling.whole.plausibility import own_deviations
 from asterism.labelling.whole.scene import RecordingLabellingSettings, RecordingScene, with_fewer_samples
+from asterism.labelling.whole.turned import joint_evidence
 from asterism.labelling.whole.verdict import RigidDistances, median_and_std
 from asterism.recording import NULL, Floats, Ints
 
@@ -37,7 +38,7 @@ class ForeignRules:
     reach            how far a point may be from its marker, as a share of the body's root mean square radius: first, and in the last rounds
     max_starts       labellings that are refined, the ones whose distances fit best
     same             share of common labels from which two labellings are the same one
-    body_weight      weight of the body model's gain
+    body_weight      weight of the body model's evidence
     distance_weight  weight of the distances; and where the recording is crowded and no labelling has a scatter up to `close`: among many
                      points some always fit
     close            see above
@@ -54,14 +55,14 @@ class ForeignRules:
     scale            nats of evidence between two whole labellings that make the odds e to 1
     crowded          points left over, as a share of the markers, from which a recording is crowded
     log_odds         log odds that a label of a foreign recording is right: a logistic regression on clinical-lower and pig39, of each label
-    by_lead          what 4 nats add by which its distances beat the best exchange, counted within `leads`
+    by_margin        log odds per 4 nats by which its distances beat the best exchange; that margin is clipped to `margin_range`
     by_deviation     what each standard deviation takes away by which the distances of a tracklet differ from its marker's elsewhere in the
                      recording, beyond `max_deviation`
     max_deviation    see above
-    leads            see above
-    by_hidden        what each nat takes away that its distances lack to beat those of the best hidden marker by `hidden_lead`: a heel looks
-                     like the ankle beside it where only one of the two is seen, and fewer than `hidden_people` people taught the distances
-    hidden_lead      see above
+    margin_range     see above
+    by_hidden        what each nat takes away that its distances lack to beat those of the best hidden marker by `hidden_margin`: a heel
+                     looks like the ankle beside it where only one of the two is seen, and fewer than `hidden_people` people taught them
+    hidden_margin    see above
     hidden_people    see above
     by_fit           what 2 nats of the tracklet's fit add, counted within `fits`
     fits             see above
@@ -93,12 +94,12 @@ class ForeignRules:
     scale: float = 5.0
     crowded: float = 0.25
     log_odds: float = 3.1
-    by_lead: float = 2.23
+    by_margin: float = 2.23
     by_deviation: float = 0.29
     max_deviation: float = 1.5
-    leads: tuple[float, float] = (-6.0, 12.0)
+    margin_range: tuple[float, float] = (-6.0, 12.0)
     by_hidden: float = 1.0
-    hidden_lead: float = 2.0
+    hidden_margin: float = 2.0
     hidden_people: int = 3
     by_fit: float = 0.73
     fits: tuple[float, float] = (-8.0, 2.0)
@@ -138,7 +139,7 @@ class ForeignConfidence:
         return self.rules.least_confidence[self.crowded]
 
     def of_points(self, points: int, long: Ints, track: Ints) -> ForeignConfidence:
-        """That of P points from that of tracklets; long: the points of tracklets, track: theirs. Others have no lead and no rival."""
+        """That of P points from that of tracklets; long: the points of tracklets, track: theirs. Others have no margin and no rival."""
         log_odds, limit = np.full(points, float(np.median(self.log_odds))), np.ones(points)
         log_odds[long], limit[long] = self.log_odds[track], self.limit[track]
         return replace(self, log_odds=log_odds, limit=limit)
@@ -157,7 +158,7 @@ class ForeignLabels:
 
 
 def label_foreign(
-    body: BodyModel, found: SceneLabelling, reference: RigidDistances, names: Sequence[str], relabel: Relabel, rules: ForeignRules
+    labeller: BodyLabeller, found: SceneLabelling, reference: RigidDistances, names: Sequence[str], relabel: Relabel, rules: ForeignRules
 ) -> ForeignLabels:
     """The best whole labelling of a recording with one body, and how certain its labels may be.
 
@@ -165,12 +166,12 @@ def label_foreign(
     found: the labels so far; names: of the body's markers. O(starts) on the sample.
     """
     settings = RecordingLabellingSettings()
-    scene, markers = with_fewer_samples(found.scene, rules.frames, settings), body.mean.shape[1]
+    scene, markers = with_fewer_samples(found.scene, rules.frames, settings), labeller.body.mean.shape[1]
     crowded = _crowded(found, markers, rules)
     samples = Samples.of_scene(scene)
-    starts = _best_starts(body.mean, samples, found.label, reference, rules)
+    starts = _best_starts(labeller.model.mean, samples, found.label, reference, rules)
     compared = [relabel(scene, start) for start in (found.label, *starts)] if starts else [found]
-    scores = _scores(compared, samples, names, reference, crowded, rules) if starts else np.zeros(1)
+    scores = _scores(labeller, compared, samples, names, reference, crowded, rules) if starts else np.zeros(1)
     best = int(np.argmax(scores))
     chosen = relabel(found.scene, compared[best].label) if best else found
     limit = np.ones(len(chosen.label))
@@ -195,6 +196,7 @@ def _best_starts(mean: Floats, samples: Samples, found: Ints, reference: RigidDi
 
 
 def _scores(
+    labeller: BodyLabeller,
     compared: Sequence[SceneLabelling],
     samples: Samples,
     names: Sequence[str],
@@ -208,7 +210,10 @@ def _scores(
     seconds, sides = _seconds(compared[0].scene), _side_pairs(names)
     forward = np.array([forward_share(some, seconds, sides, rules.min_speed) for some in positions])
     weight = rules.distance_weight[crowded and not (distances[:, 1] <= rules.close).any()]
-    scores = rules.body_weight * np.array([one.total for one in compared]) + weight * distances[:, 0] + rules.forward * forward
+    # by the body of people at large: one that was adapted to wrong labels explains these well
+    evidence = np.array([joint_evidence([labeller], one.scene, one.label) for one in compared])
+    independent = float(compared[0].scene.independent.max(initial=0.0))
+    scores = rules.body_weight * independent * evidence + weight * distances[:, 0] + rules.forward * forward
     scores[0] += rules.prior[crowded]
     return scores
 
@@ -402,16 +407,16 @@ def label_evidence(
 ) -> tuple[Floats, float]:
     """Log odds (J,) that labels are right: their distances against those of another marker, and what is left over; and how much that is."""
     gain = distance_gains(found.label, samples, markers, reference, rules)
-    lead = distance_margins(gain, found.label, found.scene.first, found.scene.last)
-    by_lead = rules.by_lead * np.clip(lead, *rules.leads) / 4.0
+    margin = distance_margins(gain, found.label, found.scene.first, found.scene.last)
+    by_margin = rules.by_margin * np.clip(margin, *rules.margin_range) / 4.0
     by_hidden: Floats | float = 0.0
     if len(reference.median) < rules.hidden_people:
         over_hidden = hidden_margins(gain, found.label, found.scene.first, found.scene.last)
-        by_hidden = rules.by_hidden * np.clip(rules.hidden_lead - over_hidden, 0.0, 2.0 * rules.hidden_lead)
+        by_hidden = rules.by_hidden * np.clip(rules.hidden_margin - over_hidden, 0.0, 2.0 * rules.hidden_margin)
     deviation = own_deviations(found.scene, found.label, np.array([0, markers]), RecordingLabellingSettings())
     by_deviation = rules.by_deviation * np.clip(deviation - rules.max_deviation, 0.0, 4.0)
     surplus = _surplus(found)
-    return rules.log_odds + by_lead - by_hidden - by_deviation - rules.by_surplus * float(np.log1p(surplus)) / 2.0, surplus
+    return rules.log_odds + by_margin - by_hidden - by_deviation - rules.by_surplus * float(np.log1p(surplus)) / 2.0, surplus
 
 
 def distance_gains(label: Ints, samples: Samples, markers: int, reference: RigidDistances, rules: ForeignRules) -> Floats:
@@ -444,8 +449,8 @@ def distance_margins(gain: Floats, label: Ints, first: Ints, last: Ints) -> Floa
     for j in np.nonzero(label != NULL)[0]:
         other = (first <= last[j]) & (last >= first[j]) & (rows != j) & (label != label[j])
         theirs = np.where(label != NULL, gain[rows, label] - gain[j, label], 0.0)
-        lead = gain[j, label[j]] - gain[:, label[j]] + theirs
-        margin[j] = lead[other].min(initial=60.0)
+        over_others = gain[j, label[j]] - gain[:, label[j]] + theirs
+        margin[j] = over_others[other].min(initial=60.0)
     return margin
 
 

@@ -27,6 +27,7 @@ from asterism.labelling.whole.assignment import Assignment, assign_tracklets
 from asterism.labelling.whole.bodies import find_bodies, follow_bodies, votes_of_bodies
 from asterism.labelling.whole.plausibility import compare_with_training, ghost_penalty
 from asterism.labelling.whole.scene import RecordingLabellingSettings, RecordingScene, SceneScores, labels_of_body, marker_offsets
+from asterism.labelling.whole.turned import TwinRules, hold_against_twins
 from asterism.labelling.whole.upright import turned, upright_turns
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints
@@ -49,6 +50,7 @@ class SceneLabelling:
     by_body (J,) nats, the margin before labels whose distances are off lost theirs
     stages  labels (J,) after each stage, by name
     rough   number of tracklets that could not all be compared exactly, see `assignment.py`
+    lead    (L,) nats a frame by which the labels of each column beat those of the body's twins, see `turned.py`; None where not compared
     turns   (E, 3, 3) rotations that set the body upright in each sampled frame, see `upright.py`; None where none is turned
     """
 
@@ -62,6 +64,7 @@ class SceneLabelling:
     stages: dict[str, Ints] = field(default_factory=dict)
     turns: Floats | None = None
     rough: int = 0
+    lead: Floats | None = None
 
     def turns_of(self, frames: int) -> Floats | None:
         """The rotation of each of so many frames of the recording (T, 3, 3), the identity for those not sampled; None as `turns`."""
@@ -115,6 +118,14 @@ def label_scene(
         scores = state.scores[0].with_frames(upright, (turns != np.eye(3)).any(axis=(1, 2)))
         state = _coordinate_ascent(labellers, [scores], state.label, rules)
         stages["upright"] = state.label
+
+    def relabel(start: Ints) -> Ints:
+        return _coordinate_ascent(labellers, state.scores, start, rules).label
+
+    label, lead = hold_against_twins(labellers, upright, state.label, relabel, TwinRules(), rules)
+    if not np.array_equal(label, state.label):
+        state = _coordinate_ascent(labellers, state.scores, label, rules)
+        stages["twin"] = state.label
     for turn in range(rules.adapt_rounds):
         if ((state.label != NULL) & (state.margin > rules.no_adapt_margin)).all():
             break
@@ -133,7 +144,7 @@ def label_scene(
     report(1.0, "labelled")
     found = _judged(labellers, bodies, upright, state, rules, body_rules)
     arrays[:] = state.arrays
-    return replace(found, scene=scene, stages=stages, turns=turns)
+    return replace(found, scene=scene, stages=stages, turns=turns, lead=lead)
 
 
 def _judged(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
+from asterism.labelling.body._score_kernels import NO_TAIL
 from asterism.labelling.body._workspace_kernels import FrameSettings
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules
@@ -219,7 +220,7 @@ def label_if_foreign(
     crowded = few and verdict.surplus >= reference.rules.min_surplus * len(names)
     if verdict.fits and not crowded and forward_travel(found, names, rules) > rules.backward:
         return None
-    return label_foreign(body.labeller.model, found, reference, names, relabel, rules)
+    return label_foreign(body.labeller, found, reference, names, relabel, rules)
 
 
 def label_whole(
@@ -282,6 +283,8 @@ def _scores_of_labels(
     offsets = np.concatenate([[0], np.cumsum(visible.sum(axis=1))]).astype(np.int64)
     xyz, marker = np.ascontiguousarray(frames[used][visible]), np.nonzero(visible)[1].astype(np.int64)
     scores, totals, poses = np.empty((len(xyz), visible.shape[1])), np.empty(len(used)), np.empty(len(used), dtype=np.int64)
+    # the labels are given: a body that they do not fit must not pass for one in an unknown posture
+    settings = settings._replace(tail_freedom=NO_TAIL)
     score_frames(xyz, offsets, marker, np.arange(visible.shape[1]), body.arrays(), settings, FrameScores(scores, totals, poses))
     return used, scores[np.arange(len(xyz)), marker], totals, poses
 

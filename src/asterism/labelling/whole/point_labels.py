@@ -18,6 +18,7 @@ from asterism.labelling.whole.certainty import Certainty
 from asterism.labelling.whole.foreign import ForeignConfidence
 from asterism.labelling.whole.joint import SceneLabelling
 from asterism.labelling.whole.scene import labels_of_body
+from asterism.labelling.whole.turned import TwinRules, twin_limits
 from asterism.labelling.whole.verdict import MIN_FRAMES, RigidDistances, RivalCounts, VerdictRules, confidence_limit, judge, judge_scene
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from asterism.recording.verdict import Verdict
@@ -162,6 +163,8 @@ def _certainty(body: BodyInRecording, labels: PointLabels, verdict: Verdict | No
     """How certain each label is, and below which it is taken back: (P,) each."""
     certainty, least = labels.confidence(body.certainty, body.frame_certainty)
     certainty = np.minimum(certainty, confidence_limit(verdict))
+    if labels.found.lead is not None:
+        certainty = np.minimum(certainty, twin_limits(labels.found.lead, labels.label, TwinRules()))
     return certainty if body.distances is None else np.minimum(certainty, body.distances.margin_limits(labels.margin)), least
 
 

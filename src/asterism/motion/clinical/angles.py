@@ -72,6 +72,7 @@ def clinical_angles(recording: Recording, sides: Sequence[str] | None = None) ->
     True
     """
     chosen = complete_legs(recording) if sides is None else tuple(sides)
+    # Sides that are asked for are demanded; sides that are found are complete already.
     for side in chosen if sides is not None else ():
         _demand(recording, side)
     if not chosen:
@@ -116,13 +117,16 @@ def leg_angles(recording: Recording, side: str, measures: LegMeasures) -> list[C
     """
     right = 1.0 if side == "R" else -1.0
     frames = leg_axes(recording, side, measures)
+    # Axes point right on both sides, so adduction and rotation of a left leg change sign.
     mirrored = np.array([1.0, right, right])
     hip = grood_suntay(frames.pelvis, frames.thigh) * mirrored
+    # A knee bends backwards: its flexion is the negative turn about z.
     knee = grood_suntay(frames.thigh, frames.shank) * mirrored * [-1.0, 1.0, 1.0]
     joints = [ClinicalJoint(SIDES[side], "hip", hip), ClinicalJoint(SIDES[side], "knee", knee)]
     if f"{side}TOE" in recording.labels:
         foot = _foot(frames, recording.positions[:, recording.labels.index(f"{side}TOE")])
         ankle = grood_suntay(frames.shank, foot) * mirrored + [measures.foot_flexion, 0.0, 0.0]
+        # The line from ankle to toe has no turn about itself.
         ankle[:, 1] = np.nan
         joints.append(ClinicalJoint(SIDES[side], "ankle", ankle))
     return joints
@@ -131,6 +135,7 @@ def leg_angles(recording: Recording, side: str, measures: LegMeasures) -> list[C
 def leg_axes(recording: Recording, side: str, measures: LegMeasures) -> AnatomicalFrames:
     """The leg's frames, in m, after the wands of thigh and shank are turned back: the shank's needs the knee, which needs the thigh's."""
     widths = {"knee_width": measures.knee_width, "ankle_width": measures.ankle_width}
+    # The thigh first: the knee centre, on which the shank's turn rests, moves with it.
     for wand, end, angle in (("THI", "KNE", measures.thigh_rotation), ("TIB", "ANK", measures.shank_rotation)):
         if angle:
             frames = leg_frames(recording, side, **widths)
@@ -146,6 +151,7 @@ def _turned(recording: Recording, wand: str, end: str, upper: Floats, angle: flo
     axis = unit_vectors(marker - upper)
     arm = positions[:, recording.labels.index(wand)] - marker
     along = axis * np.einsum("ti,ti->t", axis, arm)[:, None]
+    # Rodrigues about the limb's line.
     turned = arm * np.cos(angle) + np.cross(axis, arm) * np.sin(angle) + along * (1 - np.cos(angle))
     positions[:, recording.labels.index(wand)] = marker + turned
     return replace(recording, positions=positions)

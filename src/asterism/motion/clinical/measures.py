@@ -52,11 +52,13 @@ def leg_measures(recording: Recording, side: str) -> LegMeasures:
     if number is None:
         return LegMeasures()
     found: dict[str, float] = {}
+    # Widths are in the unit of the points, which may be mm or m.
     metres = float(recording.metadata.get("metres_per_unit", 0.001) or 0.001)
     for name, parameter in _NAMES.items():
         value = number("PROCESSING", f"{side}{parameter}")
         if value is None or not np.isfinite(value):
             continue
+        # A value that no leg has may be in another unit; guessing which would bend all angles.
         if name.endswith("width") and _WIDTHS[0] <= value * metres <= _WIDTHS[1]:
             found[name] = float(value * metres)
         elif not name.endswith("width") and 0 < abs(value) <= _TURN:

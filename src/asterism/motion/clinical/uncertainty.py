@@ -159,6 +159,7 @@ class _Legs:
         for column, label in enumerate(recording.labels):
             segment = "pelvis" if label == "SACR" else _SEGMENT_OF.get(label[1:], "")
             side = SIDES.get(label[0], "") if label != "SACR" else ""
+            # The pelvis has no side; it takes the axes of any leg, which hold the same pelvis.
             side = side if side in axes else next(iter(axes))
             if not segment or (segment != "pelvis" and SIDES.get(label[0]) != side):
                 continue
@@ -167,6 +168,7 @@ class _Legs:
             skin.append(errors.skin.of(segment) if errors.skin is not None else 0.0)
             own = [bent.get(f"{side} {joint}", still) for joint in _BENT_BY[segment]]
             courses.append([*own, still][:2])
+            # A static trial took this marker's misplacement off, with the same markers on the skin.
             offset = _OFFSET_OF.get(label[1:]) if segment != "pelvis" else None
             placed.append(0.0 if offset in clinical.measures[side].from_file else errors.placement_m or 0.0)
         known = np.array([np.isfinite(joint.angles) for joint in clinical.joints])
@@ -182,6 +184,7 @@ class _Legs:
             moved = replace(self.recording, positions=self._drawn(active, *rng.spawn(3)))
             letters = {name: letter for letter, name in SIDES.items()}
             joints = [joint for side, measures in self.clinical.measures.items() for joint in leg_angles(moved, letters[side], measures)]
+            # Differences, unrolled: an angle near half a turn must not jump by a whole one between trials.
             apart = np.array([joint.angles for joint in joints]) - np.array([joint.angles for joint in self.clinical.joints])
             return np.asarray((apart - 2 * np.pi * np.round(apart / (2 * np.pi)))[self.known])
 
@@ -198,6 +201,7 @@ class _Legs:
             if self.field is not None:
                 positions += self.field.draw(of_cameras)
         count = len(self.columns)
+        # In the axes of the segment: skin slides with the limb, not with the room.
         local = np.zeros((count, len(positions), 3))
         if "soft tissue" in active:
             along = of_skin.standard_normal((count, 2, 3)) * self.skin[:, None, None]

@@ -50,9 +50,11 @@ def leg_frames(recording: Recording, side: str = "L", *, knee_width: float = 0.1
     y = unit_vectors(np.cross(z, front - back))
     pelvis = np.stack([np.cross(y, z), y, z], axis=2)
     widths = np.linalg.norm(spines[1] - spines[0], axis=1)
+    # One width for the whole recording: the pelvis does not change, a noisy frame would move the hip.
     width = float(np.median(widths[np.isfinite(widths)])) if np.isfinite(widths).any() else np.nan
     spine = spines[1] if side == "R" else spines[0]
     shares = np.array([HIP_SHARES[0], HIP_SHARES[1], -right * HIP_SHARES[2]])
+    # Bell's shares, from the spine of the same side.
     hip = spine + width * pelvis @ shares
     knee = _chord(hip, own["KNE"], own["THI"], knee_width / 2 + MARKER_RADIUS)
     ankle = _chord(knee, own["ANK"], own["TIB"], ankle_width / 2 + MARKER_RADIUS)
@@ -81,6 +83,7 @@ def _chord(upper: Floats, marker: Floats, wand: Floats, offset: float) -> Floats
     along = unit_vectors(marker - upper)
     lateral = wand - upper
     lateral = unit_vectors(lateral - np.einsum("ti,ti->t", lateral, along)[:, None] * along)
+    # A joint nearer than its own half width would have no such triangle; nine tenths still have one.
     sine = np.clip(offset / np.maximum(length, 1e-12), 0.0, 0.9)
     inward = sine * along + np.sqrt(1 - sine**2) * lateral
     return np.asarray(marker - offset * inward)

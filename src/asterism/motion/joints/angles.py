@@ -46,6 +46,7 @@ def joint_rotation(
             raise AsterismError(f"there is no frame {zero} in {len(turned)} frames; choose another frame to count angles from.")
         if not np.isfinite(turned[zero]).all():
             raise AsterismError(f"frame {zero} has no rotation of both limbs; choose another frame to count angles from.")
+        # From the right: the zero pose is taken off in the axes of the parent, in which the joint turns.
         turned = turned @ turned[zero].T
     return turned
 
@@ -72,7 +73,9 @@ def cardan_angles(rotations: ArrayLike, sequence: str = "zxy") -> Floats:
     given = as_rotations(rotations)
     i, j, k = ("xyz".index(axis) for axis in sequence.lower())
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
+    # Rounding may leave an entry a little above 1.
     second = np.arcsin(np.clip(sign * given[:, i, k], -1.0, 1.0))
+    # First and third axis fall together: only their sum is known, and the first takes it.
     locked = np.abs(given[:, i, k]) > 1.0 - 1e-12
     first = np.where(locked, np.arctan2(sign * given[:, k, j], given[:, j, j]), np.arctan2(-sign * given[:, j, k], given[:, k, k]))
     third = np.where(locked, 0.0, np.arctan2(-sign * given[:, i, j], given[:, i, i]))
@@ -114,12 +117,15 @@ def functional_flexion(rotations: ArrayLike) -> tuple[Floats, Floats]:
     present = np.isfinite(given).all(axis=(1, 2))
     if not present.any():
         raise AsterismError("no frame has a rotation of both limbs, so there is no flexion.")
+    # The sum of rotations, made a rotation again, is their mean in the chordal sense.
     mean = best_rotation(given[present].sum(axis=0))
     since = given @ mean.T
     vectors = rotation_vectors(since)
+    # The direction of most turning; the sign is a convention, so it is fixed by the largest component.
     axis = np.linalg.svd(vectors[present], full_matrices=False)[2][0]
     axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
     angle = np.linalg.norm(vectors, axis=1)
+    # Twist of a quaternion about the axis: exact for large angles, where a projection of the vector is not.
     half = np.sinc(angle / (2 * np.pi)) / 2
     twist = 2 * np.arctan2(half * (vectors @ axis), np.cos(angle / 2))
     return np.asarray(twist), axis

@@ -108,10 +108,13 @@ def fit_joint(
     r_p, t_p, r_c, t_c = parent.rotations[both], parent.translations[both], child.rotations[both], child.translations[both]
     turned = relative_rotations(r_p, r_c)
     mean = best_rotation(turned.sum(axis=0))
+    # Spread about the mean pose: about the first frame a bent joint would seem to have turned.
     spread = np.linalg.svd(rotation_vectors(mean.T @ turned) / np.sqrt(len(turned)), compute_uv=False)
+    # One strong direction only is a hinge, and then the place along it stays open to the motion.
     kind = "fixed" if spread[0] < rules.turn / 2 else "hinge" if spread[1] < rules.hinge * spread[0] else "ball"
     design = np.concatenate([r_p, -r_c], axis=2)
     prior, expected = _prior(near, both, (r_p, t_p, r_c, t_c), rules)
+    # The sphere fit has no equations of its own for the child: its centre is carried there and averaged.
     if method == "sphere":
         if points is None or np.ndim(points) != 3 or len(np.asarray(points)) != len(both):
             raise AsterismError(f"the method sphere needs the child's points as ({len(both)}, points, 3) in m.")
@@ -123,7 +126,7 @@ def fit_joint(
     left = np.einsum("tij,j->ti", design, solution) + t_p - t_c
     residual = float(np.sqrt((left**2).sum(axis=1).mean()))
     if covariance is None:
-        covariance = _covariance(design, left, prior)
+        covariance = np.linalg.inv(np.einsum("tki,tkj->ij", design, design) / _variance(left) + prior)
     axis_p, axis_c = _axis(design) if kind != "fixed" else (np.full(3, np.nan), np.full(3, np.nan))
     return Joint(solution[:3], solution[3:], axis_p, axis_c, kind, covariance[:3, :3], residual, spread, method)
 
@@ -150,6 +153,7 @@ def _prior(
 def _score(design: Floats, right: Floats, expected: Floats, prior: Floats) -> tuple[Floats, Floats]:
     """The centre (6,) m and its covariance (6, 6): two rounds, since how much the prior counts depends on the residuals."""
     normal, shift = np.einsum("tki,tkj->ij", design, design), np.einsum("tki,tk->i", design, right)
+    # A centimetre to begin with. How much the prior counts depends on the residuals, and these on the prior: a few rounds.
     variance = 1e-4
     for _ in range(4):
         solution = np.linalg.solve(normal / variance + prior, shift / variance + prior @ expected)
@@ -162,13 +166,10 @@ def _variance(left: Floats) -> float:
     """m2 of one residual coordinate, as large as makes residuals that are correlated in time count as often as they are independent."""
     frames = len(left)
     square = float((left**2).sum()) / max(3 * frames - 6, 1)
+    # Residuals that follow each other count less often than frames: an AR(1) course of their correlation.
     lagged = float((left[1:] * left[:-1]).sum() / max((left**2).sum(), 1e-30)) if frames > 3 else 0.0
     lagged = min(max(lagged, 0.0), 0.98)
     return max(square, 1e-10) * (1 + lagged) / (1 - lagged)
-
-
-def _covariance(design: Floats, left: Floats, prior: Floats) -> Floats:
-    return np.linalg.inv(np.einsum("tki,tkj->ij", design, design) / _variance(left) + prior)
 
 
 def _axis(design: Floats) -> tuple[Floats, Floats]:
@@ -182,6 +183,7 @@ def _axis(design: Floats) -> tuple[Floats, Floats]:
 def _sphere_centre(points: Floats, parent: tuple[Floats, Floats], expected: Floats, precision: float) -> Floats:
     """(3,) m in the parent's axes: the centre whose squared distances from each point vary least (Gamage and Lasenby 2002, eq. 5)."""
     local = np.einsum("tji,tnj->tni", parent[0], points - parent[1][:, None])
+    # About the expected place: squares of far coordinates would lose the digits that count.
     local -= expected
     seen = np.isfinite(local[:, :, :1])
     count = np.maximum(seen.sum(axis=0), 1)

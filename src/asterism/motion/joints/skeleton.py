@@ -63,6 +63,7 @@ def find_skeleton(
         if (known[one] & known[other]).sum() < LEAST_FRAMES:
             continue
         near, gap = between(points[one], points[other])
+        # Both ways: the covariance is in the parent's axes, and which limb is the parent is not known yet.
         for parent, child in ((one, other), (other, one)):
             joint = fit_joint(motions[parent], motions[child], near=near, points=points[child], method=method, rules=rules)
             aside = np.linalg.norm(joint.centres(motions[parent], motions[child]) - near, axis=1)
@@ -74,6 +75,7 @@ def find_skeleton(
     waiting = set(range(len(motions)))
     while waiting:
         reached = {limb for limb in range(len(motions)) if limb not in waiting}
+        # Prim: of all joints from the tree to a limb outside, the best.
         costs = [(joints[pair][0], *pair) for pair in joints if pair[0] in reached and pair[1] in waiting]
         if costs:
             _, parent, limb = min(costs)
@@ -95,6 +97,7 @@ def between(one: Floats, other: Floats) -> tuple[Floats, float]:
     if not seen[:, frame].all():
         raise AsterismError("two limbs are never seen in one frame, so nothing says how they are joined.")
     sides, apart = [], 0.0
+    # Of each limb the points that are nearest to the other: the joint lies between them.
     for mine, theirs in ((one, other), (other, one)):
         here = np.nonzero(np.isfinite(mine[frame, :, 0]))[0]
         there = theirs[frame][np.isfinite(theirs[frame, :, 0])]

@@ -25,6 +25,7 @@ def fit_frames(template, positions, weights, flat, rotations, translations):
     four, axes = np.empty((4, 4)), np.empty((4, 4))
     for t in range(len(positions)):
         w = weights[min(t, len(weights) - 1)]
+        # First pass: the weighted means of template and points, over the points that both have.
         total, count = 0.0, 0
         here, there = np.zeros(3), np.zeros(3)
         for n in range(len(template)):
@@ -35,10 +36,12 @@ def fit_frames(template, positions, weights, flat, rotations, translations):
                     here[i] += w[n] * template[n, i]
                     there[i] += w[n] * positions[t, n, i]
         rotations[t], translations[t] = np.nan, np.nan
+        # Two points leave the turn about their line open.
         if count < 3:
             continue
         here /= total
         there /= total
+        # Second pass, about the means: the mixed covariance for the rotation, the template's own for its shape.
         mixed[:], own[:] = 0.0, 0.0
         for n in range(len(template)):
             if w[n] > 0.0 and not math.isnan(positions[t, n, 0]) and not math.isnan(template[n, 0]):
@@ -52,9 +55,11 @@ def fit_frames(template, positions, weights, flat, rotations, translations):
                     own[1, j] += py * p
                     own[2, j] += pz * p
         jacobi(own, turns)
+        # The second extent tells a line from a plane; the third may be zero, for markers in a plane have a rotation.
         low, high = min(own[0, 0], own[1, 1], own[2, 2]), max(own[0, 0], own[1, 1], own[2, 2])
         if not own[0, 0] + own[1, 1] + own[2, 2] - low - high > flat * flat * high:
             continue
+        # The translation follows from the rotation: it carries mean to mean.
         _nearest_rotation(mixed, four, axes, rotations[t])
         for i in range(3):
             translations[t, i] = there[i]
@@ -71,6 +76,7 @@ def _nearest_rotation(mixed, four, axes, rotation):
     xx, xy, xz = mixed[0, 0], mixed[1, 0], mixed[2, 0]
     yx, yy, yz = mixed[0, 1], mixed[1, 1], mixed[2, 1]
     zx, zy, zz = mixed[0, 2], mixed[1, 2], mixed[2, 2]
+    # Horn's matrix: its eigenvectors are quaternions, and the eigenvalue is trace(R' C).
     four[0, 0], four[1, 1], four[2, 2], four[3, 3] = xx + yy + zz, xx - yy - zz, yy - xx - zz, zz - xx - yy
     four[0, 1], four[0, 2], four[0, 3] = yz - zy, zx - xz, xy - yx
     four[1, 2], four[1, 3], four[2, 3] = xy + yx, zx + xz, yz + zy
@@ -78,6 +84,7 @@ def _nearest_rotation(mixed, four, axes, rotation):
         for j in range(i):
             four[i, j] = four[j, i]
     jacobi(four, axes)
+    # The largest eigenvalue is the best rotation; a reflection is no quaternion, so it cannot win.
     best = 0
     for i in range(1, 4):
         if four[i, i] > four[best, best]:
@@ -105,12 +112,14 @@ def jacobi(matrix, axes):
             size += matrix[i, i] * matrix[i, i]
             for j in range(i):
                 off += matrix[i, j] * matrix[i, j]
+        # Relative to the matrix: a finger is turned as exactly as a trunk.
         if not off > 1e-30 * size:
             break
         for p in range(n - 1):
             for q in range(p + 1, n):
                 if matrix[p, q] == 0.0:
                     continue
+                # The smaller of the two angles that clear the place, which keeps the sweep stable.
                 ratio = (matrix[q, q] - matrix[p, p]) / (2.0 * matrix[p, q])
                 tangent = (1.0 if ratio >= 0.0 else -1.0) / (abs(ratio) + math.sqrt(ratio * ratio + 1.0))
                 cosine = 1.0 / math.sqrt(tangent * tangent + 1.0)
@@ -164,6 +173,7 @@ def point_spread(positions, rotations, translations, means, squares, counts):
             z = positions[t, n, 2] - translations[t, 2]
             if math.isnan(x):
                 continue
+            # Welford's update: no sum of squares that cancels far from the origin.
             counts[n] += 1
             for i in range(3):
                 local = r[0, i] * x + r[1, i] * y + r[2, i] * z
@@ -198,8 +208,10 @@ def eigenvalue_weights(local, reference, rounds, weights):
             seen = not math.isnan(local[t, n, 0]) and not math.isnan(reference[n, 0])
             w[n] = 1.0 if seen else 0.0
             count += 1 if seen else 0
+        # Three weights of a fixed sum cannot hold three eigenvalues.
         if count < 4:
             continue
+        # To first order only: each step begins where the last one ended.
         for _ in range(rounds):
             before, axes_before, mean_before = _principal(reference, w)
             after, axes_after, mean_after = _principal(local[t], w)
@@ -209,12 +221,14 @@ def eigenvalue_weights(local, reference, rounds, weights):
             scale = normal[0, 0] + normal[1, 1] + normal[2, 2]
             if not scale > 0.0:
                 break
+            # Points in a plane leave the equations singular; a billionth of their size keeps them solvable.
             for k in range(3):
                 normal[k, k] += 1e-9 * scale
             step = np.linalg.solve(normal, -change)
             total = 0.0
             for n in range(points):
                 if w[n] > 0.0:
+                    # A negative weight has no meaning: such a point is left out.
                     w[n] = max(w[n] + step[0] * slopes[0, n] + step[1] * slopes[1, n] + step[2] * slopes[2, n], 0.0)
                     total += w[n]
             if not total > 0.0:

@@ -101,11 +101,15 @@ def estimate_limb_motion(
     >>> np.allclose(motion.rotations[1], quarter), np.allclose(motion.translations[1], [1.0, 0.0, 0.0])
     (True, True)
     """
-    given = _checked(positions)
+    given = checked_positions(positions)
+    if given.shape[1] < 3:
+        raise AsterismError(f"a limb of {given.shape[1]} points has no rotation; give at least three points that are not in a line.")
     prior = _prior(weights, given.shape[1])
     if method not in METHODS:
         raise AsterismError(f"{method} is no method; choose from {', '.join(METHODS)}.")
+    # The fullest frame: the limb's axes then rest on as many points as ever are seen together.
     reference = _reference_frame(given, prior, rules)
+    # Weights of a point over the whole recording: skin slides the same way in each repetition.
     if method == "robust":
         fit, of_points = _fit_robustly(given, prior, reference, rules)
         weights_used = np.broadcast_to(of_points, given.shape[:2])
@@ -113,6 +117,7 @@ def estimate_limb_motion(
         fit, of_points = _fit_with_deformation(given, prior, reference, rules)
         weights_used = np.broadcast_to(of_points, given.shape[:2])
     else:
+        # The other methods start from all points alike.
         fit = _fit_plainly(given, prior, reference, rules)
         weights_used = np.broadcast_to(prior, given.shape[:2])
         if method.startswith("pct"):
@@ -130,14 +135,13 @@ class _Fit:
     squares: Floats
 
 
-def _checked(positions: ArrayLike) -> Floats:
+def checked_positions(positions: ArrayLike) -> Floats:
+    """(T, N, 3) m, contiguous. Raises AsterismError for other shapes and infinite positions."""
     given = np.ascontiguousarray(positions, dtype=np.float64)
     if given.ndim != 3 or given.shape[2] != 3:
         raise AsterismError(f"positions have shape {given.shape}, expected (frames, points, 3).")
     if np.isinf(given).any():
         raise AsterismError("a position is infinite; write missing samples as NaN.")
-    if given.shape[1] < 3:
-        raise AsterismError(f"a limb of {given.shape[1]} points has no rotation; give at least three points that are not in a line.")
     return given
 
 
@@ -158,6 +162,7 @@ def _reference_frame(positions: Floats, prior: Floats, rules: LimbRules) -> int:
     most = int(counts.max(initial=0))
     if most < 3:
         raise AsterismError(f"at most {most} of the limb's points are present in one frame; a rotation needs three.")
+    # From the fullest frame on: a fuller one may have its points in a line, a later one not.
     for frame in np.argsort(-counts, kind="stable")[: (counts >= 3).sum()]:
         rotation, translation = np.empty((1, 3, 3)), np.empty((1, 3))
         here = positions[frame]
@@ -192,10 +197,12 @@ def _spread(positions: Floats, rotations: Floats, translations: Floats) -> tuple
 def _fit_plainly(positions: Floats, weights: Floats, reference: int, rules: LimbRules, begin: _Fit | None = None) -> _Fit:
     """The mean shape and its motion, alternately, until the shape stays (generalised Procrustes without scale; Gower 1975)."""
     template = positions[reference] if begin is None else begin.template
+    # Template and motion hold each other: each is the least squares solution for the other.
     for _ in range(rules.rounds):
         rotations, translations = _fit(positions, template, weights, rules)
         means, squares = _spread(positions, rotations, translations)
         change = np.nanmax(np.abs(means - template)) if np.isfinite(template).any() else np.inf
+        # A point that has just entered the template changes the fit though the others stay.
         done = bool(change < 10 * rules.tolerance_m) and bool((np.isfinite(means) == np.isfinite(template)).all())
         template = means
         if done:
@@ -206,6 +213,7 @@ def _fit_plainly(positions: Floats, weights: Floats, reference: int, rules: Limb
 def _core_scale(squares: Floats, prior: Floats, rules: LimbRules) -> float:
     """m, the residual of the points that follow the bone best: the quantile `core`, of four points at least."""
     known = np.sqrt(squares[np.isfinite(squares) & (prior > 0)])
+    # Of a handful of markers half are too few to give a scale: four at least.
     share = max(rules.core, min(4 / len(known), 1.0))
     return max(float(np.quantile(known, share)), 1e-9)
 
@@ -222,17 +230,20 @@ def _fit_robustly(positions: Floats, prior: Floats, reference: int, rules: LimbR
     The scale begins at the largest residual and falls to that of the core by half a step at a time (graduated non-convexity), so that
     points which move alike on the skin do not take the limb over from the bone.
     """
+    # All points alike give a start that no wrong weight has touched.
     fit = _fit_plainly(positions, prior, reference, rules)
     scale = float(np.sqrt(np.nanmax(fit.squares)))
     weights = prior
     for _ in range(rules.rounds):
         core = _core_scale(fit.squares, prior, rules)
+        # Slowly down to the core's own scale: at once, the points that slide together could win.
         scale = max(0.6 * scale, core)
         weights = _robust_weights(fit.squares, prior, scale, rules)
         rotations, translations = _fit(positions, fit.template, weights, rules)
         means, squares = _spread(positions, rotations, translations)
         change = float(np.nanmax(np.abs(np.sqrt(squares) - np.sqrt(fit.squares))))
         fit = _Fit(means, rotations, translations, squares)
+        # Only once the scale has arrived: before that the residuals may pause by chance.
         if scale <= core and change < rules.tolerance_m:
             break
     return fit, weights
@@ -243,11 +254,13 @@ def _fit_by_clusters(positions: Floats, fit: _Fit, prior: Floats, rules: LimbRul
 
     GaMoCap, section 3.2, rejects weights "over" half the mean. That would drop the points that move as the bone does; under is meant.
     """
+    # The weights compare each frame with the template, so the motion must be taken off first.
     local = np.empty_like(positions)
     local_positions(positions, fit.rotations, fit.translations, local)
     weights = np.zeros(positions.shape[:2])
     eigenvalue_weights(local, fit.template, rules.pct_rounds, weights)
     weights *= prior
+    # A rejected point has no weight at all, unless too few would be left to turn the limb.
     if reject:
         present = np.maximum((weights > 0).sum(axis=1), 1)[:, None]
         kept = weights >= rules.rejected * weights.sum(axis=1, keepdims=True) / present
@@ -268,16 +281,20 @@ def _fit_with_deformation(positions: Floats, prior: Floats, reference: int, rule
     is not taken for a deformation of all points.
     """
     fit, weights = _fit_robustly(positions, prior, reference, rules)
+    # What is taken off a point must not fill its gaps.
     present = np.isfinite(positions[:, :, 0])
+    # Courses, motion and weights change one another: a few rounds.
     for _ in range(3):
         local = np.empty_like(positions)
         local_positions(positions, fit.rotations, fit.translations, local)
         stray = np.where(np.isfinite(local), local - fit.template, 0.0)
         square = np.einsum("tnc,snc,n->ts", stray, stray, prior)
+        # The courses over time that explain most of the straying, whichever points show it.
         courses = np.linalg.eigh(square)[1][:, -rules.modes :]
         amplitudes = np.einsum("tk,tnc->knc", courses, stray)
         size = np.linalg.norm(amplitudes, axis=2, keepdims=True)
         limit = rules.shrink * _core_scale(fit.squares, prior, rules) * np.sqrt(len(positions))
+        # Soft threshold: a point that strays no more than the core keeps its place, others keep what exceeds it.
         amplitudes *= np.maximum(1.0 - limit / np.maximum(size, 1e-12), 0.0)
         bent = np.einsum("tk,knc->tnc", courses, amplitudes)
         taken_off = positions - np.einsum("tij,tnj->tni", fit.rotations, bent)
@@ -295,6 +312,7 @@ def _as_motion(positions: Floats, fit: _Fit, weights: Floats, method: str, refer
         known = np.isfinite(fit.rotations[:, 0, 0])
         reference = int(np.argmax(np.where(known, np.isfinite(positions[:, :, 0]).sum(axis=1), -1)))
     turn, shift = fit.rotations[reference], fit.translations[reference]
+    # The same motion about other axes: those of the world in the reference frame, as GaMoCap counts.
     rotations = fit.rotations @ turn.T
     translations = fit.translations - rotations @ shift
     template = fit.template @ turn.T + shift
@@ -303,6 +321,7 @@ def _as_motion(positions: Floats, fit: _Fit, weights: Floats, method: str, refer
     residuals = np.linalg.norm(local - template, axis=2)
     present = np.isfinite(residuals)
     shown = np.where(present, weights, 0.0)
+    # Mean 1 over the points present: weights of frames with gaps compare with those without.
     mean = shown.sum(axis=1, keepdims=True) / np.maximum(present.sum(axis=1, keepdims=True), 1)
     shown = shown / np.where(mean > 0, mean, 1.0)
     return LimbMotion(rotations, translations, template, shown, present & (shown < rules.rejected), residuals, method, reference)

@@ -60,6 +60,7 @@ def quaternions(rotations: ArrayLike) -> Floats:
     present = np.nonzero(np.isfinite(given).all(axis=(1, 2)))[0]
     if len(present):
         four = _scipy_rotation(given[present]).as_quat()[:, [3, 0, 1, 2]]
+        # A quaternion and its negative are one rotation; the first has w >= 0, the others follow their neighbour.
         if four[0, 0] < 0:
             four[0] *= -1
         turns = np.sign(np.einsum("ti,ti->t", four[1:], four[:-1]))
@@ -83,8 +84,10 @@ def angular_velocity(rotations: ArrayLike, rate: float) -> Floats:
         raise AsterismError(f"a rate of {rate} frames per second; it must be greater than 0.")
     frames = np.arange(len(given))
     present = np.isfinite(given).all(axis=(1, 2))
+    # Central differences; beside a gap or an end only the neighbour that is there.
     before = np.where((frames > 0) & np.roll(present, 1), frames - 1, frames)
     after = np.where((frames < len(given) - 1) & np.roll(present, -1), frames + 1, frames)
+    # World axes: the step is applied from the left.
     steps = np.einsum("tij,tkj->tik", given[after], given[before])
     out = rotation_vectors(steps) * rate / np.maximum(after - before, 1)[:, None]
     out[~present | (after == before)] = np.nan
@@ -105,10 +108,12 @@ def helical_axes(rotations: ArrayLike, translations: ArrayLike) -> HelicalAxes:
     shift = moved - turned @ moved[first]
     vectors = rotation_vectors(turned)
     angles = np.linalg.norm(vectors, axis=1)
+    # Without a turn the direction is any, and its division by the angle is 0 by 0.
     still = ~(angles > 1e-9)
     directions = np.where(still[:, None], np.nan, vectors / np.where(still, 1.0, angles)[:, None])
     along = np.einsum("ti,ti->t", shift, directions)
     across = shift - along[:, None] * directions
+    # The point of the axis at which the shift across it is that of a circle with this angle.
     half = np.tan(np.where(still, 1.0, angles) / 2)[:, None]
     points = 0.5 * (across + np.cross(directions, across) / half)
     lengths = np.where(still, np.linalg.norm(shift, axis=1), along)

@@ -23,4 +23,5 @@ def stray_from_motions(positions, rotations, translations, out):
     for limb in range(len(rotations)):
         point_spread(positions, rotations[limb], translations[limb], means, squares, counts)
         for n in range(points):
+            # One frame says nothing of straying; infinite keeps the point from this limb.
             out[n, limb] = math.sqrt(squares[n]) if counts[n] > 1 else np.inf

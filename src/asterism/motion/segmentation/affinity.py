@@ -22,12 +22,14 @@ def fill_trajectories(positions: Floats, rank: int, rounds: int) -> Floats:
     """
     frames, points = positions.shape[:2]
     seen = np.isfinite(positions[:, :, 0])
+    # Zeros are places only until they are filled: nothing is compared before.
     filled = np.where(seen[:, :, None], positions, 0.0)
     if not seen.all():
         filled = _follow_neighbours(positions, seen)
     matrix = filled.transpose(1, 0, 2).reshape(points, 3 * frames)
     missing = np.repeat(~seen.T, 3, axis=1)
     if missing.any():
+        # Impose the rank, keep what was measured, repeat: the gaps settle into the space of the others.
         for _ in range(rounds):
             centre = matrix.mean(axis=0)
             basis = _principal(matrix - centre, rank)
@@ -38,9 +40,11 @@ def fill_trajectories(positions: Floats, rank: int, rounds: int) -> Floats:
 def _follow_neighbours(positions: Floats, seen: np.ndarray) -> Floats:
     """Each missing sample is the mean of the point's offset from its four nearest points, carried by where those are."""
     out = positions.copy()
+    # About the cloud's mean, so that a walk does not count as an offset.
     mean = np.nanmean(np.where(seen[:, :, None], positions, np.nan), axis=1, keepdims=True)
     steady = np.nanmean(positions - mean, axis=0)
     count = min(9, positions.shape[1])
+    # Neighbours by their mean place: most of them are on the same limb.
     near = cKDTree(steady).query(steady, k=count)[1].reshape(len(steady), count)[:, 1:]
     for n in np.nonzero(~seen.all(axis=0))[0]:
         frames = ~seen[:, n]
@@ -56,6 +60,7 @@ def _principal(matrix: Floats, rank: int) -> Floats:
     """(columns, rank): the right singular vectors of the largest singular values, each with the sign of its largest entry."""
     basis = np.linalg.eigh(matrix.T @ matrix)[1]
     basis = basis[:, ::-1][:, :rank]
+    # A singular vector's sign is arbitrary; fixed, the same file gives the same limbs.
     largest = np.argmax(np.abs(basis), axis=0)
     return np.asarray(basis * np.sign(basis[largest, np.arange(basis.shape[1])]))
 
@@ -91,6 +96,7 @@ def subspace_affinity(bases: Floats, landmarks: Ints) -> Floats:
     count, rank, dimension = bases.shape
     others = bases[landmarks].transpose(1, 0, 2).reshape(rank, -1)
     squares = np.empty((count, len(landmarks)))
+    # In blocks: the products of all points at once are N landmarks dimension^2 numbers.
     for begin in range(0, count, 500):
         block = bases[begin : begin + 500].transpose(0, 2, 1).reshape(-1, rank) @ others
         squares[begin : begin + 500] = (block**2).reshape(-1, dimension, len(landmarks), dimension).sum(axis=(1, 3))
@@ -105,14 +111,17 @@ def spectral_clusters(affinity: Floats, clusters: int) -> tuple[Ints, Floats]:
     O(N M clusters + M^3).
     """
     rows, columns = affinity.sum(axis=1), affinity.sum(axis=0)
+    # Normalised by rows and columns: a dense part of the skin must not outweigh a sparse one.
     scaled = affinity / np.sqrt(rows[:, None] * columns[None, :])
     values, vectors = np.linalg.eigh(scaled.T @ scaled)
     values, vectors = np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1][:, :clusters]
     places = scaled @ vectors
     places /= np.maximum(np.linalg.norm(places, axis=1, keepdims=True), 1e-12)
+    # Rows that point apart most are sure to be of different clusters: a start without chance.
     starts = qr(places.T, mode="r", pivoting=True)[1][:clusters]
     centres = places[starts]
     label = np.full(len(places), -1)
+    # Lloyd ends where nothing changes; the bound is for cycles between equal distances.
     for _ in range(100):
         new = np.argmax(places @ centres.T, axis=1)
         if (new == label).all():

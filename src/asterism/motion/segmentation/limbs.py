@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from asterism.errors import AsterismError
 from asterism.motion.rigid._kernels import fit_frames, point_spread
+from asterism.motion.rigid.limb import checked_positions
 from asterism.motion.segmentation._kernels import stray_from_motions
 from asterism.motion.segmentation.affinity import (
     fill_trajectories,
@@ -110,10 +111,15 @@ def segment_limbs(
     >>> segment_limbs(leg.positions).limbs
     3
     """
-    given = _checked(positions, limbs)
+    given = checked_positions(positions)
+    if given.shape[0] < 2 or given.shape[1] < 3:
+        raise AsterismError(f"{given.shape[1]} points in {given.shape[0]} frames have no limbs; three points and two frames are needed.")
+    if limbs is not None and limbs < 1:
+        raise AsterismError(f"{limbs} limbs were asked for; ask for one or more.")
     if method not in ("lsa+rigidity", "lsa"):
         raise AsterismError(f"{method} is no method; choose lsa+rigidity or lsa.")
     seen = np.isfinite(given[:, :, 0])
+    # A point that is seen once has no motion.
     kept = np.nonzero(seen.sum(axis=0) >= 2)[0]
     if len(kept) < 3:
         raise AsterismError(f"only {len(kept)} points are seen in two frames or more; limbs need three points each.")
@@ -125,6 +131,7 @@ def segment_limbs(
     coordinates, affinity = _affinity(shown, rules)
     if progress is not None:
         progress(0.5, "finding limbs")
+    # More clusters than limbs: merging what moves together is easier than splitting what does not.
     start = max(rules.clusters, 2 * (limbs or 1)) if method == "lsa+rigidity" else (limbs or 0)
     spectrum = spectral_clusters(affinity, 1)[1]
     if start == 0:
@@ -132,6 +139,7 @@ def segment_limbs(
     label = spectral_clusters(affinity, min(start, len(kept) // 3, affinity.shape[1]))[0]
     merges: tuple[tuple[float, int], ...] = ()
     if method == "lsa+rigidity":
+        # Merging fits every cluster again and again: some frames, spread over the whole motion, keep it quick.
         some = np.unique(np.linspace(0, len(shown) - 1, min(rules.frames, len(shown))).round().astype(int))
         label, merges = _merge(np.ascontiguousarray(shown[some]), label, _neighbours(coordinates), limbs, rules)
         label = _settle(shown, label, _neighbours(coordinates), rules, rules.rounds)[0]
@@ -146,24 +154,12 @@ def segment_limbs(
     return Segmentation(limb_of, count, stray, method, spectrum[: min(20, len(spectrum))], merges)
 
 
-def _checked(positions: ArrayLike, limbs: int | None) -> Floats:
-    given = np.asarray(positions, dtype=np.float64)
-    if given.ndim != 3 or given.shape[2] != 3:
-        raise AsterismError(f"positions have shape {given.shape}, expected (frames, points, 3).")
-    if np.isinf(given).any():
-        raise AsterismError("a position is infinite; write missing samples as NaN.")
-    if given.shape[0] < 2 or given.shape[1] < 3:
-        raise AsterismError(f"{given.shape[1]} points in {given.shape[0]} frames have no limbs; three points and two frames are needed.")
-    if limbs is not None and limbs < 1:
-        raise AsterismError(f"{limbs} limbs were asked for; ask for one or more.")
-    return given
-
-
 def _affinity(positions: Floats, rules: SegmentationRules) -> tuple[Floats, Floats]:
     """Coordinates (N, rank) m of the trajectories, and their affinity (N, landmarks)."""
     matrix = fill_trajectories(positions, rules.rank, rules.fill_rounds)
     coordinates = trajectory_coordinates(matrix, rules.rank)
     count = int(np.clip(round(rules.neighbours * len(coordinates)), rules.least_neighbours, rules.most_neighbours))
+    # Directions, not sizes: a point far from the joint moves more, but in the same subspace.
     size = np.maximum(np.linalg.norm(coordinates, axis=1, keepdims=True), 1e-12)
     dimension = min(rules.dimension, coordinates.shape[1])
     bases = local_subspaces(coordinates / size, max(count, dimension), dimension)
@@ -188,6 +184,7 @@ def _motions(positions: Floats, label: Ints, rules: SegmentationRules) -> tuple[
         means, squares, counts = np.empty((size, 3)), np.empty(size), np.empty(size, dtype=np.int64)
         template = points[int(np.argmax(np.isfinite(points[:, :, 0]).sum(axis=1)))]
         weights = np.ones((1, size))
+        # Points that belong elsewhere stray most, and count least in the next fit.
         for _ in range(rules.fits):
             fit_frames(template, points, weights, 0.01, rotations[limb], translations[limb])
             if not np.isfinite(rotations[limb, :, 0, 0]).any():
@@ -210,6 +207,7 @@ def _assign(stray: Floats, label: Ints, near: Ints, rules: SegmentationRules) ->
     """Each point to the limb in whose axes it strays least; neighbours on another limb count as `smoothness_m` of straying."""
     cost = stray.copy()
     if near.shape[1]:
+        # A point among neighbours of another limb must stray clearly less to stay alone.
         for limb in range(stray.shape[1]):
             cost[:, limb] += rules.smoothness_m * (label[near] != limb).mean(axis=1)
     best = np.argmin(cost, axis=1)
@@ -243,6 +241,7 @@ def _merge(
     """Merge the two clusters of which the smaller one's points stray least in the axes of the larger, as long as that is little."""
     merges = []
     label, stray = _settle(positions, label, near, rules, rules.merge_rounds)
+    # The pair that agrees best first: each merging changes what the others would cost.
     while stray.shape[1] > 1 and (limbs is None or stray.shape[1] > limbs):
         apart, one, other = _nearest_pair(stray, label)
         if limbs is None and not apart < rules.same_limb_m:
@@ -258,6 +257,7 @@ def _nearest_pair(stray: Floats, label: Ints) -> tuple[float, int, int]:
     best = (np.inf, 0, 1)
     for one in range(stray.shape[1]):
         for other in range(stray.shape[1]):
+            # The smaller one in the axes of the larger, which are known better.
             if one != other and (sizes[one], one) < (sizes[other], other):
                 known = stray[label == one, other]
                 known = known[np.isfinite(known)]

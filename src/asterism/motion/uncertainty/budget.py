@@ -104,6 +104,7 @@ def _measured_noise(analysis: MotionAnalysis) -> float:
     """m per coordinate: the residual of the tenth of the points that follow their limbs best. It has some soft tissue in it, if little."""
     best = [np.nanquantile(motion.rms, 0.1) for motion in analysis.motions]
     frames, points = analysis.recording.positions.shape[:2]
+    # A fit takes six freedoms, a template one mean: what is left of the noise is smaller than the noise.
     lost = max(1 - 6 / max(3 * points / max(len(analysis.motions), 1), 7), 0.3)
     return float(np.median(best) / np.sqrt(3 * lost * max(1 - 1 / frames, 0.5)))
 
@@ -135,7 +136,8 @@ class _Chain:
         """One trial with these sources: a function of its generator that gives (J, 2, T) rad, angle since zero and flexion."""
 
         def run(rng: np.random.Generator) -> Floats:
-            of_cameras, of_skin, of_landmarks = rng.spawn(3)  # each source draws the same alone as with the others
+            # Streams of their own, spawned always: a source that is off must not shift the others' draws.
+            of_cameras, of_skin, of_landmarks = rng.spawn(3)
             positions = self._drawn(active, of_cameras, of_skin)
             turns = [np.eye(3) for _ in self.points]
             if "placement" in active and self.sources.placement is not None:
@@ -150,11 +152,13 @@ class _Chain:
         positions = given.copy()
         if "cameras" in active:
             assert self.sources.noise is not None
+            # Errors of single points, then those that all points share.
             positions += self.sources.noise.draw(given.shape, of_cameras)
             if self.field is not None:
                 positions += self.field.draw(of_cameras)
         if "soft tissue" in active and self.sources.soft_tissue is not None:
             for limb, motion in enumerate(self.analysis.motions):
+                # Without a joint nothing bends, and skin stays.
                 if not self.courses[limb]:
                     continue
                 skin = self.sources.soft_tissue.draw(motion.template, self.amplitudes[limb], self.courses[limb], of_skin)
@@ -168,6 +172,7 @@ class _Chain:
         if self.reassign and len(motions) > 1 and self.analysis.segmentation is not None and active != ("placement",):
             stray = np.empty((positions.shape[1], len(motions)))
             rotations = np.stack([motion.rotations for motion in motions])
+            # A point that now fits another limb better would have been assigned there.
             stray_from_motions(positions, rotations, np.stack([motion.translations for motion in motions]), stray)
             moved = (np.argmin(stray, axis=1) != self.analysis.limb_of) & (self.analysis.limb_of >= 0)
         fitted = []
@@ -196,6 +201,7 @@ class _Chain:
         """(T,) rad: the turn about the joint's axis, counted from the mean rotation of the nominal result."""
         motions = self.analysis.motions
         nominal = joint_rotation(motions[joint.parent].rotations, motions[joint.child].rotations)
+        # Counted from the nominal mean in all trials: else a trial's own mean would hide a shift.
         mean = best_rotation(nominal[np.isfinite(nominal[:, 0, 0])].sum(axis=0))
         vectors = rotation_vectors(joint_rotation(parent, child) @ mean.T)
         angle = np.linalg.norm(vectors, axis=1)
@@ -207,9 +213,7 @@ def signed_angle(vectors: Floats, joint: JointAngles) -> Floats:
 
     To first order it is the change of the angle; unlike a length it is not folded at 0, so noise about a small angle has mean 0.
     """
-    length = np.linalg.norm(joint.vectors, axis=1, keepdims=True)
-    axes = np.where(length > 1e-3, joint.vectors / np.maximum(length, 1e-12), joint.axis)
-    return np.asarray(np.einsum("ti,ti->t", vectors, axes))
+    return np.asarray(np.einsum("ti,ti->t", vectors, joint.directions))
 
 
 def _course(joint: JointAngles) -> Floats:
@@ -229,8 +233,10 @@ def _amplitude(motion: LimbMotion, courses: list[Floats], sources: ErrorSources)
     rms = motion.rms
     known = np.where(np.isfinite(rms), rms, np.nanmedian(rms))
     weights = motion.weights.mean(axis=0)
+    # A point that dominates the fit shows hardly any residual, however far its skin slides.
     leverage = np.minimum(2 * weights / max(float(weights.sum()), 1e-9), 0.8)
     shown = np.sqrt(np.maximum(known**2 / (1 - leverage) - 3 * noise.typical**2, 0.0) / 3)
+    # Residuals grow with the bend: the same sliding shows less where the joint moved less.
     swing = max(float(np.mean([course.std() for course in courses])), 0.1)
     return np.asarray(soft.scale_of(len(rms)) * np.maximum(shown / swing, soft.least_m))
 

@@ -42,12 +42,14 @@ def rotation_covariance(motion: LimbMotion, sigma: float) -> Floats:
     weights = np.where(present, motion.weights, 0.0)
     total = np.maximum(weights.sum(axis=1), 1e-30)
     template = np.where(np.isfinite(motion.template), motion.template, 0.0)
+    # About the weighted mean, where rotation and translation do not mix.
     mean = (weights @ template) / total[:, None]
 
     def tensor(w: Floats) -> Floats:
         second = np.einsum("tn,ni,nj->tij", w, template, template, optimize=True)
         first = w @ template
         outer = first[:, :, None] * mean[:, None, :]
+        # Moments about the mean from those about the origin, for all frames at once.
         second = second - outer - outer.swapaxes(1, 2) + w.sum(axis=1)[:, None, None] * mean[:, :, None] * mean[:, None, :]
         return np.asarray(np.trace(second, axis1=1, axis2=2)[:, None, None] * np.eye(3) - second)
 
@@ -68,11 +70,11 @@ def first_order_angles(
     """
     spread = rotation_covariance(parent, sigma) + rotation_covariance(child, sigma)
     r = parent.rotations
+    # Into the parent's axes, in which the joint's vector is given.
     local = r.swapaxes(1, 2) @ spread @ r
     both = local + local[angles.zero]
-    length = np.linalg.norm(angles.vectors, axis=1, keepdims=True)
-    axes = np.where(length > 1e-3, angles.vectors / np.maximum(length, 1e-12), angles.axis)
-    variance = np.einsum("ti,tij,tj->t", axes, both, axes)
+    variance = np.einsum("ti,tij,tj->t", angles.directions, both, angles.directions)
+    # The zero frame is compared with itself.
     variance[angles.zero] = 0.0
     standard = np.where(np.isfinite(angles.angle), np.sqrt(np.maximum(variance, 0.0)), np.nan)
     if check is None:
@@ -81,5 +83,6 @@ def first_order_angles(
     reach = _COVERAGE_FACTOR[0.95] * standard
     typical = float(np.median(standard[np.isfinite(standard)]))
     tolerance = numerical_tolerance(typical) + 3 * _SAMPLING * typical / np.sqrt(check.trials)
+    # Both ends must agree: a skewed distribution agrees at one.
     miss = np.maximum(np.abs(check.estimate - reach - low), np.abs(check.estimate + reach - high))
     return FirstOrder(standard, miss <= tolerance)

@@ -81,6 +81,7 @@ def run_monte_carlo(
     tolerance, converged = np.inf, False
     with ThreadPoolExecutor(workers) as pool:
         while len(values) < rules.most and not converged:
+            # Trial k always has the generator (seed, k), whoever computes it.
             numbers = range(len(values), min(len(values) + rules.block, rules.most))
             new = list(pool.map(lambda k: np.asarray(model(np.random.default_rng([seed, k]))), numbers))
             values += new
@@ -135,12 +136,14 @@ def mean_and_standard(values: Floats) -> tuple[Floats, Floats]:
     known = np.isfinite(values)
     count = known.sum(axis=0)
     mean = np.where(count > 0, np.where(known, values, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
+    # About the mean of the known ones, so that a gap adds nothing.
     squares = (np.where(known, values - mean, 0.0) ** 2).sum(axis=0)
     return mean, np.where(count > 1, np.sqrt(squares / np.maximum(count - 1, 1)), np.nan)
 
 
 def numerical_tolerance(standard: float, digits: int = 1) -> float:
     """Half a unit of the last significant digit of a standard uncertainty (Supplement 1, 7.9.2): 0.05 for 0.4 and one digit."""
+    # A certain output has no digit that could be uncertain.
     if not standard > 0 or not np.isfinite(standard):
         return np.inf
     return float(0.5 * 10.0 ** (np.floor(np.log10(standard)) - digits + 1))

@@ -70,13 +70,16 @@ class CalibrationErrors:
             raise AsterismError("no point is ever seen, so the calibration's errors have no place to count; give a recording with points.")
         low, high = seen.min(axis=0), seen.max(axis=0)
         middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.05)
+        # A grid of nodes instead of every point: the shift is smooth, and each node costs a triangulation.
         axis = np.linspace(-1, 1, NODES)
         unit = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
         nodes = middle + unit * half
+        # A square root of the covariance by its eigenvectors: it may be singular, which Cholesky refuses.
         values, vectors = np.linalg.eigh(np.asarray(self.covariance))
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         pixels = self.rig.project(nodes)
         in_view = np.asarray(sees(self.rig, nodes) if all(camera.size for camera in self.rig) else np.isfinite(pixels).all(axis=2))
+        # What the true rig would see; the drawn rig composes the same pixels elsewhere.
         pixels = np.where(in_view[:, :, None], pixels, np.nan)
         terms = _cubic((positions - middle) / half)
         return CalibrationField(self, root, pixels, nodes, _cubic(unit), terms)
@@ -102,6 +105,7 @@ class CalibrationField:
         origins = np.repeat(np.stack([camera.position for camera in cameras])[None], count, axis=0)
         rays = np.stack([camera.rays(pixels) for camera, pixels in zip(cameras, self.pixels, strict=True)], axis=1)
         starts = np.arange(count + 1) * len(cameras)
+        # How far composing by the drawn rig moves each node.
         shift = intersect_rays(origins.reshape(-1, 3), rays.reshape(-1, 3), starts) - self.nodes
         known = np.asarray(np.isfinite(shift).all(axis=1))
         if known.sum() < 20:
@@ -151,6 +155,7 @@ def noise_from_rig(rig: Rig, positions: ArrayLike, noise: float | None = None) -
     if not composed.any():
         raise AsterismError("no point of the recording is seen by two cameras of the rig; is it the rig of this recording?")
     sizes = np.trace(spread[composed], axis1=1, axis2=2)
+    # Of one camera nothing is composed; such a point is at least as uncertain as the worst.
     spread[~composed] = spread[composed][int(np.argmax(sizes))]
     root = np.zeros((*given.shape, 3))
     root[present] = np.linalg.cholesky(spread)
@@ -186,12 +191,15 @@ class SoftTissueErrors:
         known = np.asarray(np.isfinite(template).all(axis=1))
         places = np.where(known[:, None], template, 0.0)
         out = np.zeros((len(courses[0]), *template.shape)) if courses else np.zeros((1, *template.shape))
+        # A t distribution: the size of the displacement is itself an estimate.
         size = np.sqrt(self.freedoms / rng.chisquare(self.freedoms)) if np.isfinite(self.freedoms) else 1.0
         for course in courses:
+            # Bumps at points of the limb: the field is smooth over the skin and differs from trial to trial.
             middles = places[rng.choice(np.nonzero(known)[0], self.bumps)]
             square = ((places[:, None] - middles[None]) ** 2).sum(axis=2)
             bumps = np.exp(-square / self.reach_m**2) * rng.choice([-1.0, 1.0], self.bumps)
             field = bumps @ rng.standard_normal((self.bumps, 3))
+            # Alike in strength where few bumps reach, but not blown up where none does.
             field /= np.maximum(np.sqrt((bumps**2).sum(axis=1, keepdims=True)), 0.3)
             out += course[:, None, None] * (size * amplitude[:, None] * field)
         return out / np.sqrt(max(len(courses), 1))
@@ -217,6 +225,7 @@ class PlacementErrors:
         known = template[present]
         directions = np.linalg.svd(known - known.mean(axis=0), full_matrices=False)[2]
         extent = np.maximum(np.ptp((known - known.mean(axis=0)) @ directions.T, axis=0), 0.03)
+        # A landmark misplaced across a short lever turns the axes more.
         lever = np.array([max(extent[1], extent[2]), extent[0], extent[0]])
         turn = rng.standard_normal(3) * np.sqrt(2) * self.sigma_m / lever
         return rotation_from_vector(turn @ directions)

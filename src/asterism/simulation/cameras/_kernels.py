@@ -7,26 +7,7 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
-
-
-@kernel(inline=True)
-def _squared_distance(p, q, a, b):
-    """Returns the squared distance between the segments p q and a b, m2; of a point where a segment has no length. O(1)."""
-    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    vx, vy, vz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    wx, wy, wz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
-    uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
-    uw, vw = ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
-    across = uu * vv - uv * uv
-    s = 0.0
-    if across > 1e-12 * uu * vv:
-        s = min(max((uv * vw - vv * uw) / across, 0.0), 1.0)
-    t = (uv * s + vw) / vv if vv > 0.0 else 0.0
-    if t < 0.0 or t > 1.0:
-        t = min(max(t, 0.0), 1.0)
-        s = min(max((uv * t - uw) / uu, 0.0), 1.0) if uu > 0.0 else 0.0
-    dx, dy, dz = wx + s * ux - t * vx, wy + s * uy - t * vy, wz + s * uz - t * vz
-    return dx * dx + dy * dy + dz * dz
+from asterism.geometry.shared_kernels import nearest_on_segments
 
 
 @kernel
@@ -43,8 +24,13 @@ def hidden(eye, points, starts, ends, radii, clearance, out):
             out[t, m] = False
             for k in range(len(radii)):
                 start, end = starts[t, k], ends[t, k]
-                radius = min(radii[k], math.sqrt(_squared_distance(point, point, start, end)) - clearance)
-                if radius > 0.0 and _squared_distance(eye, point, start, end) < radius * radius:
+                from_point, _ = nearest_on_segments(point, point, start, end)
+                # A capsule is thicker than the limb in places; it must not hide the marker on its own skin.
+                radius = min(radii[k], math.sqrt(from_point) - clearance)
+                if not radius > 0.0:
+                    continue
+                from_sight, _ = nearest_on_segments(eye, point, start, end)
+                if from_sight < radius * radius:
                     out[t, m] = True
                     break
 
@@ -59,8 +45,10 @@ def merge(offsets, xy, sizes, out):
     """
     for cell in range(len(offsets) - 1):
         first, last = offsets[cell], offsets[cell + 1]
+        # Each blob is a group of its own, ...
         for i in range(first, last):
             out[i] = i
+        # ... and two that touch become one: chains grow pair by pair.
         for i in range(first, last):
             for j in range(i + 1, last):
                 reach = 0.5 * (sizes[i] + sizes[j])
@@ -69,6 +57,7 @@ def merge(offsets, xy, sizes, out):
                     a, b = out[i], out[j]
                     low, high = min(a, b), max(a, b)
                     if low != high:
+                        # The whole group takes the lower number, so that a chain has one head.
                         for k in range(first, last):
                             if out[k] == high:
                                 out[k] = low

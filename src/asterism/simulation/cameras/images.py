@@ -86,6 +86,7 @@ def simulate_blobs(
     settings = ImagingSettings() if settings is None else settings
     points = np.asarray(positions, dtype=np.float64)
     points = points[None] if points.ndim == 2 else points
+    # At the door: a camera without an image size would fail in the middle of a session.
     for camera in rig:
         _image_size(camera)
     _check(points, body)
@@ -94,6 +95,7 @@ def simulate_blobs(
     kept = [_seen_by(camera, points, body, settings, delay * rate, rng) for camera, delay in zip(rig, delays, strict=True)]
     frame, xy, sizes, shows = (np.concatenate(column) for column in zip(*kept, strict=True))
     camera_of = np.repeat(np.arange(len(rig)), [len(part[0]) for part in kept])
+    # Times only where cameras differ: else the frame number says all.
     times = None if settings.delays is None else np.arange(len(points))[:, None] / rate + delays
     blobs = Blobs.from_rows(frame, camera_of, xy, rig.names, rate=rate, sizes=sizes, frames=len(points), times=times)
     return blobs, shows[np.argsort(frame * len(rig) + camera_of, kind="stable")]
@@ -108,19 +110,24 @@ def _seen_by(
 ) -> Rows:
     """The blobs of one camera, by frame and from top to bottom; `late`: frames after the first moment."""
     frames, size = len(points), _image_size(camera)
+    # Markers and body at the moment of this camera: both move between its frame and the first one's.
     shadow = body if body is None else Capsules(_later(body.starts, late), _later(body.ends, late), body.radii, ())
     markers = _markers_of(camera, _later(points, late), shadow, settings, rng)
     lights = _lights(size, frames, settings, rng)
     frame, xy, sizes, shows = (np.concatenate(both) for both in zip(markers, lights, strict=True))
+    # Outliers keep their frame and size; their place is anywhere in the image.
     astray = rng.random(len(frame)) < settings.outliers
     xy[astray] = rng.random((int(astray.sum()), 2)) * size
     shows[astray] = STRAY
+    # A lost image loses all of its blobs at once.
     arrived = (rng.random(frames) >= settings.dropped)[frame]
     inside = ((xy > -0.5) & (xy < np.array(size) - 0.5)).all(axis=1)
+    # By frame first, for the merging looks at one image after the other.
     order = np.argsort(frame, kind="stable")
     order = order[(arrived & inside)[order]]
     part = (frame[order], xy[order], sizes[order], shows[order])
     part = _merged(*part, frames) if settings.merging else part
+    # From top to bottom, as detectors deliver them; the order must not tell which marker a blob is.
     order = np.lexsort((part[1][:, 0], part[1][:, 1], part[0]))
     return part[0][order], part[1][order], part[2][order], part[3][order]
 
@@ -147,6 +154,7 @@ def _later(points: Floats, frames: float) -> Floats:
     out = np.full(flat.shape, np.nan)
     for column in range(flat.shape[1]):
         there = np.isfinite(flat[:, column])
+        # A cubic needs all frames; a course with gaps is followed on straight lines, and its gaps stay.
         if there.all():
             inside = CubicSpline(at, flat[:, column], bc_type="natural")(np.clip(moments, 0, at[-1]))
             beyond = np.clip(moments - at[-1], 0, None) * (flat[-1, column] - flat[-2, column])
@@ -159,6 +167,7 @@ def _later(points: Floats, frames: float) -> Floats:
 
 def _markers_of(camera: Camera, points: Floats, body: Capsules | None, settings: ImagingSettings, rng: np.random.Generator) -> Rows:
     """The blobs of all markers before the camera that nothing hides."""
+    # The noise before the question of visibility: a marker at the edge may leave the image by it.
     xy = camera.project(points) + rng.normal(0.0, 1.0, (*points.shape[:2], 2)) * settings.noise
     there = np.isfinite(xy[:, :, 0]) & (rng.random(points.shape[:2]) >= settings.missed)
     if body is not None:
@@ -167,6 +176,7 @@ def _markers_of(camera: Camera, points: Floats, body: Capsules | None, settings:
         _kernels.hidden(camera.position, np.ascontiguousarray(points), starts, ends, body.radii, 0.5 * settings.diameter, hidden)
         there &= ~hidden
     frame, marker = np.nonzero(there)
+    # The size of a blob follows from the distance along the line of sight.
     depth = points[frame, marker] @ camera.rotation[2] + camera.translation[2]
     return frame, xy[frame, marker], camera.focal[0] * settings.diameter / depth, marker
 
@@ -176,6 +186,7 @@ def _lights(size: tuple[int, int], frames: int, settings: ImagingSettings, rng: 
     reflections = settings.reflections
     passing = np.repeat(np.arange(frames), rng.poisson(settings.strays, frames))
     static = np.repeat(np.arange(frames), reflections)
+    # A reflection stays where it is but for the noise of its measurement.
     places = np.tile(rng.random((reflections, 2)) * size, (frames, 1)) + 0.2 * settings.noise * rng.normal(size=(len(static), 2))
     xy = np.concatenate([rng.random((len(passing), 2)) * size, places])
     sizes = np.concatenate([rng.uniform(2.0, 6.0, len(passing)), np.tile(rng.uniform(4.0, 20.0, reflections), frames)])
@@ -189,6 +200,7 @@ def _merged(frame: Ints, xy: Floats, sizes: Floats, shows: Ints, frames: int) ->
     head = np.empty(len(frame), dtype=np.int64)
     _kernels.merge(offsets, xy, sizes, head)
     heads, group, members = np.unique(head, return_inverse=True, return_counts=True)
+    # A blob of two markers has the middle of the light, and light goes with the area.
     area = sizes**2
     total = np.bincount(group, area, len(heads))
     middle = np.stack([np.bincount(group, area * xy[:, axis], len(heads)) / total for axis in (0, 1)], axis=1)

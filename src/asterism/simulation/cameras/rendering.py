@@ -47,11 +47,13 @@ def render_images(
         raise AsterismError("images are rendered of disc or gaussian blobs, in 8 to 16 bits, of a camera of the blobs, in a positive size.")
     full = 2**bits - 1
     cells = np.arange(len(blobs)) * len(blobs.cameras) + camera
+    # One image at a time: a session of hours has no room in memory.
     for cell in cells:
         here = slice(blobs.offsets[cell], blobs.offsets[cell + 1])
         sizes = np.where(np.isfinite(blobs.sizes[here]), blobs.sizes[here], settings.diameter)
         image = np.zeros((size[1], size[0]))
         _kernels.draw(blobs.xy[here], sizes, shape == "gaussian", settings.peak * full, image)
+        # Noise on every pixel, also where no light falls.
         image += settings.background * full + settings.noise * full * rng.standard_normal(image.shape, dtype=np.float32)
         grey = np.clip(np.rint(image), 0, full)
         yield grey.astype(np.uint8) if bits == 8 else grey.astype(np.uint16)

@@ -44,6 +44,7 @@ def ring_rig(
     hung = []
     for i in range(cameras):
         angle = 2 * np.pi * i / cameras
+        # Drawn even where it is small: camera k has the same jitter whatever the others are.
         jitter = np.zeros(9) if rng is None else rng.normal(size=9)
         place = np.array([radius * np.cos(angle), radius * np.sin(angle), height]) + 0.15 * jitter[:3]
         target = np.array([0.0, 0.0, TARGET_HEIGHT]) + 0.15 * jitter[3:6]
@@ -63,6 +64,7 @@ def random_rig(cameras: int | None = None, *, rng: np.random.Generator) -> Rig:
     count = int(rng.integers(3, 13)) if cameras is None else cameras
     if count < 1:
         raise AsterismError("a rig needs at least one camera.")
+    # From a third of a circle to all around: rooms have walls.
     arc = rng.uniform(2 * np.pi / 3, 2 * np.pi)
     step = arc / max(count, 2)
     start = rng.uniform(0, 2 * np.pi)
@@ -74,6 +76,7 @@ def random_rig(cameras: int | None = None, *, rng: np.random.Generator) -> Rig:
         place = np.array([distance * np.cos(angle), distance * np.sin(angle), rng.uniform(0.4, 3.5)])
         target = np.array([0.0, 0.0, TARGET_HEIGHT]) + rng.normal(0.0, 0.2, 3)
         size = same_size or SIZES[int(rng.integers(len(SIZES)))]
+        # A lens that sees less than the person from there would make a camera without use.
         narrowest = 2 * np.arctan2(0.9, np.linalg.norm(target - place))
         view = max(np.radians(rng.uniform(38, 80)), narrowest * size[0] / size[1])
         focal = 0.5 * size[0] / np.tan(0.5 * view)
@@ -103,6 +106,7 @@ def _camera(
     distortion  by which share the r2 and r4 terms change the radius in the image's corners
     """
     rotation, translation = looking(place, target, roll)
+    # Distortion is given for the corner, where it is seen; the coefficient is by the squared radius.
     corner = (size[0] ** 2 + size[1] ** 2) / (2 * focal) ** 2
     centre = (0.5 * (size[0] - 1) + float(off[0]), 0.5 * (size[1] - 1) + float(off[1]))
     return Camera(name, size, (focal, focal), centre, rotation, translation, radial=(distortion[0] / corner, distortion[1] / corner**2))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.motion.rigid.rotations import unit_vectors
 from asterism.recording import Floats, Recording, canonical
 
 PELVIS_WIDTH = 0.24
@@ -54,10 +55,12 @@ def walker_capsules(recording: Recording) -> Capsules:
     front, back = markers.mean("LASI", "RASI"), markers.mean("LPSI", "RPSI", "SACR")
     if left_front is None or right_front is None or front is None or back is None:
         raise AsterismError("a body needs the pelvis' markers (LASI, RASI, and LPSI and RPSI or SACR); label them.")
+    # The pelvis gives the scale of everything else; its median holds where a frame is noisy.
     width = float(np.nanmedian(np.linalg.norm(left_front - right_front, axis=1)))
     scale = width / PELVIS_WIDTH
-    left = _unit(left_front - right_front)
-    up = _unit(recording.vertical - left * (left @ recording.vertical)[:, None])
+    # Axes of the pelvis that stay level: a body leans, a trunk capsule does not need to.
+    left = unit_vectors(left_front - right_front)
+    up = unit_vectors(recording.vertical - left * (left @ recording.vertical)[:, None])
     ahead = np.cross(left, up)
     middle = 0.5 * (front + back)
 
@@ -65,6 +68,7 @@ def walker_capsules(recording: Recording) -> Capsules:
         place: Floats = origin + scale * (forward * ahead + leftward * left + upward * up)
         return place
 
+    # Parts without markers stand where they usually are: a guess hides better than nothing.
     neck = markers.mean("C7", "CLAV")
     neck = at(middle, upward=0.50) if neck is None else neck
     head = markers.mean("LFHD", "RFHD", "LBHD", "RBHD")
@@ -86,6 +90,7 @@ def walker_capsules(recording: Recording) -> Capsules:
             bones += [("thigh", hip, knee), ("shank", knee, ankle)]
             if toe is not None and heel is not None:
                 bones.append(("foot", heel + 0.2 * (toe - heel), toe))
+        # Markers sit on the skin; the capsule runs inside the limb.
         elbow, wrist = markers.mean(f"{side}ELB"), markers.mean(f"{side}WRA", f"{side}WRB")
         elbow = at(shoulder, leftward=0.05 * sign, upward=-0.28) if elbow is None else at(elbow, leftward=-0.04 * sign)
         wrist = at(elbow, forward=0.10, leftward=0.02 * sign, upward=-0.22) if wrist is None else wrist
@@ -130,10 +135,6 @@ def _knee(markers: _Markers, side: str, sign: float, left: Floats, scale: float,
     cluster = markers.mean(f"{side}TBU", f"{side}TBD", f"{side}TBM", f"{side}TBC")
     if cluster is None:
         return 0.5 * (hip + ankle)
+    # A cluster gives the direction of the shank, half of the leg its length.
     shank = 0.5 * float(np.nanmax(np.linalg.norm(hip - ankle, axis=1)))
-    return ankle + shank * _unit(cluster - 0.05 * scale * sign * left - ankle)
-
-
-def _unit(vectors: Floats) -> Floats:
-    unit: Floats = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return unit
+    return ankle + shank * unit_vectors(cluster - 0.05 * scale * sign * left - ankle)

@@ -58,11 +58,14 @@ def simulate_wand(
         raise AsterismError("a wand needs increasing lengths, at least one frame and a positive rate.")
     steps = int(np.ceil(frames / rate / STEP)) + 2
     places = _tour(*_seen(rig, 0.5 * float(along[-1] - along[0]) + 0.05, rng), steps, rng)
+    # A normal vector made one long points anywhere with equal chance.
     directions = rng.normal(size=(steps, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    # Splines through places and directions: a hand moves without corners.
     time = np.arange(frames) / rate / STEP
     middle = CubicSpline(np.arange(steps), places)(time)
     direction = CubicSpline(np.arange(steps), directions)(time)
+    # A spline between unit vectors is shorter than one.
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     positions = middle[:, None] + direction[:, None] * (along - along.mean())[:, None]
     imaging = ImagingSettings(noise=0.2) if settings is None else settings
@@ -75,9 +78,11 @@ def _seen(rig: Rig, margin: float, rng: np.random.Generator, tries: int = 4000) 
     middle = lines_of_sight_meet(rig)
     eyes = np.stack([camera.position for camera in rig])
     reach = float(np.median(np.linalg.norm(eyes - middle, axis=1)))
+    # Candidates around where most cameras look; those that two see are kept.
     points = middle + rng.uniform(-0.6, 0.6, (tries, 3)) * reach
     if rig.vertical is not None:
         height = points @ rig.vertical
+        # A rig may have its origin above the floor: no camera hangs below it.
         floor = min(0.0, float((eyes @ rig.vertical).min()))
         points = points[(height > floor + margin) & (height < floor + 2.3)]
     seen = sees(rig, points)
@@ -97,7 +102,9 @@ def _tour(places: Floats, seen: NDArray[np.bool_], steps: int, rng: np.random.Ge
     for _ in range(steps - 1):
         away = np.linalg.norm(places - tour[-1], axis=1)
         visited += np.exp(-0.5 * (away / 0.3) ** 2)
+        # Cameras that have seen little pull the hand towards them.
         wanted = (seen / (1.0 + shown)[:, None]).sum(axis=0) / (1.0 / (1.0 + shown)).sum()
+        # Not where it was, about 0.9 m on, a little chance, and most of all before cameras that lack views.
         at = int(np.argmin(visited + 8.0 * (away - 0.9) ** 2 + 0.3 * rng.random(len(places)) - 3.0 * wanted))
         tour.append(places[at])
         shown += seen[:, at]

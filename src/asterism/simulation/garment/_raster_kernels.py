@@ -26,9 +26,11 @@ def rasterise(xy, nearness, triangles, samples, corner, front, owner):
         ax, ay = (xy[a, 0] + 0.5) * samples - 0.5 - corner[0], (xy[a, 1] + 0.5) * samples - 0.5 - corner[1]
         bx, by = (xy[b, 0] + 0.5) * samples - 0.5 - corner[0], (xy[b, 1] + 0.5) * samples - 0.5 - corner[1]
         cx, cy = (xy[c, 0] + 0.5) * samples - 0.5 - corner[0], (xy[c, 1] + 0.5) * samples - 0.5 - corner[1]
+        # Twice the area, with its sign; a triangle seen edge-on covers no sample.
         double = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
         if not math.fabs(double) > 1e-9:
             continue
+        # Only the samples of the box around the triangle.
         first_x, last_x = max(0.0, math.ceil(min(ax, bx, cx))), min(width - 1.0, math.floor(max(ax, bx, cx)))
         first_y, last_y = max(0.0, math.ceil(min(ay, by, cy))), min(height - 1.0, math.floor(max(ay, by, cy)))
         if first_x > last_x or first_y > last_y:
@@ -75,6 +77,7 @@ def shade(xy, nearness, triangles, sheet, light, piece, facing, cells, colours, 
             wa = nearness[a] * (1.0 - wb / nearness[b] - wc / nearness[c])
             total = wa + wb + wc
             wa, wb, wc = wa / total, wb / total, wc / total
+            # Cloth unless something is printed here: the inside and the seams show none.
             ink, cover = q, 0.0
             p = piece[t]
             if p < 0:
@@ -85,9 +88,11 @@ def shade(xy, nearness, triangles, sheet, light, piece, facing, cells, colours, 
                 i, j = math.floor(row + 0.5), math.floor(column + 0.5)
                 if cells[p, 0] <= i <= cells[p, 1] and cells[p, 2] <= j <= cells[p, 3] and colours[i, j] >= 0:
                     ink = colours[i, j]
+                    # Distance on the sheet: folds and perspective are in the interpolation already.
                     off = math.sqrt((row - i) ** 2 + (column - j) ** 2)
                     if off <= radius:
                         seen[i, j] += 1
+                    # Ink runs into cloth: the edge is soft.
                     cover = 0.5 * math.erfc((off - radius) / (1.4142135623730951 * soft))
             to_y, to_x = (y + corner[1]) // samples, (x + corner[0]) // samples
             image[to_y, to_x, 3] += share

@@ -165,10 +165,12 @@ def photograph(
     offsets = settings.shutter * ((np.arange(settings.moments) + 0.5) / settings.moments - 0.5)
     light = np.zeros((height, width, 4))
     seen = np.zeros(worn.pattern.shape, dtype=np.int64)
+    # Motion blur: the mean of pictures during the shutter's time.
     for offset in offsets:
         _expose(worn, worn.mesh(time + float(offset)), camera, settings, light, seen)
     light /= settings.moments
     room = _room(width, height, settings.clutter, rng)
+    # What no triangle covers shows the room.
     picture = light[..., :3] + (1.0 - light[..., 3:]) * room * np.asarray(settings.ambient) * 2.0
     image = _developed(picture, settings, rng)
     return Photo(image, _truth(worn, camera, time, seen / (settings.moments * settings.samples**2)))
@@ -177,6 +179,7 @@ def photograph(
 def ink_colours(hsv: Floats, settings: PhotoSettings) -> Floats:
     """(q + 2, 3) linear reflectances of the inks on dark cloth, the cloth and skin."""
     bright = np.array([colorsys.hsv_to_rgb(*colour) for colour in hsv])
+    # Print on dark cloth is not opaque.
     inks = settings.black + settings.opacity * (_linear(bright) - settings.black).clip(0.0)
     return np.concatenate([inks, np.full((1, 3), settings.black), np.array([[0.45, 0.27, 0.20]])])
 
@@ -188,6 +191,7 @@ def _expose(worn: GarmentScene, mesh: Mesh, camera: Camera, settings: PhotoSetti
     depth = mesh.vertices @ camera.rotation[2] + camera.translation[2]
     there = np.isfinite(xy[:, 0]) & (depth > _LEAST_DEPTH)
     triangles, piece = mesh.triangles, mesh.piece
+    # Triangles that reach into the image; behind the camera nothing projects.
     kept = there[triangles].all(axis=1)
     corners = xy[triangles]
     with np.errstate(invalid="ignore"):
@@ -197,12 +201,14 @@ def _expose(worn: GarmentScene, mesh: Mesh, camera: Camera, settings: PhotoSetti
         return
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     turn = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+    # A window around the wearer: most samples of an image see none.
     low = np.clip(np.floor(corners.min(axis=(0, 1)) + 0.5), 0, (width, height)).astype(np.int64)
     high = np.clip(np.ceil(corners.max(axis=(0, 1)) + 0.5), 0, (width, height)).astype(np.int64)
     samples = settings.samples
     corner = low * samples
     span = (high - low) * samples
     front = np.zeros((span[1], span[0]), dtype=np.float32)
+    # The nearest triangle of each sample first, its colour afterwards: each sample is shaded once.
     owner = np.full((span[1], span[0]), -1, dtype=np.int32)
     nearness = np.where(there, 1.0 / np.where(there, depth, 1.0), 0.0)
     kernels.rasterise(xy, nearness, triangles, samples, corner, front, owner)
@@ -222,6 +228,7 @@ def _light(mesh: Mesh, settings: PhotoSettings) -> Floats:
     light = np.tile(np.asarray(settings.ambient, dtype=np.float64), (len(mesh.vertices), 1))
     for lamp in settings.lamps:
         towards = np.asarray(lamp.position) - mesh.vertices
+        # Light falls with the square of the distance; below 10 cm it grows no more.
         square = np.maximum(np.einsum("vi,vi->v", towards, towards), 0.01)
         cosine = np.clip(np.einsum("vi,vi->v", towards, mesh.normals) / np.sqrt(square), 0.0, None)
         light += (cosine / square)[:, None] * np.asarray(lamp.colour)
@@ -245,16 +252,19 @@ def _developed(light: Floats, settings: PhotoSettings, rng: np.random.Generator)
     import cv2
 
     picture = (light * settings.exposure * np.asarray(settings.white_balance)).astype(np.float32)
+    # Lens and sensor spread the light before the curve, and the noise comes after it.
     if settings.blur > 0:
         picture = cv2.GaussianBlur(picture, (0, 0), settings.blur, borderType=cv2.BORDER_REPLICATE)
     height, width = picture.shape[:2]
     if settings.vignetting > 0:
         x, y = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
         picture *= (1.0 - settings.vignetting * 0.5 * (x**2 + y**2))[..., None].astype(np.float32)
+    # The sRGB curve, as cameras deliver their pictures.
     curve = np.clip(picture, 0.0, 1.0)
     shown = np.where(curve <= 0.0031308, 12.92 * curve, 1.055 * np.power(curve, 1 / 2.4, dtype=np.float32) - 0.055)
     shown = shown + settings.noise * rng.standard_normal(shown.shape, dtype=np.float32)
     image = np.clip(np.rint(255 * shown[..., ::-1]), 0, 255).astype(np.uint8)
+    # Through a real JPEG: its blocks are what a reader meets.
     if settings.jpeg:
         image = cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, settings.jpeg])[1], cv2.IMREAD_COLOR)
     return np.ascontiguousarray(image)
@@ -279,11 +289,13 @@ def _truth(worn: GarmentScene, camera: Camera, time: float, seen: Floats) -> Cir
     with np.errstate(invalid="ignore"):
         tilt = np.arccos(np.clip(np.einsum("ni,ni->n", normal, towards) / np.linalg.norm(towards, axis=1), -1.0, 1.0))
     centres = camera.project(positions)
+    # The ellipse of a small circle is the projection's derivative, by differences.
     moved = [camera.project(positions + sign * _STEP * axis) for axis in (down, right) for sign in (1, -1)]
     jacobian = np.stack([moved[0] - moved[1], moved[2] - moved[3]], axis=2) / (2 * _STEP)
     finite = np.isfinite(jacobian).all(axis=(1, 2))
     diameters = np.full((len(cells), 2), np.nan)
     diameters[finite] = worn.pattern.diameter * np.linalg.svd(jacobian[finite], compute_uv=False)
+    # Visible is what was sampled over what the ellipse covers.
     area = 0.25 * np.pi * diameters.prod(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         visible = np.where(tilt < 0.5 * np.pi, np.clip(seen[at] / area, 0.0, 1.0), 0.0)
@@ -299,6 +311,7 @@ def _tangents(middle: Floats, pitch: float) -> tuple[Floats, Floats]:
         low[axis], high[axis] = slice(0, -1), slice(1, None)
         step = (middle[tuple(high)] - middle[tuple(low)]) / pitch
         ahead[tuple(low)], behind[tuple(high)] = step, step
+        # Both neighbours where they are there, else the one that is.
         both = 0.5 * (ahead + behind)
         out.append(np.where(np.isfinite(both), both, np.where(np.isfinite(ahead), ahead, behind)))
     return out[0], out[1]

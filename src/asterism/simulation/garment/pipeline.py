@@ -135,6 +135,7 @@ def run_garment_session(
     errors = compare_dense(captured.trajectories, session.truth(frames))
     possible, found = 0, 0
     for t in range(frames):
+        # What two images show well can be composed; of the others nothing is promised.
         well = pattern.known[views.of(t, pattern.known) >= 2]
         possible += len(well)
         found += int(np.isin(well, captured.trajectories.points(t).ids).sum())

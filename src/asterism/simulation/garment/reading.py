@@ -35,6 +35,7 @@ def simulated_reading(
     if not (noise >= 0 and 0 <= wrong <= 1 and 0 <= astray <= 1):
         raise AsterismError("noise must be at least 0, and the shares of wrong and stray circles from 0 to 1.")
     rows = np.flatnonzero(truth.readable(5.0, np.radians(65.0)) & (truth.ids >= 0))
+    # A flat ellipse is read less exactly.
     sigma = noise * np.clip(6.0 / truth.diameters[rows, 1], 0.5, 3.0)
     centres = truth.centres[rows] + sigma[:, None] * rng.standard_normal((len(rows), 2))
     stray = rng.random(len(rows)) < astray
@@ -42,6 +43,7 @@ def simulated_reading(
     centres = centres + (stray * far)[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     ids = truth.ids[rows].copy()
     misread = rng.random(len(rows)) < wrong
+    # A wrong identity is one of the garment's: another could not be printed.
     ids[misread] = rng.choice(truth.ids[truth.ids >= 0], int(misread.sum()))
     covariance = sigma[:, None, None] ** 2 * np.eye(2)
     return SimulatedCircles(centres, covariance, ids)

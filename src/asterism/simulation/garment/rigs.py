@@ -30,12 +30,14 @@ def garment_rig(
         raise AsterismError("a rig needs at least one camera, and a positive radius and image size.")
     stature = (wearer or Wearer()).stature
     middle = np.array([0.0, 0.0, 0.505 * stature])
+    # The wearer fills the longer side, with a little room.
     focal = 0.93 * max(size) * radius / stature
     hung = []
     for i in range(cameras):
         angle = 2 * np.pi * i / cameras + 0.2
         jitter = np.zeros(9) if rng is None else rng.normal(size=9)
         place = np.array([radius * np.cos(angle), radius * np.sin(angle), 1.1 + 0.4 * (-1) ** i]) + 0.03 * jitter[:3]
+        # On their side: people are tall.
         rotation, translation = looking(place, middle + 0.015 * jitter[3:6], 0.5 * np.pi + 0.01 * jitter[6])
         own = focal * (1 + 0.01 * jitter[7]) if rng is not None else focal
         centre = (0.5 * (size[0] - 1), 0.5 * (size[1] - 1))

@@ -52,6 +52,7 @@ class GarmentSession:
             t, c = place
             if not self._shows_target(t, c):
                 return None
+            # A stream for each picture: workers may take them in any order.
             rng = np.random.default_rng([self.seed, 1, t, c])
             return photograph(self.target, self.rig.cameras[c], float(t), self.settings, rng=rng).image
 
@@ -81,6 +82,7 @@ class GarmentSession:
         camera, turn = self.rig.cameras[c], self.rig.cameras[c].rotation @ self.target.rotations[t]
         places = self.target.circles(t).reshape(-1, 3)
         middle = camera.rotation @ places.mean(axis=0) + camera.translation
+        # From the back, or nearly edge-on, there is nothing to read.
         if turn[:, 2] @ middle < _STEEPEST * np.linalg.norm(middle):
             return False
         xy = camera.project(places)
@@ -157,9 +159,11 @@ def compare_dense(captured: DenseTrajectories, truth: dict[int, Floats], *, alig
     if there.sum() < 3:
         raise AsterismError("fewer than three points were captured; there is nothing to compare.")
     given, expected = captured.positions[there], true[there]
+    # One turn and shift for all frames: a calibration leaves open where the world begins.
     turn, shift = fit_rigid(given, expected) if aligned else (np.eye(3), np.zeros(3))
     errors = given @ turn.T + shift - expected
     covariance = np.concatenate([captured.covariances(t)[there[t]] for t in range(len(captured))])
+    # Back into the captured world, in which the covariances are given.
     own = errors @ turn
     normalised = float(np.sqrt(np.mean(np.einsum("ni,ni->n", own, np.linalg.solve(covariance, own[..., None])[..., 0])) / 3))
     return DenseErrors(errors, normalised)

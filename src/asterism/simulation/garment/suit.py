@@ -85,6 +85,7 @@ def suit_masks(wearer: Wearer, pitch: float = 0.018, diameter: float = 0.010) ->
             continue
         first, last = tube.dressed
         along = np.arange(first + 0.5 * pitch, last - 0.5 * diameter, pitch)
+        # A row has as many circles as its girth has room for, less the seam.
         half = (0.5 * girths(tube, along)[2] - 0.5 * diameter - _SEAM * pitch) / pitch
         widest = int(half.max())
         masks[tube.name] = np.abs(np.arange(-widest, widest + 1)) <= half[:, None]
@@ -93,6 +94,7 @@ def suit_masks(wearer: Wearer, pitch: float = 0.018, diameter: float = 0.010) ->
 
 def sheet_of(masks: dict[str, Bools]) -> tuple[Bools, tuple[Piece, ...]]:
     """All pieces side by side on one sheet, a column between them: the mask (rows, cols) and the pieces."""
+    # Side by side with a column between: no block of circles spans two pieces.
     rows = max(mask.shape[0] for mask in masks.values())
     sheet = np.zeros((rows, sum(mask.shape[1] + 1 for mask in masks.values()) - 1), dtype=bool)
     pieces, column = [], 0
@@ -129,6 +131,7 @@ class WornGarment:
             points = tube_surface(tube, joints, grid.along, grid.around, self.wearer.folds)
             rows = grid.first_row + _FINER * np.arange(piece.rows)
             steps = (np.arange(piece.columns) - piece.columns // 2) * self.pattern.pitch
+            # The vertex left of the circle, and how far it is to the next one.
             where = (steps / grid.around[rows][:, -1:] + 1.0) * 0.5 * (grid.around.shape[1] - 1)
             left = np.clip(where.astype(np.int64), 0, grid.around.shape[1] - 2)
             share = (where - left)[..., None]
@@ -166,6 +169,7 @@ def _piece_grid(worn: WornGarment, tube: Tube, place: int) -> _Grid:
     assert tube.dressed is not None
     pitch = worn.pattern.pitch
     first = tube.dressed[0] + 0.5 * pitch
+    # Circles lie on rows of vertices, so that their truth lies on the mesh.
     step = pitch / _FINER
     before = int(np.ceil((first - tube.sections[0][0]) / step))
     after = int(np.ceil((tube.sections[-1][0] - first) / step))
@@ -195,6 +199,7 @@ def _tube_mesh(worn: WornGarment, tube: Tube, joints: dict[str, Floats]) -> Mesh
     n, m = around.shape
     triangles = grid_triangles(n, m)
     vertices, normals, sheet = points.reshape(-1, 3), normals.reshape(-1, 3), sheet.reshape(-1, 2)
+    # Closed ends: nobody looks into a sleeve.
     for ring, sign in ((0, 1), (n - 1, -1)):
         middle = len(vertices)
         own = ring * m + np.arange(m)
@@ -222,6 +227,7 @@ def grid_triangles(rows: int, columns: int) -> Ints:
 def _normals(points: Floats) -> Floats:
     """Outward unit normals of a tube (n, m, 3) whose first and last column are the same seam."""
     down = np.gradient(points, axis=0)
+    # First and last column are one seam: differences go around it.
     wrapped = np.concatenate([points[:, -2:-1], points, points[:, 1:2]], axis=1)
     right = wrapped[:, 2:] - wrapped[:, :-2]
     normal = np.cross(down, right)

@@ -63,13 +63,16 @@ def wave_target(pattern: Pattern, rig: Rig, views: int, *, reach: float = 0.5, r
     places = np.array([camera.position for camera in rig])
     looks = np.array([camera.rotation[2] for camera in rig])
     across = np.eye(3) - looks[:, :, None] * looks[:, None, :]
+    # The place nearest to all lines of sight, where most cameras look.
     around = np.linalg.lstsq(across.sum(axis=0), np.einsum("cij,cj->i", across, places), rcond=None)[0]
     turns, shifts = np.empty((views, 3, 3)), np.empty((views, 3))
     for t in range(views):
+        # Each camera in turn: none is left without views.
         camera = rig.cameras[t % len(rig)]
         tilt = rng.uniform(0.0, np.radians(50.0))
         direction = rng.uniform(0.0, 2 * np.pi)
         turn = rotation_from_vector(tilt * np.array([np.cos(direction), np.sin(direction), 0.0]))
+        # Any turn in its own plane: a person does not hold a sheet level.
         spin = rotation_from_vector(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]))
         turns[t] = camera.rotation.T @ turn @ spin
         shifts[t] = around + rng.uniform(-reach, reach, 3) - turns[t] @ middle

@@ -42,6 +42,7 @@ class Folds:
         height = np.zeros(around.shape)
         for _ in range(self.waves):
             length, slant = rng.uniform(self.shortest, self.longest), rng.uniform(-0.5 * np.pi, 0.5 * np.pi)
+            # A whole number of waves around the tube closes them.
             turns = np.round(np.sin(slant) * float(girth.mean()) / length)
             phase = rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * np.cos(slant) / length * along + 2 * np.pi * turns * around / girth
             height += self.height / np.sqrt(self.waves) * np.sqrt(2.0) * np.sin(phase)
@@ -78,6 +79,7 @@ def tube_surface(tube: Tube, joints: Mapping[str, Floats], along: Floats, around
     angles, arcs = _ellipse_table(wide, deep)
     at = np.empty(around.shape)
     for i in range(len(along)):
+        # Arc length to angle by table: an ellipse has no closed form for it.
         at[i] = np.interp(np.mod(around[i], girth[i]), arcs[i], angles)
     centre, tangent = _centre_line(np.array([joints[name] for name in tube.joints]), along, tube.bend)
     front = _transported(np.asarray(tube.forward, dtype=np.float64), tangent)
@@ -85,6 +87,7 @@ def tube_surface(tube: Tube, joints: Mapping[str, Floats], along: Floats, around
     cos, sin = np.cos(at)[..., None], np.sin(at)[..., None]
     points = centre[:, None] + deep[:, None, None] * cos * front[:, None] + wide[:, None, None] * sin * side[:, None]
     if folds is not None and tube.dressed is not None:
+        # The normal of an ellipse is not its radius.
         outward = cos * front[:, None] / deep[:, None, None] + sin * side[:, None] / wide[:, None, None]
         outward /= np.linalg.norm(outward, axis=2, keepdims=True)
         points = points + folds.heights(tube.name, along[:, None], around, girth[:, None])[..., None] * outward
@@ -99,6 +102,7 @@ def _centre_line(joints: Floats, along: Floats, bend: float) -> tuple[Floats, Fl
     # a triangular window: the tangent has no jumps
     weights = 1.0 - np.abs(_ROUNDING)
     weights /= weights.sum()
+    # The polygon seen through the window: corners become curves.
     places = along[:, None] + bend * _ROUNDING
     segment = np.clip(np.searchsorted(starts, places, side="right") - 1, 0, len(lengths) - 1)
     points = joints[segment] + (places - starts[segment])[..., None] * directions[segment]
@@ -112,8 +116,10 @@ def _transported(forward: Floats, tangent: Floats) -> Floats:
     out = np.empty_like(tangent)
     last = forward
     for i, along in enumerate(tangent):
+        # As little turn as can be from ring to ring: a tube must not twist.
         across = last - along * (along @ last)
         length = float(np.linalg.norm(across))
+        # A line along the old direction leaves the front open; any direction across will do.
         if length < 1e-6:
             across = np.cross(along, [0.0, 1.0, 0.0])
             length = float(np.linalg.norm(across))

@@ -103,6 +103,7 @@ def wearer_joints(motion: Motion, time: float, stature: float = 1.85, *, seed: i
     """
     if motion not in MOTIONS:
         raise AsterismError(f"the wearer does not know the motion {motion!r}; choose from {', '.join(MOTIONS)}.")
+    # The way of moving is the seed's, whatever the moment.
     style = np.random.default_rng([seed, 17])
     beginning, vigour = float(style.uniform(0.0, 1.0)), float(style.uniform(0.9, 1.1))
     walking = motion == "walk"
@@ -117,6 +118,7 @@ def wearer_joints(motion: Motion, time: float, stature: float = 1.85, *, seed: i
     joints["head"] = pelvis + k * np.array([0.03, lean, _HEAD])
     joints["crown"] = joints["head"] + k * np.array([0.0, 0.0, 0.12])
     for side, sign in (("left", 1.0), ("right", -1.0)):
+        # The other side is half a cycle later.
         swing = phase + (0.0 if sign > 0 else np.pi)
         _add_leg(joints, side, sign, k, swing if walking else None, vigour)
         _add_arm(joints, side, sign, k, swing if walking else None, raised, vigour)
@@ -125,6 +127,7 @@ def wearer_joints(motion: Motion, time: float, stature: float = 1.85, *, seed: i
 
 def _add_leg(joints: dict[str, Floats], side: str, sign: float, k: float, swing: float | None, vigour: float) -> None:
     """Hip, knee, ankle and toe: a hip that swings by 25 degrees and a knee that bends up to 60 in swing, or legs a little apart."""
+    # Standing: feet a little apart, knees not locked.
     if swing is None:
         flexion, bent, apart = 0.03, 0.06, 0.10
     else:
@@ -150,6 +153,7 @@ def _add_arm(joints: dict[str, Floats], side: str, sign: float, k: float, swing:
         flexion, apart, bent = vigour * (0.1 - 0.45 * np.sin(swing)), 0.30, vigour * (0.45 - 0.2 * np.sin(swing))
     upper = _limb(flexion, sign * apart)
     if swing is None:
+        # A raised arm bends its elbow to the side, a swinging one forward.
         lower = _limb(flexion + 0.6 * bent, sign * (apart + 0.4 * bent * (1.0 if raised > 0 else 0.0)))
     else:
         lower = _limb(flexion + bent, sign * 0.6 * apart)

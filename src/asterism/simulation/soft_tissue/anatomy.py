@@ -89,8 +89,10 @@ class Skin:
 def dense_skin(anatomy: Anatomy, points: int, scale: float, rng: np.random.Generator) -> Skin:
     """So many points, spread evenly over the tubes' surfaces with some jitter; `scale` is the stature by REFERENCE_HEIGHT."""
     areas = np.array([_area(tube) for tube in anatomy.limbs])
+    # Points by area, so that each limb is as dense; what rounding leaves goes to the first.
     counts = np.floor(points * areas / areas.sum()).astype(int)
     counts[0] += points - counts.sum()
+    # The golden angle spreads points without rows.
     golden = np.pi * (3 - np.sqrt(5))
     along = np.concatenate([(np.arange(n) + rng.random(n)) / n for n in counts])
     around = np.concatenate([np.arange(n) * golden + 0.3 * rng.standard_normal(n) for n in counts])
@@ -100,6 +102,7 @@ def dense_skin(anatomy: Anatomy, points: int, scale: float, rng: np.random.Gener
 def sparse_skin(anatomy: Anatomy, markers: int, scale: float, rng: np.random.Generator) -> Skin:
     """So many markers on each limb, one in each part of its length, from 8 to 92 %."""
     limbs = len(anatomy.limbs)
+    # One marker in each part of the limb: laboratories spread their few markers.
     along = np.concatenate([0.08 + 0.84 * (np.arange(markers) + rng.random(markers)) / markers for _ in range(limbs)])
     around = np.concatenate([2 * np.pi * (rng.permutation(markers) + rng.random(markers)) / markers for _ in range(limbs)])
     return _on_tubes(anatomy, np.repeat(np.arange(limbs), markers), along, around, scale)

@@ -99,6 +99,7 @@ def simulate_soft_tissue(plan: TrialPlan, seed: int = 0) -> SoftTissueTrial:
         raise AsterismError(f"{plan.points} points in {plan.frames} frames make no trial; at least 1 point and 2 frames are needed.")
     anatomy = ANATOMIES[plan.joint]
     number = list(ANATOMIES).index(plan.joint)
+    # The person is the same in each motion; only the movement is drawn anew.
     person = np.random.default_rng([seed, number, plan.subject, int(plan.sparse)])
     rng = np.random.default_rng([seed, number, plan.subject, int(plan.sparse), 1 + plan.motion % MOTIONS])
     scale = float(person.uniform(1.55, 1.95)) / REFERENCE_HEIGHT
@@ -114,8 +115,10 @@ def simulate_soft_tissue(plan: TrialPlan, seed: int = 0) -> SoftTissueTrial:
             rows = np.nonzero(skin.limb_of == limb)[0]
             displacement[:, rows] += _skin_motion(plan, skin, rows, centre, angle, (person, rng))
         centres[j] = rotations[joint.parent] @ centre + translations[joint.parent]
+    # The sum of three effects may be more than skin does.
     size = np.linalg.norm(displacement, axis=2, keepdims=True)
     displacement *= np.minimum(1.0, plan.rules.most_m / np.maximum(size, 1e-12))
+    # Displaced on the bone, then carried by it: so soft tissue moves.
     positions = np.einsum("tnij,tnj->tni", rotations[skin.limb_of].swapaxes(0, 1), skin.places + displacement)
     positions += translations[skin.limb_of].swapaxes(0, 1)
     positions += plan.noise_m * rng.standard_normal(positions.shape)
@@ -139,6 +142,7 @@ def _joint_rotations(plan: TrialPlan, joint: int, rng: np.random.Generator) -> R
     cycles = (2.0, 3.0, 4.0)[plan.motion % MOTIONS] * rng.uniform(0.9, 1.1)
     phase = 2 * np.pi * cycles * (time / whole) - 0.2 * rng.random() - 0.6 * joint
     swing = 0.5 - 0.5 * np.cos(phase)
+    # Fast pulses: long rests between short movements.
     if plan.motion % MOTIONS == 2:
         swing = swing**3
     share = (0.25, 1.0, 0.4)[plan.motion % MOTIONS]
@@ -151,6 +155,7 @@ def _joint_rotations(plan: TrialPlan, joint: int, rng: np.random.Generator) -> R
 def _bones(plan: TrialPlan, anatomy: Anatomy, relative: list[Rotation], scale: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """World from standing pose for each limb. The first limb sways, turns a little and drifts, as a person does who stands."""
     white = rng.standard_normal((plan.frames, 6))
+    # Nobody stands still: the first limb sways slowly.
     smooth = gaussian_filter1d(white, max(0.8 * plan.rate, 1.0), axis=0, mode="reflect")
     smooth *= np.array([0.05, 0.05, 0.08, 0.02, 0.02, 0.01]) / np.maximum(smooth.std(axis=0), 1e-9)
     rotations = np.empty((len(anatomy.limbs), plan.frames, 3, 3))
@@ -182,13 +187,16 @@ def _skin_motion(
     distance = np.linalg.norm(places - centre, axis=1)
     near = np.exp(-(((distance - distance.min()) / reach) ** 2))
     axis = np.sign(places[:, 2].mean() - centre[2]) * np.array([0.0, 0.0, 1.0])
+    # Sliding falls with the distance from the joint, and is stronger on one side.
     pattern = near * (0.65 + 0.35 * np.cos(skin.around[rows] - lean))
     out = -slide * bent[:, None, None] ** power * pattern[None, :, None] * axis
+    # Muscles bulge with the angle, but each on its own course.
     for _ in range(rules.bulges):
         middle = places[person.integers(len(places))]
         bump = np.exp(-(((places - middle) ** 2).sum(axis=1)) / rules.bulge_reach_m**2)
         course = np.sin(0.5 * np.pi * bent) ** person.uniform(1.0, 2.0) * person.choice([-1.0, 1.0])
         out += bulge * course[:, None, None] * bump[None, :, None] * skin.outward[rows]
+    # Skin swings after acceleration, so it is out of step with the angle.
     fast = np.gradient(np.gradient(angle)) * plan.rate**2
     shaken = gaussian_filter1d(fast * rng.standard_normal(len(fast)), 0.8)
     shaken /= max(float(np.abs(shaken).max()), 1e-9)

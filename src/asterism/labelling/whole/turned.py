@@ -1,0 +1,128 @@
+"""A labelled scene held against its twins: labels of tracklets in; better ones, and how far ahead of the twins they are, out.
+
+Single frames that were labelled turned round agree with one another, and so do all their tracklets. So in a few frames the labels found are
+exchanged for those of each twin of the body (`body/twins.py`), completed with the points that are left over, refined, and compared by the
+joint evidence of the whole frame, by the body of people at large. A person stands in one posture, and wears the markers in one way: what
+one frame says for the labels against a twin, the next one repeats. So a twin that is behind by few nats a frame limits the confidence,
+however many frames there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import expit
+
+from asterism.labelling.body.labeller import BodyLabeller
+from asterism.labelling.whole._twin_kernels import TwinScores, score_twins
+from asterism.labelling.whole.scene import (
+    RecordingLabellingSettings,
+    RecordingScene,
+    labels_of_body,
+    marker_offsets,
+    score_scene,
+    with_fewer_samples,
+)
+from asterism.recording import NULL, Floats, Ints
+
+
+@dataclass(frozen=True)
+class TwinRules:
+    """How labels are held against their twins. Chosen on virtual people, see docs/labelling.md.
+
+    frames       sampled frames that are compared, at most. Twice as many change no label
+    gap          nats by which a twin may be behind in a frame to be completed and refined
+    marker_gain  nats that one more marker gains in a frame at best, about
+    scale        nats a frame that make the odds of a label against its twin e to 1
+    rounds       how often a better twin is held against its own twins
+    """
+
+    frames: int = 8
+    gap: float = 40.0
+    marker_gain: float = 10.0
+    scale: float = 2.0
+    rounds: int = 3
+
+
+def twin_limits(lead: Floats, label: Ints, rules: TwinRules) -> Floats:
+    """What labels (P,), columns of all bodies, may be as certain as, by the lead (L,) of each column: (P,)."""
+    return np.append(expit(lead / rules.scale), 1.0)[label]
+
+
+def joint_evidence(labellers: Sequence[BodyLabeller], scene: RecordingScene, label: Ints) -> float:
+    """What the labels (J,) explain of a frame, the mean over the sampled ones in nats, by the bodies of people at large."""
+    offsets, total = marker_offsets(labellers), 0.0
+    for number, labeller in enumerate(labellers):
+        totals = score_scene(scene, labels_of_body(label, offsets, number), labeller.body, labeller.settings).totals
+        # a frame with fewer than three labels explains nothing
+        total += float(np.where(np.isnan(totals), -labeller.settings.first_ghost_cost, totals).mean()) if len(totals) else 0.0
+    return total
+
+
+def hold_against_twins(
+    labellers: Sequence[BodyLabeller],
+    scene: RecordingScene,
+    label: Ints,
+    relabel: Callable[[Ints], Ints],
+    rules: TwinRules,
+    settings: RecordingLabellingSettings,
+) -> tuple[Ints, Floats]:
+    """Hold the labels (J,) of a scene, columns of all bodies, against the twins of each body.
+
+    relabel: labels the scene from given labels (J,) on until they no longer change. Gives labels (J,), those given where no twin is better,
+    and by how many nats a frame each column (L,) is ahead of the best twin that labels most of its points otherwise, infinite where there
+    is none. O(frames) calls of `score_twins`, and one `relabel` where a twin is better.
+    """
+    few, offsets = with_fewer_samples(scene, rules.frames, settings), marker_offsets(labellers)
+    lead = np.full(offsets[-1], np.inf)
+    for number, labeller in enumerate(labellers):
+        columns = slice(offsets[number], offsets[number + 1])
+        for turn in range(rules.rounds + 1):
+            lead[columns], better = _lead_over_twins(labeller, few, label, offsets, number, rules)
+            if better is None or turn == rules.rounds:
+                break
+            other = relabel(better)
+            if joint_evidence(labellers, few, other) <= joint_evidence(labellers, few, label):
+                break
+            label = other
+    return label, np.maximum(lead, 0.0)
+
+
+def _lead_over_twins(
+    labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets: Ints, number: int, rules: TwinRules
+) -> tuple[Floats, Ints | None]:
+    """The lead (M,) of the labels of the body with this number over its twins, in nats a frame; and the labels (J,) of the best twin that
+    is ahead, None where there is none."""
+    own = labels_of_body(label, offsets, number)
+    # the points of other bodies are theirs
+    points = np.nonzero((label == NULL)[few.sampled_track] | (own != NULL)[few.sampled_track])[0]
+    frames, markers, twins = len(few.sampled_frames), int(offsets[number + 1] - offsets[number]), labeller.twins
+    counts = np.bincount(few.sampled_frame[points], minlength=frames)
+    begins = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    track = few.sampled_track[points]
+    shape = (len(twins) + 1, frames)
+    out = TwinScores(np.empty(shape), np.empty((*shape, markers), dtype=np.int64))
+    xyz = np.ascontiguousarray(few.sampled_xyz[points])
+    score_twins(xyz, begins, track, own, twins, labeller.body, labeller.settings, rules.gap, rules.marker_gain, out)
+    ahead = out.scores[-1] - out.scores[:-1]
+    seen = ~np.isnan(ahead)
+    behind = np.where(seen, ahead, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+    # a marker is labelled otherwise where its point is another one in most of the frames that show it
+    shown = (out.point_of[-1] != NULL)[None] & seen[:, :, None]
+    differs = 2 * (shown & (out.point_of[:-1] != out.point_of[-1])).sum(axis=1) > shown.sum(axis=1)
+    lead = np.where(differs, behind[:, None], np.inf).min(axis=0, initial=np.inf)
+    behind[~seen.any(axis=1)] = np.inf
+    best = int(np.argmin(behind)) if len(twins) else 0
+    if not len(twins) or behind[best] >= 0.0:
+        return lead, None
+    better = label.copy()
+    votes = np.zeros((len(label), markers + 1), dtype=np.int64)
+    frame, marker = np.nonzero((out.point_of[best] != NULL) & seen[best][:, None])
+    votes[:, markers] = np.bincount(track, minlength=len(label))
+    np.add.at(votes, (track[begins[frame] + out.point_of[best, frame, marker]], marker), 2)
+    given = votes.argmax(axis=1)
+    mine = (own != NULL) | (label == NULL)
+    better[mine] = np.where(given == markers, NULL, given + offsets[number])[mine]
+    return lead, better
