@@ -72,6 +72,7 @@ class Blobs:
         if when is not None and when.shape != (total, len(cameras)):
             raise AsterismError(f"times have shape {when.shape}, expected ({total}, {len(cameras)}): frames, cameras.")
         cell = frame * len(cameras) + camera
+        # Stable: blobs of one image keep the order in which they were detected.
         order = np.argsort(cell, kind="stable")
         offsets = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=total * len(cameras)))]).astype(np.int64)
         return cls(np.ascontiguousarray(xy[order]), offsets, tuple(cameras), checked_rate(rate), sizes[order], when)
@@ -80,6 +81,7 @@ class Blobs:
         return (len(self.offsets) - 1) // len(self.cameras)
 
     def select(self, kept: NDArray[np.bool_]) -> Blobs:
+        # Offsets of what is kept: how many were kept before each place.
         """Some of the blobs: those that `kept` (P,) marks. All frames and cameras stay, also those without a blob."""
         before = np.concatenate([[0], np.cumsum(kept)])
         return replace(self, xy=self.xy[kept], offsets=before[self.offsets].astype(np.int64), sizes=self.sizes[kept])

@@ -45,12 +45,14 @@ def link_step(ends, count, points, limits, workspace, previous, following):
     moving = False
     for a in range(count):
         moving = moving or ends.age[a] > 1
+    # Without any velocity nothing can be predicted: links are made by neighbourhood.
     if not moving:
         start_links(ends, count, points, limits, next_point, previous)
     pairs, capacity = 0, len(pair_track)
     for a in range(count):
         # a single point takes only what nothing else in its gate rivals; the others' rivals may lie farther than their own gate
         reach = gate[a] if ends.age[a] == 1 else limits.ratio_test * gate[a] + limits.rival_gap
+        # Points are sorted by x, so that the reachable ones are found by bisection.
         low, high = 0, n
         while low < high:
             middle = (low + high) // 2
@@ -66,6 +68,7 @@ def link_step(ends, count, points, limits, workspace, previous, following):
             far2 = dx * dx + dy * dy + dz * dz
             if far2 > reach * reach:
                 continue
+            # Crowded frames have more pairs than expected: the memory grows by doubling.
             if pairs == capacity:
                 capacity *= 2
                 pair_track, pair_point, pair_distance = (
@@ -75,6 +78,7 @@ def link_step(ends, count, points, limits, workspace, previous, following):
                 )
             pair_track[pairs], pair_point[pairs], pair_distance[pairs] = a, b, math.sqrt(far2)
             pairs += 1
+    # Each round links what is unambiguous; what it links is no rival in the next.
     while True:
         for a in range(count):
             nearest_point[a], nearest_point_distance[a], second_point_distance[a] = -1, np.inf, np.inf
@@ -103,6 +107,7 @@ def link_step(ends, count, points, limits, workspace, previous, following):
             if b < 0 or nearest_track[b] != a or nearest_point_distance[a] > gate[a]:
                 continue
             rival = limits.ratio_test * nearest_point_distance[a] + limits.rival_gap
+            # A single point has no velocity, so that anything in its gate is a rival.
             if ends.age[a] == 1:
                 rival = max(rival, gate[a])
             if second_point_distance[a] > rival and second_track_distance[b] > rival:
@@ -130,6 +135,7 @@ def link_frames(xyz, offsets, limits, backwards, linked):
         t = frames - 1 - step if backwards else step
         first, last = offsets[t], offsets[t + 1]
         link_step(ends, count, xyz[first:last], limits, workspace, linked[first:last], following)
+        # Links of a frame count from its own beginning.
         for p in range(first, last):
             if linked[p] >= 0:
                 linked[p] += begins

@@ -32,11 +32,13 @@ def choose_covering(table, wrong, weight, most, chosen, gains):
             gain = 0
             for w in range(words):
                 gain += weight[w] * popcount(table[f, w] & left[w])
+            # Strictly more: of equals the first stays, whatever the order of summation.
             if gain > best_gain:
                 best, best_gain = f, gain
         if best < 0:
             if first_round < 0:
                 first_round = count
+            # A round that adds nothing ends the choice, or the rounds would go on for ever.
             if fresh:
                 break
             left[:] = wrong
@@ -46,6 +48,7 @@ def choose_covering(table, wrong, weight, most, chosen, gains):
         taken[best] = True
         chosen[count], gains[count] = best, best_gain
         count += 1
+        # What this classifier rejects needs no other one in this round.
         for w in range(words):
             left[w] &= ~table[best, w]
     return count, first_round if first_round >= 0 else count
@@ -75,6 +78,7 @@ def order_tests(table, reads, markers, start, order, rank, first_feature):
     left = np.empty(words, dtype=np.uint64)
     count = 0
     for depth in range(len(markers)):
+        # The first marker is given; each later one is the one that is checked best.
         best, best_share = start, -1
         if depth > 0:
             for m in range(all_markers):
@@ -85,6 +89,7 @@ def order_tests(table, reads, markers, start, order, rank, first_feature):
         order[depth] = best
         open_marker[best] = False
         first_feature[depth] = count
+        # A classifier becomes computable with the last of its markers.
         for f in range(features):
             missing[f] -= reads[f, best]
         count = _rank_tests(table, reads, placed, missing, best, left, rank, count)
@@ -104,6 +109,7 @@ def _share_rejected(table, reads, placed, missing, m):
     return share
 
 
+# Only classifiers that this marker completes say anything about it now.
 @kernel
 def _rank_tests(table, reads, placed, missing, marker, left, rank, count):
     """Append the classifiers that a marker makes computable to `rank`, those that reject most of what is left first.
@@ -126,5 +132,6 @@ def _rank_tests(table, reads, placed, missing, marker, left, rank, count):
         placed[chosen] = True
         rank[count] = chosen
         count += 1
+        # The next one is chosen for what the ones before it let through.
         for w in range(len(left)):
             left[w] &= ~table[chosen, marker, w]

@@ -29,10 +29,12 @@ def count_labels(cells, markers, points, hidden, number, counts):
             row[m] = np.uint64(cells[m, k])
             if place[m] >= 0:
                 row[m] |= np.uint64(points[place[m], k])
+            # A point handed in for two markers is safe for neither.
             twice |= once & row[m]
             once |= row[m]
         missed = given = right = 0
         for m in range(m_count):
+            # Exactly one bit, and in no other row.
             single = row[m] != 0 and row[m] & (row[m] - np.uint64(1)) == 0 and row[m] & twice == 0
             given += single
             right += single and row[m] == np.uint64(1) << np.uint64(m)
