@@ -89,7 +89,7 @@ def read_image(image: NDArray[np.uint8], pattern: Pattern, rules: ReadRules | No
         found.windows,
         found.existing,
         classes.gains,
-        reading_findings(image, linked, classes.grey, found, pattern),
+        reading_findings(image, linked, classes.grey, found, pattern, rules.most_circles),
     )
 
 

@@ -26,13 +26,13 @@ _SHARED = 0.05
 
 
 def reading_findings(
-    image: NDArray[np.uint8], linked: NDArray[np.bool_], grey: bool, found: Identified, pattern: Pattern
+    image: NDArray[np.uint8], linked: NDArray[np.bool_], grey: bool, found: Identified, pattern: Pattern, most: int
 ) -> tuple[Finding, ...]:
     """Findings of one image; docs/findings.md has the cause and the mend of each.
 
-    linked (n,) are the circles on a lattice; grey says that their colours do not differ.
+    linked (n,) are the circles on a lattice; grey says that their colours do not differ; most circles are looked for.
     """
-    return (*_light(image), *_circles(image, linked, grey), *_identities(linked, found, pattern))
+    return (*_light(image), *_crowd(len(linked), most), *_circles(image, linked, grey), *_identities(linked, found, pattern))
 
 
 def _light(image: NDArray[np.uint8]) -> Iterator[Finding]:
@@ -42,6 +42,13 @@ def _light(image: NDArray[np.uint8]) -> Iterator[Finding]:
     if white > _WHITE:
         mend = "Shorten the exposure or dim the lamps."
         yield Finding("garment-overexposed", Severity.WARNING, "", f"{white:.0%} of the image is white.", mend)
+
+
+def _crowd(circles: int, most: int) -> Iterator[Finding]:
+    if circles >= most:
+        sentence = f"{circles} coloured spots were found, which is as many as are read; those below them in the image were left out."
+        mend = "Light the cloth alone or come nearer; in Python, raise `ReadRules.most_circles`."
+        yield Finding("garment-many-circles", Severity.WARNING, "", sentence, mend)
 
 
 def _circles(image: NDArray[np.uint8], linked: NDArray[np.bool_], grey: bool) -> Iterator[Finding]:

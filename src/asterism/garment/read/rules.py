@@ -42,7 +42,7 @@ class ReadRules:
     least_height   how far a circle's highest pixel is above the threshold that bounds it
     noise_height   added to it for each unit of noise that smoothing leaves
     bound          threshold that bounds a circle, as a share of its highest value, at least
-    most_circles   in one image
+    most_circles   in one image; more are left out, which is said (`garment-many-circles`)
     centre_floor   px, standard deviation of a centre without noise: pixels are square
     blur_moment    px2, what lens, pixel and smoothing add to a circle's second moments
     least_moment   px2, of the shorter axis
