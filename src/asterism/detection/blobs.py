@@ -115,6 +115,8 @@ class BlobSettings:
             raise AsterismError(
                 f"a step of {self.step} grey values is not positive; give for example 100, or none to part blobs at their valleys."
             )
+        if self.min_peak is not None and not np.isfinite(self.min_peak):
+            raise AsterismError(f"a least peak of {self.min_peak} grey values cannot be exceeded; give a number, or none to estimate it.")
         if self.weight_reference not in ("threshold", "background"):
             raise AsterismError(f"pixels cannot weigh from {self.weight_reference!r}; choose 'threshold' or 'background'.")
 
@@ -126,6 +128,14 @@ def find_blobs(image: ArrayLike, settings: BlobSettings | None = None) -> ImageB
     settings  None: thresholds are estimated from the image
 
     Raises AsterismError for colour or other kinds of image, and for settings out of range.
+
+    >>> image = np.zeros((40, 60), np.uint8)
+    >>> image[10:15, 20:25] = 200
+    >>> blobs = find_blobs(image, BlobSettings(threshold=50))
+    >>> blobs.xy
+    array([[22., 12.]])
+    >>> blobs.size.round(1)
+    array([5.6])
     """
     grey = as_grey(image)
     settings = BlobSettings() if settings is None else settings
@@ -244,6 +254,12 @@ def static_mask(
 
     Markers must move between the images: one that rests in nearly all of them is masked too. Threshold and background as in `BlobSettings`,
     the threshold for each image by itself where None. Raises AsterismError where there is no image, or where their sizes differ.
+
+    >>> images = np.zeros((10, 20, 30), np.uint8)
+    >>> images[:, 5, 5] = 255  # a lamp
+    >>> images[np.arange(10), 12, np.arange(10, 30, 2)] = 255  # a marker on its way
+    >>> np.argwhere(static_mask(images, threshold=100, margin=0)).tolist()
+    [[5, 5]]
     """
     import cv2
 

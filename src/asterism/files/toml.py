@@ -28,6 +28,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def toml_line(key: str, value: Any) -> str:
     """One `key = value`; floats keep their bits. Values are plain (numbers, texts, lists, mappings, None left out) or NumPy's."""
     text = f"{_key(key)} = {_value(value)}"
+    # Long lists of lists have a line for each: matrices stay readable.
     if len(text) > _WIDTH and isinstance(value, list) and value and isinstance(value[0], list | str):
         text = f"{_key(key)} = [\n" + "".join(f"    {_value(item)},\n" for item in value) + "]"
     return text
@@ -38,13 +39,16 @@ def _key(key: str) -> str:
 
 
 def _value(value: Any) -> str:
+    # NumPy's values become Python's.
     if hasattr(value, "tolist"):
         value = value.tolist()
+    # Before the numbers: True is an int to Python.
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int):
         return str(value)
     if isinstance(value, float):
+        # repr gives the shortest text with the same bits.
         return repr(value) if math.isfinite(value) else "nan" if math.isnan(value) else f"{'-' if value < 0 else ''}inf"
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_key(str(k))} = {_value(v)}" for k, v in value.items() if v is not None) + "}"
@@ -54,4 +58,5 @@ def _value(value: Any) -> str:
 
 
 def _text(text: str) -> str:
+    # JSON's escapes are TOML's, but for this one.
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -50,6 +50,15 @@ def reconstruct(
 
     Cameras without a pose are left out. Raises AsterismError where the rig lacks a camera of the blobs, fewer than two cameras are left, or
     a setting is out of range.
+
+    >>> from asterism.cameras import Camera
+    >>> left = Camera("left", (640, 480), (500.0, 500.0), (319.5, 239.5))
+    >>> right = Camera("right", (640, 480), (500.0, 500.0), (319.5, 239.5), translation=[-0.5, 0.0, 0.0])
+    >>> rig = Rig((left, right))
+    >>> marker = [[0.2, 0.1, 2.0]]
+    >>> blobs = Blobs.from_rows([0, 0], [0, 1], rig.project(marker).reshape(2, 2), rig.names, rate=100.0)
+    >>> reconstruct(blobs, rig, ReconstructionSettings(noise=0.3)).clouds.xyz.round(6)
+    array([[0.2, 0.1, 2. ]])
     """
     settings = ReconstructionSettings() if settings is None else settings
     findings: list[Finding] = []

@@ -47,6 +47,13 @@ def to_common_clock(blobs: Blobs) -> Blobs:
     sizes are interpolated too. Blobs whose times are None or equal come back as they are.
 
     Raises AsterismError where a camera's times do not increase, or the cameras share no time.
+
+    >>> frame, camera = np.repeat(np.arange(5), 2), np.tile([0, 1], 5)
+    >>> times = np.arange(5)[:, None] / 100 + [0.0, 0.004]  # the second camera is 4 ms late
+    >>> xy = np.column_stack([1000 * times.ravel(), np.full(10, 50.0)])  # both see 1 px per ms
+    >>> common = to_common_clock(Blobs.from_rows(frame, camera, xy, ("a", "b"), rate=100.0, times=times))
+    >>> common.xy[common.frame_of == 2].round(6).tolist()
+    [[22.0, 50.0], [22.0, 50.0]]
     """
     if blobs.times is None:
         return blobs

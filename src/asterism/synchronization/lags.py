@@ -95,7 +95,11 @@ def lags(blobs: Blobs, rig: Rig | None = None, longest: int = RULES.longest) -> 
 
 
 def out_of_step(name: str, behind: float) -> tuple[str, str]:
-    """A sentence about a camera that is so many frames behind most others, see `lags`, and what to do about it."""
+    """A sentence about a camera that is so many frames behind most others, see `lags`, and what to do about it.
+
+    >>> out_of_step("c2", 3.0)[0]
+    "camera c2 is 3 frames out of step: its frame 200 is the others' frame 197."
+    """
     many = f"{abs(behind):.0f} frame{'s' if abs(behind) != 1 else ''}"
     return (
         f"camera {name} is {many} out of step: its frame 200 is the others' frame {200 - behind:.0f}.",

@@ -67,6 +67,7 @@ def _body(table: Mapping[str, Any], origin: str) -> ArticulatedBody:
     poses = {}
     for entry in _tables(table, "poses", needed=False):
         angles = _mapping(entry.get("angles_deg", {}), "angles_deg")
+        # A pose with a misspelt hinge would silently leave that hinge at rest.
         unknown = next((name for name in angles if name not in hinges), None)
         if unknown is not None:
             raise ValueError(f"the pose {entry.get('name')!r} turns {unknown!r}, which is no hinge")
@@ -106,6 +107,7 @@ def _bone(entry: Mapping[str, Any]) -> Bone:
 
 def _unit(axis: Point) -> Point:
     length = math.sqrt(sum(x * x for x in axis))
+    # Rounded numbers are brought to length 1; a vector far from it is a mistake.
     if not 0.5 < length < 2.0:
         raise ValueError("an axis does not have length 1")
     return (axis[0] / length, axis[1] / length, axis[2] / length)
@@ -113,6 +115,7 @@ def _unit(axis: Point) -> Point:
 
 def _tables(table: Mapping[str, Any], key: str, needed: bool = True) -> list[Mapping[str, Any]]:
     found = table.get(key, [])
+    # A bound on the entries, so that a hostile file cannot take the memory.
     if not isinstance(found, list) or len(found) > _MOST or any(not isinstance(entry, dict) for entry in found) or (needed and not found):
         raise ValueError(f"`{key}` is no list of tables")
     return found
@@ -189,4 +192,5 @@ def _quoted(text: str) -> str:
 
 
 def _list(numbers: tuple[float, ...]) -> str:
+    # Adding zero turns -0.0 into 0.0, so that a body written twice is the same file.
     return "[" + ", ".join(f"{round(number, 4) + 0.0:.4f}" for number in numbers) + "]"

@@ -125,7 +125,11 @@ class Board:
 
 
 def size_of(text: str) -> tuple[int, int]:
-    """Columns and rows from a text such as 9x6. Raises AsterismError for anything else."""
+    """Columns and rows from a text such as 9x6. Raises AsterismError for anything else.
+
+    >>> size_of("9x6")
+    (9, 6)
+    """
     match = re.fullmatch(r"\s*(\d{1,3})\s*[xX×,]\s*(\d{1,3})\s*", text)
     if not match:
         raise AsterismError(f"board size {text!r} is not columns x rows, such as 9x6.")

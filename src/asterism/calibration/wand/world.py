@@ -92,6 +92,10 @@ def world_from_points(origin: ArrayLike, x: ArrayLike, y: ArrayLike) -> Similari
     """The world whose origin and x axis are two points, and whose xy plane holds the third on the side of +y; all (3,) m.
 
     Raises AsterismError where they lie in a line.
+
+    >>> rotation, translation, scale = world_from_points(origin=[1, 0, 0], x=[1, 2, 0], y=[0, 0, 0])
+    >>> (scale * rotation @ [1, 2, 0] + translation).round(6).tolist()  # the second point: two metres along the new x
+    [2.0, 0.0, 0.0]
     """
     o, a, b = (np.asarray(point, dtype=np.float64) for point in (origin, x, y))
     along, normal = a - o, np.cross(a - o, b - o)

@@ -37,6 +37,11 @@ class Volume:
         """From "6x4x2.5": width, depth and height in metres on the floor around the origin; or from "-3:3,-2:2,0:2.5" along x, y, z.
 
         vertical  the axis that points up, for the first way. Raises AsterismError for any other text, and where the vertical is oblique.
+
+        >>> Volume.parse("6x4x2.5").low.tolist()
+        [-3.0, -2.0, 0.0]
+        >>> Volume.parse("-3:3,-2:2,0:2.5").size.tolist()
+        [6.0, 4.0, 2.5]
         """
         spans = re.fullmatch(r"\s*([^:,]+):([^:,]+),([^:,]+):([^:,]+),([^:,]+):([^:,]+)\s*", text)
         sides = re.fullmatch(r"\s*([^x×]+)[x×]([^x×]+)[x×]([^x×]+)\s*", text)

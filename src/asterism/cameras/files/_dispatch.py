@@ -29,7 +29,11 @@ _WRITERS: tuple[tuple[tuple[str, ...], Callable[[Path, Rig], list[str]]], ...] =
 
 
 def is_rig_file(path: str | Path) -> bool:
-    """Whether a name is that of a rig file, or of a folder with such names."""
+    """Whether a name is that of a rig file, or of a folder with such names.
+
+    >>> [is_rig_file(name) for name in ("lab.xcp", "lab.qca.txt", "walk.c3d")]
+    [True, True, False]
+    """
     path = Path(path)
     if path.is_dir():
         return any(is_rig_file(inside) for inside in path.iterdir() if inside.is_file())
@@ -65,6 +69,15 @@ def write_rig(rig: Rig, path: str | Path) -> list[str]:
 
     Returns what the format could not carry, one phrase each. Raises AsterismError where the name says no format, the format
     cannot carry a camera, or the file cannot be written.
+
+    >>> from asterism.cameras import Camera, Rig
+    >>> rig = Rig((Camera("c1", (640, 480), (500.0, 500.0), (319.5, 239.5)),), vertical=[0, 0, 1])
+    >>> write_rig(rig, "rig.toml")
+    []
+    >>> write_rig(rig, "rig.yml")
+    ['the vertical']
+    >>> read_rig("rig.toml")["c1"].focal
+    (500.0, 500.0)
     """
     path = Path(path)
     for endings, writer in _WRITERS:

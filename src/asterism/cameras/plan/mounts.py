@@ -116,6 +116,11 @@ def focal_length(width: int, *, fov: float | None = None, focal_mm: float | None
     """The focal length in pixels of images `width` px wide, from the horizontal angle of view (degrees), or focal length and pixel pitch.
 
     Raises AsterismError where neither or both are given, or a number is impossible.
+
+    >>> round(focal_length(1280, fov=65.0))
+    1005
+    >>> round(focal_length(1280, focal_mm=4.8, pixel_um=4.8))
+    1000
     """
     if (fov is None) == (focal_mm is None) or (focal_mm is None) != (pixel_um is None):
         raise AsterismError("a lens is its angle of view (--fov), or its focal length and the pixels' pitch (--focal-mm and --pixel-um).")
