@@ -91,7 +91,9 @@ class LabelOptions:
 
 @takes(LabelOptions)
 def label(options: LabelOptions) -> None:
-    """Label the points of recordings, whatever names the points have now.
+    """Label the points of recordings.
+
+    Names that the file has already count as --known-labels says.
 
     Each file is written to FOLDER under its name and format, with everything else in it unchanged. Points that are not labelled become
     *1, *2, ... A line per file says which share of all markers in all frames is labelled (confidence 99 % or more), likely (less) and

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
+from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.marker_model import OTHER_SUBJECT_FIT, MarkerModel
 from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller
 from asterism.labelling.stretches import JoinedLabelling, label_in_stretches, stretches_of
@@ -172,7 +173,7 @@ class FileLabeller:
             recording, clouds = source.frames(here), source.clouds(here)
             if undecided is not None:
                 # the first piece that shows enough of the person tells whose body it is
-                same = _shows_subject(undecided, clouds, piece)
+                same = _shows_subject(undecided, clouds, piece, self.options.settings.subject)
                 if same is False:
                     raise _OtherSubject
                 undecided = None if same else undecided
@@ -203,7 +204,9 @@ class FileLabeller:
             while len(self._narrowed) >= _NARROWED_KEPT:
                 self._narrowed.pop(next(iter(self._narrowed)))
             try:
-                self._narrowed[trial] = self.models[0].adapt(formats.read(trial, vertical=self.options.vertical))
+                self._narrowed[trial] = self.models[0].adapt(
+                    formats.read(trial, vertical=self.options.vertical), self.options.settings.subject
+                )
             except AsterismError as problem:
                 sentence = str(problem)
                 self._narrowed[trial] = AsterismError(sentence if trial.name in sentence else f"{trial}: {sentence}")
@@ -249,9 +252,9 @@ def _of_reading(source: FrameSource) -> list[Finding]:
     return [finding for finding in source.about.metadata.get("findings", ()) if finding.severity > Severity.NOTE]
 
 
-def _shows_subject(model: MarkerModel, clouds: Clouds, labelling: Labelling) -> bool | None:
+def _shows_subject(model: MarkerModel, clouds: Clouds, labelling: Labelling, rules: SubjectRules) -> bool | None:
     """Whether a recording is of the person to whom the model is adapted; None where it shows too little of anybody."""
-    fit = model.subject_fit(clouds, labelling)
+    fit = model.subject_fit(clouds, labelling, rules)
     return None if math.isnan(fit) else fit >= OTHER_SUBJECT_FIT
 
 

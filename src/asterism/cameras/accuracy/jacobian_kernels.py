@@ -65,6 +65,7 @@ def one_at_a_time(lens_a, rotation_a, translation_a, lens_b, rotation_b, transla
             for side in range(2):
                 aim = truth.copy()
                 aim[moved] += shift if side == 0 else -shift
+                # From the true place, which is near: the search stays in its own valley.
                 place = points[i].copy()
                 for _ in range(STEPS):
                     seen = _seen(lens_a, rotation_a, translation_a, place, pixels[:2], jacobians[:2])
@@ -72,6 +73,7 @@ def one_at_a_time(lens_a, rotation_a, translation_a, lens_b, rotation_b, transla
                         place[:] = np.nan
                         break
                     normal, right = jacobians.T @ jacobians, jacobians.T @ (aim - pixels)
+                    # Rays that are nearly parallel determine no place.
                     if abs(np.linalg.det(normal)) < 1e-12 * max(np.trace(normal), 1e-300) ** 3:
                         place[:] = np.nan
                         break

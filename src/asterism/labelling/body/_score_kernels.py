@@ -53,7 +53,8 @@ def log_tail(distance2, coordinates, freedom):
 
     Up to its expected value, one for each coordinate, as a normal distribution has it: minus half the distance. Beyond, the spread of the
     whole body may be larger than the training's, with the odds of a multivariate t distribution with `freedom` degrees of freedom: a body
-    in a posture that the training lacks deviates everywhere. Continuous, and so is its slope. O(1).
+    in a posture that the training lacks deviates everywhere. Continuous, and so is its slope.
+    IN  distance2 >= 0; coordinates, their number; freedom > 0. Returns nats. O(1).
     """
     if distance2 <= coordinates:
         return -0.5 * distance2
