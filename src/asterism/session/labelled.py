@@ -79,6 +79,7 @@ class LabelledFile:
 
     def corrected(self, correction: Correction) -> LabelledFile:
         """The same file under the labels that a person has corrected."""
+        # findings and verdict stay: they are on what the models said
         return replace(self, labelling=correction.labelling, copy=self.copy.corrected(correction))
 
     def without_file(self) -> LabelledFile:
