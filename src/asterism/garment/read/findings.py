@@ -36,6 +36,7 @@ def reading_findings(
 
 
 def _light(image: NDArray[np.uint8]) -> Iterator[Finding]:
+    # Each eighth pixel is enough for a share.
     sample = image[::8, ::8]
     white = float(np.mean((sample[..., 0] >= 250) & (sample[..., 1] >= 250) & (sample[..., 2] >= 250)))
     if white > _WHITE:
@@ -54,6 +55,7 @@ def _circles(image: NDArray[np.uint8], linked: NDArray[np.bool_], grey: bool) ->
     few = int(linked.sum()) < _FEW
     sample = image[::2, ::2] if few else image[:1, :1]
     if few and float(np.percentile(np.ptp(sample, axis=2), 99.9)) < _COLOURLESS and int(np.ptp(sample)) > _CONTRAST:
+        # A picture with contrast and no colours was taken in black and white, which hides the circles.
         grey = True
     elif few:
         mend = "Come nearer, so that circles have 5 px or more, light the cloth, and see that it is in focus and faces the camera."
@@ -66,9 +68,11 @@ def _circles(image: NDArray[np.uint8], linked: NDArray[np.bool_], grey: bool) ->
 
 
 def _identities(linked: NDArray[np.bool_], found: Identified, pattern: Pattern) -> Iterator[Finding]:
+    # Too few blocks tell chance from another garment.
     if found.windows < _WINDOWS:
         return
     chance, share = chance_share(pattern), found.existing / found.windows
+    # Both must hold: misread colours lower the share of blocks, but a few places are still found.
     if share < 0.5 * (1 + chance) and (found.grid[:, 0] >= 0).sum() < 0.2 * linked.sum():
         sentence = f"Of {found.windows} blocks read, {share:.0%} are in this pattern; by chance it would be {chance:.0%}."
         mend = "Give the garment file of this cloth. If it is the right one, mend light, focus or print."
