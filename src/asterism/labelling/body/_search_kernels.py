@@ -260,6 +260,8 @@ def add_twins(model, points, workspace, count, best, counters):
            `best` the best one of them, with a finite score
     IN/OUT workspace.candidates; where all of its room is taken, the worst one makes way; counters (4,), the third of which is added to
     Returns the number of labellings and the place of the best one. O(W K (M r^2 + r^3)), and one `refine` for each twin that comes near.
+
+    Bounds: a labelling found where all rows are taken is written over the worst row, so `count` stays within them.
     """
     body, settings, candidates, trial = model.body, model.settings, workspace.candidates, workspace.trial
     markers, n, room = body.load.shape[1], len(points), len(candidates.labellings)
@@ -273,11 +275,14 @@ def add_twins(model, points, workspace, count, best, counters):
                 trial[m] = found[model.twins[w, m]] if model.twins[w, m] >= 0 else -1
                 changed = changed or trial[m] != found[m]
             labelled = count_labelled(trial)
+            # No other labelling, too little of one, or one that was found already.
             if not changed or labelled < 3 or index_of(candidates.labellings, count, trial) >= 0:
                 continue
             workspace.body.outlier[:] = False
+            # Another pose may fit the twin better: a body turned round bends the other way.
             k, score = best_pose(body, points, trial, settings, workspace.body)
             counters[2] += 1
+            # Even if each marker without a point earned what a good label does, it would stay behind.
             if score + MARKER_GAIN * (min(markers, n) - labelled) < top - MAX_TWIN_GAP:
                 continue
             score, known = refine_until_known(body, k, points, trial, candidates.labellings, count, settings, workspace.body)
@@ -285,6 +290,7 @@ def add_twins(model, points, workspace, count, best, counters):
                 continue
             place = count
             if count == room:
+                # The worst one makes way, and never the best.
                 place = 1 if best == 0 else 0
                 for h in range(room):
                     if h != best and candidates.scores[h] < candidates.scores[place]:
@@ -294,6 +300,7 @@ def add_twins(model, points, workspace, count, best, counters):
             candidates.scores[place] = score
             candidates.votes[place], candidates.last_vote[place] = candidates.votes[best], candidates.last_vote[best]
             candidates.votes_needed[place] = candidates.votes_needed[best]
+            # Better: its own twins come next.
             if score > top + 1e-6:
                 best, better = place, True
                 break
