@@ -20,7 +20,7 @@ from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import DIRTY, Fold, Test, everything, is_unnamed, movement_folds
 from benchmarks.figures import Figure
 from benchmarks.recordings.contradictions import sides_exchanged
-from benchmarks.recordings.movement import silence
+from benchmarks.recordings.walks import silence
 from benchmarks.score import Tally
 
 

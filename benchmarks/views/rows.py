@@ -1,4 +1,4 @@
-"""Gait and whole body before two to four cameras, and the paper's plain algorithm on the same blobs."""
+"""Gait and whole body before two to four cameras."""
 
 from __future__ import annotations
 
@@ -7,22 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asterism.errors import AsterismError
 from asterism.recording import Ints
 from asterism.simulation.views_laboratory import ViewsSession
 from asterism.views import ArticulatedBody, ViewsRules, label_views
-from asterism.views.frame import FrameLabeller
-from asterism.views.plain import label_stepwise, minimise_plain
-from asterism.views.scene import scene_of
-from asterism.views.start import place_by_centroids
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 from benchmarks.views.bodies import is_standing
 from benchmarks.views.hands import impossible_hands
 from benchmarks.views.sessions import (
     Tally,
-    chosen_frames,
-    frame_identity,
     gait_sessions,
     motion_sessions,
     visibility_agreement,
@@ -87,46 +80,6 @@ def whole_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
     yield from _sound(name, done, True, least=0.99)
     yield from _shares(f"{name}, standing trials", done.standing, False)
     yield from _visibility(name, done)
-
-
-def baseline(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """The paper's plain algorithm on the same blobs, with the heading and the height that it needs: 20 degrees and 10 % off at most."""
-    for kind, sessions in (("gait, 15 markers", gait_sessions), ("whole body, 26 markers, simulated motion", motion_sessions)):
-        tally = Tally()
-        ours = Tally()
-        for person, body, session in sessions(benchmark):
-            labeller = FrameLabeller(scene_of(session.blobs, session.rig), body)
-            for t in chosen_frames(session, 12):
-                start = near_start(session, labeller, t, np.random.default_rng(t))
-                if start is None:
-                    continue
-                pose, rotation = minimise_plain(labeller, t, *start)
-                tally.add(label_stepwise(labeller, t, pose, rotation), frame_identity(session, t), person)
-                ours.add(labeller.from_start(t, *start).labels, frame_identity(session, t), person)
-        yield from _shares(f"{kind}, 4 cameras, one frame, the paper's algorithm 1", tally, False)
-        yield from _shares(f"{kind}, 4 cameras, one frame from the same start, ours", ours, False)
-
-
-def near_start(
-    session: ViewsSession, labeller: FrameLabeller, t: int, rng: np.random.Generator, turn: float = 20.0, size: float = 0.1
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """The paper's start: heading and height off by as much as it allows, place by eqs 1 to 5; None where the truth lacks the pelvis."""
-    labels = list(session.recording.labels)
-    truth = session.recording.positions[t]
-    left = truth[labels.index("LASI")] - truth[labels.index("RASI")]
-    if not np.isfinite(left).all():
-        return None
-    heading = np.arctan2(left[1], left[0]) - np.pi / 2 + np.radians(rng.uniform(-turn, turn))
-    cos, sin = np.cos(heading), np.sin(heading)
-    rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    arrays = labeller.body.arrays
-    tall = np.nanmax(truth[:, 2]) / np.max(labeller.body.places[:, 2]) * (1.0 + rng.uniform(-size, size))
-    centroids = np.array([session.blobs.of(t, c).mean(axis=0) for c in range(len(session.rig))])
-    try:
-        place = place_by_centroids(session.rig, centroids, rotation @ (tall * arrays.places.mean(axis=0)))
-    except AsterismError:
-        return None
-    return np.concatenate([np.full(3, tall), place, np.zeros(3), arrays.usual]), rotation
 
 
 def _shares(row: str, tally: Tally, asked: bool, least: float = 0.995) -> Iterator[Figure]:

@@ -13,7 +13,6 @@ from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.simulation.views_motion import simulate_motion
 from asterism.views import ArticulatedBody, ViewsLabelling, load_body
 from asterism.views.sights import FROM_BOTH_SIDES
-from benchmarks import data
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.views.bodies import body_of_others, trials
 
@@ -73,12 +72,6 @@ def motion_sessions(benchmark: BenchmarkRun, cameras: int = 4) -> Iterator[tuple
         yield f"S{number}", load_body("body26"), motion_session(number, cameras, 20 if benchmark.quick else 180)
 
 
-def frame_identity(session: ViewsSession, t: int) -> Ints:
-    """What the blobs of one frame show."""
-    count = len(session.rig)
-    return session.identity[session.blobs.offsets[t * count] : session.blobs.offsets[(t + 1) * count]]
-
-
 def visibility_agreement(result: ViewsLabelling, session: ViewsSession) -> Ints:
     """(4,) markers and cameras for which it is predicted rightly whether the marker is in view, and all of the frames with the body.
 
@@ -91,9 +84,3 @@ def visibility_agreement(result: ViewsLabelling, session: ViewsSession) -> Ints:
         for told in (result.expected, result.predict_visibility(), result.predict_visibility(FROM_BOTH_SIDES))
     ]
     return np.array([*right, truth.size], dtype=np.int64)
-
-
-def chosen_frames(session: ViewsSession, most: int) -> list[int]:
-    """At most so many frames in which every camera has blobs, evenly spread."""
-    some = np.nonzero((session.blobs.counts > 0).all(axis=1))[0]
-    return [int(some[i]) for i in data.spread(len(some), most)] if len(some) else []
