@@ -66,7 +66,7 @@ def _listed(options: ReviewOptions) -> int:
     """List what to check; returns the exit status."""
     batch, found = _console.Batch("reviewed"), _Review()
     files = recordings_of(options.files, batch)
-    labeller = file_labeller(options, files)
+    labeller = file_labeller(options, files, batch)
     with _console.progress("labelling") as progress:
         for path in files:
             with batch.file(path):

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 from asterism.geometry import rotate_z_up
 from asterism.labelling import recording_labeller
 from asterism.labelling.body.labeller import BodyLabeller, usual_fits
@@ -308,6 +309,13 @@ class MarkerModel:
             self.rigid_distances,
         )
         return Stream(model, rate, delay, vertical)
+
+    def findings(self, where: str = "the model") -> list[Finding]:
+        """What a person should know of the model before they use it. where: its file."""
+        if self.state.training is not None:
+            return []
+        sentence = f"{where} was written by an earlier Asterism: it labels, but learns nothing, and does not judge recordings."
+        return [Finding("model-earlier-version", Severity.NOTE, where, sentence, "Train it again with `asterism train`.")]
 
     def in_recording(self) -> BodyInRecording:
         """This model as one of the bodies that `label_whole` looks for."""

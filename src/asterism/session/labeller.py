@@ -63,12 +63,14 @@ class FileLabeller:
     options  what a person chose for the run
     files    of the run, among which standing trials are looked for
     names    what each body is called where two have markers of one name; by default 1, 2, ...
+    findings on the models
     """
 
     models: Sequence[MarkerModel]
     options: LabellingOptions = field(default_factory=LabellingOptions)
     files: Sequence[Path] = ()
     names: Sequence[str] | None = None
+    findings: Sequence[Finding] = ()
     _narrowed: dict[Path, MarkerModel | AsterismError] = field(default_factory=dict)
     _compiled: bool = False
 
@@ -89,7 +91,8 @@ class FileLabeller:
         loaded = {path: MarkerModel.load(path) for path in dict.fromkeys(models)}
         # files say what labelled them, unless somebody has said it otherwise
         by = options.by or f"asterism {__version__}, {', '.join(path.name for path in models)}"
-        return cls([loaded[path] for path in models], replace(options, by=by), files, body_names(models))
+        findings = [finding for path, model in loaded.items() for finding in model.findings(str(path))]
+        return cls([loaded[path] for path in models], replace(options, by=by), files, body_names(models), findings)
 
     @property
     def marker_set(self) -> MarkerSet:
@@ -105,7 +108,7 @@ class FileLabeller:
         path = Path(path)
         source = open_source(path, self.options, by_ranges=self._plain.can_divide and not self.options.in_memory)
         self._compile(source)
-        person, findings = self._person(path), _of_reading(source)
+        person, findings = self._person(path), list(source.about.warnings)
         started = time.perf_counter()
         policy = choose_name_policy(source.about, self._plain.marker_set, self.options.file_names)
         try:
@@ -245,11 +248,6 @@ def body_names(models: Sequence[Path]) -> list[str]:
     """What each body is called: its model's file, or a number where two files have one name."""
     names = [path.stem for path in models]
     return names if len(set(names)) == len(names) else [str(i + 1) for i in range(len(names))]
-
-
-def _of_reading(source: FrameSource) -> list[Finding]:
-    """What the reader of the file found, without its notes, which `asterism info` shows."""
-    return [finding for finding in source.about.metadata.get("findings", ()) if finding.severity > Severity.NOTE]
 
 
 def _shows_subject(model: MarkerModel, clouds: Clouds, labelling: Labelling, rules: SubjectRules) -> bool | None:
