@@ -79,6 +79,7 @@ def evaluate(options: EvaluateOptions) -> None:
 
     model = None if options.model is None else labelling.MarkerModel.load(options.model)
     batch = _console.Batch("read")
+    # under the names of the model, or of the training that is to come
     recordings = read_labelled(
         recordings_of(options.files, batch), options.markers if model is None else model.marker_set, options.vertical, batch
     )

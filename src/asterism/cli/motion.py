@@ -122,6 +122,7 @@ def motion(options: MotionOptions) -> None:
     rules = MotionRules(method=options.method.value, joint_method=options.joints.value)
     for path in recordings_of(options.files, batch):
         with batch.file(path):
+            # unlabelled points serve: limbs are what moves together
             recording = read_points(path, options.vertical, batch)
             limbs, clinical = _limbs(options, recording), _clinical.find(recording, options.anatomy)
             with _console.progress("motion") as progress:

@@ -93,6 +93,7 @@ def reconstruct(options: ReconstructOptions) -> None:
     check_suffix(output)
     _console.check_new(output, options.overwrite)
     _console.check_new(options.json, options.overwrite)
+    # the rig first: it says which cameras the blobs must be of
     rig = read_rig(options.rig)
     settings = options.settings(rig)
     # in the rig's order; cameras that saw nothing keep their place

@@ -153,6 +153,7 @@ def _sensitivity(rig, rays, place, slopes):
         if rays[c] >= 0 and side < 2:
             own = rig.cameras[c]
             pixel_jacobians(own[LENS:], own[:9].reshape(3, 3), own[9:12], place, slopes[side])
+            # In deviations of the noise, so that both cameras compare.
             slopes[side] /= own[NOISE]
             for row in slopes[side, 0]:
                 information[0] += row[0] * row[0]

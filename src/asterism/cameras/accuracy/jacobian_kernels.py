@@ -25,6 +25,7 @@ def _seen(lens, rotation, translation, point, pixel, slope):
     for i in range(3):
         dx, dy = (rotation[0, i] - x * rotation[2, i]) / z, (rotation[1, i] - y * rotation[2, i]) / z
         slope[0, i], slope[1, i] = lens[FX] * (ux * dx + uy * dy), lens[FY] * (vx * dx + vy * dy)
+    # Beyond the fold of the lens model no pixel belongs to the point.
     return ux * vy - uy * vx > 0.0 and ux + vy > 0.0
 
 
@@ -38,6 +39,7 @@ def pixel_jacobians(lens, rotation, translation, points, out):
     """
     pixel, slope = np.empty(2), np.empty((2, 3))
     for i in range(len(points)):
+        # Beforehand, for what the camera cannot see.
         out[i] = np.nan
         if _seen(lens, rotation, translation, points[i], pixel, slope):
             out[i] = slope

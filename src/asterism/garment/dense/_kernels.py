@@ -105,6 +105,7 @@ def _descend(rotation, translation, seen, weight, camera, used, first, last, rul
         cost = _linearise(rotation, translation, seen, weight, camera, used, first, last, point[0], point[1], point[2], nearest, h, b)
         if not math.isfinite(cost):
             return math.inf
+        # So short a step that the place is found.
         if sx * sx + sy * sy + sz * sz < rules[STILL] * rules[STILL]:
             break
     return cost
