@@ -420,6 +420,11 @@ def test_piped_output_has_no_escape_codes_and_no_bar(folder: Path, model: Path, 
     assert shown.stdout.count("\n") == 1
 
 
+def test_the_list_of_commands_cuts_no_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--help") == 0
+    assert [line for line in capsys.readouterr().out.splitlines() if line.endswith("...") and not line.startswith("Usage")] == []
+
+
 def test_the_help_of_the_demo_names_all_its_demos(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("demo", "--help") == 0
     first, *rest = capsys.readouterr().out.splitlines()

@@ -12,7 +12,7 @@ import asterism
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.whole.label import label_whole
-from asterism.labelling.whole.scene import RecordingLabellingSettings
+from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import gait

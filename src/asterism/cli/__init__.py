@@ -66,7 +66,7 @@ _GROUPS: dict[str, tuple[str, Mapping[str, str]]] = {
     "calibrate": ("Make the rig of a set of cameras, and correct it.", calibrate.EXAMPLES),
     "body": ("Make the model of a body, for `label-views`.", body.EXAMPLES),
     "garment": ("Print coded garments, and capture a body that wears one.", garment.EXAMPLES),
-    "rig": ("Show how exactly a rig measures, and where to place cameras.", rig.EXAMPLES),
+    "rig": ("Show how exactly a rig measures; plan one.", rig.EXAMPLES),
 }
 """The first words of commands with two words: their help, and their commands."""
 

@@ -111,9 +111,8 @@ def uncovered_markers(model: Path, partial_solvers: Mapping[str, Mapping[str, An
 
 def report_warnings(recording: Recording, batch: _console.Batch) -> None:
     """Name what the reader of a file found, without its notes, which `asterism info` shows."""
-    for finding in recording.metadata.get("findings", ()):
-        if finding.severity > Severity.NOTE:
-            batch.found(finding)
+    for finding in recording.warnings:
+        batch.found(finding)
 
 
 def not_carried(target: Path, lost: Sequence[str], mend: str = _KEEP_THE_SOURCE) -> list[Finding]:

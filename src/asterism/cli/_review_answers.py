@@ -26,7 +26,7 @@ def correct_by_answers(options: ReviewOptions) -> int:
     found = trials(options.files, batch, without=options.output)
     files, targets = [trial.path for trial in found], outputs_of(found, options.output)
     answers = _by_file(options.answers, read_answers(options.answers), files)
-    labeller = file_labeller(options, files)
+    labeller = file_labeller(options, files, batch)
     with _console.progress("labelling") as progress:
         for path, target in zip(files, targets, strict=True):
             with batch.file(path):

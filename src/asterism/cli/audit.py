@@ -35,7 +35,9 @@ class AuditOptions:
 
 @takes(AuditOptions)
 def audit(options: AuditOptions) -> None:
-    """Find wrong labels in labelled files: markers that are exchanged for some frames or throughout, labels that jump away and back.
+    """Find wrong labels in labelled files.
+
+    Such as markers that are exchanged for some frames or throughout, and labels that jump away and back.
 
     The markers' paths show where two labels are exchanged. With files of several people, the bodies of the other people show which of
     the two is right, and what is wrong throughout. The exit status is 1 where something was found.

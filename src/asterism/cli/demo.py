@@ -65,7 +65,9 @@ class DemoOptions:
 
 @takes(DemoOptions)
 def demo(options: DemoOptions) -> None:
-    """Try the labelling in about a minute, on simulated people; or another part, by its name.
+    """Try it on simulated people, in about a minute.
+
+    Without a word it is the labelling; the words name other parts.
 
     Ten people of different sizes walk for three seconds, 15 markers each. Eight train a model. It labels the recordings of the other two
     as `asterism label` does, each as a whole: markers vanish for up to a second and come back under new track numbers, and ghosts

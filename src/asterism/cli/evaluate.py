@@ -101,7 +101,9 @@ def evaluate(options: EvaluateOptions) -> None:
     if options.report is not None:
         from asterism.report import evaluation_report
 
-        evaluation_report(options.report, evaluation, settings={"model": options.model or "each subject left out in turn", **settings})
+        said = {"model": options.model or "each subject left out in turn", **settings}
+        said["recordings_as_a_whole"] = said.pop("time")
+        evaluation_report(options.report, evaluation, settings=said)
     _console.write_json(
         options.json,
         {

@@ -12,7 +12,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._folders import Trial, check_output, trials
-from asterism.cli._labelling import check_labelling, file_names, labelling_options
+from asterism.cli._labelling import check_labelling, file_labeller, file_names
 from asterism.cli._options import (
     DropComputed,
     Files,
@@ -91,7 +91,9 @@ class LabelOptions:
 
 @takes(LabelOptions)
 def label(options: LabelOptions) -> None:
-    """Label the points of recordings, whatever names the points have now.
+    """Label the points of recordings.
+
+    Names that the file has already count as --known-labels says.
 
     Each file is written to FOLDER under its name and format, with everything else in it unchanged. Points that are not labelled become
     *1, *2, ... A line per file says which share of all markers in all frames is labelled (confidence 99 % or more), likely (less) and
@@ -157,10 +159,11 @@ class _Run:
 
     @classmethod
     def of(cls, options: LabelOptions, files: Sequence[Trial], batch: _console.Batch) -> _Run:
-        from asterism.session import FileLabeller, FinishedFiles
+        from asterism.session import FinishedFiles
 
-        chosen = labelling_options(options, rules=options.rules, in_memory=options.program is not None or options.page is not None)
-        labeller = FileLabeller.of_models(options.model, chosen, [trial.path for trial in files])
+        # the page shows the points, and the next program may want other axes: both need the whole recording
+        in_memory = options.program is not None or options.page is not None
+        labeller = file_labeller(options, [trial.path for trial in files], batch, rules=options.rules, in_memory=in_memory)
         return cls(options, labeller, FinishedFiles(options.output, options.how, options.model), batch, len(files))
 
     def result(self, trial: Trial, progress: Progress | None) -> _Result:

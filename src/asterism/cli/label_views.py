@@ -58,7 +58,9 @@ class LabelViewsOptions:
 
 @takes(LabelViewsOptions)
 def label_views(options: LabelViewsOptions) -> None:
-    """Label the blobs in the images of a few cameras with a model of the body.
+    """Label the blobs in the images of two to four cameras.
+
+    A model of the body says where each marker can be.
 
     With two to four cameras many markers are seen by one camera only and never become 3D points. The model predicts which marker each
     camera can see. Each blob gets a marker or none; markers that one camera shows get a place from the body, with a standard deviation.

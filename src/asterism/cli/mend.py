@@ -38,7 +38,9 @@ class MendOptions:
 
 @takes(MendOptions)
 def mend(options: MendOptions) -> None:
-    """Put right the wrong labels that `asterism audit` finds, in copies of the files.
+    """Put right the wrong labels that `audit` finds.
+
+    Files stay as they are; copies are written.
 
     Labels that are exchanged are exchanged back, and a label that jumps off its marker is taken back there. Everything else in a file stays
     as it is. Only files with a wrong label are written, to FOLDER. The result is audited again: what is still wrong is named, and the

@@ -100,7 +100,7 @@ class MotionResult:
 
 @takes(MotionOptions)
 def motion(options: MotionOptions) -> None:
-    """Find limbs, joints and joint angles, and how certain these are.
+    """Find joints and joint angles, and how certain they are.
 
     From the points' trajectories alone, or by the segments of a marker set (--markers). Angles count from the first frame in which both
     limbs are seen. With --uncertainty each angle gets intervals at 65 and 95 %, and a budget: what cameras, soft tissue and misplaced

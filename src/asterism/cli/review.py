@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @takes(ReviewOptions)
 def review(options: ReviewOptions) -> None:
-    """List the labels that a person should check first, or correct them.
+    """List the labels to check first, or correct them.
 
     The files are labelled as `asterism label` does it, with the same options. Nothing is written to them. A line is
     a piece of a track between two gaps: one name for it corrects all its frames. The gain is the expected number of its samples whose
@@ -66,7 +66,7 @@ def _listed(options: ReviewOptions) -> int:
     """List what to check; returns the exit status."""
     batch, found = _console.Batch("reviewed"), _Review()
     files = recordings_of(options.files, batch)
-    labeller = file_labeller(options, files)
+    labeller = file_labeller(options, files, batch)
     with _console.progress("labelling") as progress:
         for path in files:
             with batch.file(path):

@@ -115,6 +115,8 @@ class BlobSettings:
             raise AsterismError(
                 f"a step of {self.step} grey values is not positive; give for example 100, or none to part blobs at their valleys."
             )
+        if self.min_peak is not None and not np.isfinite(self.min_peak):
+            raise AsterismError(f"a least peak of {self.min_peak} grey values cannot be exceeded; give a number, or none to estimate it.")
         if self.weight_reference not in ("threshold", "background"):
             raise AsterismError(f"pixels cannot weigh from {self.weight_reference!r}; choose 'threshold' or 'background'.")
 

@@ -71,6 +71,12 @@ def frame_rows(offsets: Ints, cells: Ints) -> tuple[Ints, Ints]:
     return rows, new
 
 
+def check_offsets(offsets: Ints, rows: int, what: str) -> None:
+    """Raise AsterismError unless offsets (n + 1,) rise from 0 to the number of rows: kernels read where they say, and ask no more."""
+    if len(offsets) < 1 or offsets[0] != 0 or offsets[-1] != rows or (np.diff(offsets) < 0).any():
+        raise AsterismError(f"the offsets of {rows} {what} do not rise from 0 to {rows}; give where each frame begins, and their end.")
+
+
 def same_values(one: object, other: object, names: Iterable[str]) -> bool:
     """Whether two objects of one type have equal attributes of these names; in arrays, NaN equals NaN."""
     return all(_same(getattr(one, name), getattr(other, name)) for name in names)

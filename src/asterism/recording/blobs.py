@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
-from asterism.recording.arrays import Floats, Ints, checked_rate, frame_rows
+from asterism.recording.arrays import Floats, Ints, check_offsets, checked_rate, frame_rows
 from asterism.recording.display import Rows, as_html, as_text, duration, listed
 
 
@@ -33,6 +33,9 @@ class Blobs:
     sizes: Floats
     times: Floats | None = None
     first_frame: int = 0
+
+    def __post_init__(self) -> None:
+        check_offsets(self.offsets, len(self.xy), "blobs")
 
     @classmethod
     def from_rows(

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate, frame_rows, same_values
+from asterism.recording.arrays import Floats, Ints, as_vertical, check_offsets, checked_rate, frame_rows, same_values
 from asterism.recording.display import Rows, as_html, as_text, duration, listed
 from asterism.recording.verdict import Verdict
 
@@ -46,6 +46,9 @@ class Clouds:
     vertical: Floats
     columns: Ints
     tracks: Ints | None = None
+
+    def __post_init__(self) -> None:
+        check_offsets(self.offsets, len(self.xyz), "points")
 
     @classmethod
     def from_points(

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate, same_values
 from asterism.recording.clouds import NULL, Clouds, Labelling
 from asterism.recording.display import Rows, as_html, as_text, duration, listed
@@ -183,6 +184,11 @@ class Recording:
             name="position",
             attrs={"units": "m", "rate": self.rate, "vertical": self.vertical.tolist()},
         )
+
+    @property
+    def warnings(self) -> tuple[Finding, ...]:
+        """What the reader of its file found, without its notes, which `asterism info` shows."""
+        return tuple(finding for finding in self.metadata.get("findings", ()) if finding.severity > Severity.NOTE)
 
     @property
     def visible(self) -> NDArray[np.bool_]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from asterism.errors import AsterismError
 from asterism.recording import Floats
 from asterism.report import figures
 from asterism.report.page import NOTHING, Cell, Section, Table
@@ -116,20 +117,23 @@ def angles_by_method(analysis: MotionAnalysis, joint: JointAngles) -> tuple[dict
     """By method: the angle of one joint (T,) rad since the frame from which `joint` counts, and how many of its weights, as a share, are
     below half the mean.
 
-    Runs `estimate_limb_motion` on two limbs for each method that `analysis` did not use.
+    Runs `estimate_limb_motion` on two limbs for each method that `analysis` did not use. A method that cannot tell a limb is absent.
     """
     from asterism.motion.analysis import joint_angles
     from asterism.motion.rigid import METHODS, estimate_limb_motion
 
-    pair = (joint.parent, joint.child)
+    pair, positions = (joint.parent, joint.child), analysis.recording.positions
     angles, rejected = {}, {}
     for method in METHODS:
-        # The method in use has been computed already.
-        one, other = [
-            motion if motion.method == method else estimate_limb_motion(analysis.recording.positions[:, analysis.limb_of == limb], method)
-            for limb, motion in ((limb, analysis.motions[limb]) for limb in pair)
-        ]
-        angles[method] = joint_angles(one, other, pair, joint.name).angle
+        # The method in use has been computed already. One that finds the limb's points in a line is left out; the others still compare.
+        try:
+            one, other = [
+                motion if motion.method == method else estimate_limb_motion(positions[:, analysis.limb_of == limb], method)
+                for limb, motion in ((limb, analysis.motions[limb]) for limb in pair)
+            ]
+            angles[method] = joint_angles(one, other, pair, joint.name).angle
+        except AsterismError:
+            continue
         counted = [each.rejected[np.isfinite(each.residuals)] for each in (one, other)]
         rejected[method] = float(np.concatenate(counted).mean())
     return angles, rejected

@@ -114,6 +114,7 @@ def has_jumped(xyz, a, b, error, links, limits):
     # Both velocities must be known to tell an offset from a sudden move.
     if c < 0 or d < 0 or error < limits.jump:
         return False
+    # The same velocity on both sides of an offset: a body cannot move so, a number that passes to another marker can.
     change2 = 0.0
     for i in range(3):
         change2 += (xyz[d, i] - xyz[b, i] - xyz[a, i] + xyz[c, i]) ** 2
@@ -193,6 +194,8 @@ def repair_links(xyz, offsets, links, forbidden, limits):
     IN     xyz (P, 3) m; offsets (T + 1,); forbidden (P,) the previous point that a point was cut from, -1 for none; limits LinkLimits
     IN/OUT links Links
     O(P), and O(ends x beginnings) a frame.
+
+    Bounds: a frame has no more ends, or beginnings, than points: `most` of the fullest frame.
     """
     most = 0
     for t in range(len(offsets) - 1):

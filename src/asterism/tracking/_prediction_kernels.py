@@ -20,6 +20,8 @@ def predict_tracks(ends, count, limits, predicted, gate):
     moves as its three nearest neighbours that have a velocity, or stays where it is.
     IN  ends TrackEnds of `count` tracks; limits LinkLimits. OUT predicted (count, 3) m; gate (count,) m
     O(count), and O(count) more for each single point.
+
+    Bounds: the three nearest are kept, the third in place of what is farther.
     """
     near, near2 = np.empty(3, dtype=np.int64), np.empty(3)
     for a in range(count):
@@ -40,11 +42,13 @@ def predict_tracks(ends, count, limits, predicted, gate):
         neighbours = 0
         # Only neighbours that have a velocity can lend it.
         for b in range(count):
+            # Only those that have a velocity can lend one.
             if ends.age[b] < 2:
                 continue
             far2 = 0.0
             for i in range(3):
                 far2 += (ends.position[a, i] - ends.position[b, i]) ** 2
+            # Insertion into the three nearest.
             if neighbours == 3 and far2 >= near2[2]:
                 continue
             # Insertion into the three nearest, kept in order.
@@ -60,6 +64,7 @@ def predict_tracks(ends, count, limits, predicted, gate):
         # Nobody near has a velocity: the point is expected where it is, as far as it may have moved.
         if neighbours == 0:
             continue
+        # By the inverse square of the distance: the nearest marker is likely on the same segment.
         total = 0.0
         for k in range(neighbours):
             # The nearer a neighbour, the more alike it moves; the constant keeps coincident ones finite.
@@ -86,6 +91,8 @@ def start_links(ends, count, points, limits, next_point, previous):
     that moves by its own spacing might deceive one point, but not its neighbourhood.
     IN  ends TrackEnds of `count` tracks; points (n, 3) m; limits LinkLimits
     OUT next_point (count,), previous (n,), written where a link is made. O(count (count + n)).
+
+    Bounds: the three nearest are kept, the third in place of what is farther.
     """
     n = len(points)
     nearest, back = np.full(count, -1, dtype=np.int64), np.full(n, -1, dtype=np.int64)

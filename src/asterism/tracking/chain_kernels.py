@@ -21,6 +21,7 @@ def sort_frames(xyz, offsets, order, axes, sign):
         for p in range(offsets[t], offsets[t + 1]):
             # Insertion sort: frames are short, and nearly sorted from one to the next.
             where = p
+            # Insertion: frames come nearly in order after the first axis.
             while where > offsets[t]:
                 q = order[where - 1]
                 if sign * xyz[q, a] < sign * xyz[p, a] or (
@@ -68,6 +69,7 @@ def combine_directions(forward, backward, previous, following):
         if forward[p] >= 0:
             continued[forward[p]] = p
             age[p] = age[forward[p]] + 1
+    # Ages of the way back are counted from the end.
     for p in range(count - 1, -1, -1):
         if backward[p] >= 0:
             age_back[p] = age_back[backward[p]] + 1

@@ -31,6 +31,9 @@ def link_step(ends, count, points, limits, workspace, previous, following):
     IN   ends TrackEnds of `count` tracks; points (n, 3) m, sorted by x; limits LinkLimits; workspace LinkWorkspace for count and n
     OUT  previous (n,) the track that a point continues, -1 for none; following TrackEnds in this frame
     O((count + n) log n) and the pairs that come near; O(count (count + n)) where tracks begin.
+
+    Bounds: arrays of pairs are made twice as long where they are full; where all points of two frames lie within reach of each other, that
+    is up to twice count n pairs of 24 bytes. Pairs that are kept are written over those before.
     """
     n = len(points)
     predicted, gate, next_point = workspace.predicted, workspace.gate, workspace.next_point
@@ -87,6 +90,7 @@ def link_step(ends, count, points, limits, workspace, previous, following):
         kept = 0
         for p in range(pairs):
             a, b = pair_track[p], pair_point[p]
+            # Pairs of what is linked fall out; the list gets shorter in each round.
             if next_point[a] >= 0 or previous[b] >= 0:
                 continue
             pair_track[kept], pair_point[kept], pair_distance[kept] = a, b, pair_distance[p]
@@ -104,6 +108,7 @@ def link_step(ends, count, points, limits, workspace, previous, following):
         changed = False
         for a in range(count):
             b = nearest_point[a]
+            # Each must be the other's nearest.
             if b < 0 or nearest_track[b] != a or nearest_point_distance[a] > gate[a]:
                 continue
             rival = limits.ratio_test * nearest_point_distance[a] + limits.rival_gap
@@ -125,6 +130,8 @@ def link_frames(xyz, offsets, limits, backwards, linked):
     IN  xyz (P, 3) m, each frame's points sorted by x; offsets (T + 1,); limits LinkLimits
     OUT linked (P,) the point of the frame before (backwards: after) that a point continues, -1 for none
     O(frames) calls of `link_step`; memory for one frame.
+
+    Bounds: workspace and ends have room for the fullest frame.
     """
     most, frames = 0, len(offsets) - 1
     for t in range(frames):
@@ -139,5 +146,6 @@ def link_frames(xyz, offsets, limits, backwards, linked):
         for p in range(first, last):
             if linked[p] >= 0:
                 linked[p] += begins
+        # Two sets of ends in turn, so that no frame allocates.
         ends, following = following, ends
         count, begins = last - first, first

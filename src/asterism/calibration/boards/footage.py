@@ -158,15 +158,15 @@ def _image_cameras(images: list[tuple[Path, str | None]]) -> list[Footage]:
         own = cameras.setdefault(folder or prefix or "camera", [])
         # Images without a number get negative ones, which no image of another camera shares.
         own.append((number if number is not None else UNNUMBERED - len(own), path))
-    made = []
+    listed = []
     for name, own in cameras.items():
         own.sort()
         frames = [frame for frame, _ in own]
         twice = next((path for i, (frame, path) in enumerate(own) if i and frame == frames[i - 1]), None)
         if twice is not None:
             raise AsterismError(f"{twice}: camera {name} has two images with this number; keep one of them.")
-        made.append(Footage(name, tuple(path for _, path in own), None, np.array(frames, dtype=np.int64)))
-    return made
+        listed.append(Footage(name, tuple(path for _, path in own), None, np.array(frames, dtype=np.int64)))
+    return listed
 
 
 def _video(path: Path) -> Footage:

@@ -76,11 +76,11 @@ class Volume:
 
     def axes(self, step: float) -> tuple[Floats, Floats, Floats]:
         """Coordinates along x, y and z, about `step` m apart, from the middle of the first cell to that of the last."""
-        made = []
+        coordinates = []
         for low, size in zip(self.low, self.size, strict=True):
             count = max(1, round(size / step))
-            made.append(low + size * (np.arange(count) + 0.5) / count)
-        return made[0], made[1], made[2]
+            coordinates.append(low + size * (np.arange(count) + 0.5) / count)
+        return coordinates[0], coordinates[1], coordinates[2]
 
     def places(self, step: float) -> Floats:
         """(N, 3) m, the middles of cells of about `step` m; x changes slowest, z fastest."""

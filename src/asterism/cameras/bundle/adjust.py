@@ -40,8 +40,9 @@ class AdjustSettings:
     steps           at most
     covariance      whether the covariance of the parameters is computed
     damping         Levenberg and Marquardt's, a share of the diagonal: where it begins
-    raised, lowered its factors after a step that fails, and after one that succeeds
-    hopeless        damping at which the search ends
+    damping_up      factor after a step that fails
+    damping_down    factor after a step that succeeds
+    max_damping     damping at which the search ends
     """
 
     loss: Literal["huber", "cauchy"] = "huber"
@@ -51,9 +52,9 @@ class AdjustSettings:
     steps: int = 60
     covariance: bool = True
     damping: float = 1e-3
-    raised: float = 5.0
-    lowered: float = 0.15
-    hopeless: float = 1e10
+    damping_up: float = 5.0
+    damping_down: float = 0.15
+    max_damping: float = 1e10
 
 
 @dataclass(frozen=True)
@@ -364,21 +365,21 @@ def _descend(problem: _BundleProblem, state: _AdjustmentState) -> tuple[_Adjustm
     damping, tolerance = settings.damping, settings.tolerance
     best = _AdjustmentTrial.at(problem, state, np.zeros(problem.wanted.shape))
     done = 0
-    while done < settings.steps and damping < settings.hopeless:
+    while done < settings.steps and damping < settings.max_damping:
         done += 1
         trial = _step(problem, best, damping)
         if trial is None:
-            damping *= settings.raised
+            damping *= settings.damping_up
             continue
         if not trial.cost <= best.cost:
             if trial.cost - best.cost <= tolerance * best.cost:
                 return best.state, best.cost, done, True
-            damping *= settings.raised
+            damping *= settings.damping_up
             continue
         gain, best = best.cost - trial.cost, trial
         if gain <= tolerance * best.cost:
             return best.state, best.cost, done, True
-        damping = max(damping * settings.lowered, 1e-12)
+        damping = max(damping * settings.damping_down, 1e-12)
     return best.state, best.cost, done, False
 
 

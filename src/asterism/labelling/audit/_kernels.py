@@ -86,6 +86,7 @@ def exchange_path(paths, times, scales, emission, switch, states):
                         step += step_log_density(paths[i - 2, who ^ q], paths[i - 1, who ^ s], paths[i, who ^ r], early, late, scales[who])
                     # The path that never leaves the first state is the hypothesis to beat: all labels right.
                     if q == 0 and s == 0 and r == 0:
+                        # The path without an exchange is counted beside, to be compared with.
                         never += step
                     step += score[2 * q + s] + r * emission[i] - (switch if s != r else 0.0)
                     if step > updated[2 * s + r]:
@@ -115,6 +116,8 @@ def all_exchanges(positions, scales, emission, switch, pairs, gains):
     IN  positions (T, M, 3) m, NaN where missing; scales (M,) m; emission (P, T) nats; pairs (P, 2)
     OUT gains (P,) nats
     O(P T).
+
+    Bounds: a row for each frame that shows both: T.
     """
     frames = len(positions)
     paths, times, states = np.empty((frames, 2, 3)), np.empty(frames), np.empty(frames, dtype=np.int64)
@@ -123,6 +126,7 @@ def all_exchanges(positions, scales, emission, switch, pairs, gains):
         a, b = pairs[p]
         n = 0
         for t in range(frames):
+            # Gaps are bridged: only frames that show both can tell.
             if not (np.isnan(positions[t, a, 0]) or np.isnan(positions[t, b, 0])):
                 paths[n, 0], paths[n, 1], times[n], pair_emission[n] = positions[t, a], positions[t, b], t, emission[p, t]
                 n += 1
@@ -140,6 +144,8 @@ def exchange_gains(frames, body, settings, pairs, least, most, gains, own_scores
     OUT  gains (P, N), within -most and most, 0 where a marker is missing; own_scores (N, M) each point's score as the marker that it
          is labelled, given all others, NaN where missing
     O(N (M r^2 + r^3 + P)) and O(M r^2 + r^3) for each exchange computed exactly.
+
+    Bounds: a point for each marker that is there: M.
     """
     markers, latents = body.load.shape[1], body.load.shape[3]
     rows, trial = np.empty(markers, dtype=np.int64), np.empty(markers, dtype=np.int64)
@@ -174,6 +180,7 @@ def exchange_gains(frames, body, settings, pairs, least, most, gains, own_scores
             # The cheap estimate by leave-one-out scores spares the exact evidence for pairs that cannot gain.
             estimate = scores[a, rows[b]] + scores[b, rows[a]] - max(scores[a, rows[a]], -most) - max(scores[b, rows[b]], -most)
             gain = -most
+            # Only a serious one is computed exactly.
             if estimate > -least:
                 # The evidence as labelled is needed once per frame, and only where some pair is a candidate.
                 if top == -np.inf:

@@ -208,7 +208,8 @@ def _bodies(labeller: RecordingLabeller, clouds: Clouds, labellings: Sequence[La
 
 
 def _labelled_alone(labeller: RecordingLabeller, model: TrainedModel, clouds: Clouds) -> LabelledTracklets:
-    return label_tracklets(model.in_recording(), clouds, model.state.body_rules, labeller.settings.workers)
+    settings = labeller.settings
+    return label_tracklets(model.in_recording(), clouds, settings.recording, settings.subject, model.state.body_rules, settings.workers)
 
 
 def _body_of_points(clouds: Clouds, labellings: Sequence[Labelling]) -> Ints:

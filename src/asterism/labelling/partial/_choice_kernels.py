@@ -17,6 +17,8 @@ def count_labels(cells, markers, points, hidden, number, counts):
         hidden (M, K) bool; number (K,) how many markers are hidden
     OUT counts (H, 4) int: by number of hidden markers the frames, markers in sight without a label, labels, right labels
     O(K M). Twin: `matrix` in tests/twins.py
+
+    Bounds: a word has 64 bits, so at most 64 markers (`MOST_IN_A_WORD`); H is one more than the most that `number` has.
     """
     m_count = len(cells)
     row, place = np.empty(m_count, dtype=np.uint64), np.full(m_count, -1, dtype=np.int64)

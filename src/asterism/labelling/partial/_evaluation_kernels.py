@@ -58,6 +58,8 @@ def _load_evaluation(validation, e, kinds, points, marker_of, workspace):
     IN  validation ValidationFrames; kinds, the pair features that the search needs
     OUT points (M, 3 or WIDTH); marker_of (M,) the marker of each point; workspace SearchWorkspace
     Returns the number of points. O(M^2 kinds)
+
+    Bounds: a point for each marker in sight: M.
     """
     frame = validation.frames[validation.chosen[e]]
     n = 0
@@ -112,6 +114,7 @@ def evaluate_solver(solvers, pairs, s, validation, limits, workspace, first_id, 
             else:
                 # A solver that answers so seldom is useless, however right it is.
                 counts.failures[m] += 1
+            # A solver that is hardly ever sure is not worth the rest of the frames.
             abstains = counts.abstentions[m] > 50 and counts.abstentions[m] > 4 * counts.hits[m]
             out_of_reach = out_of_reach and (counts.failures[m] > limits.max_failures or abstains)
         # No marker of it can reach the target any more.

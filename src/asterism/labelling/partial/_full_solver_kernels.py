@@ -65,6 +65,7 @@ def label_by_full_solver(solvers, lowest_first, xyz, offsets, budget, indices, f
         points, n = xyz[offsets[t] : offsets[t + 1]], offsets[t + 1] - offsets[t]
         sort_highest_first(points, n, order)
         # A tree that begins at a low marker finds it among the first points then.
+        # Which end goes first is the thesis' comparison; the labellings found are the same.
         if lowest_first:
             order[:n] = order[:n][::-1].copy()
         point_distances(points, n, distance)

@@ -110,6 +110,7 @@ def complete_labels(strong, points, n, place, taken, levels, rules):
             for c in range(n):
                 # Tried as if it were placed, and taken back: the check reads all placed markers.
                 levels[m, c] = 0
+                # Tried in place, because the classifiers read the other markers' places, too.
                 if place[m] < 0 and not taken[c]:
                     place[m] = c
                     levels[m, c], made = check_marker(strong, m, place, points, rules.slack, rules.min_tests)
@@ -133,6 +134,7 @@ def complete_labels(strong, points, n, place, taken, levels, rules):
             # The point must be possible for no other marker that lacks one.
             if rivals == 1:
                 place[m], taken[only], changed = only, True, True
+        # A label given in one round may make another clear in the next.
         if not changed:
             break
     return evaluations
@@ -172,6 +174,7 @@ def label_by_matrix(solvers, pairs, trusted, strong, rules, xyz, offsets, out):
     completing = len(strong.first) > 1
     for t in range(frames):
         n = offsets[t + 1] - offsets[t]
+        # Distances and motion once per frame, for all solvers.
         load_frame(xyz[offsets[t] : offsets[t + 1]], n, pairs.kinds, workspace)
         matrix[:, :n] = 0
         evaluations[t] = 0
@@ -182,6 +185,7 @@ def label_by_matrix(solvers, pairs, trusted, strong, rules, xyz, offsets, out):
         place[:] = -1
         taken[:n] = False
         _choose_by_votes(matrix, n, able, (completing, rules.outvote), place, taken, single, votes[t])
+        # The strong classifier decides last, over labels that the votes have given.
         if completing:
             evaluations[t] += complete_labels(strong, workspace.points, n, place, taken, levels, rules)
             evaluations[t] += _accept_single(strong, workspace.points, rules, single, place, taken)
@@ -253,6 +257,7 @@ def _accept_single(strong, points, rules, single, place, taken):
     """Give markers without a point the one that a single solver proposed, where the strong classifier accepts. Returns the evaluations."""
     evaluations = 0
     for m in range(len(place)):
+        # What was completed in the meantime stays.
         if place[m] < 0 and single[m] >= 0 and not taken[single[m]]:
             place[m] = single[m]
             level, made = check_marker(strong, m, place, points, rules.slack, rules.min_tests)

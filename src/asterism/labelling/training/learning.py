@@ -26,7 +26,7 @@ from asterism.labelling.training.sample import FEWEST_SHOWN, Sample
 from asterism.labelling.training.trials import TrainingTrial
 from asterism.labelling.whole.certainty import Certainty, least_confidence_in_time
 from asterism.labelling.whole.label import run_trials
-from asterism.labelling.whole.scene import RecordingLabellingSettings
+from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording, subject_of
 

@@ -35,6 +35,7 @@ def fit_frames(template, positions, weights, flat, rotations, translations):
                 for i in range(3):
                     here[i] += w[n] * template[n, i]
                     there[i] += w[n] * positions[t, n, i]
+        # Beforehand, so that every way out leaves NaN.
         rotations[t], translations[t] = np.nan, np.nan
         # Two points leave the turn about their line open.
         if count < 3:
@@ -117,6 +118,7 @@ def jacobi(matrix, axes):
             break
         for p in range(n - 1):
             for q in range(p + 1, n):
+                # Zero already, and the ratio would be infinite.
                 if matrix[p, q] == 0.0:
                     continue
                 # The smaller of the two angles that clear the place, which keeps the sweep stable.
@@ -177,6 +179,7 @@ def point_spread(positions, rotations, translations, means, squares, counts):
             counts[n] += 1
             for i in range(3):
                 local = r[0, i] * x + r[1, i] * y + r[2, i] * z
+                # Mean and squares in one pass, exact also far from the origin (Welford).
                 step = local - means[n, i]
                 means[n, i] += step / counts[n]
                 squares[n] += step * (local - means[n, i])
@@ -219,6 +222,7 @@ def eigenvalue_weights(local, reference, rounds, weights):
             _slopes(reference, local[t], w, (axes_before, mean_before, axes_after, mean_after), slopes)
             normal = slopes @ slopes.T
             scale = normal[0, 0] + normal[1, 1] + normal[2, 2]
+            # No weight changes any eigenvalue.
             if not scale > 0.0:
                 break
             # Points in a plane leave the equations singular; a billionth of their size keeps them solvable.
@@ -234,6 +238,7 @@ def eigenvalue_weights(local, reference, rounds, weights):
             if not total > 0.0:
                 w[:] = 0.0
                 break
+            # The sum is kept, so that weights of different frames compare.
             w *= count / total
 
 
