@@ -15,10 +15,10 @@ _SCRIPTS = {
     "recordings": "speed.speed bodies.bodies stream.stream loop.loop gaps.gaps gaps.full_body gaps.flicker gaps.volume "
     "gaps.riding gaps.baselines ablation.ablation dirt.dirt movement.movement movement.laboratories",
     "dirt": "reliability.reliability standing.standing",
-    "cameras": "boards.rig_files boards.stereo boards.charuco detection.detection detection.centroids "
-    "detection.particles reconstruction.speed reconstruction.ghosts walk.walk wand.real_wand wand.wand wand.wand_rigs refine.refine",
+    "cameras": "boards.stereo boards.charuco detection.detection detection.centroids "
+    "detection.particles reconstruction.speed reconstruction.ghosts walk.walk wand.real_wand wand.wand wand.wand_rigs",
     "views": "rows.gait rows.whole_body",
-    "garment": "pattern.speed pattern.code capture.whole_speed reading.hard_images capture.dense",
+    "garment": "pattern.speed capture.whole_speed reading.hard_images capture.dense",
     "hostile": "long_recordings.long_recordings damaged_files.damaged_files",
     "motion": "paper.toy gait.knee angles.sparse angles.dense coverage.coverage",
     "house": "startup.startup training.training install.install install.ci",

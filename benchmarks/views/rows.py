@@ -12,8 +12,6 @@ from asterism.simulation.views_laboratory import ViewsSession
 from asterism.views import ArticulatedBody, ViewsRules, label_views
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
-from benchmarks.views.bodies import is_standing
-from benchmarks.views.hands import impossible_hands
 from benchmarks.views.sessions import (
     Tally,
     gait_sessions,
@@ -28,30 +26,22 @@ Sessions = Iterable[tuple[str, ArticulatedBody, ViewsSession]]
 class Labelled:
     """What became of whole recordings.
 
-    tally    of all blobs; standing: of those of standing trials
-    sound    of the blobs of markers whose labels by hand the anatomy allows; hands: how many hands it does not
+    tally    of all blobs
     single   (error, stated deviation) in m of each marker that one camera shows
     visible  (4,) markers and cameras with visibility predicted right, and all, see `visibility_agreement`
     """
 
     tally: Tally
-    standing: Tally
-    sound: Tally
-    hands: int
     single: list[tuple[float, float]]
     visible: Ints
 
 
 def labelled(sessions: Sessions, rules: ViewsRules | None = None) -> Labelled:
     """Whole recordings, labelled."""
-    out = Labelled(Tally(), Tally(), Tally(), 0, [], np.zeros(4, dtype=np.int64))
+    out = Labelled(Tally(), [], np.zeros(4, dtype=np.int64))
     for person, body, session in sessions:
         result = label_views(session.blobs, session.rig, body, rules=ViewsRules() if rules is None else rules)
-        contradicted = impossible_hands(session.recording) & set(body.labels)
-        for tally in (out.tally, out.standing) if is_standing(session.recording) else (out.tally,):
-            tally.add(result.labels, session.identity, person)
-        out.sound.add(result.labels, session.identity, person, [body.labels.index(name) for name in contradicted])
-        out.hands += len(contradicted) // 3
+        out.tally.add(result.labels, session.identity, person)
         one = result.views == 1
         away = np.linalg.norm(result.positions - session.recording.positions, axis=2)
         out.single += [pair for pair in zip(away[one], result.deviations[one], strict=True) if np.isfinite(pair[0])]
@@ -77,8 +67,6 @@ def whole_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
         yield from _single(name, done.single)
     name, done = "whole body, 26 markers, gait recordings, 4 cameras", labelled(gait_sessions(benchmark, 4, "body26"))
     yield from _shares(name, done.tally, True, least=0.99)
-    yield from _sound(name, done, True, least=0.99)
-    yield from _shares(f"{name}, standing trials", done.standing, False)
     yield from _visibility(name, done)
 
 
@@ -86,12 +74,6 @@ def _shares(row: str, tally: Tally, asked: bool, least: float = 0.995) -> Iterat
     yield Figure(f"{row}: right", f">= {least:g}" if asked else "none", tally.right / tally.shown, "fraction", tally.shown)
     yield Figure(f"{row}: wrong", "<= 0.003" if asked and least == 0.995 else "none", tally.wrong / tally.shown, "fraction", tally.shown)
     yield Figure(f"{row}: right, person with the least", "none", tally.worst, "fraction", len(tally.by_subject))
-
-
-def _sound(row: str, done: Labelled, asked: bool, least: float = 0.995) -> Iterator[Figure]:
-    """The shares without the hands whose labels by hand the anatomy contradicts, and how many these are."""
-    yield from _shares(f"{row}, without hands whose labels contradict the anatomy", done.sound, asked, least)
-    yield Figure(f"{row}: hands whose labels contradict the anatomy", "none", done.hands, "hands", len(done.sound.by_subject))
 
 
 def _visibility(row: str, done: Labelled, asked: str = "none") -> Iterator[Figure]:

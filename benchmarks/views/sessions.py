@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -26,9 +26,8 @@ class Tally:
     shown: int = 0
     by_subject: dict[str, list[int]] = field(default_factory=dict)
 
-    def add(self, labels: Ints, identity: Ints, subject: str = "", left_out: Sequence[int] = ()) -> None:
-        """Count one frame or recording; left_out: markers whose blobs do not count."""
-        identity = np.where(np.isin(identity, left_out), -2, identity)
+    def add(self, labels: Ints, identity: Ints, subject: str = "") -> None:
+        """Count one recording."""
         marker = identity >= 0
         right, shown = int(((labels == identity) & marker).sum()), int(marker.sum())
         wrong = int(((labels >= 0) & (labels != identity) & (identity != -2)).sum())

@@ -76,6 +76,7 @@ def file_labeller(
         in_memory=in_memory,
     )
     labeller = FileLabeller.of_models(command.model, options, files)
+    # once for the run, not once for each file
     for finding in labeller.findings:
         batch.found(finding)
     return labeller

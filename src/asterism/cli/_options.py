@@ -143,6 +143,7 @@ HitRate = Annotated[
 
 def marker_names(given: str | None) -> str | list[str] | None:
     """What --markers means to `asterism.read`: a set's name or path, or a list of names."""
+    # a file may have a comma in its name
     if given is None or "," not in given or Path(given).is_file():
         return given
     return [name.strip() for name in given.split(",") if name.strip()]
@@ -163,6 +164,7 @@ def vertical_axis(given: str | None) -> str | list[float] | None:
 def numbers(given: str, option: str) -> tuple[int, ...]:
     """The numbers of a list option, each once, in order."""
     try:
+        # shells hand over "0 1 2" and "0,1,2"; a number that comes twice is done once
         listed = tuple(dict.fromkeys(int(number) for number in given.replace(",", " ").split()))
     except ValueError:
         listed = ()
@@ -206,6 +208,7 @@ def feature_names(given: str | None) -> tuple[str, ...] | None:
     from asterism.labelling.features.registry import kinds_of
 
     names = tuple(name.strip() for name in given.split(",") if name.strip())
+    # a name that is not known is told before any file is read
     kinds_of(names)
     return names
 

@@ -51,6 +51,7 @@ def audit(options: AuditOptions) -> None:
     subjects = None if options.subject is None else [options.subject] * len(recordings)
     with _console.progress("auditing") as progress:
         errors = find_errors(recordings, subjects=subjects, seed=options.seed, progress=progress)
+    # frames as the file numbers them, by which other programs find them
     errors = [as_numbered(error, recordings) for error in errors]
     if options.json != "-":
         show(errors, batch.done)
@@ -65,6 +66,7 @@ def audit(options: AuditOptions) -> None:
         },
     )
     status = batch.close()
+    # a file that failed counts more than what was found in the others
     raise typer.Exit(status or exit_status(error.finding for error in errors))
 
 

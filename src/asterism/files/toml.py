@@ -35,7 +35,7 @@ def toml_line(key: str, value: Any) -> str:
 
 
 def _key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _text(key)
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else toml_text(key)
 
 
 def _value(value: Any) -> str:
@@ -54,9 +54,10 @@ def _value(value: Any) -> str:
         return "{" + ", ".join(f"{_key(str(k))} = {_value(v)}" for k, v in value.items() if v is not None) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_value(item) for item in value if item is not None) + "]"
-    return _text(str(value))
+    return toml_text(str(value))
 
 
-def _text(text: str) -> str:
+def toml_text(text: str) -> str:
+    """A text in quotes, as TOML reads it back."""
     # JSON's escapes are TOML's, but for this one.
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

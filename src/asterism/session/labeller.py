@@ -76,6 +76,7 @@ class FileLabeller:
 
     def __post_init__(self) -> None:
         # only a model that labels by the body can be narrowed to one, and only where there is one
+        # what votes by partial solvers has no body to narrow
         alone = len(self.models) == 1 and self.options.settings.method == "whole-body"
         find = alone and self.options.find_standing
         self._standing = StandingTrials(self.files, self.options.standing, find, self.options.vertical)
@@ -106,17 +107,21 @@ class FileLabeller:
         contradict each other.
         """
         path = Path(path)
+        # several bodies are told apart over the whole recording, and a page shows all points: both need it in memory
         source = open_source(path, self.options, by_ranges=self._plain.can_divide and not self.options.in_memory)
         self._compile(source)
         person, findings = self._person(path), list(source.about.warnings)
         started = time.perf_counter()
+        # the names of all columns decide at once, so that all stretches treat them alike
         policy = choose_name_policy(source.about, self._plain.marker_set, self.options.file_names)
         try:
             found = self._labels(path, source, person, policy, progress)
         except _OtherSubject:
+            # the narrowed model labels somebody else worse than the plain one
             findings.append(_other_subject(path, person.trial, given=bool(self.options.standing)))
             person = _Person(self._plain)
             found = self._labels(path, source, person, policy, progress)
+        # the copy is made last: only now all stretches have said which columns they use
         copy = found.source.finish(found.labelling, policy, self.options.by)
         seconds = time.perf_counter() - started
         findings += found.labelling.findings(str(path))
@@ -168,6 +173,7 @@ class FileLabeller:
             bodies[:] = [labeller.label_two(clouds, report) if two else labeller.label_bodies(clouds, report, keep_tracklets=keep)]
             return bodies[0].labelling
 
+        # a source that is not in memory wants its labels small, too
         joined = JoinedLabelling(marker_set.names, len(source.counts), len(parts), compact=source.compact)
         against, undecided = list[tuple[int, Disagreement]](), person.narrowed
         source.begin(marker_set)
@@ -180,6 +186,7 @@ class FileLabeller:
                 if same is False:
                     raise _OtherSubject
                 undecided = None if same else undecided
+            # names hold frame by frame, so that a piece needs no other one
             held, differ = merge_file_names(path, recording, clouds, piece, marker_set, policy)
             joined.add(begin, held)
             against += [(begin, each) for each in differ]

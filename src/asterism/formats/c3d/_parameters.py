@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import prod
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -271,12 +270,3 @@ def text_of(raw: bytes) -> str:
         return raw.decode("utf-8")
     except UnicodeDecodeError:
         return raw.decode("latin-1").strip()
-
-
-def as_any(parameters: Parameters, group: str, name: str) -> Any:
-    """A parameter as plain values: a list of strings or of numbers, a single one alone."""
-    record = parameters.find(group, name)
-    if record is None:
-        return None
-    values = parameters.strings(group, name) if record.kind == CHARACTER else [v.item() for v in parameters.values(group, name)]
-    return values[0] if len(values) == 1 else values
