@@ -318,7 +318,7 @@ def find_labellings(model, anchors, points, settings):
 
 
 def lay_body(mean, turn, size, aligned):
-    """The point next to each marker of a body of this size and heading; its middle and its lowest marker are where the points have theirs."""
+    """The point next to each marker of a body of this size and heading; the middles and the lowest places come together."""
     rotation = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
     placed = size * (mean - mean.mean(axis=0)) @ rotation.T
     placed += [*aligned.mean(axis=0)[:2], aligned[:, 2].min() - placed[:, 2].min()]
