@@ -176,7 +176,7 @@ class Stream:
         self._rival, self._margin = np.zeros(0, dtype=np.int64), 0.0
         self._last_search, self._age = -np.inf, 0
         self._twin_lead: Floats | None = None
-        self._twin_challenged = False
+        self._twin_challenged, self._twin_markers = False, 0
         self._waiting: deque[_WaitingFrame] = deque()
         self._pushed = 0
 
@@ -241,6 +241,7 @@ class Stream:
             return
         if self._twin_lead is None:
             self._twin_lead, _ = self._against_twins(frame, chosen)
+            self._twin_markers = chosen.labelled
         if self._verdict is not None:
             self._verdict.add(np.where((chosen.point_of >= 0)[:, None], xyz[chosen.point_of], np.nan))
         rescore(self._body, chosen.pose, xyz, chosen.point_of, settings, frame.workspace)
@@ -283,7 +284,10 @@ class Stream:
             return None
         lead, twin = self._against_twins(frame, carried)
         before = self._twin_lead
-        self._twin_lead = lead if before is None else np.where(np.isfinite(before) & np.isfinite(lead), 0.5 * (before + lead), lead)
+        # a frame that shows fewer of the same markers says less, and takes nothing back
+        if before is None or carried.labelled >= self._twin_markers:
+            mean = lead if before is None else 0.5 * (before + lead)
+            self._twin_lead, self._twin_markers = np.where(np.isfinite(mean), mean, lead), carried.labelled
         return twin
 
     def _against_twins(self, frame: _Frame, labelling: _RefinedLabelling) -> tuple[Floats, Ints | None]:
