@@ -1,4 +1,4 @@
-"""Labels and the truth in; false assignments, false occlusions, missed markers and the worth of the confidence out (thesis 5.3)."""
+"""Labels and the truth in; false assignments, false occlusions, and missed markers out (thesis 5.3)."""
 
 from __future__ import annotations
 
@@ -7,12 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.labelling.reliability import ConfidenceTally
-from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
+from asterism.recording import NULL, Clouds, Ints, Labelling
 from benchmarks.figures import Figure
-
-BINS = 20
-"""Bins of equal width between confidence 0 and 1."""
 
 
 @dataclass
@@ -25,9 +21,6 @@ class Tally:
     given     labels that were given
     right     labels that were given rightly
     missed    visible markers that got no label
-    perfect   frames in which every visible marker got its point, and nothing else was labelled
-    bins      (BINS, 3) of the given labels, by confidence: how many, sum of confidence, how many right
-    by_confidence  the given labels for reliability, log score and Brier score: `by_confidence.score()`
     """
 
     frames: int = 0
@@ -38,14 +31,10 @@ class Tally:
     given: int = 0
     right: int = 0
     missed: int = 0
-    perfect: int = 0
-    bins: Floats = field(default_factory=lambda: np.zeros((BINS, 3)))
-    by_confidence: ConfidenceTally = field(default_factory=ConfidenceTally)
 
-    def add(self, labelling: Labelling, truth: Ints, person: str = "", recording: str = "") -> None:
+    def add(self, labelling: Labelling, truth: Ints, recording: str = "") -> None:
         """Count one labelling, truth (T, M) as `simulate_occlusions` gives it.
 
-        person     whose it is, for the intervals of the reliability
         recording  which one it is, where the same one is hidden anew and counted several times
         """
         given, there = labelling.indices != NULL, truth != NULL
@@ -60,19 +49,12 @@ class Tally:
         self.given += int(given.sum())
         self.right += int(right.sum())
         self.missed += int((there & ~given).sum())
-        self.perfect += int((labelling.indices == truth).all(axis=1).sum())
-        confidence = np.nan_to_num(labelling.confidence[given])
-        which = np.clip((confidence * BINS).astype(np.int64), 0, BINS - 1)
-        for column, weights in enumerate((np.ones(len(which)), confidence, right[given].astype(np.float64))):
-            self.bins[:, column] += np.bincount(which, weights=weights, minlength=BINS)
-        self.by_confidence.add(labelling.confidence, given, right, person)
 
     def __iadd__(self, other: Tally) -> Tally:
         for recording, frames in other.recordings.items():
             self.recordings[recording] = max(frames, self.recordings.get(recording, 0))
-        for name in ("frames", "counted_once", "visible", "hidden", "given", "right", "missed", "perfect", "bins"):
+        for name in ("frames", "counted_once", "visible", "hidden", "given", "right", "missed"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
-        self.by_confidence += other.by_confidence
         return self
 
     @property
@@ -103,16 +85,6 @@ class Tally:
     def right_share(self) -> float:
         """Visible markers that got their own point, among the visible ones."""
         return _share(self.right, self.visible)
-
-    @property
-    def perfect_share(self) -> float:
-        """Frames without any mistake or omission."""
-        return _share(self.perfect, self.frames)
-
-    @property
-    def calibration_error(self) -> float:
-        """Expected calibration error of the given labels: |mean confidence - share right| over the bins, weighted by their counts."""
-        return _share(float(np.abs(self.bins[:, 1] - self.bins[:, 2]).sum()), self.given)
 
 
 def some_frames(clouds: Clouds, truth: Ints, frames: NDArray[np.int64]) -> tuple[Clouds, Ints]:

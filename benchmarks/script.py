@@ -40,15 +40,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return _measure([(given.chapter, row) for row in given.rows or known], given)
 
 
-def script(module: str) -> None:
-    """Measure the rows of one module, as `python -m MODULE` asks for, and exit."""
-    _, chapter, name = module.split(".")
-    parser = argparse.ArgumentParser(prog=f"python -m {module}")
-    _add_options(parser)
-    rows = [(chapter, row) for row, target in CHAPTERS[chapter].items() if target.startswith(f"{name}.")]
-    sys.exit(_measure(rows, parser.parse_args()))
-
-
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="few frames and folds, to see that it runs; the numbers mean little")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows into a file, too")

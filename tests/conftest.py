@@ -16,11 +16,27 @@ settings.register_profile("explore", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
 
 
+QUICK_SHARE = 3
+"""Hypothesis tries a third of the examples, the first ones, where slow tests are left out: `python tools/check.py --all` tries all."""
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.getoption("markexpr") == "not slow":
+        for item in items:
+            _try_fewer_examples(getattr(item, "obj", None))
     if hasattr(config, "workerinput"):
         from distribution import in_row
 
         items[:] = in_row(items)
+
+
+def _try_fewer_examples(test: Any) -> None:
+    function = getattr(test, "__func__", test)
+    # Hypothesis has no public way to ask a test for its settings; where this one is gone, all examples are tried.
+    given = getattr(function, "_hypothesis_internal_use_settings", None)
+    if isinstance(given, settings) and not getattr(function, "tries_fewer", False):
+        function._hypothesis_internal_use_settings = settings(given, max_examples=max(given.max_examples // QUICK_SHARE, 4))
+        function.tries_fewer = True  # parametrized tests share their function
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -8,11 +8,13 @@ import twins_body as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from asterism.errors import AsterismError
 from asterism.geometry import align_about_z
 from asterism.geometry import shared_kernels as geometry_kernels
 from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_anchor
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
 from asterism.labelling.body._score_kernels import _cholesky, evidence, leave_one_out_scores, predict_markers
+from asterism.labelling.body._search_kernels import MAX_LABELLINGS
 from asterism.labelling.body._workspace_kernels import FrameModel, make_body_workspace
 from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
 from asterism.labelling.body.labeller import FrameLabellingSettings
@@ -395,3 +397,11 @@ def test_people_are_numbered_in_order_of_appearance():
 def test_a_subsample_takes_the_same_number_of_everybody_evenly():
     rows = subsample(np.array([0] * 10 + [1] * 3), 4)
     assert rows.tolist() == [0, 3, 6, 9, 10, 11, 12]
+
+
+@pytest.mark.parametrize("proposals", [0, MAX_LABELLINGS + 1])
+def test_more_proposals_than_a_frame_keeps_are_refused(proposals: int) -> None:
+    """No anchor would be run, and no frame labelled."""
+    with pytest.raises(AsterismError, match=f"give 1 to {MAX_LABELLINGS}"):
+        FrameLabellingSettings(proposals_per_anchor=proposals)
+    assert FrameLabellingSettings(proposals_per_anchor=MAX_LABELLINGS).proposals_per_anchor == MAX_LABELLINGS

@@ -127,7 +127,7 @@ def test_the_module_is_the_command(tmp_path: Path) -> None:
         (["lable"], "lable"),
         (["label", "a.c3d"], "--model"),
         (["info"], "FILES"),
-        (["train", "a.c3d", "-o", "m", "--miner", "sideways"], "sideways"),
+        (["train", "a.c3d", "-o", "m", "--partial-solvers", "sideways"], "sideways"),
         (["train", "a.c3d", "-o", "m", "--target-hit-rate", "99.9"], "--target-hit-rate 99.9"),
         (["train", "a.c3d", "-o", "m", "--features", "g2,g77"], "g77"),
         (["train", "a.c3d", "-o", "no/such/m"], "folder"),
@@ -418,6 +418,11 @@ def test_piped_output_has_no_escape_codes_and_no_bar(folder: Path, model: Path, 
     assert shown.returncode == 0, shown.stderr
     assert "\x1b" not in shown.stdout + shown.stderr and besides_compiling(shown.stderr) == []
     assert shown.stdout.count("\n") == 1
+
+
+def test_the_list_of_commands_cuts_no_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--help") == 0
+    assert [line for line in capsys.readouterr().out.splitlines() if line.endswith("...") and not line.startswith("Usage")] == []
 
 
 def test_the_help_of_the_demo_names_all_its_demos(capsys: pytest.CaptureFixture[str]) -> None:

@@ -42,8 +42,10 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
     return specimens_of.specimens(tmp_path_factory.mktemp("whole") / "files", model=False)
 
 
-def test_damaged_copies_of_every_format_are_read_or_refused_in_a_sentence(known: list[Any], tmp_path: Path) -> None:
-    faults = [fault for number in range(8 * len(known)) for fault in trials.read_copy(number, known, tmp_path / "damaged")]
+@pytest.mark.parametrize("copies", [range(2), pytest.param(range(2, 16), marks=pytest.mark.slow)], ids=["two", "fourteen"])
+def test_damaged_copies_of_every_format_are_read_or_refused_in_a_sentence(known: list[Any], copies: range, tmp_path: Path) -> None:
+    numbers = range(copies.start * len(known), copies.stop * len(known))
+    faults = [fault for number in numbers for fault in trials.read_copy(number, known, tmp_path / "damaged")]
     assert not faults, "\n".join(f"copy {fault.number} ({fault.kind}): {fault.what}, {fault.where}" for fault in faults[:5])
     assert trials.copy_of(7, known)[1] == trials.copy_of(7, known)[1], "a number stands for one copy"
     assert len({trials.copy_of(number, known)[1] for number in range(2 * len(known))}) > 1.9 * len(known), "copies differ"

@@ -21,7 +21,7 @@ from asterism.simulation import Clutter, add_clutter, displace_marker, simulate_
 from asterism.tracking.linking import Tracklets
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-accuracy, walks_of, figures = (import_module(f"benchmarks.{name}") for name in ("dirt.accuracy", "dirt.walks", "figures"))
+accuracy, walks_of, figures = (import_module(f"benchmarks.{name}") for name in ("recordings.gaps", "recordings.walks", "figures"))
 
 ALLOWED = 0.001
 """Share of markers that the whole recording may lose, or label wrongly, against its frames."""
@@ -149,7 +149,7 @@ def test_a_recording_that_is_refused_counts_as_unlabelled(ensemble: asterism.Mar
     class Refusing:
         marker_set = ensemble.marker_set
 
-        def label(self, clouds: Clouds, time: bool) -> Labelling:
+        def label(self, clouds: Clouds) -> Labelling:
             raise asterism.AsterismError("two people")
 
     clouds, truth = simulate_gaps_and_ghosts(walks[4], 0, 0)
@@ -158,6 +158,8 @@ def test_a_recording_that_is_refused_counts_as_unlabelled(ensemble: asterism.Mar
 
 
 def test_what_is_asked_is_asked_of_conditions_that_are_measured() -> None:
-    conditions = {**accuracy.FLICKER, **accuracy.VOLUME, **accuracy.RIDING}
-    assert set(accuracy.ASKED) == set(conditions)
+    conditions = {f"clutter, {name}" for name in (*accuracy.FLICKER, *accuracy.VOLUME, *accuracy.RIDING)} | {
+        f"gaps, {name}" for name in accuracy.GAPS
+    }
+    assert set(accuracy.ASKED) == {*conditions, "59 markers, 3 hidden"}
     assert all(figures.reached(asked, 0.5) is not None for pair in accuracy.ASKED.values() for asked in pair)

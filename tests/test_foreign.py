@@ -10,9 +10,9 @@ import pytest
 from models import trained
 
 import asterism
+from asterism.labelling.recording_labeller import RecordingLabeller
 from asterism.labelling.whole.foreign import (
     ForeignConfidence,
-    ForeignRules,
     Samples,
     _placed_on,
     _scores,
@@ -22,8 +22,9 @@ from asterism.labelling.whole.foreign import (
     forward_share,
     hidden_margins,
 )
-from asterism.labelling.whole.relabel import label_tracklets
-from asterism.labelling.whole.scene import RecordingLabellingSettings, prepare_scene
+from asterism.labelling.whole.relabel import LabelledTracklets
+from asterism.labelling.whole.scene import prepare_scene
+from asterism.labelling.whole.settings import ForeignRules, RecordingLabellingSettings
 from asterism.labelling.whole.verdict import RigidDistances, VerdictRules
 from asterism.recording import Recording
 from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
@@ -36,6 +37,13 @@ SIDES = [(0, 1)]
 @pytest.fixture(scope="module")
 def walks() -> list[Recording]:
     return simulate_walks(subjects=3, frames=120, seed=4)
+
+
+def tracklets_of(trained: asterism.MarkerModel, recording: Recording) -> LabelledTracklets:
+    """A recording labelled, with what labelling it again begins with."""
+    tracklets = RecordingLabeller(trained).label_bodies(recording.clouds(), keep_tracklets=True).tracklets
+    assert tracklets is not None
+    return tracklets
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +144,7 @@ def test_a_body_is_laid_onto_points_by_its_lowest_and_by_its_highest_marker(show
 def test_of_two_labellings_that_explain_a_recording_alike_the_labels_so_far_are_ahead(
     one: asterism.MarkerModel, walks: list[Recording], crowded: bool
 ) -> None:
-    found = label_tracklets(one.in_recording(), walks[2].clouds(), one.state.body_rules).long.found
+    found = tracklets_of(one, walks[2]).long.found
     reference = RigidDistances.of_training(walks[0].positions, np.zeros(120, dtype=np.int64), 1.0, VerdictRules())
     scores = _scores(one.body_labeller, [found, found, found], Samples.of_scene(found.scene), walks[0].labels, reference, crowded, RULES)
     np.testing.assert_allclose(scores - scores[1], [RULES.prior[crowded], 0.0, 0.0], atol=1e-9)
@@ -174,7 +182,7 @@ def test_a_person_worn_otherwise_is_labelled_right_and_not_certain(one: asterism
 def test_only_a_recording_of_another_body_is_labelled_again(one: asterism.MarkerModel, walks: list[Recording]) -> None:
     aside = np.random.default_rng(1).normal(0.0, 0.025, (1, 15, 3))
     for recording, foreign in ((walks[0], False), (replace(walks[2], positions=walks[2].positions + aside), True)):
-        again = label_tracklets(one.in_recording(), recording.clouds(), one.state.body_rules).long.foreign
+        again = tracklets_of(one, recording).long.foreign
         assert (again is not None) == foreign
 
 

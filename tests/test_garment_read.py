@@ -207,7 +207,7 @@ def test_no_confidence_is_above_what_was_measured() -> None:
     links, centres = grid_links(*sheet().shape)
     colours = np.eye(4)[sheet().colours.ravel()]
     for shown, doubt in (((36_090, 2), 6.296 / 36_090), ((1000, 0), 2.996 / 1000)):
-        found = identify(plain_circles(centres), links, colours, sheet(), ReadRules(shown=shown))
+        found = identify(plain_circles(centres), links, colours, sheet(), ReadRules(validated_count=shown[0], validated_wrong=shown[1]))
         confidence = found.confidence.reshape(sheet().shape)
         assert 1 - confidence[8, 10] == pytest.approx(doubt, rel=0.05)
         assert confidence[8, 10] == confidence.max() and (confidence > 0).mean() > 0.9

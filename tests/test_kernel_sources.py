@@ -66,6 +66,21 @@ def test_cards_say_what_goes_in_and_out_and_what_it_costs() -> None:
     assert not lacking, "\n".join(["these do not say IN, OUT and O(...):", *sorted(lacking)])
 
 
+def test_cards_say_why_what_is_counted_has_room() -> None:
+    """A kernel that writes where a counter says states the bound of that array, and why it holds."""
+    lacking = []
+    for name, (node, _) in kernels().items():
+        inside = list(ast.walk(node))
+        counters = {
+            n.target.id for n in inside if isinstance(n, ast.AugAssign) and isinstance(n.op, ast.Add) and isinstance(n.target, ast.Name)
+        }
+        places = [n.slice for n in inside if isinstance(n, ast.Subscript) and isinstance(n.ctx, ast.Store)]
+        counted = any(isinstance(n, ast.Name) and n.id in counters for place in places for n in ast.walk(place))
+        if counted and not re.search(r"\bBounds:", ast.get_docstring(node) or ""):
+            lacking.append(name)
+    assert not lacking, "\n".join(["these do not say Bounds:", *lacking])
+
+
 def test_lint_asks_for_types_everywhere_but_in_kernels() -> None:
     """Mypy takes functions without types as kernels, so the lint rules must not let others pass."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]

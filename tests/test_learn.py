@@ -22,6 +22,7 @@ from asterism.labelling.partial.weak import StrongClassifier
 from asterism.labelling.training.learning import TrainingConfig, TrainingRules, TrainingState, _some_stretches
 from asterism.labelling.training.model_file import describe_model
 from asterism.labelling.training.sample import GRID, Clip, Sample, _water_level
+from asterism.session import FileLabeller, LabellingOptions
 from asterism.simulation import simulate_occlusions, simulate_walks
 
 pytestmark = pytest.mark.kernels
@@ -204,6 +205,10 @@ def test_a_model_of_an_earlier_asterism_labels_but_does_not_learn(first, walks, 
     with (tmp_path / "old.model").open("wb") as file:
         np.savez_compressed(file, **{**arrays, "head": np.frombuffer(head, dtype=np.uint8)})
     old = MarkerModel.load(tmp_path / "old.model")
+    assert first.findings() == []
+    assert [finding.code for finding in old.findings(str(tmp_path / "old.model"))] == ["model-earlier-version"]
+    labeller = FileLabeller.of_models([tmp_path / "old.model"] * 2, LabellingOptions())
+    assert [finding.where for finding in labeller.findings] == [str(tmp_path / "old.model")], "said once"
     clouds = walks[4].clouds()
     np.testing.assert_array_equal(old.label_frames(clouds).indices, first.label_frames(clouds).indices)
     with pytest.raises(AsterismError, match="earlier Asterism and keeps nothing to learn on from; train it again"):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 import json
 import pkgutil
+import re
 import warnings
 from collections.abc import Callable
 from functools import cache
@@ -359,3 +360,21 @@ def test_every_public_function_of_the_room_is_tried_here() -> None:
             for name in package.__all__:
                 if callable(getattr(package, name)) and not isinstance(getattr(package, name), type):
                     assert f"{name}(" in text.replace("(rotation_vectors, quaternions, cardan_angles,", ""), name
+
+
+def test_a_method_that_cannot_tell_a_limb_does_not_cost_the_page(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from asterism.motion import rigid
+    from asterism.report.motion import motion_report
+
+    whole = rigid.estimate_limb_motion
+
+    def without_clusters(positions: np.ndarray, method: str = "robust") -> rigid.LimbMotion:
+        if method == "pct":
+            raise AsterismError("the limb's points lie in a line, which leaves its rotation open; add a point beside the line.")
+        return whole(positions, method)
+
+    analysis = analyse_motion(Recording(walking(), tuple(f"P{i + 1}" for i in range(12)), 50.0), LIMBS)
+    monkeypatch.setattr(rigid, "estimate_limb_motion", without_clusters)
+    motion_report(tmp_path / "page.html", [("walk", analysis, None)])
+    rows = (tmp_path / "page.html").read_text()
+    assert re.search(r">\s*svd\s*</t[dh]>", rows) and not re.search(r">\s*pct\s*</t[dh]>", rows)

@@ -22,6 +22,8 @@ from asterism.labelling import join_labellings, label_together, recording_labell
 from asterism.labelling.correction import Ghost
 from asterism.labelling.recording_labeller import LabellingSettings, RecordingLabeller
 from asterism.labelling.stretches import StretchRules
+from asterism.labelling.whole.bodies import SeveralBodiesRules
+from asterism.labelling.whole.settings import ForeignRules, RecordingLabellingSettings
 from asterism.recording import Floats, Labelling, Recording, check_labels, is_partly_labelled, keep_labels
 from asterism.session import FileLabeller, LabelledFile, LabellingOptions, label_file
 from asterism.simulation import simulate_standing
@@ -399,3 +401,20 @@ def test_whatever_was_labelled_can_be_corrected(name: str, place: Path) -> None:
     assert all(len(set(row[row >= 0])) == (row >= 0).sum() for row in given), "no point has two labels"
     correction.undo()
     assert correction.labelling == first
+
+
+def test_settings_are_handed_to_all_that_label() -> None:
+    """What a caller gives holds wherever it is used: for two people, for recordings of another body, and for what a person corrects."""
+    clouds, trained = two_people().clouds(), model()
+    assert trained.label(clouds).bodies == 2
+    never = replace(RecordingLabellingSettings(), bodies=SeveralBodiesRules(min_frame_share=2.0))
+    assert RecordingLabeller(trained, LabellingSettings(recording=never)).label(clouds).bodies == 1
+    strange = other_set().clouds()
+    usual, timid = (
+        RecordingLabeller(trained, LabellingSettings(recording=replace(RecordingLabellingSettings(), foreign=rules))).label(strange)
+        for rules in (ForeignRules(), ForeignRules(log_odds=-5.0))
+    )
+    assert usual.confidence.max() > timid.confidence.max()
+    labeller = RecordingLabeller(trained, LabellingSettings(recording=never))
+    kept = labeller.label_bodies(walk().clouds(), keep_tracklets=True).tracklets
+    assert kept is not None and kept.settings is never

@@ -201,6 +201,7 @@ def test_a_page_draws_its_recordings_in_a_browser(tmp_path: Path, hidden: tuple[
     assert "<img" not in elements and "onerror" in elements, "the name is text"
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_a_recording_without_frames_or_points_opens_too(tmp_path: Path, hidden: tuple[Clouds, Ints, Labelling]) -> None:
     clouds, _, labelling = hidden

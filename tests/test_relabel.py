@@ -12,20 +12,21 @@ from correcting import model, recorded, truth_of_points, walks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.correction.pieces import cut_before
 from asterism.labelling.review import labels_of_points
 from asterism.labelling.whole import point_labels
 from asterism.labelling.whole.label import label_all_points
 from asterism.labelling.whole.point_labels import PointLabels, labelling_of
 from asterism.labelling.whole.relabel import FREE, LabelledTracklets, label_tracklets, marker_chances, relabel_tracklets
-from asterism.labelling.whole.scene import RecordingLabellingSettings
+from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.labelling.whole.verdict import confidence_limit
 from asterism.recording import Clouds, Ints, Labelling
 from asterism.tracking.linking import Tracklets
 
 
 def labelled(clouds: Clouds) -> LabelledTracklets:
-    return label_tracklets(model().in_recording(), clouds, model().state.body_rules)
+    return label_tracklets(model().in_recording(), clouds, RecordingLabellingSettings(), SubjectRules(), model().state.body_rules)
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +126,7 @@ def test_the_labelling_is_the_one_by_points_for_any_margins(seed: int, at_once: 
     points = replace(before.points, label=label, rival=rival, margin=np.where(label < 0, np.minimum(margin, 0.0), margin))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(point_labels, "FRAMES_AT_ONCE", at_once)
-        found = labelling_of(before.body, 0, before.clouds, points, np.array([0, len(before.body.markers)]))
+        found = labelling_of(before.body, 0, before.clouds, points, np.array([0, len(before.body.markers)]), before.settings)
     assert same(found, labelled_plainly(before, points))
 
 
@@ -217,7 +218,6 @@ def test_cutting_a_swapped_track_mends_both_halves() -> None:
 
 def label_of_whole_tracks(before: LabelledTracklets, tracklets: Tracklets) -> LabelledTracklets:
     """The recording as it is labelled where tracklets are not cut."""
-    from asterism.labelling.body.subject import SubjectRules
     from asterism.labelling.whole.joint import label_scene
     from asterism.labelling.whole.label import LongTracklets
     from asterism.labelling.whole.scene import prepare_scene
@@ -227,8 +227,8 @@ def label_of_whole_tracks(before: LabelledTracklets, tracklets: Tracklets) -> La
     found = label_scene([labeller], scene, rules, SubjectRules(), before.body_rules)
     long = LongTracklets(tracklets, np.ones(len(before.clouds.xyz), dtype=np.bool_), found, None)
     points = label_all_points([labeller], before.clouds, long, rules)
-    labelling = labelling_of(before.body, 0, before.clouds, points, np.array([0, 15]))
-    return LabelledTracklets(before.body, before.clouds, long, points, labelling, before.body_rules)
+    labelling = labelling_of(before.body, 0, before.clouds, points, np.array([0, 15]), before.settings)
+    return LabelledTracklets(before.body, before.clouds, long, points, labelling, before.body_rules, rules)
 
 
 def test_a_short_tracklet_can_be_named() -> None:

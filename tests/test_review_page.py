@@ -227,6 +227,7 @@ DRIVER = """(async () => {
 })();"""
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_keys_say_what_a_person_means(review: FakeReview, tmp_path: Path) -> None:
     """A ghost, a name typed in part, a cut two frames on, a swap with the list's first; the focus returns to the picture."""
@@ -246,6 +247,7 @@ def test_keys_say_what_a_person_means(review: FakeReview, tmp_path: Path) -> Non
     assert [given["revision"] for given in asked.asked[-4:]] == [1, 2, 3, 4]
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_a_wrong_token_is_said(review: FakeReview, tmp_path: Path) -> None:
     server = serve(review)

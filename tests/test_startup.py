@@ -15,7 +15,7 @@ import pytest
 import typer
 
 import asterism
-from asterism.cli._options import Miner
+from asterism.cli._options import SearchStrategy
 from asterism.cli._plain_values import PlainValuesCommand
 from asterism.recording.arrays import nan_median, nan_quantile
 from asterism.simulation import simulate_walks
@@ -72,7 +72,7 @@ def answer(arguments: list[str], cls: type | None) -> object:
         number: Annotated[int, typer.Option(min=1)] = 3,
         share: Annotated[float | None, typer.Option()] = None,
         force: Annotated[bool, typer.Option("--force")] = False,
-        miner: Annotated[Miner | None, typer.Option()] = None,
+        miner: Annotated[SearchStrategy | None, typer.Option()] = None,
         there: Annotated[Path | None, typer.Option(exists=True)] = None,
     ) -> None:
         called.append((files, model, text, number, share, force, miner, there))

@@ -23,13 +23,13 @@ from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.simulation.views_motion import simulate_motion
 from asterism.views import ArticulatedBody, checks, fit_body, label_views, load_body, save_body, shipped_bodies
 from asterism.views.frame import FrameLabeller
-from asterism.views.passes import Pass, Starts, _best_path, joined, seen
+from asterism.views.passes import DirectionalTracker, Starts, _best_path, joined, seen
 from asterism.views.plain import label_stepwise, minimise_plain
 from asterism.views.posing import posed_points
 from asterism.views.result import ViewsLabelling
 from asterism.views.rules import QUICK, RULES
 from asterism.views.scene import scene_of
-from asterism.views.sights import AROUND
+from asterism.views.sights import FROM_BOTH_SIDES
 
 GAIT = MarkerSet.load("helen-hayes")
 
@@ -103,7 +103,7 @@ def test_a_start_that_faces_the_wrong_way_is_turned_by_the_frames_that_follow() 
     pose[3:6] = middle + half @ (pose[3:6] - middle)
     wrong = labeller.from_start(0, pose, half @ right.labels.rotation)
     assert (wrong.labels != right.labels.labels).mean() > 0.3 and wrong.gain < right.labels.gain
-    forward, backward = Pass(labeller, starts, 1), Pass(labeller, starts, -1)
+    forward, backward = DirectionalTracker(labeller, starts, 1), DirectionalTracker(labeller, starts, -1)
     forward.seen[0], backward.seen[29] = seen(labeller, wrong), starts.at(29)
     for t in range(1, 30):
         forward.take(t)
@@ -221,21 +221,21 @@ def test_a_person_who_stands_still_keeps_the_names_of_both_sides_of_a_wrist() ->
 
 def test_what_the_frame_before_showed_foresees_visibility_better_than_the_body_alone() -> None:
     result, given = labelled(), session()
-    alone, both = (((told > 0.5) == given.in_view).mean() for told in (result.expected, result.foreseen()))
+    alone, both = (((told > 0.5) == given.in_view).mean() for told in (result.expected, result.predict_visibility()))
     assert both > 0.97 > alone > 0.9, f"right: {alone:.4f} by the body, {both:.4f} with the frame before"
-    after = ((result.foreseen(AROUND) > 0.5) == given.in_view).mean()
+    after = ((result.predict_visibility(FROM_BOTH_SIDES) > 0.5) == given.in_view).mean()
     assert after > both, f"right: {after:.4f} with the frame after, too"
     assert np.array_equal(result.shown.sum(axis=1), result.views)
 
 
-def test_a_frames_own_labels_take_no_part_in_what_is_foreseen_of_it() -> None:
+def test_a_frames_own_labels_take_no_part_in_what_is_predicted_of_it() -> None:
     result = labelled()
-    whole = result.foreseen()
+    whole = result.predict_visibility()
     t = 40
-    without = replace(result, labels=np.where(result.blobs.frame_of == t, -1, result.labels)).foreseen()
+    without = replace(result, labels=np.where(result.blobs.frame_of == t, -1, result.labels)).predict_visibility()
     assert np.array_equal(whole[: t + 1], without[: t + 1]) and np.array_equal(whole[t + 2 :], without[t + 2 :])
     assert (without[t + 1] <= whole[t + 1]).all() and (without[t + 1] < whole[t + 1]).any()
-    lost = replace(result, poses=np.where(np.arange(len(result.poses))[:, None] == t, np.nan, result.poses)).foreseen()
+    lost = replace(result, poses=np.where(np.arange(len(result.poses))[:, None] == t, np.nan, result.poses)).predict_visibility()
     assert (lost[t] == 0.0).all() and (np.abs(lost[t + 1] - 0.5) < np.abs(whole[t + 1] - 0.5)).mean() > 0.8
 
 

@@ -173,7 +173,7 @@ def test_the_minimum_from_a_start_that_is_off_is_the_pose_itself() -> None:
     truth = posed_points(BODY, pose, rotation)[0]
     blobs = [camera.undistort(camera.project(truth)) * camera.focal for camera in RIG]
     offsets = np.arange(0, 61, 15).astype(np.int64)
-    everything = OBSERVING._replace(doubt=np.inf)
+    everything = OBSERVING._replace(occlusion_tolerance=np.inf)
     start = pose.copy()
     start[:6] += np.array([0.1, 0.1, -0.1, 0.1, -0.1, 0.1])
     turn = twins.rotation_about(UP, np.radians(20)) @ rotation

@@ -19,7 +19,8 @@ from asterism.labelling.whole import joint
 from asterism.labelling.whole._kernels import FrameScores
 from asterism.labelling.whole.fits import point_fits
 from asterism.labelling.whole.joint import voting_frames
-from asterism.labelling.whole.scene import RecordingLabellingSettings, SceneScores, prepare_scene, score_scene
+from asterism.labelling.whole.scene import SceneScores, prepare_scene, score_scene
+from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.labelling.whole.upright import turned, upright_turns
 from asterism.recording import Clouds
 from asterism.simulation import simulate_walks
@@ -200,8 +201,10 @@ def test_a_recording_of_few_frames_is_labelled_as_its_frames_are(
 
 
 def test_empty_frames_are_fine(ensemble: asterism.MarkerModel) -> None:
-    labelling = ensemble.label(Clouds.from_points([np.empty((0, 3))] * 4, 100.0))
-    assert (labelling.indices == -1).all()
+    nothing = Clouds.from_points([np.empty((0, 3))] * 4, 100.0)
+    assert (ensemble.label_one_body(nothing).indices == -1).all()
+    with pytest.raises(asterism.AsterismError, match="no points to label"):
+        ensemble.label(nothing)
 
 
 def test_options_of_before_keep_their_meaning(ensemble: asterism.MarkerModel, walks: list[asterism.Recording]) -> None:

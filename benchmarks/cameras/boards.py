@@ -1,9 +1,8 @@
-"""Boards on real images against OpenCV and the peer's own residuals, and the sample rig files."""
+"""Boards on real images against OpenCV and the peer's own residuals."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,7 +12,6 @@ from asterism.cameras.bundle import AdjustSettings, Sightings, adjust, triangula
 from asterism.cameras.bundle.adjust import rms
 from asterism.cameras.files import read_rig
 from asterism.cameras.rig import Rig
-from asterism.errors import AsterismError
 from asterism.geometry import place_objects
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import folder
@@ -21,36 +19,6 @@ from benchmarks.figures import Figure
 
 PEER_ALONE = {"left": "<= 0.195", "right": "<= 0.207"}
 PEER_PAIR = "<= 0.217"
-RIG_FILES = (
-    "charuco-4cam/camera_array.toml",
-    "charuco-4cam/config.toml",
-    "chessboard-stereo/intrinsics.yml",
-    "chessboard-stereo/left_intrinsics.yml",
-    "particles-4cam/cam1.tif.ori",
-    "particles-4cam/cam2.tif.ori",
-    "particles-4cam/cam3.tif.ori",
-    "particles-4cam/cam4.tif.ori",
-    "qualisys/Calib.qca.txt",
-    "rigs/anipose-12cam.toml",
-    "rigs/anipose-7cam.toml",
-    "rigs/human36m.json",
-    "rigs/shelf-5cam.json",
-    "vicon/testCalibration.xcp",
-    "vicon-rig-walk/walking_1.xcp",
-)
-
-
-def rig_files(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """How many of the sample rig files are read, and say what they lack."""
-    read = [name for name in RIG_FILES if _read(folder() / "cameras" / name)]
-    yield Figure("rig files, sample files read that say what they lack", f"== {len(RIG_FILES)}", len(read), "files", len(RIG_FILES))
-
-
-def _read(path: Path) -> bool:
-    try:
-        return bool(read_rig(path).lacks)
-    except AsterismError:
-        return False
 
 
 def stereo(benchmark: BenchmarkRun) -> Iterator[Figure]:

@@ -14,9 +14,9 @@ from asterism.recording import Ints, Labelling
 from asterism.simulation import Clutter, simulate_gaps_and_ghosts
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import PEOPLE, Fold, evenly, gait, movement_folds
-from benchmarks.dirt.walks import Condition, ensemble_of, label_whole, reporting, samples
 from benchmarks.figures import Figure
 from benchmarks.recordings.stream import pushed
+from benchmarks.recordings.walks import Condition, label_whole, reporting, samples, unseen_model
 
 CONDITIONS = (
     Condition(3),
@@ -104,9 +104,9 @@ def _summed(parts: list[Worths]) -> Worths:
 def _left_out(benchmark: BenchmarkRun, subject: str) -> Worths:
     """One subject under all conditions, by a model of all others."""
     worths: dict[str, Worth] = defaultdict(Worth)
-    ensemble = ensemble_of(benchmark, subject)
+    ensemble = unseen_model(benchmark, subject)
     for condition in CONDITIONS[: 1 if benchmark.quick else None]:
-        for one in samples(subject, condition, 1):
+        for one in samples(benchmark, subject, condition, seeds=1):
             worths[FRAMES].add(ensemble.label_frames(one.clouds), one.truth, subject)
             worths[WHOLE].add(label_whole(ensemble, one.clouds, one.truth), one.truth, subject)
             worths[STREAM].add(pushed(ensemble, one.clouds, 10)[0], one.truth, subject)
@@ -123,7 +123,7 @@ def _few(benchmark: BenchmarkRun, item: tuple[int, int]) -> Worths:
     for number in (1, 2):
         subject = subjects[(first - number) % len(subjects)]
         for condition in CONDITIONS[:3]:
-            for one in samples(subject, condition, 1):
+            for one in samples(benchmark, subject, condition, seeds=1):
                 worths[FRAMES].add(ensemble.label_frames(one.clouds), one.truth, subject)
                 worths[WHOLE].add(label_whole(ensemble, one.clouds, one.truth), one.truth, subject)
     return dict(worths)

@@ -16,8 +16,8 @@ from asterism.recording import Labelling, MarkerSet, Recording
 from asterism.simulation import simulate_gaps_and_ghosts, simulate_standing
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import folder, gait, has_recordings, people_and_trials, true_names, with_columns
-from benchmarks.dirt.walks import label_whole
 from benchmarks.figures import Figure
+from benchmarks.recordings.walks import label_whole
 
 WORDS = ("static", "anat_pose")
 """What the names of files say that show a standing person."""

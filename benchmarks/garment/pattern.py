@@ -1,4 +1,4 @@
-"""The code and the reading: how many identities a sheet can have and how fast, and what is read of pictures with known truth."""
+"""How fast one image is read."""
 
 from __future__ import annotations
 
@@ -10,34 +10,14 @@ from statistics import median
 import numpy as np
 
 from asterism.cameras import Rig
-from asterism.garment import DesignRules, Pattern, design_pattern
+from asterism.garment import Pattern, design_pattern
 from asterism.garment.read import read_image
 from asterism.simulation.garment import Photo, PhotoSettings, Wearer, WornGarment, garment_rig, photograph, sheet_of, suit_masks, wear
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 
-SEEDS = 5
 JACKET = ("torso", "left arm", "right arm")
 """Parts of a suit of which a camera sees about 1,000 circles."""
-NARROW = (865, 30)
-"""Rows and columns of a sheet on which more identities fit than on a square: the search has fewer open contexts at a time."""
-
-
-def code(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """The identities of a square and of a narrow sheet that are found in seconds of one core."""
-    design_pattern((12, 12))
-    found, seconds = [], []
-    for seed in range(1 if benchmark.quick else SEEDS):
-        started = time.perf_counter()
-        side = 40 if benchmark.quick else 150
-        found.append(len(design_pattern((side, side), seed=seed, rules=DesignRules(search_steps=0)).known))
-        seconds.append(time.perf_counter() - started)
-    yield Figure("code, 4 colours: identities in less than 10 s, one core", "> 21000", float(min(found)), "identities", len(found))
-    yield Figure("code, 4 colours: the time that this took", "< 10", median(seconds), "s", len(found))
-    started = time.perf_counter()
-    narrow = len(design_pattern((60, 20) if benchmark.quick else NARROW).known)
-    yield Figure("code, 4 colours: identities of a narrow sheet, 865 x 30, one core", "> 24000", float(narrow), "identities", 1)
-    yield Figure("code, 4 colours: the time that the narrow sheet took", "< 600", time.perf_counter() - started, "s", 1)
 
 
 @cache

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
 
-from asterism.cameras import Rig
-from asterism.garment import Pattern
-from asterism.garment.dense import dense_points
 from asterism.garment.design import design_pattern
 from asterism.garment.read import ReadCircles, read_image
-from asterism.garment.surface import consistent_points
 from asterism.simulation.garment import (
     CircleTruth,
     Folds,
     Lamp,
-    Photo,
     PhotoSettings,
     Wearer,
     garment_rig,
@@ -117,37 +111,6 @@ def hard_images(benchmark: BenchmarkRun) -> Iterator[Figure]:
     yield Figure(
         "read of circles of 6 px within 60 degrees, prints through OpenCV warps", ">= 0.95", prints.recall, "share", max(prints.readable, 1)
     )
-
-
-def captured_identities(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Eight images of a moment: identities of each alone, and those that points use, after what the other cameras and the cloth say."""
-    alone, together = Tally(), Tally()
-    for number in range(1 if benchmark.quick else 9):
-        rig, pattern, photos = _moment(number, benchmark.quick)
-        reads = [read_image(photo.image, pattern) for photo in photos]
-        points = consistent_points(dense_points(rig, reads), pattern)
-        for camera, (read, photo) in enumerate(zip(reads, photos, strict=True)):
-            alone.add_photo(read, photo.truth)
-            left_out = points.rejected[points.rejected[:, 0] == camera, 1]
-            used = np.isin(read.ids, points.ids) & ~np.isin(read.ids, left_out)
-            together.add_photo(replace(read, ids=np.where(used, read.ids, -1)), photo.truth)
-    for name, tally in (("of single images", alone), ("that points of eight cameras use", together)):
-        yield Figure(f"wrong identities {name}", "< 1e-6", tally.wrong / max(tally.given, 1), "share", max(tally.given, 1))
-        bound = float(chdtri(2 * (tally.wrong + 1), 0.05)) / 2 / max(tally.given, 1)
-        yield Figure(f"wrong identities {name}, upper bound (95 %)", "none", bound, "share", max(tally.given, 1))
-
-
-def _moment(number: int, quick: bool) -> tuple[Rig, Pattern, list[Photo]]:
-    """Eight pictures of a suit at one moment; light and noise go by the number."""
-    rng = np.random.default_rng([SEED, 2, number])
-    wearer = Wearer(motion=("walk", "raise arms")[number % 2], parts=("left arm",) if quick else (), folds=Folds(height=0.003))
-    mask, pieces = sheet_of(suit_masks(wearer))
-    pattern = design_pattern(mask, pieces=pieces)
-    rig, worn = garment_rig(size=(640, 480) if quick else (1280, 960), rng=rng), wear(pattern, wearer)
-    light = list(LIGHTS.values())[number % 3]
-    settings = PhotoSettings(noise=NOISES[number // 3 % 3], blur=float(rng.uniform(0.4, 0.9)), **light)  # type: ignore[arg-type]
-    time = float(rng.uniform(0, 1.2))
-    return rig, pattern, [photograph(worn, camera, time, settings, rng=rng) for camera in rig]
 
 
 def _suit(number: int, light: str, noise: float, quick: bool) -> tuple[ReadCircles, CircleTruth]:

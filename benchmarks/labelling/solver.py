@@ -1,4 +1,4 @@
-"""One strong classifier and the full solver that it makes (thesis 5.2): how sure, how few evaluations, how fast."""
+"""The full solver that one strong classifier makes (thesis 5.2): how few evaluations, how fast."""
 
 from __future__ import annotations
 
@@ -13,20 +13,6 @@ from benchmarks.figures import Figure
 from benchmarks.labelling.seen import redrawn, test_frames
 
 WEAK = 40
-WRONG = 10**7
-
-
-def strong_classifier(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Wrong labellings of frames outside training, from two to all markers permuted: the share that 40 weak classifiers refuse."""
-    solver, test = _solver(), [blocks(recording, odd=True) for recording in people_and_trials(gait())[1]]
-    wrong = 10**5 if benchmark.quick else WRONG
-    yield Figure(
-        f"strong classifier, {WEAK} weak classifiers: accuracy over wrong labellings",
-        "> 0.999",
-        solver.accuracy(test, wrong=wrong, seed=0),
-        "fraction",
-        wrong,
-    )
 
 
 def full_solver(benchmark: BenchmarkRun) -> Iterator[Figure]:

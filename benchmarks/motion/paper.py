@@ -1,4 +1,4 @@
-"""What GaMoCap prints: the synthetic trial of 4.1, the order of equation 5, the rotation of 3.1, the average of table 1."""
+"""The synthetic trial of GaMoCap 4.1."""
 
 from __future__ import annotations
 
@@ -8,40 +8,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from asterism.motion.analysis import joint_angles
-from asterism.motion.rigid import METHODS, estimate_limb_motion, relative_rotations, rotation_vectors
+from asterism.motion.rigid import METHODS, estimate_limb_motion
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 
-TABLE_1 = {"LSA": (4.6, 3.0, 16.0, 7.9, 21.6, 5.3, 2.8, 4.2, 5.6, 3.6), "LSA+PCT": (1.1, 2.7, 0.8, 1.4, 0.3, 2.9, 0.3, 3.1, 0.1, 1.1)}
 LIMB = (3, 6)
 """Points across and along a limb of 0.1 x 0.4 m, as in the paper's figure 11."""
-
-
-def paper(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Table 1's averages from its rows, and what the printed formulas give."""
-    yield Figure("table 1, LSA: average of its ten rows (7.46 printed)", "none", float(np.mean(TABLE_1["LSA"])), "degrees", 10)
-    yield Figure("table 1, LSA+PCT: average of its ten rows (1.16 printed)", "none", float(np.mean(TABLE_1["LSA+PCT"])), "degrees", 10)
-    rng = np.random.default_rng(0)
-    points, turns = rng.normal(0, 0.1, (10, 3)), Rotation.from_rotvec(rng.normal(0, 1, (100, 3))).as_matrix()
-    printed, transposed = 0, 0
-    for turn in turns:
-        u, _, vt = np.linalg.svd((points - points.mean(axis=0)).T @ ((points - points.mean(axis=0)) @ turn.T))
-        printed += bool(np.allclose(u @ vt, turn))
-        transposed += bool(np.allclose((u @ vt).T, turn))
-    yield Figure("3.1 as printed, R = U V': rotations right", "none", printed / 100, "fraction", 100)
-    yield Figure("3.1 transposed, R = V U': rotations right", "none", transposed / 100, "fraction", 100)
-    body = Rotation.from_rotvec(np.linspace(0, 2, 50)[:, None] * [0, 0, 1]).as_matrix()
-    child = body @ Rotation.from_rotvec(np.linspace(0, 1, 50)[:, None] * [1, 0, 0]).as_matrix()
-    for name, turned in (
-        ("R_A R_B' as printed", np.einsum("tij,tkj->tik", child, body)),
-        ("R_B' R_A", relative_rotations(body, child)),
-    ):
-        wander = np.degrees(
-            np.arccos(np.clip(rotation_vectors(turned)[-1] @ [1, 0, 0] / np.linalg.norm(rotation_vectors(turned)[-1]), -1, 1))
-        )
-        yield Figure(
-            f"equation 5, {name}: a hinge's axis wanders while the body turns by 115 degrees", "none", float(wander), "degrees", 50
-        )
 
 
 def toy(benchmark: BenchmarkRun) -> Iterator[Figure]:

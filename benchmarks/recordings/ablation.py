@@ -12,13 +12,13 @@ import asterism
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.whole.label import label_whole
-from asterism.labelling.whole.scene import RecordingLabellingSettings
+from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import gait
 from benchmarks.figures import Figure
-from benchmarks.recordings.gaps import Tallies, summed
-from benchmarks.recordings.walks import CONDITIONS, standing, unseen_ensemble, with_gaps
+from benchmarks.recordings.gaps import GAPS, Tallies, summed
+from benchmarks.recordings.walks import samples, standing, unseen_model
 from benchmarks.score import Tally
 
 
@@ -56,12 +56,12 @@ def ablation(benchmark: BenchmarkRun) -> Iterator[Figure]:
 
 
 def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:
-    ensemble, tallies = unseen_ensemble(benchmark, subject), defaultdict(Tally)
+    ensemble, tallies = unseen_model(benchmark, subject), defaultdict(Tally)
     case = Case(ensemble, ensemble.adapt(standing(subject)))
-    for condition, (hidden, ghosts) in CONDITIONS.items():
-        for clouds, truth in with_gaps(benchmark, subject, hidden, ghosts, seeds=1):
-            for name, label in METHODS:
-                tallies[condition, name].add(label(case, clouds), truth)
+    for name, condition in GAPS.items():
+        for one in samples(benchmark, subject, condition, seeds=1):
+            for method, label in METHODS:
+                tallies[name, method].add(label(case, one.clouds), one.truth)
     told = (f"{c}, {m} {tally.right_share:.5f}" for (c, m), tally in tallies.items())
     benchmark.report(f"{subject} left out: {'; '.join(told)}")
     return dict(tallies)

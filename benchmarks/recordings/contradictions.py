@@ -1,5 +1,4 @@
-"""Hand labels that contradict the same person's standing trial or the body: head and hands whose markers have each other's names,
-and sides that are exchanged for a while."""
+"""Hand labels that contradict the same person's standing trial or the body: head and hands whose markers have each other's names."""
 
 from __future__ import annotations
 
@@ -7,7 +6,6 @@ from itertools import combinations, permutations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asterism.recording import Ints, Labelling, Recording
 from benchmarks.data import file_of, true_names
@@ -24,9 +22,6 @@ CLEARLY = 0.03
 
 
 HEAD = GROUPS[2][0]
-STIFF, NEAR, FAR = 0.05, 0.15, 0.5
-"""Shares of its median by which a stiff distance differs in half of the frames; by which it may differ under the other side's name; and by
-which it must under its own."""
 
 
 BODY = ("LASI", "RASI", "LTOE", "LHEE")
@@ -60,30 +55,6 @@ def believable(labelling: Labelling, truth: Ints, walk: Recording) -> tuple[Labe
     kept = np.nonzero(~np.isin(labelling.names, contradicted(walk)))[0]
     names = tuple(np.array(labelling.names)[kept])
     return Labelling(labelling.indices[:, kept], labelling.confidence[:, kept], names), truth[:, kept]
-
-
-def sides_exchanged(recording: Recording) -> NDArray[np.bool_]:
-    """(T, M) where the names of two markers have the sides of the body exchanged, as their distances to a second pair show.
-
-    A knee named left is as far from the left ankle as it is from the right one elsewhere in the recording, and the right knee likewise.
-    Which pair is exchanged the distances do not tell: both are marked. No labelling and no model takes part in it. O(pairs^2 T).
-    """
-    place = {name.lower(): number for number, name in enumerate(recording.labels)}
-    pairs = [(place[name], place["right" + name[4:]]) for name in place if name.startswith("left") and "right" + name[4:] in place]
-    out = np.zeros(recording.positions.shape[:2], dtype=np.bool_)
-    for one, other in combinations(pairs, 2):
-        own = np.stack([_apart(recording, a, b) for a, b in zip(one, other, strict=True)])
-        across = np.stack([_apart(recording, a, b) for a, b in zip(one, reversed(other), strict=True)])
-        usual = np.nanmedian(own, axis=1)[:, None]
-        if np.nanmedian(np.abs(own / usual - 1.0)) < STIFF:  # the two are on one stiff part
-            wrong = (np.abs(own / usual - 1.0) > FAR).all(axis=0) & (np.abs(across / usual - 1.0) < NEAR).all(axis=0)
-            out[np.ix_(wrong, (*one, *other))] = True
-    return out
-
-
-def _apart(recording: Recording, one: int, other: int) -> np.ndarray:
-    """(T,) m between two columns."""
-    return np.asarray(np.linalg.norm(recording.positions[:, one] - recording.positions[:, other], axis=1))
 
 
 def _head_turned(walk: Recording) -> bool:

@@ -19,8 +19,7 @@ from asterism.recording import NULL, Ints, Labelling, Recording
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import DIRTY, Fold, Test, everything, is_unnamed, movement_folds
 from benchmarks.figures import Figure
-from benchmarks.recordings.contradictions import sides_exchanged
-from benchmarks.recordings.movement import silence
+from benchmarks.recordings.walks import silence
 from benchmarks.score import Tally
 
 
@@ -28,13 +27,11 @@ from benchmarks.score import Tally
 class Found:
     """Hand labels found again, and the samples of pieces that nobody named.
 
-    kept    the same without samples in which the hand labels exchange the sides of the body, see `sides_exchanged`
     pieces  (4,) their samples; of these left null; those of pieces that can be no marker, since every marker is labelled elsewhere by
             hand in at least one of the piece's frames; of these left null
     """
 
     tally: Tally = field(default_factory=Tally)
-    kept: Tally = field(default_factory=Tally)
     pieces: Ints = field(default_factory=lambda: np.zeros(4, dtype=np.int64))
 
 
@@ -45,13 +42,9 @@ def dirt(benchmark: BenchmarkRun) -> Iterator[Figure]:
         total = Found()
         for _, found in group:
             total.tally += found.tally
-            total.kept += found.kept
             total.pieces = total.pieces + found.pieces
         tally, (samples, null, strange, strange_null) = total.tally, total.pieces
         yield tally.figure(f"dirt, {label}: hand labels found again", ">= 0.995", tally.right_share)
-        if total.kept.visible < tally.visible:
-            row = f"dirt, {label}: hand labels found again, without those that exchange the sides of the body"
-            yield total.kept.figure(row, "none", total.kept.right_share)
         yield tally.figure(f"dirt, {label}: wrong", "none", tally.false_assignments)
         if samples:
             yield Figure(f"dirt, {label}: samples without a name, left null", "none", null / samples, "fraction", int(samples))
@@ -78,8 +71,6 @@ def _tested(benchmark: BenchmarkRun, number: int) -> Found:
         nothing = silence(truth[:, :markers], test.recording.labels)
         labelling = ensemble.label(clouds) if ensemble else nothing
         found.tally.add(labelling, truth[:, :markers])
-        exchanged = sides_exchanged(everything(test.file).select(test.recording.labels))[test.frames]
-        found.kept.add(labelling, np.where(exchanged, NULL, truth[:, :markers]))
         found.pieces += _pieces(labelling, truth)
     told = f"found again {found.tally.right_share:.5f}, wrong {found.tally.false_assignments:.5f}, pieces {found.pieces}"
     benchmark.report(f"{fold.label}: {told}")

@@ -1,8 +1,8 @@
 """From one trial to all subjects: label, let a person settle what review flags, learn, go on to what is least in doubt.
 
-The one trial is labelled, or its markers are named once (`group_tracklets`). The model sees the truth through the person's answers only.
-A label is *touched* where an answer changed it, on the piece looked at or on a point that had its marker; *given by name* where a named
-group of tracks covers it; *looked at* where the piece was flagged, right or not. All are shares of all samples to be labelled.
+The model sees the truth of the others through the person's answers only. A label is *touched* where an answer changed it, on the piece
+looked at or on a point that had its marker; *looked at* where the piece was flagged, right or not. All are shares of all samples to be
+labelled.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import asterism
-from asterism.labelling import ReviewItem, apply_answers, group_tracklets, name_groups, review
+from asterism.labelling import ReviewItem, apply_answers, review
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import NULL, Clouds, Ints, Labelling, MarkerSet, Recording
 from benchmarks.benchmark_run import BenchmarkRun
@@ -69,12 +69,9 @@ class Trial:
 class Course:
     """What a whole loop took and gave; before: by the one trial's model alone."""
 
-    task: tuple[str, bool]
     samples: int
     before: Tally = field(default_factory=Tally)
     after: dict[str, Tally] = field(default_factory=dict)
-    names: int = 0
-    by_name: int = 0
     looks: int = 0
     looked_at: int = 0
     touches: int = 0
@@ -90,11 +87,7 @@ def loop(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """The loop from each start."""
     people = list(gait())
     starts = people[:: len(people) // STARTS][: 1 if benchmark.quick else STARTS]
-    tasks = [(start, named) for named in ((False,) if benchmark.quick else (False, True)) for start in starts]
-    courses = list(benchmark.each(run, tasks))
-    for named in dict.fromkeys(named for _, named in tasks):
-        some = [course for course in courses if course.task[1] == named]
-        yield from _figures(f"loop, {HIDDEN} hidden + {GHOSTS} ghosts, one trial {'named' if named else 'labelled'}", some)
+    yield from _figures(f"loop, {HIDDEN} hidden + {GHOSTS} ghosts, one trial labelled", list(benchmark.each(run, starts)))
 
 
 def _figures(row: str, courses: Sequence[Course]) -> Iterator[Figure]:
@@ -112,23 +105,18 @@ def _figures(row: str, courses: Sequence[Course]) -> Iterator[Figure]:
     yield Figure(f"{row}: answers for a start", "none", sum(c.touches for c in courses) / len(courses), "answers", len(courses))
     yield Figure(f"{row}: labels looked at", "none", sum(c.looked_at for c in courses) / samples, "fraction", samples)
     yield Figure(f"{row}: looks for a start", "none", sum(c.looks for c in courses) / len(courses), "looks", len(courses))
-    if any(course.names for course in courses):
-        yield Figure(f"{row}: labels given by name", "none", sum(c.by_name for c in courses) / samples, "fraction", samples)
-        yield Figure(f"{row}: names for a start", "none", sum(c.names for c in courses) / len(courses), "names", len(courses))
 
 
-def run(benchmark: BenchmarkRun, task: tuple[str, bool]) -> Course:
-    """One loop: (subject, whether the subject's straight walk is named, not labelled); it ends with all trials labelled.
+def run(benchmark: BenchmarkRun, start: str) -> Course:
+    """One loop from a subject's straight walk; it ends with all trials labelled.
 
     At its end all are labelled once more by the model that has seen all, the answers stand, and what is flagged anew is settled.
     """
-    start, named = task
     trials = _trials(benchmark)
     one = next(trial for trial in trials if trial.subject == start and file_of(trial.recording).stem == "straight")
-    waiting = trials if named else [trial for trial in trials if trial is not one]
-    course = Course(task, sum(trial.samples for trial in waiting))
-    first = _named(one, course) if named else one.recording
-    ensemble = asterism.MarkerModel.fit([first], subjects=[start], miner=None, marker_set=MarkerSet(one.recording.labels))
+    waiting = [trial for trial in trials if trial is not one]
+    course = Course(sum(trial.samples for trial in waiting))
+    ensemble = asterism.MarkerModel.fit([one.recording], subjects=[start], miner=None, marker_set=MarkerSet(one.recording.labels))
     done: list[tuple[Trial, list[Answer]]] = []
     while waiting:
         looks = [_look(ensemble, trial) for trial in waiting]
@@ -155,9 +143,8 @@ def run(benchmark: BenchmarkRun, task: tuple[str, bool]) -> Course:
         course.after.setdefault(trial.subject, Tally()).add(settled, trial.truth, recording=str(file_of(trial.recording)))
     right = sum(tally.right for tally in course.after.values())
     benchmark.report(
-        f"{start}{', named' if named else ''}: right {course.before.right_share:.5f}, then {right / course.samples:.5f}, "
-        f"worst {course.worst:.5f}; touched {course.touched / course.samples:.5f} by {course.touches} of {course.looks} looks; "
-        f"{course.names} names for {course.by_name / course.samples:.5f}"
+        f"{start}: right {course.before.right_share:.5f}, then {right / course.samples:.5f}, "
+        f"worst {course.worst:.5f}; touched {course.touched / course.samples:.5f} by {course.touches} of {course.looks} looks"
     )
     return course
 
@@ -170,20 +157,6 @@ def _trials(benchmark: BenchmarkRun) -> list[Trial]:
             clouds, truth = simulate_gaps_and_ghosts(recording, HIDDEN, GHOSTS, seed=1000 + number)
             out.append(Trial(subject, recording, clouds, truth))
     return out
-
-
-def _named(trial: Trial, course: Course) -> Recording:
-    """The trial as a person names it once: the groups of its own tracks that are there often, each by what most of it is."""
-    groups = group_tracklets(trial.clouds)
-    names = {}
-    for group in range(groups.frequent):
-        answer = trial.answer(np.nonzero(groups.of_point == group)[0])
-        if answer is not None:
-            names[group] = answer
-            course.by_name += int(groups.frames[group])
-    course.names = len(names)
-    recording = Recording.from_clouds(trial.clouds)
-    return name_groups(recording, groups, names)
 
 
 def _look(ensemble: asterism.MarkerModel, trial: Trial) -> tuple[Labelling, list[ReviewItem]]:

@@ -6,14 +6,12 @@ from collections.abc import Iterator
 from functools import cache
 from itertools import groupby
 
-import numpy as np
-
 from asterism.errors import AsterismError
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
-from asterism.recording import NULL, Ints, Labelling
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import DIRTY, Fold, movement_folds
 from benchmarks.figures import Figure
+from benchmarks.recordings.walks import silence
 from benchmarks.score import Tally
 
 LONGEST = 1000
@@ -71,8 +69,3 @@ def _tested(benchmark: BenchmarkRun, item: tuple[tuple[str, ...] | None, int]) -
         tally.add(ensemble.label(clouds) if ensemble else silence(truth, fold.train[0].labels), truth)
     benchmark.report(f"{fold.label}, {fold.person}: right {tally.right_share:.5f}, wrong {tally.false_assignments:.5f}")
     return tally
-
-
-def silence(truth: Ints, names: tuple[str, ...]) -> Labelling:
-    """The labelling of whoever has learned nothing."""
-    return Labelling(np.full(truth.shape, NULL, dtype=np.int64), np.zeros(truth.shape), names)

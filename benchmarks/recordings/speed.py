@@ -10,7 +10,7 @@ from benchmarks.benchmark_run import BenchmarkRun, frames_per_second
 from benchmarks.data import GAIT_BODY, gait
 from benchmarks.figures import Figure
 from benchmarks.recordings.gaps import WHOLE
-from benchmarks.recordings.walks import unseen_ensemble, with_gaps
+from benchmarks.recordings.walks import Condition, samples, unseen_model
 from benchmarks.reference import reference
 
 
@@ -18,9 +18,9 @@ def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """One subject's walks, each labelled by a call of its own: 15 markers, simulated walks of 39, then 59. The median of five."""
     yield from reference(benchmark)
     subject = list(gait())[3]
-    ensemble = unseen_ensemble(benchmark, subject)
+    ensemble = unseen_model(benchmark, subject)
     for condition, ghosts in (("3 hidden", 0), ("3 hidden + 3 ghosts", 3)):
-        clouds = [cloud for cloud, _ in with_gaps(benchmark, subject, 3, ghosts, seeds=1)]
+        clouds = [one.clouds for one in samples(benchmark, subject, Condition(3, ghosts), seeds=1)]
         yield _rate(f"speed, 15 markers, {condition}, {WHOLE}", "> 5000", lambda cloud: ensemble.label(cloud), clouds)
     if benchmark.quick:
         return
@@ -28,8 +28,8 @@ def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
     plug_in = benchmark.fit(others, [str(n) for n in range(len(others))])
     clouds = [simulate_gaps_and_ghosts(own, 3, 0, seed=1)[0]]
     yield _rate(f"speed, 39 markers, 3 hidden, {WHOLE}", "> 2000", lambda cloud: plug_in.label(cloud), clouds)
-    body = unseen_ensemble(benchmark, subject, GAIT_BODY)
-    clouds = [cloud for cloud, _ in with_gaps(benchmark, subject, 3, 0, GAIT_BODY, seeds=1)]
+    body = unseen_model(benchmark, subject, GAIT_BODY)
+    clouds = [one.clouds for one in samples(benchmark, subject, Condition(3), GAIT_BODY, seeds=1)]
     yield _rate(f"speed, {len(GAIT_BODY)} markers, 3 hidden, {WHOLE}", "> 1000", lambda cloud: body.label(cloud), clouds)
 
 

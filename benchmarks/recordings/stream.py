@@ -13,10 +13,8 @@ from asterism.recording import Clouds, Floats, Labelling
 from asterism.simulation import Clutter
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import GAIT_BODY
-from benchmarks.dirt.walks import Condition, sample
 from benchmarks.figures import Figure
-from benchmarks.recordings.full_body import full_body_subjects
-from benchmarks.recordings.walks import Markers, unseen_ensemble, walks
+from benchmarks.recordings.walks import Condition, Markers, full_body_subjects, sample, unseen_model, walks
 from benchmarks.score import Tally
 
 CONDITIONS = {
@@ -29,11 +27,11 @@ SETS: tuple[tuple[str, Markers, tuple[int, ...]], ...] = (("15 markers", "helen-
 
 
 def stream(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """The subjects of the script `full_body`, each with a model that has not seen it. Times need a quiet machine."""
+    """The subjects of the row `full-body`, each with a model that has not seen it. Times need a quiet machine."""
     for name, markers, delays in SETS[: 1 if benchmark.quick else None]:
         tallies, times = defaultdict(Tally), defaultdict(list)
         for subject in full_body_subjects()[: 1 if benchmark.quick else None]:
-            ensemble = unseen_ensemble(benchmark, subject, markers)
+            ensemble = unseen_model(benchmark, subject, markers)
             for condition, wanted in CONDITIONS.items():
                 for number, walk in enumerate(walks(subject, markers)):
                     one = sample(walk, wanted, number)

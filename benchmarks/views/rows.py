@@ -1,4 +1,4 @@
-"""Gait and whole body before two to four cameras, and the paper's plain algorithm on the same blobs."""
+"""Gait and whole body before two to four cameras."""
 
 from __future__ import annotations
 
@@ -7,22 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asterism.errors import AsterismError
 from asterism.recording import Ints
 from asterism.simulation.views_laboratory import ViewsSession
 from asterism.views import ArticulatedBody, ViewsRules, label_views
-from asterism.views.frame import FrameLabeller
-from asterism.views.plain import label_stepwise, minimise_plain
-from asterism.views.scene import scene_of
-from asterism.views.start import place_by_centroids
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
-from benchmarks.views.bodies import is_standing
-from benchmarks.views.hands import impossible_hands
 from benchmarks.views.sessions import (
     Tally,
-    chosen_frames,
-    frame_identity,
     gait_sessions,
     motion_sessions,
     visibility_agreement,
@@ -35,30 +26,22 @@ Sessions = Iterable[tuple[str, ArticulatedBody, ViewsSession]]
 class Labelled:
     """What became of whole recordings.
 
-    tally    of all blobs; standing: of those of standing trials
-    sound    of the blobs of markers whose labels by hand the anatomy allows; hands: how many hands it does not
+    tally    of all blobs
     single   (error, stated deviation) in m of each marker that one camera shows
     visible  (4,) markers and cameras with visibility predicted right, and all, see `visibility_agreement`
     """
 
     tally: Tally
-    standing: Tally
-    sound: Tally
-    hands: int
     single: list[tuple[float, float]]
     visible: Ints
 
 
 def labelled(sessions: Sessions, rules: ViewsRules | None = None) -> Labelled:
     """Whole recordings, labelled."""
-    out = Labelled(Tally(), Tally(), Tally(), 0, [], np.zeros(4, dtype=np.int64))
+    out = Labelled(Tally(), [], np.zeros(4, dtype=np.int64))
     for person, body, session in sessions:
         result = label_views(session.blobs, session.rig, body, rules=ViewsRules() if rules is None else rules)
-        contradicted = impossible_hands(session.recording) & set(body.labels)
-        for tally in (out.tally, out.standing) if is_standing(session.recording) else (out.tally,):
-            tally.add(result.labels, session.identity, person)
-        out.sound.add(result.labels, session.identity, person, [body.labels.index(name) for name in contradicted])
-        out.hands += len(contradicted) // 3
+        out.tally.add(result.labels, session.identity, person)
         one = result.views == 1
         away = np.linalg.norm(result.positions - session.recording.positions, axis=2)
         out.single += [pair for pair in zip(away[one], result.deviations[one], strict=True) if np.isfinite(pair[0])]
@@ -84,61 +67,13 @@ def whole_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
         yield from _single(name, done.single)
     name, done = "whole body, 26 markers, gait recordings, 4 cameras", labelled(gait_sessions(benchmark, 4, "body26"))
     yield from _shares(name, done.tally, True, least=0.99)
-    yield from _sound(name, done, True, least=0.99)
-    yield from _shares(f"{name}, standing trials", done.standing, False)
     yield from _visibility(name, done)
-
-
-def baseline(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """The paper's plain algorithm on the same blobs, with the heading and the height that it needs: 20 degrees and 10 % off at most."""
-    for kind, sessions in (("gait, 15 markers", gait_sessions), ("whole body, 26 markers, simulated motion", motion_sessions)):
-        tally = Tally()
-        ours = Tally()
-        for person, body, session in sessions(benchmark):
-            labeller = FrameLabeller(scene_of(session.blobs, session.rig), body)
-            for t in chosen_frames(session, 12):
-                start = near_start(session, labeller, t, np.random.default_rng(t))
-                if start is None:
-                    continue
-                pose, rotation = minimise_plain(labeller, t, *start)
-                tally.add(label_stepwise(labeller, t, pose, rotation), frame_identity(session, t), person)
-                ours.add(labeller.from_start(t, *start).labels, frame_identity(session, t), person)
-        yield from _shares(f"{kind}, 4 cameras, one frame, the paper's algorithm 1", tally, False)
-        yield from _shares(f"{kind}, 4 cameras, one frame from the same start, ours", ours, False)
-
-
-def near_start(
-    session: ViewsSession, labeller: FrameLabeller, t: int, rng: np.random.Generator, turn: float = 20.0, size: float = 0.1
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """The paper's start: heading and height off by as much as it allows, place by eqs 1 to 5; None where the truth lacks the pelvis."""
-    labels = list(session.recording.labels)
-    truth = session.recording.positions[t]
-    left = truth[labels.index("LASI")] - truth[labels.index("RASI")]
-    if not np.isfinite(left).all():
-        return None
-    heading = np.arctan2(left[1], left[0]) - np.pi / 2 + np.radians(rng.uniform(-turn, turn))
-    cos, sin = np.cos(heading), np.sin(heading)
-    rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    arrays = labeller.body.arrays
-    tall = np.nanmax(truth[:, 2]) / np.max(labeller.body.places[:, 2]) * (1.0 + rng.uniform(-size, size))
-    centroids = np.array([session.blobs.of(t, c).mean(axis=0) for c in range(len(session.rig))])
-    try:
-        place = place_by_centroids(session.rig, centroids, rotation @ (tall * arrays.places.mean(axis=0)))
-    except AsterismError:
-        return None
-    return np.concatenate([np.full(3, tall), place, np.zeros(3), arrays.usual]), rotation
 
 
 def _shares(row: str, tally: Tally, asked: bool, least: float = 0.995) -> Iterator[Figure]:
     yield Figure(f"{row}: right", f">= {least:g}" if asked else "none", tally.right / tally.shown, "fraction", tally.shown)
     yield Figure(f"{row}: wrong", "<= 0.003" if asked and least == 0.995 else "none", tally.wrong / tally.shown, "fraction", tally.shown)
     yield Figure(f"{row}: right, person with the least", "none", tally.worst, "fraction", len(tally.by_subject))
-
-
-def _sound(row: str, done: Labelled, asked: bool, least: float = 0.995) -> Iterator[Figure]:
-    """The shares without the hands whose labels by hand the anatomy contradicts, and how many these are."""
-    yield from _shares(f"{row}, without hands whose labels contradict the anatomy", done.sound, asked, least)
-    yield Figure(f"{row}: hands whose labels contradict the anatomy", "none", done.hands, "hands", len(done.sound.by_subject))
 
 
 def _visibility(row: str, done: Labelled, asked: str = "none") -> Iterator[Figure]:

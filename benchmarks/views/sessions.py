@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -12,8 +12,7 @@ from asterism.recording import Ints
 from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.simulation.views_motion import simulate_motion
 from asterism.views import ArticulatedBody, ViewsLabelling, load_body
-from asterism.views.sights import AROUND
-from benchmarks import data
+from asterism.views.sights import FROM_BOTH_SIDES
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.views.bodies import body_of_others, trials
 
@@ -27,9 +26,8 @@ class Tally:
     shown: int = 0
     by_subject: dict[str, list[int]] = field(default_factory=dict)
 
-    def add(self, labels: Ints, identity: Ints, subject: str = "", left_out: Sequence[int] = ()) -> None:
-        """Count one frame or recording; left_out: markers whose blobs do not count."""
-        identity = np.where(np.isin(identity, left_out), -2, identity)
+    def add(self, labels: Ints, identity: Ints, subject: str = "") -> None:
+        """Count one recording."""
         marker = identity >= 0
         right, shown = int(((labels == identity) & marker).sum()), int(marker.sum())
         wrong = int(((labels >= 0) & (labels != identity) & (identity != -2)).sum())
@@ -73,12 +71,6 @@ def motion_sessions(benchmark: BenchmarkRun, cameras: int = 4) -> Iterator[tuple
         yield f"S{number}", load_body("body26"), motion_session(number, cameras, 20 if benchmark.quick else 180)
 
 
-def frame_identity(session: ViewsSession, t: int) -> Ints:
-    """What the blobs of one frame show."""
-    count = len(session.rig)
-    return session.identity[session.blobs.offsets[t * count] : session.blobs.offsets[(t + 1) * count]]
-
-
 def visibility_agreement(result: ViewsLabelling, session: ViewsSession) -> Ints:
     """(4,) markers and cameras for which it is predicted rightly whether the marker is in view, and all of the frames with the body.
 
@@ -86,11 +78,8 @@ def visibility_agreement(result: ViewsLabelling, session: ViewsSession) -> Ints:
     """
     there = np.isfinite(result.poses[:, 0])
     truth = session.in_view[there]
-    right = [int(((told[there] > 0.5) == truth).sum()) for told in (result.expected, result.foreseen(), result.foreseen(AROUND))]
+    right = [
+        int(((told[there] > 0.5) == truth).sum())
+        for told in (result.expected, result.predict_visibility(), result.predict_visibility(FROM_BOTH_SIDES))
+    ]
     return np.array([*right, truth.size], dtype=np.int64)
-
-
-def chosen_frames(session: ViewsSession, most: int) -> list[int]:
-    """At most so many frames in which every camera has blobs, evenly spread."""
-    some = np.nonzero((session.blobs.counts > 0).all(axis=1))[0]
-    return [int(some[i]) for i in data.spread(len(some), most)] if len(some) else []

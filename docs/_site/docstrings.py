@@ -15,7 +15,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar, get_origin
 
-from public_names import places, public_modules
+from docutils import nodes
+from public_names import homes, places, public_modules
+from sphinx import addnodes
 
 
 def as_rst(docstring: str) -> str:
@@ -111,6 +113,18 @@ _RECORD = re.compile(rf"(?<== )([A-Z]\w+)\({_NESTED}\)")
 """A record with its fields as a default, such as `Rules(limit=2, search=Search(width=3))`."""
 
 
+def link_names(app: Any, page: Any) -> None:
+    """Make links of the public names that a page writes out in full as code; called with each page after it was parsed."""
+    for code in list(page.findall(nodes.literal)):
+        written = re.match(r"(asterism(?:\.\w+)*)\.(\w+)", code.astext())
+        home = homes().get((written[1], written[2])) if written else None
+        if home and written and not isinstance(code.parent, nodes.reference | addnodes.pending_xref):
+            target = f"{home}.{written[2]}"
+            link = addnodes.pending_xref("", refdomain="py", reftype="obj", reftarget=target, refexplicit=True, refwarn=True)
+            code.replace_self(link)
+            link += code
+
+
 def skip(app: Any, what: str, name: str, thing: object, skipped: bool, options: object) -> bool | None:
     """Leave out what Python writes itself on the fields of named tuples; called by autodoc for each member."""
     return True if str(getattr(thing, "__doc__", "")).startswith("Alias for field number") else None
@@ -143,4 +157,5 @@ def setup(app: Any) -> dict[str, bool]:
     app.connect("autodoc-process-signature", plain_signature)
     app.connect("autodoc-process-docstring", convert)
     app.connect("autodoc-skip-member", skip)
+    app.connect("doctree-read", link_names)
     return {"parallel_read_safe": True}

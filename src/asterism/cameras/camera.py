@@ -83,6 +83,10 @@ class Camera:
 
         rotation (3, 3) or a rotation vector (3,) rad; translation (3,) m. Raises AsterismError for skew, thin prism and tilt
         coefficients that are not zero, and for a number of coefficients that OpenCV does not have.
+
+        >>> camera = Camera.from_opencv("c1", [[500, 0, 319.5], [0, 500, 239.5], [0, 0, 1]], [-0.1, 0.01, 0, 0], size=(640, 480))
+        >>> camera.radial, camera.posed
+        ((-0.1, 0.01, 0.0), False)
         """
         k = np.asarray(matrix, dtype=np.float64)
         d = np.asarray(distortion, dtype=np.float64).ravel()
@@ -138,7 +142,14 @@ class Camera:
         return place
 
     def project(self, points: ArrayLike) -> Floats:
-        """World points (..., 3) m as pixels (..., 2); NaN where one is missing, behind the camera or beyond the lens model."""
+        """World points (..., 3) m as pixels (..., 2); NaN where one is missing, behind the camera or beyond the lens model.
+
+        >>> camera = Camera("c1", (640, 480), focal=(500.0, 500.0), centre=(319.5, 239.5))
+        >>> camera.project([[0.0, 0.0, 2.0], [0.4, 0.0, 2.0], [0.0, 0.0, -1.0]])
+        array([[319.5, 239.5],
+               [419.5, 239.5],
+               [  nan,   nan]])
+        """
         points = np.asarray(points, dtype=np.float64)
         out = np.empty((*points.shape[:-1], 2))
         lens_kernels.project_points(
@@ -147,7 +158,13 @@ class Camera:
         return out
 
     def undistort(self, pixels: ArrayLike) -> Floats:
-        """Pixels (..., 2) as points of the normalized plane (..., 2), x/z and y/z in the camera's axes; NaN where no ray leads there."""
+        """Pixels (..., 2) as points of the normalized plane (..., 2), x/z and y/z in the camera's axes; NaN where no ray leads there.
+
+        >>> camera = Camera("c1", (640, 480), focal=(500.0, 500.0), centre=(319.5, 239.5), radial=(-0.1,))
+        >>> pixels = camera.project([[0.4, 0.2, 2.0]])
+        >>> camera.undistort(pixels).round(6)
+        array([[0.2, 0.1]])
+        """
         pixels = np.asarray(pixels, dtype=np.float64)
         out = np.empty(pixels.shape)
         lens_kernels.undistort_points(self.lens, np.ascontiguousarray(pixels.reshape(-1, 2)), out.reshape(-1, 2))

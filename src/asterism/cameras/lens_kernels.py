@@ -25,6 +25,7 @@ def _radial(lens, square):
         power *= square
         top += lens[i] * power
     a, b, c = lens[DENOMINATOR], lens[DENOMINATOR + 1], lens[DENOMINATOR + 2]
+    # The thesis' model has no denominator: the division is spared.
     if a == 0.0 and b == 0.0 and c == 0.0:
         return top, top_slope
     under = 1.0 + square * (a + square * (b + square * c))
@@ -73,6 +74,7 @@ def project_points(lens, rotation, translation, points, out):
         x = (rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]) / z
         y = (rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]) / z
         u, v, ux, uy, vx, vy = distorted(lens, x, y)
+        # Where the model folds back, one pixel would show two directions.
         if ux * vy - uy * vx > 0.0 and ux + vy > 0.0:
             out[i, 0] = lens[FX] * u + lens[CX]
             out[i, 1] = lens[FY] * v + lens[CY]
@@ -90,6 +92,7 @@ def undistort_points(lens, pixels, out):
         out[i, 0] = out[i, 1] = np.nan
         u = (pixels[i, 0] - lens[CX]) / lens[FX]
         v = (pixels[i, 1] - lens[CY]) / lens[FY]
+        # NaN would go through all steps.
         if not (math.isfinite(u) and math.isfinite(v)):
             continue
         x, y = u, v
@@ -103,8 +106,10 @@ def undistort_points(lens, pixels, out):
             du, dv = u - gu, v - gv
             step_x, step_y = (vy * du - uy * dv) / determinant, (ux * dv - vx * du) / determinant
             x, y = x + step_x, y + step_y
+            # Relative to the place, since wide lenses reach far out.
             if math.fabs(step_x) + math.fabs(step_y) < 1e-14 * (1.0 + math.fabs(x) + math.fabs(y)):
                 break
+        # The steps may have run out somewhere else: what comes back must be the pixel.
         gu, gv, ux, uy, vx, vy = distorted(lens, x, y)
         if ux * vy - uy * vx > 0.0 and ux + vy > 0.0 and math.fabs(gu - u) + math.fabs(gv - v) < 1e-9:
             out[i, 0], out[i, 1] = x, y

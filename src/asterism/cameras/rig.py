@@ -80,7 +80,12 @@ class Rig:
         return tuple(camera.name for camera in self.cameras)
 
     def select(self, names: tuple[str, ...] | list[str]) -> Rig:
-        """The rig with these cameras in this order. Raises AsterismError where a name is absent."""
+        """The rig with these cameras in this order. Raises AsterismError where a name is absent.
+
+        >>> rig = Rig(tuple(Camera(name, None, (500.0, 500.0), (319.5, 239.5)) for name in ("left", "middle", "right")))
+        >>> rig.select(["right", "left"]).names
+        ('right', 'left')
+        """
         return replace(self, cameras=tuple(self[name] for name in names))
 
     def project(self, points: ArrayLike) -> Floats:
@@ -88,7 +93,12 @@ class Rig:
         return np.stack([camera.project(points) for camera in self.cameras])
 
     def moved(self, rotation: ArrayLike, translation: ArrayLike, scale: float = 1.0) -> Rig:
-        """The same rig in another world frame: a world point X becomes scale rotation X + translation (3,) m."""
+        """The same rig in another world frame: a world point X becomes scale rotation X + translation (3,) m.
+
+        >>> rig = Rig((Camera("c1", None, (500.0, 500.0), (319.5, 239.5)),))
+        >>> rig.moved(np.eye(3), [0.0, 0.0, 1.5])["c1"].position
+        array([0. , 0. , 1.5])
+        """
         r, t = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
         cameras = [
             replace(camera, rotation=camera.rotation @ r.T, translation=scale * camera.translation - camera.rotation @ r.T @ t)

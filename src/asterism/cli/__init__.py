@@ -18,11 +18,11 @@ from asterism.cli._plain_values import PlainValuesCommand, PlainValuesGroup
 from asterism.errors import AsterismError
 
 _RENAMED = {
-    "--miner": "--partial-solvers",
     "--keep": "--keep-labels",
     "--anyway": "--force",
     "--weigh-from": "--weight-reference",
     "--mine-again": "--search-again",
+    "--miner": "--partial-solvers",
 }
 """Renamed options: the old name, which is accepted and no longer shown, and the new one."""
 _LISTS = ("--occlusions", "--ghosts", "--wand")
@@ -66,7 +66,7 @@ _GROUPS: dict[str, tuple[str, Mapping[str, str]]] = {
     "calibrate": ("Make the rig of a set of cameras, and correct it.", calibrate.EXAMPLES),
     "body": ("Make the model of a body, for `label-views`.", body.EXAMPLES),
     "garment": ("Print coded garments, and capture a body that wears one.", garment.EXAMPLES),
-    "rig": ("Show how exactly a rig measures, and where to place cameras.", rig.EXAMPLES),
+    "rig": ("Show how exactly a rig measures; plan one.", rig.EXAMPLES),
 }
 """The first words of commands with two words: their help, and their commands."""
 
@@ -90,6 +90,7 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
         epilog="Status on leaving: 0 all done, 1 some files failed (named on standard error), 2 nothing could be done, 130 interrupted.",
     )(_asterism)
     first, second = [*words[:2], "", ""][:2]
+    # where the word is no command, all are needed for the help
     named = first in _EXAMPLES or first in _GROUPS
     if first not in _GROUPS:
         _register(app, __name__, _EXAMPLES, first)
@@ -123,10 +124,13 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run one command line (by default the process') and return its exit status; see `asterism --help` for the meanings."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
+            # a name that the terminal cannot show must not end the run
             stream.reconfigure(errors="replace")
     try:
+        # old spellings first, so that the other two see the present ones
         words = _lists_joined(_globbed(_respelled(sys.argv[1:] if args is None else args)))
         if args is None:
+            # only for a process of its own: a caller in Python has its own warnings
             _first_compile.prepare(words)
         status = command_line(words)(args=words or ["--help"], prog_name="asterism", standalone_mode=False)
     except AsterismError as problem:
@@ -141,6 +145,7 @@ def main(args: Sequence[str] | None = None) -> int:
         _console.error(_console.reason(problem))
         return 2
     except Exception as problem:
+        # neither ours nor Click's: a fault, whose place in the code is wanted
         if not hasattr(problem, "format_message"):
             import traceback
 

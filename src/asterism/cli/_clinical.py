@@ -20,6 +20,7 @@ def find(recording: Recording, wanted: bool | None) -> ClinicalAngles | None:
     """
     from asterism.motion.clinical import clinical_angles, complete_legs
 
+    # asked for, a missing marker is an error; not asked for, it is no leg
     if wanted is False or (wanted is None and not complete_legs(recording)):
         return None
     return clinical_angles(recording)
@@ -65,6 +66,7 @@ def show(path: Path, clinical: ClinicalAngles | None, known: ClinicalUncertainty
     rows = [[joint.name, *(span(joint.angles[:, k]) for k in range(3))] for joint in clinical.joints]
     _console.table(f"{path}: clinical angles", ["joint", *(f"{name} (°)" for name in CLINICAL)], rows)
     if known is not None:
+        # all joints have the same sources
         sources = [source for source in known.joints[0].budget if source != "all"]
         head = ["joint", *(f"{name} ± (°)" for name in CLINICAL), *(f"flexion: {source}" for source in sources)]
         rows = [
@@ -72,6 +74,7 @@ def show(path: Path, clinical: ClinicalAngles | None, known: ClinicalUncertainty
             for one in known.joints
         ]
         _console.table(f"{path}: largest standard uncertainties", head, rows)
+    # a width that was assumed moves the joint by half of its error
     if assumed := [side for side, measures in clinical.measures.items() if not measures.from_file]:
         sides = " and ".join(assumed)
         _console.result(f"The file has no measures of the {sides} leg; an adult's widths of knee and ankle were taken.")
@@ -88,6 +91,7 @@ def values(joint: ClinicalJoint, known: JointUncertainty | None) -> tuple[list[F
     flexion, *others = joint.angles.T
     if known is None:
         return [flexion], others
+    # in the order of the angles, as above
     low, high = (end.T for end in known.intervals[0.95])
     return [flexion, low[0], high[0]], [*others, low[1], high[1], low[2], high[2]]
 

@@ -30,8 +30,10 @@ def takes(options: type[Options]) -> Callable[[Callable[[Options], None]], Calla
         def command(**values: Any) -> None:
             function(options(**values))
 
+        # Typer reads the parameters from the signature, and finds the fields there
         command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
         command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        # else the signature of the wrapped function would count
         del command.__wrapped__
         return command
 

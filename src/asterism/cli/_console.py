@@ -27,6 +27,7 @@ def console() -> Console:
     """Standard output as Rich sees it; wide where it is not a terminal, so that nothing is cut off."""
     from rich.console import Console
 
+    # a file has no width, and a table that is cut there is lost
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDTH_WHEN_PIPED
     return Console(width=width, highlight=False, soft_wrap=False)
 
@@ -50,9 +51,11 @@ def report(finding: Finding) -> None:
 
 def reason(problem: Exception) -> str:
     """What an exception means to a user: one line."""
+    # the system's words, without its number and the name of the class
     if isinstance(problem, OSError) and problem.filename:
         return f"{problem.filename}: {(problem.strerror or 'cannot be opened').lower()}."
     sentence = " ".join(str(problem).split())
+    # whatever else gets here is ours to mend
     expected = isinstance(problem, AsterismError | OSError)
     return sentence if expected else f"{type(problem).__name__}: {sentence}; this is a fault of Asterism, please report it with the file."
 
@@ -68,11 +71,13 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, 
 
     screen = console()
     lines = [tuple(map(printable, row)) for row in (columns, *rows)]
+    # many columns and few rows read better the other way round
     turned = list(zip(*lines, strict=True))
     if _width(lines) > screen.width >= _width(turned):
         lines, left = turned, 1
     sheet = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for i, cells in enumerate(zip(*lines, strict=True)):
+        # numbers are never folded: half a number is another number
         widest = max(map(len, cells[1:]), default=0)
         sheet.add_column(
             Text(cells[0]), justify="left" if i < left else "right", overflow="fold", min_width=min(widest, 8) if i < left else widest
@@ -120,6 +125,7 @@ _bars: list[Callable[[str], None]] = []
 @contextmanager
 def progress(what: str) -> Iterator[Progress | None]:
     """A bar with the remaining time on standard error, where that is a terminal; elsewhere a line each minute."""
+    # a bar in a log is a thousand lines
     if not sys.stderr.isatty():
         yield _each_minute(what)
         return
@@ -130,6 +136,7 @@ def progress(what: str) -> Iterator[Progress | None]:
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Bar(*columns, console=Console(stderr=True), transient=True, redirect_stdout=sys.stdout.isatty()) as bar:
         task = bar.add_task(what, total=1.0)
+        # what compiles meanwhile says so in the bar, not above it
         _bars.append(lambda text: bar.update(task, description=printable(text)))
         try:
             yield lambda fraction, doing: bar.update(task, completed=fraction, description=printable(doing or what))
@@ -155,6 +162,7 @@ def _each_minute(what: str) -> Progress:
 
 def notice(sentence: str, *, in_progress_line: bool = False) -> None:
     """Print a line on standard error that is no failure; in the progress line where there is one and `in_progress_line` is set."""
+    # the bar says it, and forgets it with the next step
     if _bars and in_progress_line:
         _bars[-1](sentence.rstrip("."))
         return
@@ -186,11 +194,14 @@ class Batch:
         """
         try:
             yield
+        # the reader of our output has gone: no file is to blame
         except BrokenPipeError:
             raise
         except Exception as problem:
+            # an exit is no failure of the file
             if type(problem).__module__.startswith(("typer", "click")):
                 raise
+            # of a folder, nobody said that each file holds markers; of a file that was named, somebody did
             if isinstance(problem, NoMarkers) and path in self.in_folders:
                 self.passed_over.append(path)
                 return
@@ -221,6 +232,7 @@ class Batch:
         """Name the failed files once more where the batch had several files; returns the status."""
         total = len(self.done) + len(self.failed)
         self.tell_passed_over()
+        # the reasons have scrolled away by now
         if self.failed and total > 1:
             error(f"{total} files: {len(self.done)} {self.verb}, {len(self.failed)} failed: {', '.join(map(str, self.failed))}")
         return self.status
@@ -234,6 +246,7 @@ def check_new(given: Path | str | None, overwrite: bool) -> None:
 
     from asterism.files.atomic import on_removed
 
+    # what a killed run has left beside the target is told before it goes
     on_removed(lambda unfinished: notice(f"{unfinished} was left by a run that was killed; it is removed."))
     path = Path(given)
     if path.is_dir():
@@ -243,6 +256,7 @@ def check_new(given: Path | str | None, overwrite: bool) -> None:
     if not path.absolute().parent.is_dir():
         raise AsterismError(f"{path}: its folder does not exist; make it first.")
     try:
+        # asking for permissions says less than trying
         with TemporaryFile(dir=path.absolute().parent):
             pass
     except OSError:
@@ -257,6 +271,7 @@ def check_outputs(outputs: Sequence[Path | str | None], inputs: Sequence[Path | 
         check_new(given, overwrite)
         if given is None or given == "-":
             continue
+        # two spellings of one place are one file
         path = Path(given).resolve()
         if path in read or path in written:
             raise AsterismError(f"{given} is {'an input' if path in read else 'named twice'}; write to another file.")

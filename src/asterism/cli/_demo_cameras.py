@@ -43,9 +43,11 @@ def demo_cameras(output: Path, seed: int, json: str | None) -> int:
     model_file = output / "walkers.model"
     model.save(model_file)
     files = {**_written(output, session, result), "model": model_file}
+    # what was promised, and not what happens to come out
     criteria = result.criteria()
     if json != "-":
         print_criteria(criteria, seconds)
+    # the same by hand, so that a reader sees which commands did it
     _say_by_hand(say, output, files)
     findings = missed_criteria(criteria)
     for finding in findings:
@@ -61,6 +63,7 @@ def _say_by_hand(say: Callable[[str], None], output: Path, files: dict[str, Path
 
     say(f"Look at {files['rig_report']} and {files['report']} in a browser. The same by hand:")
     rig, points = output / "my-rig.toml", output / "my-points.npz"
+    # on the floor, so that their height need not be given
     floor = " ".join(f"{x:g},{y:g}" for x, y, _ in L_FRAME)
     say(
         f"  asterism calibrate wand {files['wand']} --wand 0 0.2 0.6 --image-size 2048x1536 --floor {files['l_frame']} "
@@ -119,6 +122,7 @@ def _written(output: Path, session: SimulatedSession, result: PipelineResult) ->
     rig_report(
         files["rig_report"],
         result.rig,
+        # the volume that the simulated cameras surround
         map_rig(result.rig, Volume.parse("4x4x2")),
         title="Asterism demo: a rig calibrated by a simulated wand",
         wand=wand_accuracy(result.calibration.positions, WAND),

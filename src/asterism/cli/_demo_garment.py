@@ -68,8 +68,10 @@ def _session(seed: int) -> GarmentSession:
     from asterism.simulation.garment import Wearer, suit_masks
     from asterism.simulation.garment.session import simulate_garment_session
 
+    # the cloth is cut for the wearer, so that the person comes first
     wearer = Wearer(seed=seed)
     suit = design_pattern(suit_masks(wearer), seed=seed)
+    # another seed: suit and target must not share a code
     sheet = design_pattern((_TARGET_ROWS, _TARGET_COLUMNS), seed=seed + 1, size=(_TARGET_PITCH, _TARGET_DIAMETER))
     return simulate_garment_session(suit, sheet, wearer, seed, poses=_POSES)
 
@@ -85,6 +87,7 @@ def _photograph(session: GarmentSession, output: Path) -> Views:
             folders = [output / name / camera for camera in session.rig.names]
             for folder in folders:
                 folder.mkdir(parents=True, exist_ok=True)
+                # pictures of an earlier demo would be read as further frames
                 for old in folder.glob("*.jpg"):
                     old.unlink()
             for t, images in moments:
@@ -101,6 +104,7 @@ def _write_picture(path: Path, image: NDArray[np.uint8]) -> None:
 
     from asterism.files.atomic import write_atomically
 
+    # JPEG halves the resolution of colour unless told otherwise, and colours are the code
     whole_colour = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     write_atomically(path, cv2.imencode(".jpg", image, whole_colour)[1].tobytes())
 
@@ -117,10 +121,12 @@ def _run(session: GarmentSession, output: Path, views: Views) -> tuple[GarmentRe
     def readers(which: str) -> Reader:
         return lambda image: read_image(image, patterns[which])
 
+    # from the files, as the commands have them: what writing loses counts
     target, film = colour_footage([output / "target"]), colour_footage([output / "walk"], session.rig)
     with _console.progress("working") as progress:
         result = run_garment_session(session, target, film, views, readers, frames=_FRAMES, workers=_WORKERS, progress=progress)
     _, images = next(iter(film))
+    # cameras that do not see the walker yet have no picture of the frame
     first = next(image for image in images if image is not None)
     _, shown = next(_first_with_images(target))
     pictures = [
@@ -145,6 +151,7 @@ def _written(output: Path, session: GarmentSession, result: GarmentResult, pictu
     from asterism.report.garment import garment_report
     from asterism.report.page import Cell, Table
 
+    # the true rig stands beside the one that was found, for whoever wants to compare
     files = {key: output / name for key, name in (("rig", "rig.toml"), ("true_rig", "true-rig.toml"), ("rig_report", "rig.html"))}
     files |= {"dense": output / "dense.npz", "surface": output / "frame-0000.ply", "report": output / "report.html"}
     write_rig(session.rig, files["true_rig"])

@@ -33,8 +33,10 @@ def demo_motion(output: Path, seed: int, json: str | None) -> int:
     with _console.progress("working") as progress:
         analysis = analyse_motion(trial.recording, progress=progress)
         rules = MonteCarloRules(most=_TRIALS)
+        # fewer trials than the command takes: a demo is not waited for
         certain = estimate_uncertainty(analysis, seed=seed, rules=rules, budget_trials=100, progress=progress)
     rows, errors = [], {}
+    # the same limbs for all methods, so that only the weights differ
     for method in METHODS:
         angles = analyse_motion(trial.recording, _as_limbs(analysis), rules=MotionRules(method=method)).angles
         error = np.degrees(np.abs(angles[0].angle - trial.angles[0])) if angles else np.full(_FRAMES, np.nan)
@@ -46,6 +48,7 @@ def demo_motion(output: Path, seed: int, json: str | None) -> int:
     if json != "-":
         show(files["recording"], analysis, certain)
         _console.table("The angle against the truth (°)", ["points weighed by", "mean error", "largest"], rows)
+    # two promises: the limbs are found from the points alone, and the angle is near that of the bones
     found = [] if errors["robust"] < 1.5 and len(analysis.names) == 2 else [_missed(errors["robust"], len(analysis.names))]
     for finding in found:
         _console.report(finding)

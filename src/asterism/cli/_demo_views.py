@@ -28,6 +28,7 @@ def demo_views(output: Path, seed: int, json: str | None) -> int:
     show = _console.result if json != "-" else _console.error
     show("Fitting a body to four simulated people ...")
     standing, walking = simulate_standing(4, 30, seed=seed), simulate_walks(4, 120, seed=seed)
+    # standing and walking trials of one person belong together
     people = [str(trial.metadata["subject"]) for trial in (*standing, *walking)]
     body = fit_body(standing, walking, markers=MarkerSet.load("helen-hayes"), people=people, title="four simulated people")
     session = simulate_views(simulate_walks(2, 240, seed=seed + 1)[1], body.labels, rng=np.random.default_rng(seed))
@@ -39,10 +40,12 @@ def demo_views(output: Path, seed: int, json: str | None) -> int:
     formats.write(output / "labelled.c3d", result.recording())
     views_report(output / "views.html", result, title="Asterism demo: labels in the images of four cameras")
     identity, labels = session.identity, result.labels
+    # blobs of two markers at once, and false ones, have no right name
     marker = identity >= 0
     right = float((labels[marker] == identity[marker]).mean())
     wrong = float(((labels >= 0) & (labels != identity) & (identity != -2)).sum() / marker.sum())
     away = np.linalg.norm(result.positions - session.recording.positions, axis=2)
+    # apart, as one camera and the body tell a place less exactly than two cameras
     one, more = away[result.views == 1], away[result.views >= 2]
     good = right >= _LEAST_RIGHT and wrong <= _MOST_WRONG
     if json != "-":

@@ -26,6 +26,7 @@ def prepare(words: Sequence[str]) -> None:
 
 
 def _first_compile(command: str, kept: bool) -> None:
+    # said each time, as it costs each time
     if not kept:
         _console.notice(
             f"Compiling numerical kernels (about {_SECONDS} s). No folder for compiled kernels can be written, so every run compiles them"
@@ -33,6 +34,7 @@ def _first_compile(command: str, kept: bool) -> None:
         )
         return
     _console.notice(f"Compiling the numerical kernels of this command; this happens once (about {_SECONDS} s).", in_progress_line=True)
+    # on one core, a second process would only take turns with the first
     if command in _AHEAD and (os.cpu_count() or 1) > 1 and sys.executable:
         _compile_ahead(_AHEAD[command])
 
@@ -58,6 +60,7 @@ def _compile_ahead(steps: Sequence[str]) -> None:
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:
+    # what it compiles would be used by nobody
     if process.poll() is None:
         process.terminate()
     process.wait()

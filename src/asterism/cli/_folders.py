@@ -43,14 +43,17 @@ def trials(given: Sequence[Path], batch: _console.Batch, *, without: Path | None
             if not inside:
                 raise AsterismError(f"{path} holds no recording (C3D, TRC, CSV, TSV, MAT, MOT, STO or NPZ); name another folder.")
             for file in inside:
+                # a file that is named twice, or by two links, is one file
                 found.setdefault(file.resolve(), (file, path))
         else:
             found.setdefault(path.resolve(), (path, None))
+    # only what was found may be passed over; what was named must be told
     batch.in_folders |= frozenset(file for file, folder in found.values() if folder is not None)
     files = list(found.values())
     several = sum(path.is_dir() for path in given) > 1 or len({path.is_dir() for path in given}) > 1
     places = [Path(file.name) if folder is None else file.relative_to(folder) for file, folder in files]
     if several or _clash(places) is not None:
+        # as they were given, links and all: the outputs should look like the inputs
         absolute = [Path(os.path.abspath(file)) for file, _ in files]
         shared = os.path.commonpath([str(file.parent) for file in absolute])
         places = [file.relative_to(shared) for file in absolute]
@@ -102,10 +105,12 @@ def _recordings_in(folder: Path, without: Path | None, batch: _console.Batch) ->
 
     for at, folders, files in os.walk(folder, onerror=cannot_open, followlinks=True):
         real = Path(at).resolve()
+        # a link to a folder above would be walked for ever
         if real in seen:
             folders.clear()
             continue
         seen.add(real)
+        # in place: this is how `os.walk` learns where not to go
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         for name in sorted(files):
             if not name.startswith(".") and formats.is_recording_file(name):

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+from asterism.cli import _console
 from asterism.cli._options import KnownLabels, Rules, vertical_axis
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
-    from asterism.session import FileLabeller, LabellingOptions
+    from asterism.session import FileLabeller
 
 
 class LabellingCommand(Protocol):
@@ -57,11 +58,16 @@ class LabellingCommand(Protocol):
         ...
 
 
-def labelling_options(command: LabellingCommand, *, rules: Rules = Rules.WHOLE_BODY, in_memory: bool) -> LabellingOptions:
-    """What the session room is asked to do. in_memory: whether whole recordings are needed, and not only what is written."""
-    from asterism.session import LabellingOptions, LabellingSettings
+def file_labeller(
+    command: LabellingCommand, files: Sequence[Path], batch: _console.Batch, *, rules: Rules = Rules.WHOLE_BODY, in_memory: bool = True
+) -> FileLabeller:
+    """What labels the files of a run. in_memory: whether whole recordings are needed, and not only what is written.
 
-    return LabellingOptions(
+    What is to be known of the models is said, once. Raises AsterismError where a model or the one trial given cannot be used.
+    """
+    from asterism.session import FileLabeller, LabellingOptions, LabellingSettings
+
+    options = LabellingOptions(
         settings=LabellingSettings(method=rules.value, frame_wise=command.frame_wise, workers=command.workers),
         file_names=file_names(command),
         standing=command.subject or (),
@@ -69,13 +75,11 @@ def labelling_options(command: LabellingCommand, *, rules: Rules = Rules.WHOLE_B
         vertical=vertical_axis(command.vertical),
         in_memory=in_memory,
     )
-
-
-def file_labeller(command: LabellingCommand, files: Sequence[Path], *, in_memory: bool = True) -> FileLabeller:
-    """What labels the files of a run by the whole body. Raises AsterismError where a model or the one trial given cannot be used."""
-    from asterism.session import FileLabeller
-
-    return FileLabeller.of_models(command.model, labelling_options(command, in_memory=in_memory), files)
+    labeller = FileLabeller.of_models(command.model, options, files)
+    # once for the run, not once for each file
+    for finding in labeller.findings:
+        batch.found(finding)
+    return labeller
 
 
 def file_names(command: LabellingCommand) -> KnownLabels | None:

@@ -11,8 +11,8 @@ import typer
 from asterism.errors import AsterismError
 
 
-class Miner(StrEnum):
-    """How partial solvers are chosen: thesis 4.5.3."""
+class SearchStrategy(StrEnum):
+    """How partial solvers are searched for: thesis 4.5.3."""
 
     BOTTOM_UP = "bottom-up"
     TOP_DOWN = "top-down"
@@ -75,11 +75,13 @@ Json = Annotated[
     typer.Option("--json", metavar="FILE", help="Write all results as JSON; - prints them instead of the table.", show_default=False),
 ]
 Report = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Write an HTML report.", show_default=False)]
-MinerOption = Annotated[
-    Miner | None,
+PartialSolvers = Annotated[
+    SearchStrategy | None,
     typer.Option(
         "--partial-solvers",
-        help="Also search the partial solvers that the rules partial-solvers and thesis need, in this way; takes minutes.",
+        metavar="STRATEGY",
+        help="Also search the partial solvers that the rules partial-solvers and thesis need: bottom-up, top-down, genetic or genetic-all. "
+        "Takes minutes.",
         show_default=False,
     ),
 ]
@@ -141,6 +143,7 @@ HitRate = Annotated[
 
 def marker_names(given: str | None) -> str | list[str] | None:
     """What --markers means to `asterism.read`: a set's name or path, or a list of names."""
+    # a file may have a comma in its name
     if given is None or "," not in given or Path(given).is_file():
         return given
     return [name.strip() for name in given.split(",") if name.strip()]
@@ -161,6 +164,7 @@ def vertical_axis(given: str | None) -> str | list[float] | None:
 def numbers(given: str, option: str) -> tuple[int, ...]:
     """The numbers of a list option, each once, in order."""
     try:
+        # shells hand over "0 1 2" and "0,1,2"; a number that comes twice is done once
         listed = tuple(dict.fromkeys(int(number) for number in given.replace(",", " ").split()))
     except ValueError:
         listed = ()
@@ -204,6 +208,7 @@ def feature_names(given: str | None) -> tuple[str, ...] | None:
     from asterism.labelling.features.registry import kinds_of
 
     names = tuple(name.strip() for name in given.split(",") if name.strip())
+    # a name that is not known is told before any file is read
     kinds_of(names)
     return names
 

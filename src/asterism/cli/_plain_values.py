@@ -36,6 +36,7 @@ _CHECKED = ("exists", "writable", "resolve_path", "parser")
 def _taking_plain_values(parameters: Any) -> Any:
     for parameter in parameters:
         converter, wanted = getattr(parameter, "get_runtime_param", None), getattr(parameter, "type_descriptor", None)
+        # another release of Typer: all goes its own way
         if converter is None or wanted is None or isinstance(converter, _Converter):
             continue
         if not any(getattr(wanted.parameter_info, check, None) for check in _CHECKED):
@@ -64,6 +65,7 @@ def as_plain(value: Any, annotation: Any) -> Any:
     """A value as a path, a text, a list of paths, or None; TypeError where it is or should be something else."""
     if get_origin(annotation) is list and isinstance(value, list | tuple) and value:
         return [as_plain(item, get_args(annotation)[0]) for item in value]
+    # not given, and no default: Typer has checked by now that this may be
     if annotation in (Path, str, int, float, bool) and value is None:
         return None
     if annotation is Path and isinstance(value, str | Path):

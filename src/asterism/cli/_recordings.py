@@ -21,6 +21,7 @@ _KEEP_THE_SOURCE = "Keep the source file, or choose a format that carries it."
 
 def is_rig(path: Path) -> bool:
     """Whether a name is that of a rig file or of a folder of them; for a recording's name, the formats of rigs are not loaded."""
+    # the usual case first: formats of rigs take a third of a second to import
     if formats.is_recording_file(path) and not path.is_dir():
         return False
     from asterism.cameras.files import is_rig_file
@@ -65,6 +66,7 @@ def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str
             recording = formats.read(path, markers=marker_set, vertical=axis)
             report_warnings(recording, batch)
             if marker_set is None:
+                # computed points and numbers for tracks are no markers
                 recording = recording.select(named_markers(recording))
             if not recording.visible.any():
                 raise AsterismError(f"{path} has no labelled point; label it first, or name its markers with --markers.")
@@ -82,6 +84,7 @@ def marker_set_of(markers: str | None) -> MarkerSet | None:
 def _with_common_markers(recordings: Sequence[Recording], batch: _console.Batch) -> list[Recording]:
     from asterism.labelling.training.markers import learned_markers
 
+    # each file counts as a person of its own, so that a marker must be in all of them
     common, left_out = learned_markers(recordings, [str(i) for i in range(len(recordings))], 1.0)
     for finding in left_out_markers(len(common), left_out):
         batch.found(finding)
@@ -92,6 +95,7 @@ def left_out_markers(used: int, left_out: Sequence[str]) -> list[Finding]:
     """The finding that some markers are not used because only some files have them; empty where there are none."""
     if not left_out:
         return []
+    # a line of the terminal; the JSON has all
     few = ", ".join(left_out[:8]) + (", ..." if len(left_out) > 8 else "")
     sentence = f"{used} markers are used; {len(left_out)} others are in too few of the files ({few})."
     return [Finding("recordings-differ", Severity.NOTE, "the files", sentence, "Name the markers with --markers to use others.")]
@@ -111,9 +115,8 @@ def uncovered_markers(model: Path, partial_solvers: Mapping[str, Mapping[str, An
 
 def report_warnings(recording: Recording, batch: _console.Batch) -> None:
     """Name what the reader of a file found, without its notes, which `asterism info` shows."""
-    for finding in recording.metadata.get("findings", ()):
-        if finding.severity > Severity.NOTE:
-            batch.found(finding)
+    for finding in recording.warnings:
+        batch.found(finding)
 
 
 def not_carried(target: Path, lost: Sequence[str], mend: str = _KEEP_THE_SOURCE) -> list[Finding]:

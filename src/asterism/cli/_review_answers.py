@@ -25,8 +25,9 @@ def correct_by_answers(options: ReviewOptions) -> int:
     batch = _console.Batch("corrected")
     found = trials(options.files, batch, without=options.output)
     files, targets = [trial.path for trial in found], outputs_of(found, options.output)
+    # a table that names a file that was not given is a mistake in either: nothing is written then
     answers = _by_file(options.answers, read_answers(options.answers), files)
-    labeller = file_labeller(options, files)
+    labeller = file_labeller(options, files, batch)
     with _console.progress("labelling") as progress:
         for path, target in zip(files, targets, strict=True):
             with batch.file(path):
@@ -42,6 +43,7 @@ def _correct(
     from asterism.cli._recordings import not_carried
     from asterism.labelling.correction import touches_of
 
+    # before the labelling, which takes longer than the look
     check_output(path, target, options.overwrite)
     labelled = labeller.label(path)
     for finding in labelled.findings:

@@ -24,12 +24,14 @@ def serve_page(options: ReviewOptions) -> None:
     from asterism.web import CorrectionSession, Place, SessionOptions, serve
 
     batch = _console.Batch("opened")
+    # what an earlier sitting saved is no raw recording
     found = [trial for trial in trials(options.files, batch, without=options.output) if not _is_corrected(trial)]
     files, targets = [trial.path for trial in found], None if options.output is None else outputs_of(found, options.output)
-    labeller = file_labeller(options, files)
+    labeller = file_labeller(options, files, batch)
     settings = SessionOptions(options.model, options.output, options.log_folder, options.overwrite, labeller.options)
     session = CorrectionSession(files, labeller.models, settings, targets)
     serve(session, Place(options.host, options.port, not options.no_browser), _console.result)
+    # answers are in the logs in any case; only the files are not written
     unsaved = [trial.path.name for trial in session.trials if trial.has_unsaved]
     if unsaved:
         _console.result(f"Not saved: {', '.join(unsaved)}. The answers are in the logs: start again to go on.")

@@ -35,7 +35,9 @@ class AuditOptions:
 
 @takes(AuditOptions)
 def audit(options: AuditOptions) -> None:
-    """Find wrong labels in labelled files: markers that are exchanged for some frames or throughout, labels that jump away and back.
+    """Find wrong labels in labelled files.
+
+    Such as markers that are exchanged for some frames or throughout, and labels that jump away and back.
 
     The markers' paths show where two labels are exchanged. With files of several people, the bodies of the other people show which of
     the two is right, and what is wrong throughout. The exit status is 1 where something was found.
@@ -49,6 +51,7 @@ def audit(options: AuditOptions) -> None:
     subjects = None if options.subject is None else [options.subject] * len(recordings)
     with _console.progress("auditing") as progress:
         errors = find_errors(recordings, subjects=subjects, seed=options.seed, progress=progress)
+    # frames as the file numbers them, by which other programs find them
     errors = [as_numbered(error, recordings) for error in errors]
     if options.json != "-":
         show(errors, batch.done)
@@ -63,6 +66,7 @@ def audit(options: AuditOptions) -> None:
         },
     )
     status = batch.close()
+    # a file that failed counts more than what was found in the others
     raise typer.Exit(status or exit_status(error.finding for error in errors))
 
 

@@ -34,6 +34,7 @@ def capturability(
     from asterism.cli._recordings import read_labelled
 
     batch = _console.Batch("read")
+    # a marker that some files lack would look hidden, and the set worse than it is
     recordings = read_labelled(recordings_of(files, batch), markers, vertical, batch)
     with _console.progress("capturability") as progress:
         result = labelling.capturability(recordings, seed=seed, progress=progress)
@@ -91,5 +92,6 @@ def _print(result: Capturability) -> None:
 def _taken_for(result: Capturability, row: int) -> str:
     """The three markers that this one is most often taken for."""
     shares = [(float(share), name) for j, (share, name) in enumerate(zip(result.confusion[row], result.markers, strict=True)) if j != row]
+    # by name where shares are equal, so that runs print the same
     worst = sorted((pair for pair in shares if pair[0] > 0), key=lambda pair: (-pair[0], pair[1]))[:3]
     return ", ".join(f"{name} {_console.percent(share)}" for share, name in worst)

@@ -45,11 +45,13 @@ def convert(options: ConvertOptions) -> None:
     _console.check_new(options.json, options.overwrite)
     axis, wanted = vertical_axis(options.vertical), marker_names(options.markers)
     findings: list[Finding] = []
+    # rigs and recordings share suffixes, so that this is asked first
     if is_rig(source):
         findings, lost = _convert_rig(source, target, axis, wanted if options.program is None else options.program)
     elif options.program is not None:
         recording, left = formats.for_program(formats.read(source, wanted, axis), options.program.value, target)
         lost = [*left, *formats.write(target, recording)]
+    # the whole file, with all that the formats have in common
     elif wanted is None:
         lost = formats.convert(source, target, axis)
     else:
@@ -81,5 +83,6 @@ def _convert_rig(source: Path, target: Path, vertical: Any, markers: Any) -> tup
     if markers is not None:
         raise AsterismError(f"{source} is a rig and has no markers; leave out --markers and --for.")
     rig = read_rig(source)
+    # a guess that is written down looks like a fact in the next program
     findings = assumptions(source, rig)
     return findings, write_rig(rig if vertical is None else replace(rig, vertical=as_vertical(vertical)), target)

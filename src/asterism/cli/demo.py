@@ -65,7 +65,9 @@ class DemoOptions:
 
 @takes(DemoOptions)
 def demo(options: DemoOptions) -> None:
-    """Try the labelling in about a minute, on simulated people; or another part, by its name.
+    """Try it on simulated people, in about a minute.
+
+    Without a word it is the labelling; the words name other parts.
 
     Ten people of different sizes walk for three seconds, 15 markers each. Eight train a model. It labels the recordings of the other two
     as `asterism label` does, each as a whole: markers vanish for up to a second and come back under new track numbers, and ghosts
@@ -101,8 +103,10 @@ def demo(options: DemoOptions) -> None:
         raise typer.Exit(demo_garment(options.output, options.seed, options.json))
     from asterism.simulation import simulate_walks
 
+    # before a minute of training
     _console.check_new(options.json, overwrite=True)
     options.output.mkdir(parents=True, exist_ok=True)
+    # JSON on standard output must be nothing but JSON
     show = _console.result if options.json != "-" else _console.error
     walks = simulate_walks(subjects=_WALKERS, frames=_FRAMES, rate=_RATE, markers=MARKERS, seed=options.seed)
     model = _trained(walks[:-_NEW_WALKERS], options.seed, show)
@@ -170,6 +174,7 @@ def _labelled(model: MarkerModel, walks: Sequence[Recording], hidden: int, ghost
     states = dict.fromkeys(("labelled", "likely", "unsure", "hidden"), 0)
     seconds, frames = 0.0, 0
     for i, walk in enumerate(walks):
+        # another seed for each walk: gaps at other places
         clouds, truth = simulate_gaps_and_ghosts(walk, hidden, ghosts, seed=seed + 1 + i)
         started = time.perf_counter()
         labelling = model.label(clouds)
@@ -189,6 +194,7 @@ def _write(files: _Files, model: MarkerModel, trial: _DemoTrial) -> None:
     from asterism import formats
     from asterism.report import LabelledRecording, label_report
 
+    # as a camera system would write it: tracks without names
     recording, clouds = _as_recording(trial.clouds)
     formats.write(files.unlabelled, recording)
     formats.write(files.labelled, recording.with_labelling(trial.labelling, clouds))
@@ -209,6 +215,7 @@ def _as_recording(clouds: Clouds) -> tuple[Recording, Clouds]:
     from asterism.recording import Recording
 
     assert clouds.tracks is not None
+    # a column for each track, as anonymous files have
     positions = np.full((len(clouds), int(clouds.tracks.max(initial=-1)) + 1, 3), np.nan)
     positions[clouds.frame_of, clouds.tracks] = clouds.xyz
     labels = tuple(f"*{i + 1}" for i in range(positions.shape[1]))

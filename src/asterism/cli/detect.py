@@ -102,6 +102,7 @@ class DetectOptions:
             split=self.split,
             step=self.step,
         )
+        # one number is for all cameras, several are one for each, in their order
         each = threshold if len(threshold) > 1 else None
         return DetectionSettings(blobs, thresholds=each, mask_static=self.mask_static, times=self.times, rate=self.rate)
 
@@ -128,6 +129,7 @@ def detect(options: DetectOptions) -> None:
     from asterism.findings import exit_status
     from asterism.formats import write_blobs
 
+    # the rig names the cameras in their order, and says which are missing
     rig = None if options.rig is None else read_rig(options.rig)
     settings = options.settings()
     with _console.progress("detecting") as progress:
@@ -161,6 +163,7 @@ def _line(result: Detection) -> str:
     blobs = f"{_console.count(len(result.blobs.xy))} blobs"
     if result.not_followed > 0:
         share = _console.percent(result.not_followed, 1)
+        # what is not followed cannot be moved to the common clock, and is lost: it must be said
         blobs += f" at common instants, without the {share} that cannot be followed from frame to frame"
     return f"{cameras}, {len(result.blobs)} frames {timing}; {blobs}"
 
@@ -168,6 +171,7 @@ def _line(result: Detection) -> str:
 def _print(result: Detection) -> None:
     rows = [
         [
+            # the file is named only where it says more than the camera's name
             camera.name if camera.name in (camera.path.stem, camera.path.name) else f"{camera.name} ({camera.path.name})",
             f"{camera.size[0]} x {camera.size[1]}",
             str(camera.frames),

@@ -17,8 +17,8 @@ from asterism.cli._options import (
     HitRate,
     Json,
     Markers,
-    MinerOption,
     Overwrite,
+    PartialSolvers,
     Report,
     Rules,
     RulesOption,
@@ -49,7 +49,7 @@ class EvaluateOptions:
     rules: RulesOption = Rules.WHOLE_BODY
     frame_wise: FrameWise = False
     target_hit_rate: HitRate = 0.999
-    miner: MinerOption = None
+    partial_solvers: PartialSolvers = None
     seed: Seed = 0
     vertical: Vertical = None
     overwrite: Overwrite = False
@@ -70,9 +70,8 @@ def evaluate(options: EvaluateOptions) -> None:
     Perfect: share of frames without an error. Log score: how little the confidence said of what came, as the mean of -ln of the
     probability that it gave to it; in brackets that of the best constant confidence. Less is better.
 
-    With --leave-one-subject-out the figures hold for people that
-    the model has not seen; --markers, --target-hit-rate and --partial-solvers belong to it. Rules other than whole-body need a strategy:
-    bottom-up where none is named.
+    With --leave-one-subject-out the figures hold for people that the model has not seen; --markers, --target-hit-rate and --partial-solvers
+    belong to it. Rules other than whole-body need partial solvers, searched bottom-up where nothing else is said.
     """
     settings = _settings(options)
     from asterism import labelling
@@ -80,9 +79,11 @@ def evaluate(options: EvaluateOptions) -> None:
 
     model = None if options.model is None else labelling.MarkerModel.load(options.model)
     batch = _console.Batch("read")
+    # under the names of the model, or of the training that is to come
     recordings = read_labelled(
         recordings_of(options.files, batch), options.markers if model is None else model.marker_set, options.vertical, batch
     )
+    # before the minutes of training, not after them
     count, hidden = len(recordings[0].labels), max(settings["occlusions"])
     if hidden > count:
         raise AsterismError(f"--occlusions {hidden} hides more than the {count} markers that there are; give smaller numbers.")
@@ -91,7 +92,7 @@ def evaluate(options: EvaluateOptions) -> None:
             evaluation = labelling.evaluate(model, recordings, **settings, progress=progress)
         else:
             # the whole-body rules need no partial solvers, and their search takes most of the training
-            miner = None if options.rules is Rules.WHOLE_BODY or options.miner is None else options.miner.value
+            miner = None if options.rules is Rules.WHOLE_BODY or options.partial_solvers is None else options.partial_solvers.value
             evaluation = labelling.leave_one_subject_out(
                 recordings, **settings, progress=progress, target_hit_rate=options.target_hit_rate, miner=miner
             )
@@ -102,7 +103,10 @@ def evaluate(options: EvaluateOptions) -> None:
     if options.report is not None:
         from asterism.report import evaluation_report
 
-        evaluation_report(options.report, evaluation, settings={"model": options.model or "each subject left out in turn", **settings})
+        said = {"model": options.model or "each subject left out in turn", **settings}
+        # the page names what the option means
+        said["recordings_as_a_whole"] = said.pop("time")
+        evaluation_report(options.report, evaluation, settings=said)
     _console.write_json(
         options.json,
         {
@@ -121,6 +125,7 @@ def evaluate(options: EvaluateOptions) -> None:
 
 def _settings(options: EvaluateOptions) -> dict[str, Any]:
     """The settings of the evaluation. Raises AsterismError where options contradict each other or an output exists."""
+    # people whom the model has learned would flatter it: the choice is the user's, and must be made
     if (options.model is None) == (not options.leave_one_subject_out):
         raise AsterismError("evaluate takes either --model FILE or --leave-one-subject-out; give one of them.")
     if options.model is not None and options.markers is not None:
@@ -129,12 +134,14 @@ def _settings(options: EvaluateOptions) -> dict[str, Any]:
     occlusions, ghosts = numbers(options.occlusions, "--occlusions"), numbers(options.ghosts, "--ghosts")
     _console.check_new(options.report, options.overwrite)
     _console.check_new(options.json, options.overwrite)
+    # the votes of partial solvers know no time
     in_time = options.rules is Rules.WHOLE_BODY and not options.frame_wise
     return {"occlusions": occlusions, "ghosts": ghosts, "seed": options.seed, "rules": options.rules.value, "time": in_time}
 
 
 def _print(evaluation: Evaluation) -> None:
     percent, count = _console.percent, _console.count
+    # only single frames are labelled by counted evaluations
     counted = [] if evaluation.time else ["evaluations/frame"]
     _console.table(
         f"Hidden markers and ghosts at every moment, {'recordings as a whole' if evaluation.time else 'each frame by itself'}",
@@ -188,6 +195,7 @@ def _shares(evaluation: Evaluation, condition: Condition) -> dict[str, float]:
 
     places = condition.frames * len(evaluation.markers)
     labelled = sum(level.labels for level in condition.confidence.levels if level.least >= SURE)
+    # the truth says which markers are in view; what is left over need not be asked
     unsure = round(condition.missed * condition.visible)
     counts = {"labelled": labelled, "likely": condition.given - labelled, "unsure": unsure}
     counts["hidden"] = places - sum(counts.values())

@@ -64,9 +64,11 @@ def _content(path: Path, batch: _console.Batch, *, show: bool) -> dict[str, Any]
     from asterism import formats
     from asterism.cli._recordings import is_model, is_rig
 
+    # by the suffix: no file is opened to learn what it is
     model = is_model(path)
     rig = not model and is_rig(path)
     whole = _described_model(path) if model else _described_rig(path) if rig else formats.describe(path)
+    # they are said on standard error, and not in the table
     findings: Sequence[Finding] = whole.pop("findings", ())
     content = {key: value for key, value in whole.items() if key != "file"}
     if show:
@@ -97,6 +99,7 @@ def _camera_row(camera: Mapping[str, Any]) -> list[str]:
     def pair(values: Sequence[float] | None, pattern: str = "{:.1f}", between: str = ", ") -> str:
         return "–" if values is None else between.join(pattern.format(value) for value in values)
 
+    # how many numbers describe the lens: a rig with none bends no image
     lens = len(camera["radial"]) + sum(map(bool, camera["denominator"])) + sum(map(bool, camera["tangential"]))
     error = "–" if camera["error"] is None else f"{camera['error']:.3f}"
     size = pair(camera["size"], "{:.0f}", " x ")
@@ -128,6 +131,7 @@ def _marker_set_rows(sets: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, s
     if not sets:
         yield "marker set", "none that is shipped"
         return
+    # the set of which most markers are there comes first
     best = sets[0]
     yield "marker set", told(best)
     if best["missing"]:
@@ -140,6 +144,7 @@ def _marker_set_rows(sets: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, s
 
 def _solvers_text(about: Mapping[str, Any]) -> str:
     shown = about["shown_hit_rates"]
+    # a set labels as well as its worst marker
     worst = min(shown, key=shown.get)
     return f"{about['solvers']}; shown hit rates from {_console.percent(shown[worst], 3)} ({worst})"
 

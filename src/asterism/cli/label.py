@@ -12,7 +12,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._folders import Trial, check_output, trials
-from asterism.cli._labelling import check_labelling, file_names, labelling_options
+from asterism.cli._labelling import check_labelling, file_labeller, file_names
 from asterism.cli._options import (
     DropComputed,
     Files,
@@ -91,7 +91,9 @@ class LabelOptions:
 
 @takes(LabelOptions)
 def label(options: LabelOptions) -> None:
-    """Label the points of recordings, whatever names the points have now.
+    """Label the points of recordings.
+
+    Names that the file has already count as --known-labels says.
 
     Each file is written to FOLDER under its name and format, with everything else in it unchanged. Points that are not labelled become
     *1, *2, ... A line per file says which share of all markers in all frames is labelled (confidence 99 % or more), likely (less) and
@@ -106,10 +108,12 @@ def label(options: LabelOptions) -> None:
     _check(options)
     batch, results = _console.Batch("labelled"), list[_Result]()
     files = trials(options.files, batch, without=options.output)
+    # models and the one trial given are loaded before any file: a wrong name costs no time
     run = _Run.of(options, files, batch)
     with _console.progress("labelling") as progress:
         for trial in files:
             with batch.file(trial.path):
+                # a file that fails is named, and the others are still labelled
                 result = run.result(trial, progress)
                 results.append(result)
                 if options.json != "-":
@@ -157,17 +161,20 @@ class _Run:
 
     @classmethod
     def of(cls, options: LabelOptions, files: Sequence[Trial], batch: _console.Batch) -> _Run:
-        from asterism.session import FileLabeller, FinishedFiles
+        from asterism.session import FinishedFiles
 
-        chosen = labelling_options(options, rules=options.rules, in_memory=options.program is not None or options.page is not None)
-        labeller = FileLabeller.of_models(options.model, chosen, [trial.path for trial in files])
+        # the page shows the points, and the next program may want other axes: both need the whole recording
+        in_memory = options.program is not None or options.page is not None
+        labeller = file_labeller(options, [trial.path for trial in files], batch, rules=options.rules, in_memory=in_memory)
         return cls(options, labeller, FinishedFiles(options.output, options.how, options.model), batch, len(files))
 
     def result(self, trial: Trial, progress: Progress | None) -> _Result:
         """Label one file and write it, or take over what an earlier run has finished."""
+        # the place tells what an earlier run has finished, so that its suffix comes first
         trial = self._as_program_reads(trial)
         target = self.options.output / trial.place
         if target.exists() and not self.options.overwrite:
+            # an output that is the input itself is never taken for finished
             row = None if target.samefile(trial.path) else self.finished.row(trial.place, trial.path, target)
             if row is not None:
                 return _Result({**row, "file": trial.path, "output": target, "finished_before": True})
@@ -179,6 +186,7 @@ class _Run:
         self.finished.begin(trial.place, trial.path)
         program = None if self.options.program is None else self.options.program.value
         lost = labelled.write(target, program=program, drop_computed=self.options.drop_computed)
+        # counting needs no positions: of a recording of an hour, the file is half of the memory
         row = self._row(trial, target, labelled.without_file(), lost)
         self.finished.end(trial.place, target, row)
         return _Result(row, self._shown(labelled))
@@ -186,6 +194,7 @@ class _Run:
     def report_findings(self, findings: Sequence[Finding]) -> None:
         """Name what was found in a file and on its labels."""
         for finding in findings:
+            # what is left out cannot be out of date
             if not (self.options.drop_computed and finding.code == "label-computed-outdated"):
                 self.batch.found(finding)
 
@@ -198,6 +207,7 @@ class _Run:
 
     def _shown(self, labelled: LabelledFile) -> LabelledRecording | None:
         """What the page shows of a file, where there is a page that has room for it."""
+        # the points of a hundred recordings are what a small computer holds
         if self.options.page is None or len(self.batch.done) >= _MOST_SHOWN:
             return None
         from asterism.report import LabelledRecording
@@ -248,6 +258,7 @@ def _by_marker(labelling: Labelling, clouds: Clouds) -> dict[str, dict[str, Any]
     found = {}
     for m, name in enumerate(labelling.names):
         stated = labelling.confidence[given[:, m], m]
+        # names that the file kept have no confidence of their own
         stated = stated[~np.isnan(stated)]
         shares = {state: float(held[:, m].mean()) if len(held) else float("nan") for state, held in states.items()}
         found[name] = {**shares, "confidence": float(stated.mean()) if len(stated) else float("nan")}
@@ -258,6 +269,7 @@ def _report(path: Path, options: LabelOptions, labeller: FileLabeller, results: 
     """Write the page on all files; those that an earlier run has finished are in its table only."""
     from asterism.report import label_report
 
+    # those of an earlier run were not read again, so that only their rows are known
     shown = [result for result in results if result.shown is not None]
     if not shown:
         if options.report is not None:
@@ -282,6 +294,7 @@ def _share(progress: Progress | None, batch: _console.Batch, files: int, path: P
     """Progress within one file as progress of the whole batch."""
     if progress is None:
         return None
+    # files that failed are done, too, as far as the bar goes
     before = len(batch.done) + len(batch.failed)
     return lambda fraction, _: progress((before + fraction) / files, path.name)
 

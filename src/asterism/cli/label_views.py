@@ -58,7 +58,9 @@ class LabelViewsOptions:
 
 @takes(LabelViewsOptions)
 def label_views(options: LabelViewsOptions) -> None:
-    """Label the blobs in the images of a few cameras with a model of the body.
+    """Label the blobs in the images of two to four cameras.
+
+    A model of the body says where each marker can be.
 
     With two to four cameras many markers are seen by one camera only and never become 3D points. The model predicts which marker each
     camera can see. Each blob gets a marker or none; markers that one camera shows get a place from the body, with a standard deviation.
@@ -76,7 +78,9 @@ def label_views(options: LabelViewsOptions) -> None:
     check_suffix(output)
     _console.check_outputs([output, options.labels, options.report, options.json], [options.blobs, options.rig], options.overwrite)
     body = views.load_body(options.body)
+    # the body stands on the ground: without a vertical it cannot be placed
     rig = _upright(read_rig(options.rig), options)
+    # in the rig's order, so that camera numbers mean the same in both
     blobs = read_2d(options.blobs, cameras=rig.names, rate=options.rate)
     model = None if options.model is None else MarkerModel.load(options.model)
     with _console.progress("labelling") as progress:
@@ -89,11 +93,13 @@ def label_views(options: LabelViewsOptions) -> None:
             least_confidence=options.least_confidence,
             progress=progress,
         )
+    # a second opinion, by the distances between markers alone
     if model is not None:
         from asterism.views.agreement import check_by_model
 
         with _console.progress("naming the 3D points") as progress:
             result = check_by_model(result, model, least_confidence=options.least_confidence, progress=progress)
+    # places that one camera tells are written unless a limit is given; their deviation says how far to trust them
     limit = float("inf") if options.most_deviation is None else 1e-3 * options.most_deviation
     lost = formats.write(output, result.recording(least_views=options.min_cameras, most_deviation=limit))
     if options.labels is not None:
@@ -103,6 +109,7 @@ def label_views(options: LabelViewsOptions) -> None:
 
         views_report(options.report, result, title=f"Labels in the images: {options.blobs.name}")
     numbers = _numbers(result)
+    # guesses about the rig come first: all that follows rests on them
     findings = (*assumptions(options.rig, rig), *result.findings, *not_carried(output, lost, "Write C3D to keep most."))
     for finding in findings:
         _console.report(finding)
@@ -123,6 +130,7 @@ def _upright(rig: Rig, options: LabelViewsOptions) -> Rig:
     from asterism.errors import AsterismError
     from asterism.recording.arrays import as_vertical
 
+    # what a person says counts more than the file
     given = vertical_axis(options.vertical)
     if given is not None:
         return replace(rig, vertical=as_vertical(given))
@@ -136,6 +144,7 @@ def _numbers(result: ViewsLabelling) -> dict[str, Any]:
     import numpy as np
 
     given = result.labels >= 0
+    # one camera tells no distance by itself: its places come from the body, and are counted apart
     one, more = result.views == 1, result.views >= 2
     deviations = result.deviations
 

@@ -36,8 +36,10 @@ def learn(
     _console.check_new(json, overwrite)
     before = MarkerModel.load(model)
     batch = _console.Batch("read")
+    # under the names of the model: what it does not know cannot be learned
     recordings = read_labelled(recordings_of(files, batch), before.marker_set, vertical, batch)
     batch.tell_passed_over()
+    # a model that has learned half of a session looks like one that has learned all of it
     if batch.failed:
         raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; correct them or leave them out.")
     started = time.perf_counter()
@@ -49,6 +51,7 @@ def learn(
     after.save(output)
     about = after.about
     new_people = [name for name in about["subjects"] if name not in before.about["subjects"]]
+    # a recording that the model has learned already counts once
     known = len(recordings) - (about["recordings"] - before.about["recordings"])
     if json != "-":
         from asterism.recording.display import counted

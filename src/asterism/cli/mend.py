@@ -38,7 +38,9 @@ class MendOptions:
 
 @takes(MendOptions)
 def mend(options: MendOptions) -> None:
-    """Put right the wrong labels that `asterism audit` finds, in copies of the files.
+    """Put right the wrong labels that `audit` finds.
+
+    Files stay as they are; copies are written.
 
     Labels that are exchanged are exchanged back, and a label that jumps off its marker is taken back there. Everything else in a file stays
     as it is. Only files with a wrong label are written, to FOLDER. The result is audited again: what is still wrong is named, and the
@@ -57,16 +59,20 @@ def mend(options: MendOptions) -> None:
             return find_errors(recordings, subjects=subjects, seed=options.seed, progress=progress)
 
     before = [file.audited for file in files]
+    # all files at once: what a marker's distances are, only the others tell
     errors = found_in(before, "auditing")
     after = [_mended(file, [error for error in errors if error.recording == i], batch) for i, file in enumerate(files)]
+    # labels that were put right can show others that were hidden by them
     left = found_in(after, "auditing again") if errors else []
     mended, left = [as_numbered(error, before) for error in errors], [as_numbered(error, after) for error in left]
+    # a file in which nothing was wrong is not copied
     written = [file for file, one, other in zip(files, before, after, strict=True) if one is not other]
     if options.json != "-":
         show(mended, batch.done)
         for file in written:
             _console.result(f"{file.path}: mended, {file.target}")
     for error in left:
+        # what is odd but may be right is left for the person
         if error.damage:
             _console.report(replace(error.finding, mend="Correct it by hand, for instance with asterism review."))
     _console.write_json(
@@ -107,9 +113,11 @@ def _read(options: MendOptions, marker_set: MarkerSet | None, batch: _console.Ba
     found = trials(options.files, batch, without=options.output)
     for trial, target in zip(found, outputs_of(found, options.output), strict=True):
         with batch.file(trial.path):
+            # before the audit, which takes minutes
             check_output(trial.path, target, options.overwrite)
             whole = formats.read(trial.path, vertical=axis)
             report_warnings(whole, batch)
+            # without a set, every name of the file is held against the others
             names = MarkerSet(named_markers(whole)) if marker_set is None else marker_set
             audited, columns = _audited(trial.path, whole, names)
             files.append(_File(trial.path, target, whole, audited, columns))
@@ -133,6 +141,7 @@ def _mended(file: _File, errors: Sequence[LabelError], batch: _console.Batch) ->
     from asterism.cli._recordings import not_carried
     from asterism.labelling.audit import mend_errors
 
+    # in the whole file, so that everything else in it stays as it is
     result, mended = mend_errors(file.whole, errors, file.columns)
     if not mended:
         return file.audited
@@ -141,6 +150,7 @@ def _mended(file: _File, errors: Sequence[LabelError], batch: _console.Batch) ->
     for finding in not_carried(file.target, formats.write(file.target, logged)):
         batch.found(finding)
     positions = file.audited.positions.copy()
+    # the second audit looks at the same markers as the first
     for place, name in enumerate(file.audited.labels):
         positions[:, place] = result.positions[:, file.columns[name]]
     return replace(file.audited, positions=positions)

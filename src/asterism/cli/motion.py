@@ -100,7 +100,7 @@ class MotionResult:
 
 @takes(MotionOptions)
 def motion(options: MotionOptions) -> None:
-    """Find limbs, joints and joint angles, and how certain these are.
+    """Find joints and joint angles, and how certain they are.
 
     From the points' trajectories alone, or by the segments of a marker set (--markers). Angles count from the first frame in which both
     limbs are seen. With --uncertainty each angle gets intervals at 65 and 95 %, and a budget: what cameras, soft tissue and misplaced
@@ -112,14 +112,17 @@ def motion(options: MotionOptions) -> None:
     from asterism.motion.uncertainty import estimate_uncertainty
 
     _console.check_outputs([options.report, options.json, options.output], [*options.files, options.rig], options.overwrite)
+    # a covariance belongs to the cameras of a rig, by their names
     if options.covariance is not None and options.rig is None:
         raise AsterismError("--covariance belongs to a rig; give its file with --rig.")
     batch = _console.Batch("analysed")
     results: list[MotionResult] = []
+    # read once: the same cameras measured all files
     cameras = _cameras(options)
     rules = MotionRules(method=options.method.value, joint_method=options.joints.value)
     for path in recordings_of(options.files, batch):
         with batch.file(path):
+            # unlabelled points serve: limbs are what moves together
             recording = read_points(path, options.vertical, batch)
             limbs, clinical = _limbs(options, recording), _clinical.find(recording, options.anatomy)
             with _console.progress("motion") as progress:
@@ -127,8 +130,10 @@ def motion(options: MotionOptions) -> None:
                 certain, legs = None, None
                 if options.uncertainty:
                     trials = _monte_carlo(options, progress)
+                    # only on demand: each trial finds the joints anew
                     certain = estimate_uncertainty(analysis, _sources(options, cameras, analysis), seed=options.seed, **trials)
                     legs = _clinical.certain(recording, clinical, _of_legs(options, cameras, recording, certain), options.seed, trials)
+            # what is uncertain about the angles is said beside what is wrong with the points
             for finding in [*analysis.findings, *(certain.findings if certain else ())]:
                 batch.found(finding)
             results.append(MotionResult(path, analysis, certain, clinical, legs))
@@ -157,6 +162,7 @@ def motion(options: MotionOptions) -> None:
 
 def _limbs(options: MotionOptions, recording: Recording) -> dict[str, list[str]] | int | None:
     """The segments of the marker set that have three markers in the recording; else the number of limbs that was given."""
+    # without a marker set, limbs are what moves together
     if options.markers is None:
         return options.limbs
     if options.limbs is not None:
@@ -165,11 +171,13 @@ def _limbs(options: MotionOptions, recording: Recording) -> dict[str, list[str]]
 
     marker_set = marker_set_of(options.markers)
     assert marker_set is not None
+    # labels of the file may be other spellings of the set's names
     columns = dict(zip(marker_set.names, marker_set.columns_of(recording.labels), strict=True))
     limbs = {
         name: [recording.labels[columns[marker]] for marker in markers if columns[marker] >= 0]
         for name, markers in marker_set.segments.items()
     }
+    # two markers tell no rotation
     kept = {name: markers for name, markers in limbs.items() if len(markers) >= 3}
     if not kept:
         raise AsterismError(
@@ -204,6 +212,7 @@ def _cameras(options: MotionOptions) -> Cameras:
         return Cameras(rig, None)
     from asterism.garment.rig_covariance import RigCovariance
 
+    # the errors of cameras belong together, and so the covariance is of all of them
     known = RigCovariance.load(options.covariance)
     return Cameras(rig, CalibrationErrors(rig.select(known.names), known.free, known.matrix))
 
@@ -213,6 +222,7 @@ def _sources(options: MotionOptions, cameras: Cameras, analysis: MotionAnalysis)
 
     from asterism.motion.uncertainty import ErrorSources, PlacementErrors, SoftTissueErrors
 
+    # the factor scales what the literature measured, low and high alike
     usual = SoftTissueErrors()
     low, high = (options.soft_tissue * scale for scale in usual.scales)
     soft = replace(usual, scales=(low, high)) if options.soft_tissue > 0 else None
@@ -238,6 +248,7 @@ def _of_legs(options: MotionOptions, cameras: Cameras, recording: Recording, cer
 def _monte_carlo(options: MotionOptions, progress: Any) -> MonteCarloOptions:
     from asterism.motion.uncertainty import MonteCarloRules
 
+    # two blocks at least: the second one says whether the first was enough
     rules = MonteCarloRules(most=options.trials, block=min(100, max(options.trials // 2, 2)))
     return {"rules": rules, "budget_trials": min(options.trials, 200), "workers": options.workers, "progress": progress}
 
@@ -258,6 +269,7 @@ def show(path: Path, analysis: MotionAnalysis, certain: UncertaintyResult | None
             f"{np.degrees(np.nanmax(joint.angle)):.1f}",
             f"{np.degrees(np.ptp(joint.flexion[_known(joint.flexion)])):.1f}",
         ]
+        # one number for a centre: the root of the sum of its variances
         row.append(f"{1000 * float(np.sqrt(np.trace(fitted.covariance))):.1f}")
         if certain is not None:
             one = certain.joints[number]
@@ -325,6 +337,7 @@ def _write_angles(target: Path, results: list[MotionResult]) -> None:
 
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
+    # one header for all files: columns that a file lacks stay empty
     wide = any(one.certain is not None for one in results)
     ends = ["angle_low95_deg", "angle_high95_deg", "flexion_low95_deg", "flexion_high95_deg"] if wide else []
     clinical = any(one.clinical is not None for one in results)
@@ -332,6 +345,7 @@ def _write_angles(target: Path, results: list[MotionResult]) -> None:
     rows.writerow(["file", "joint", "time_s", "angle_deg", "flexion_deg", *ends, *more])
     for one in results:
         times = one.analysis.recording.times
+        # clinical angles have no angle of the whole joint, and the others no adduction
         nothing = np.full(len(times), np.nan)
         blocks = [
             (joint.name, [joint.angle, joint.flexion, *_ends(one.certain, number), *[nothing] * len(more)])

@@ -48,6 +48,7 @@ def name(options: NameOptions) -> None:
     from asterism.labelling import group_tracklets
     from asterism.labelling.naming import locate_groups
 
+    # first the numbers, then the names: the two calls are told apart by both options
     if (options.names is None) != (options.output is None):
         raise AsterismError("--names (your names) and -o (the labelled file to write) belong together; give both or neither.")
     for new in (options.output, options.report, options.json):
@@ -57,8 +58,10 @@ def name(options: NameOptions) -> None:
     clouds = recording.clouds()
     if not len(clouds.xyz):
         raise AsterismError(f"{options.file} has no point in any frame; give a recording with points.")
+    # by their motion alone: names in the file may be what is wrong
     groups = group_tracklets(clouds)
     places = locate_groups(clouds, groups)
+    # written before anything is shown: a name that is refused shows no table
     findings = [] if options.output is None else _write(options.file, options.output, recording, groups, names)
     if options.json != "-":
         _print(options.file, groups, places, names, len(clouds))
@@ -94,10 +97,12 @@ def _read_names(path: Path) -> dict[int, str]:
         rows = [[cell.strip() for cell in row] for row in csv.reader(stream)]
     out: dict[int, str] = {}
     for line, row in enumerate(rows, 1):
+        # spreadsheets leave empty lines and a header
         if not any(row) or (line == 1 and row[0].casefold() == "group"):
             continue
         if len(row) != 2 or not row[0].isascii() or not row[0].isdigit() or int(row[0]) < 1:
             raise AsterismError(f"{path}, line {line}: {','.join(row)!r} is not group,marker; write for example 4,LKNE.")
+        # which of the two is meant, only the person knows
         if int(row[0]) - 1 in out:
             raise AsterismError(f"{path}, line {line}: group {row[0]} already has a name; keep one of the two lines.")
         if row[1]:
@@ -136,6 +141,7 @@ def _print(file: Path, groups: MarkerGroups, places: list[GroupPlace], names: di
             _console.count(int(groups.frames[g])),
             _console.percent(groups.frames[g] / frames, 1),
         ]
+        # rare groups are ghosts mostly; one that a person has named is not
         for g in sorted({*range(groups.frequent), *names})
     ]
     if rows:

@@ -93,11 +93,14 @@ def reconstruct(options: ReconstructOptions) -> None:
     check_suffix(output)
     _console.check_new(output, options.overwrite)
     _console.check_new(options.json, options.overwrite)
+    # the rig first: it says which cameras the blobs must be of
     rig = read_rig(options.rig)
     settings = options.settings(rig)
+    # in the rig's order; cameras that saw nothing keep their place
     blobs = read_blobs(options.blobs, cameras=rig.names, rate=options.rate)
     with _console.progress("reconstructing") as progress:
         result = reconstruction.reconstruct(blobs, rig, settings, progress=progress)
+    # before smoothing, which hides what cameras disagree on
     numbers, findings = reconstruction.summary(result, rig)
     if options.smooth:
         result, numbers["smoothed"] = _smoothed(result, rig)
@@ -120,6 +123,7 @@ def _smoothed(result: Reconstruction, rig: Rig) -> tuple[Reconstruction, dict[st
 
     with _console.progress("smoothing") as progress:
         paths = smooth_paths(result.clouds, result.covariance, progress=progress)
+    # residuals belong to points: they are taken anew of the moved ones
     result = result.with_points(paths.clouds, paths.covariance, rig)
     return result, {
         "paths": paths.paths,
@@ -150,10 +154,12 @@ def _print(output: Path, numbers: dict[str, Any]) -> None:
         ("seen by cameras", by_cameras or "–"),
         ("pixel noise", f"{numbers['noise_px']:.3f} px"),
     ]
+    # without a point there is nothing that could be off
     if numbers["residual_px"]:
         facts.append(("residual", f"{numbers['residual_px']['median']:.3f} px mostly, {numbers['residual_px']['p95']:.3f} px for 95 %"))
         facts.append(("one deviation", f"{1000 * numbers['deviation_m']['median']:.2f} mm mostly"))
     if numbers["static_points"]:
+        # a light that two cameras see may be two lights
         by_many = sum(point["cameras"] > 2 for point in numbers["static_points"])
         facts.append(("points that never move", f"{len(numbers['static_points'])}, {by_many} of them by three cameras or more"))
     masked = sum(camera["masked_places"] for camera in numbers["cameras"])

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @takes(ReviewOptions)
 def review(options: ReviewOptions) -> None:
-    """List the labels that a person should check first, or correct them.
+    """List the labels to check first, or correct them.
 
     The files are labelled as `asterism label` does it, with the same options. Nothing is written to them. A line is
     a piece of a track between two gaps: one name for it corrects all its frames. The gain is the expected number of its samples whose
@@ -52,12 +52,14 @@ def _check(options: ReviewOptions) -> None:
         raise AsterismError("--serve takes the answers on its page; leave out --csv and --answers.")
     if options.answers is not None and options.csv is not None:
         raise AsterismError("--answers takes a table that an earlier run wrote; leave out --csv.")
+    # a correction labels tracks again, which single frames do not have
     if correcting and options.frame_wise:
         raise AsterismError(f"{correcting} corrects whole recordings by the model; leave out --frame-wise.")
     if correcting in ("--serve", "--answers") and (options.report is not None or options.json is not None):
         raise AsterismError(f"{correcting} writes no list; leave out --report and --json.")
     if options.answers is not None and options.output is None:
         raise AsterismError("--answers writes corrected files; say where with -o FOLDER.")
+    # before the work of minutes, not after it
     for path in (options.report, options.json, options.csv):
         _console.check_new(path, options.overwrite)
 
@@ -66,7 +68,7 @@ def _listed(options: ReviewOptions) -> int:
     """List what to check; returns the exit status."""
     batch, found = _console.Batch("reviewed"), _Review()
     files = recordings_of(options.files, batch)
-    labeller = file_labeller(options, files)
+    labeller = file_labeller(options, files, batch)
     with _console.progress("labelling") as progress:
         for path in files:
             with batch.file(path):
@@ -152,10 +154,12 @@ def _add(found: _Review, labelled: LabelledFile, options: ReviewOptions, batch: 
     found.gain += sum(item.gain for item in items)
     lines = list(found.lines)
     for item in items[: options.top]:
+        # the name that the file gives the piece, by which a person finds it elsewhere
         column = int(clouds.columns[item.points[0]])
         point = recording.labels[column] if column >= 0 else ""
         question = question_row(str(path), correction, item) if correction is not None else ()
         lines.append(_Line(point, ReviewEntry(str(path), item, labelling, clouds, recording.first_frame), question))
+    # only what the list can show is kept: a folder of hours has millions of pieces
     found.lines = sorted(lines, key=lambda line: -line.entry.item.gain)[: options.top]
 
 

@@ -63,6 +63,7 @@ def segment(options: SegmentOptions) -> None:
         with batch.file(path):
             recording = read_points(path, options.vertical, batch)
             with _console.progress("segmenting") as progress:
+                # by motion alone: labels may be missing or wrong
                 found = segment_limbs(recording.positions, options.limbs, method=options.method.value, progress=progress)
             results.append((path, recording, found))
             if options.json != "-":
@@ -93,6 +94,7 @@ def read_points(path: Path, vertical: str | None, batch: _console.Batch) -> Reco
 
     recording = formats.read(path, vertical=vertical_axis(vertical))
     report_warnings(recording, batch)
+    # a column that is named and never seen says nothing of a limb
     if not recording.visible.any():
         raise AsterismError(f"{path} has no point that is ever seen; check what it holds with `asterism info`.")
     return recording
@@ -118,6 +120,7 @@ def show(path: Path, recording: Recording, found: Segmentation) -> None:
     for limb in range(found.limbs):
         points = found.points(limb)
         stray = found.stray[points, limb]
+        # a point that never shows beside its limb has no distance to stray from
         known = stray[np.isfinite(stray)]
         names = ", ".join(recording.labels[n] for n in points[:8]) + (", ..." if len(points) > 8 else "")
         typical = f"{1000 * float(np.median(known)):.1f}" if len(known) else "–"

@@ -20,8 +20,8 @@ from asterism.cli._options import (
     Json,
     Markers,
     MarkerTargets,
-    MinerOption,
     Overwrite,
+    PartialSolvers,
     Seed,
     Vertical,
     check_hit_rate,
@@ -45,7 +45,7 @@ class TrainOptions:
     markers: Markers = None
     target_hit_rate: HitRate = 0.999
     marker_target: MarkerTargets = None
-    miner: MinerOption = None
+    partial_solvers: PartialSolvers = None
     features: Features = None
     seed: Seed = 0
     audit: Annotated[
@@ -67,6 +67,7 @@ def train(options: TrainOptions) -> None:
     named.
     """
     check_hit_rate(options.target_hit_rate)
+    # mistakes in options are told before any file is read
     features, targets = feature_names(options.features), marker_targets(options.marker_target)
     _console.check_new(options.output, options.overwrite)
     _console.check_new(options.json, options.overwrite)
@@ -77,6 +78,7 @@ def train(options: TrainOptions) -> None:
     from asterism.labelling import MarkerModel, TrainingRules
 
     errors: list[Any] = []
+    # one exchanged pair of labels teaches a body that nobody has
     if options.audit:
         recordings, errors = _without_damage(recordings, marker_set, options.seed)
     started = time.perf_counter()
@@ -85,7 +87,7 @@ def train(options: TrainOptions) -> None:
             recordings,
             seed=options.seed,
             target_hit_rate=options.target_hit_rate,
-            miner=None if options.miner is None else options.miner.value,
+            miner=None if options.partial_solvers is None else options.partial_solvers.value,
             marker_set=marker_set,
             training=TrainingRules(features=features, marker_targets=targets),
             progress=progress,
@@ -98,6 +100,7 @@ def train(options: TrainOptions) -> None:
         *left_out_markers(len(names), about["left_out_markers"]),
         *uncovered_markers(options.output, about["partial_solvers"]),
     ]
+    # what the audit found was reported when it was found
     findings = [*notes, *(error.finding for error in errors)]
     for finding in notes:
         _console.report(finding)
@@ -116,6 +119,7 @@ def train(options: TrainOptions) -> None:
             "seconds": seconds,
         },
     )
+    # notes do not change the status; labels that were left out do
     raise typer.Exit(exit_status(error.finding for error in errors))
 
 
@@ -128,6 +132,7 @@ def _read(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | N
 
     batch = _console.Batch("read")
     files = recordings_of(files, batch)
+    # without a set, all named markers count, and training chooses among them
     read = read_some if marker_set is None else read_labelled
     recordings = read(files, marker_set, vertical, batch)
     batch.tell_passed_over()
@@ -146,8 +151,10 @@ def _absent_markers(files: Sequence[Path], recordings: Sequence[Recording], mark
     mend = "name a smaller set with --markers, or add the files' spelling to the set's aliases."
     shown = np.array([recording.visible.any(axis=0) for recording in recordings])
     for path, seen in zip(files, shown, strict=True):
+        # so few are another set, or other spellings of this one
         if 2 * seen.sum() < len(seen):
             raise AsterismError(f"{path} has {seen.sum()} of the {len(seen)} markers, fewer than half; leave the file out, {mend}")
+    # a marker that nobody shows would be in the model, and never be labelled
     never = [name for name, count in zip(marker_set.names, shown.sum(axis=0), strict=True) if not count]
     if never:
         raise AsterismError(f"no file has the marker {', '.join(never[:6])}{', ...' if len(never) > 6 else ''}; {mend}")
@@ -165,8 +172,10 @@ def _without_damage(recordings: Sequence[Recording], marker_set: MarkerSet | Non
     from asterism.labelling.training.markers import learned_marker_set
 
     names = (marker_set or learned_marker_set(recordings)[0]).names
+    # points that are not learned need not be right
     audited = [recording.select([name for name in names if name in recording.labels]) for recording in recordings]
     with _console.progress("auditing") as progress:
+        # what is odd but may be right is left in: it may be a posture of its own
         errors = [error for error in audit(audited, seed=seed, progress=progress) if error.damage]
     numbered = [as_numbered(error, audited) for error in errors]
     for error in numbered:
@@ -182,6 +191,7 @@ def _print(output: Path, markers: int, recordings: int, about: dict[str, Any], s
         f"{output}: {markers} markers, from {counted(recordings, 'recording')} of {counted(people, 'subject')} "
         f"({counted(about['frames'], 'frame')}) in {seconds:.0f} s"
     )
+    # its confidence cannot be tried on anybody else
     if people == 1:
         _console.result(
             "advice: one person tells little of others, and nothing of postures not shown, where labels can be wrong at a confidence "

@@ -74,19 +74,25 @@ def measure(arrays, components, limits, out, flags):
     IN  arrays ImageArrays; components Components; limits MeasureLimits
     OUT out (capacity, COLUMNS), flags (capacity,): one row per blob
     Returns how many blobs there are. O(pixels above the level), n log n in components with several peaks. Twin: tests/twins_detection.py
+
+    Bounds: `capacity` is the number of pixels in all components. A blob has a pixel of its own, so a component gives no more blobs than it
+    has pixels; what is kept is written over what was measured.
     """
     blobs = 0
     for component in range(len(components.starts) - 1):
         runs = components.order[components.starts[component] : components.starts[component + 1]]
         area, box = _extent(components, runs, arrays.image.shape[1])
+        # Too large is dropped at once only where components are not grown from peaks: there a large one may hold many small blobs.
         if area < limits.min_area or (area > limits.max_area and limits.step == 0.0):
             continue
         parts = 1
+        # Four pixels and more, because less has no room for two peaks with a saddle.
         large = box.right - box.left + box.lower - box.upper >= 4 and area >= 2 * limits.min_area
         if limits.step > 0.0 or (large and limits.split < 1.0):
             parts = _measure_parts(arrays, components, runs, area, box, limits, out[blobs:], flags[blobs:])
         if parts == 1 and limits.step == 0.0:
             _measure_whole(arrays, components, runs, limits.saturated, out[blobs], flags[blobs : blobs + 1])
+        # Blobs that do not fit are written over by those that do, so that no second array is needed.
         kept = blobs
         for blob in range(blobs, blobs + parts):
             if limits.min_area <= out[blob, AREA] <= limits.max_area and out[blob, PEAK] > limits.min_peak:
@@ -105,6 +111,7 @@ def _extent(components, runs, width):
     for run in runs:
         area += components.lasts[run] - components.firsts[run] + 1
         left, right = min(left, components.firsts[run]), max(right, components.lasts[run])
+    # Runs of a component are in the order of rows, so the first and the last have its rows.
     return area, Box(components.rows[runs[0]], components.rows[runs[-1]], left, right)
 
 
@@ -122,10 +129,12 @@ def _measure_parts(arrays, components, runs, area, box, limits, out, flags):
         n, parts = grow_from_peaks(weight, limits.step, limits.min_peak, ys, xs, label)
     else:
         n, parts = split_at_saddles(weight, limits.split, ys, xs, label)
+        # A component that is not cut is measured without its box, which costs less.
         if parts == 1:
             return parts
     ys, xs, parts_out = ys[:n], xs[:n], out[:parts]
     _sum_parts(arrays, Pixels(weight, ys, xs, label), box, limits.saturated, parts_out, flags)
+    # Blobs that are grown from peaks part where they are, by the method's own rule.
     if limits.step == 0.0 and parts * n <= MOST_SHARED:
         share_pixels(weight, ys, xs, parts_out)
     for blob in range(parts):
@@ -139,6 +148,7 @@ def _measure_whole(arrays, components, runs, saturated, out, flag):
     """OUT out (COLUMNS,), flag (1,): one component as one blob, by moments about its first pixel, moved to the centroid. O(pixels)."""
     image, base, cut = arrays.image, arrays.base, arrays.cut
     rows, firsts, lasts = components.rows, components.firsts, components.lasts
+    # About the first pixel: sums of squares of large coordinates would lose the digits that the variance needs.
     x0, y0 = firsts[runs[0]], rows[runs[0]]
     left, right = x0, x0
     total = sx = sy = sxx = syy = sxy = 0.0
@@ -148,6 +158,7 @@ def _measure_whole(arrays, components, runs, saturated, out, flag):
         y = float(rows[run] - y0)
         for column in range(firsts[run], lasts[run] + 1):
             value = int(image[rows[run], column])
+            # Unsigned grey values are made whole numbers before they are subtracted: below zero they would wrap around.
             w, x = float(value - int(base[rows[run], column])), float(column - x0)
             total += w
             sx += w * x
@@ -207,6 +218,7 @@ def _sum_parts(arrays, pixels, box, saturated, out, flags):
         out[blob, PEAK] = max(out[blob, PEAK], w)
         ends[blob, 0], ends[blob, 1] = min(ends[blob, 0], x), max(ends[blob, 1], x)
         ends[blob, 2], ends[blob, 3] = min(ends[blob, 2], y), max(ends[blob, 3], y)
+        # A flag of one pixel is a flag of the blob.
         if arrays.image[upper + y, left + x] >= saturated:
             flags[blob] |= SATURATED
         if arrays.cut[upper + y, left + x]:
@@ -244,8 +256,10 @@ def share_pixels(weight, ys, xs, out):
             x, y = float(xs[i]), float(ys[i])
             total = 0.0
             for blob in range(blobs):
+                # Round, although blobs may not be: with free axes, one of two blobs could stretch over the other.
                 spread = 0.5 * (out[blob, XX] + out[blob, YY]) + LEAST_SPREAD
                 dx, dy = x - out[blob, X], y - out[blob, Y]
+                # The tiny addend gives a pixel that is far from all of them to someone, instead of dividing by zero.
                 share[blob] = out[blob, WEIGHT] / spread * math.exp(-0.5 * (dx * dx + dy * dy) / spread) + 1e-300
                 total += share[blob]
             for blob in range(blobs):
@@ -259,6 +273,7 @@ def share_pixels(weight, ys, xs, out):
         moved = 0.0
         for blob in range(blobs):
             _to_central_moments(sums[blob])
+            # Centres are what is wanted, so that they decide when it is enough.
             moved = max(moved, math.fabs(out[blob, X] - sums[blob, X]), math.fabs(out[blob, Y] - sums[blob, Y]))
             for k in (X, Y, XX, YY, XY, WEIGHT):
                 out[blob, k] = sums[blob, k]

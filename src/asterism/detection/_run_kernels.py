@@ -40,6 +40,7 @@ class Components(NamedTuple):
 def find_root(parents, i):
     """Returns the first member of the group of i. OUT parents: the path to it is halved. O(log n), amortised."""
     while parents[i] != i:
+        # Each visit leads to the grandparent instead, so that long ways become short without a second walk.
         parents[i] = parents[parents[i]]
         i = parents[i]
     return i
@@ -65,18 +66,23 @@ def find_runs(image, level, reach, runs):
     IN  image, level (H, W) of the same unsigned type; reach 1 joins diagonal neighbours too (8-connected), 0 does not (4-connected)
     OUT runs Runs, with room for H * ((W + 1) // 2)
     Returns how many runs there are. O(H W), dark stretches skipped; no allocation. Twin: cv2.connectedComponentsWithStats
+
+    Bounds: two runs of a row are apart by a pixel, so a row of W pixels has (W + 1) // 2 at most.
     """
     rows, firsts, lasts, parents = runs.rows, runs.firsts, runs.lasts, runs.parents
     height, width = image.shape
     count = above_start = above_end = 0
     for row in range(height):
+        # The runs of this row begin here; those of the row above are above_start to above_end.
         here = count
         column = 0
         while column < width:
+            # Most of an image is dark, so that it is passed over in steps.
             if column + STEP <= width and _is_dark(image, level, row, column):
                 column += STEP
                 continue
             stop = min(column + STEP, width)
+            # A run may go on beyond the step; then the next step begins behind it.
             while column < stop:
                 if image[row, column] > level[row, column]:
                     rows[count], firsts[count], parents[count] = row, column, count
@@ -86,16 +92,20 @@ def find_runs(image, level, reach, runs):
                     lasts[count] = column - 1
                     count += 1
                 column += 1
+        # Both rows are in order of columns, so one walk along the row above serves all runs of this one.
         other = above_start
         for run in range(here, count):
             while other < above_end and lasts[other] + reach < firsts[run]:
                 other += 1
+            # The next run may touch the same one above, which is why `other` stays behind.
             touching = other
             while touching < above_end and firsts[touching] <= lasts[run] + reach:
                 a, b = find_root(parents, run), find_root(parents, touching)
+                # The smaller number wins, so that a component's root is its first run and components come in reading order.
                 parents[max(a, b)] = min(a, b)
                 touching += 1
         above_start, above_end = here, count
+    # The root comes before its members and was done before them: one step is enough.
     for run in range(count):
         parents[run] = parents[parents[run]]
     return count
@@ -112,11 +122,13 @@ def group_runs(runs, count):
     number = np.empty(count, np.int64)
     components = 0
     for run in range(count):
+        # A root comes before its members, so that its number is known when they ask.
         if parents[run] == run:
             number[run] = components
             components += 1
         else:
             number[run] = number[parents[run]]
+    # Counting sort: sizes, then where each component begins, then each run to its place. It keeps the runs' order.
     starts = np.zeros(components + 1, np.int64)
     for run in range(count):
         starts[number[run] + 1] += 1

@@ -30,12 +30,14 @@ def camera_names(sources: Sequence[Source], rig: Rig | None) -> list[str]:
         raise AsterismError(f"{twice} is given twice; give each camera its own images.")
     names = [source.name for source in sources]
     if len(set(names)) < len(names):
+        # Many systems write cam1/video.avi, cam2/video.avi, whose folders are the names.
         names = [path.parent.name for path in paths]
     if len(set(names)) < len(names):
         twice_named = next(name for i, name in enumerate(names) if name in names[:i])
         raise AsterismError(f"two cameras would be called {twice_named}; give each its own file or folder name.")
     if rig is None or set(names) <= set(rig.names):
         return names
+    # A rig's c3 and a folder's cam_03 are the same camera where the numbers pair up one to one.
     by_number = {_number(name): name for name in rig.names}
     numbers = [_number(name) for name in names]
     if len(by_number) == len(rig) and len(set(numbers)) == len(numbers) and set(numbers) <= set(by_number) - {None}:
@@ -65,6 +67,7 @@ def align_frames(
     """
     lengths = [max(len(source), int(places.max(initial=-1)) + 1) for source, places in zip(sources, read, strict=True)]
     rows = _counted(sources, lengths)
+    # Without times, equal frame numbers are the only thing that cameras share.
     if stamps is None:
         first = min(int(frames[0]) for frames in rows)
         findings += _mismatches(rows, lengths, names)
@@ -140,6 +143,7 @@ def _counted(sources: Sequence[Source], lengths: Sequence[int]) -> list[NDArray[
     if not all(source.numbered for source in sources):
         return [source.numbers - source.numbers[0] if source.numbered else np.arange(n) for source, n in zip(sources, lengths, strict=True)]
     every = np.concatenate([source.numbers for source in sources])
+    # Cameras that number every second or tenth image count in steps; the largest that fits all is one frame.
     step = max(int(np.gcd.reduce(every - every[0])), 1)
     return [source.numbers // step for source in sources]
 

@@ -115,6 +115,8 @@ class BlobSettings:
             raise AsterismError(
                 f"a step of {self.step} grey values is not positive; give for example 100, or none to part blobs at their valleys."
             )
+        if self.min_peak is not None and not np.isfinite(self.min_peak):
+            raise AsterismError(f"a least peak of {self.min_peak} grey values cannot be exceeded; give a number, or none to estimate it.")
         if self.weight_reference not in ("threshold", "background"):
             raise AsterismError(f"pixels cannot weigh from {self.weight_reference!r}; choose 'threshold' or 'background'.")
 
@@ -126,6 +128,14 @@ def find_blobs(image: ArrayLike, settings: BlobSettings | None = None) -> ImageB
     settings  None: thresholds are estimated from the image
 
     Raises AsterismError for colour or other kinds of image, and for settings out of range.
+
+    >>> image = np.zeros((40, 60), np.uint8)
+    >>> image[10:15, 20:25] = 200
+    >>> blobs = find_blobs(image, BlobSettings(threshold=50))
+    >>> blobs.xy
+    array([[22., 12.]])
+    >>> blobs.size.round(1)
+    array([5.6])
     """
     grey = as_grey(image)
     settings = BlobSettings() if settings is None else settings
@@ -135,6 +145,7 @@ def find_blobs(image: ArrayLike, settings: BlobSettings | None = None) -> ImageB
     level, base = levels_of(grey, threshold, settings.background)
     cut = _cut(grey, level, settings.mask)
     components = _components(grey, level, settings)
+    # The kernel counts grey values from the base; what lies between it and the background is added to peaks afterwards.
     base, offset = (base, 0.0) if settings.weight_reference == "background" else (level, float(int(threshold)))
     limits = moments.MeasureLimits(
         min_area=settings.min_size**2 * np.pi / 4,
@@ -144,6 +155,7 @@ def find_blobs(image: ArrayLike, settings: BlobSettings | None = None) -> ImageB
         step=float(settings.step or 0.0),
         saturated=float(saturated_from(grey)),
     )
+    # A blob has a peak of its own, and no component has more peaks than pixels.
     bound = int((components.lasts - components.firsts).sum()) + len(components.order)
     out, flags = np.empty((bound, moments.COLUMNS)), np.empty(bound, np.uint8)
     found = moments.measure(moments.ImageArrays(grey, base, cut), components, limits, out, flags)
@@ -164,6 +176,7 @@ def _with_thresholds(grey: Grey, settings: BlobSettings) -> BlobSettings:
     background = settings.background
     found = estimate_thresholds(grey, background)
     if found.uneven and background is None:
+        # Light that lies unevenly over the image hides dim markers in its dark part and makes blobs of its bright one.
         background = estimate_background([grey])
         found = estimate_thresholds(grey, background)
     return replace(
@@ -187,6 +200,7 @@ def _cut(grey: Grey, level: Grey, mask: ArrayLike | None) -> NDArray[np.uint8]:
     hidden = np.asarray(mask, dtype=bool)
     if hidden.shape != grey.shape:
         raise AsterismError(f"the mask is {size_text(hidden)}, the image {size_text(grey)}; make the mask from images of this camera.")
+    # Nothing exceeds the end of the scale.
     level[hidden] = np.iinfo(grey.dtype).max
     cut |= cv2.dilate(hidden.astype(np.uint8), np.ones((3, 3), np.uint8))
     return cut
@@ -195,10 +209,12 @@ def _cut(grey: Grey, level: Grey, mask: ArrayLike | None) -> NDArray[np.uint8]:
 def _components(grey: Grey, level: Grey, settings: BlobSettings) -> Components:
     """The components above the level. OUT level: raised in regions larger than markers where that is asked for."""
     height, width = grey.shape
+    # Runs of a row are a pixel apart at least.
     capacity = height * ((width + 1) // 2)
     runs = Runs(*(np.empty(capacity, np.int32) for _ in range(4)))
     largest, most = settings.max_size**2 * np.pi / 4, int(np.iinfo(grey.dtype).max)
     reach = int(settings.connectivity == 8)
+    # A raised threshold uncovers the regions inside, which may hold brighter ones in turn.
     for last in range(_NESTED, -1, -1):
         count = find_runs(grey, level, reach, runs)
         components = group_runs(runs, count)
@@ -210,6 +226,7 @@ def _components(grey: Grey, level: Grey, settings: BlobSettings) -> Components:
 def _image_blobs(rows: Floats, flags: NDArray[np.uint8], offset: float, settings: BlobSettings) -> ImageBlobs:
     """Blobs from the kernel's rows: axes from second moments, to which each pixel's own extent adds 1/12 px2."""
     xx, yy, xy = rows[:, moments.XX] + 1 / 12, rows[:, moments.YY] + 1 / 12, rows[:, moments.XY]
+    # The two eigenvalues of a symmetric 2 x 2 matrix are its half trace plus and minus this.
     half, difference = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     roundness = np.sqrt(np.maximum(half - difference, 0.0) / (half + difference))
     keep = roundness >= settings.min_roundness
@@ -237,6 +254,12 @@ def static_mask(
 
     Markers must move between the images: one that rests in nearly all of them is masked too. Threshold and background as in `BlobSettings`,
     the threshold for each image by itself where None. Raises AsterismError where there is no image, or where their sizes differ.
+
+    >>> images = np.zeros((10, 20, 30), np.uint8)
+    >>> images[:, 5, 5] = 255  # a lamp
+    >>> images[np.arange(10), 12, np.arange(10, 30, 2)] = 255  # a marker on its way
+    >>> np.argwhere(static_mask(images, threshold=100, margin=0)).tolist()
+    [[5, 5]]
     """
     import cv2
 

@@ -150,11 +150,13 @@ def search_images(
     for place, image in some:
         _check_alike(source, place, image, first)
     given = settings
+    # One threshold for all images of a camera: blobs must not grow and shrink as its noise is estimated anew.
     settings, threshold, peak = _common_thresholds([image for _, image in some], settings)
     if mask_static:
         settings = replace(settings, mask=_static_mask(source, [image for _, image in some], settings))
     read = _read_all(source, first, settings, timed, advance)
     middle = some[len(some) // 2]
+    #
     sample = find_blobs(middle[1], settings)
     xy, sizes, flags = (np.concatenate(column) for column in zip(*read.blobs, strict=True))
     findings = [*_sequence_findings(source, len(read.places), read.broken, np.diff(read.shown))]
@@ -203,6 +205,7 @@ def _read_all(source: Source, first: Grey, settings: BlobSettings, timed: bool, 
             continue
         _check_alike(source, place, grey, first)
         blobs = find_blobs(grey, settings)
+        # The centroid of half a marker lies beside the marker.
         whole = (blobs.flags & Flag.AT_BORDER) == 0
         read.at_border += int((~whole).sum())
         read.single_row += int((blobs.extent[whole, 1] == 1).sum())
@@ -225,6 +228,7 @@ def _common_thresholds(some: Sequence[Grey], settings: BlobSettings) -> tuple[Bl
     each = [estimate_thresholds(image, background) for image in some]
     blob, peak, noise = np.median([(found.blob, found.peak, found.noise) for found in each], axis=0).tolist()
     every = RULES.every
+    # Where the dark of some image lies above the threshold that suits most, the camera changed its gain in between.
     darks = [np.median(image[::every, ::every].astype(np.int64) - background_of(image, background)[::every, ::every]) for image in some]
     if max(darks) <= peak:
         least = max(peak, settings.min_peak or 0.0)
@@ -322,6 +326,7 @@ def _sequence_findings(source: Source, read: int, broken: Sequence[int], steps: 
             "Copy it again.",
         )
     usual = float(np.median(steps)) if len(steps) else 0.0
+    # Some containers carry clocks that run backwards or stand still, which tell nothing.
     believed = usual > 0 and steps.min() >= 0 and steps.max() < CHECKS.max_step_s
     if believed and np.abs(steps - usual).max() > CHECKS.max_uneven * usual + CHECKS.clock_s:
         yield Finding(

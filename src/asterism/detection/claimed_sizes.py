@@ -36,6 +36,7 @@ def check_claimed_chunks(file: Path, content: NDArray[np.uint8]) -> None:
     at = 8
     while at + 8 <= len(content):
         length = int.from_bytes(content[at : at + 4].tobytes(), "big")
+        #
         if length > len(content) - at + _SPARE:
             raise AsterismError(
                 f"{file} is damaged: a part of it claims {length:,} bytes, more than the file has; record or copy it again."
@@ -53,6 +54,7 @@ def claimed_size(content: NDArray[np.uint8], page: int = 0) -> tuple[float, floa
         if head[:8] == _PNG:
             return _pair(">II", head, 16)
         if head[:2] == b"BM":
+            # A negative height says that rows run from the top.
             width, height = struct.unpack_from("<ii", head, 18)
             return float(abs(width)), float(abs(height))
         if head[:2] == b"\xff\xd8":

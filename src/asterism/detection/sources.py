@@ -71,6 +71,7 @@ def open_source(path: str | Path) -> Source:
 
 def _opened(path: Path) -> Source:
     if re.search(r"%0?\d*d", path.name):
+        #
         pattern = re.compile(re.sub(r"%0?\d*d", r"(\\d+)", _escaped(path.name)))
         files = [file for file in _listed(path.parent) if pattern.fullmatch(file.name)]
         if not files:
@@ -85,6 +86,7 @@ def _opened(path: Path) -> Source:
         raise AsterismError(f"{path} does not exist; give a video, a folder of images, a TIFF, or a series such as cam1.%d.")
     import cv2
 
+    # A TIFF with one page is an image like others; with several it is a sequence.
     if path.suffix.casefold() in _PAGED:
         pages, cut = _pages(path)
         if len(pages) > 1 or cut:
@@ -99,6 +101,7 @@ def _opened(path: Path) -> Source:
             raise AsterismError(f"{path} has more than 8 bits, of which OpenCV {cv2.__version__} reads 8; make 16 bit PNG or TIFF of it.")
         rate = float(capture.get(cv2.CAP_PROP_FPS))
         count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        #
         if not 1 <= count <= path.stat().st_size:  # a frame takes a byte at least: the header is wrong
             count = 1
             while capture.grab():
@@ -147,6 +150,7 @@ def images(source: Source, times: list[float] | None = None) -> Iterator[tuple[i
                 there, image = capture.read()
                 if not there:
                     return
+                # The time of the frame that was just read, which OpenCV forgets with the next one.
                 if times is not None:
                     times.append(1e-3 * float(capture.get(cv2.CAP_PROP_POS_MSEC)))
                 image = _grey(source.path, image)
@@ -172,6 +176,7 @@ def some_images(source: Source, count: int) -> list[tuple[int, Grey]]:
             there, image = capture.read()
             if there:
                 kept.append((place, _grey(source.path, image)))
+    # Some videos cannot be sought in; half of the places is enough to tell thresholds.
     if 2 * len(kept) >= len(places):
         return kept
     return [(place, image) for place, image in images(source) if place in places and image is not None]
@@ -189,11 +194,13 @@ def _page(file: Path, at: int, place: int) -> NDArray[Any] | None:
     import cv2
 
     content = np.memmap(file, np.uint8, "c")
+    #
     if len(content) > _MOST_BYTES:
         check_claimed_size(file, *claimed_size(content, at))
         there, pages = cv2.imreadmulti(str(file), start=place, count=1, flags=cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
         return np.asarray(pages[0]) if there and len(pages) else None
     order, big = _tiff(content)
+    # The mapping is private: the file on disk stays as it is.
     struct.pack_into(order + ("Q" if big else "I"), content.data, 8 if big else 4, at)
     return _decoded(file, np.asarray(content), at)
 
@@ -219,6 +226,7 @@ def _pages(file: Path) -> tuple[tuple[int, ...], bool]:
     found: dict[int, None] = {}
     try:
         at = number(offset, 8 if big else 4)
+        # A damaged file may lead back to a page that was read; that would never end.
         while at and at not in found:
             following = number(offset, at + struct.calcsize(order + count) + entry * number(count, at))
             found[at] = None
@@ -237,6 +245,7 @@ def _decoded(file: Path, content: NDArray[np.uint8], page: int = 0) -> NDArray[A
 
     check_claimed_size(file, *claimed_size(content, page))
     check_claimed_chunks(file, content)
+    #
     image: NDArray[Any] | None = cv2.imdecode(content, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE) if len(content) else None
     return image
 
@@ -265,6 +274,7 @@ def _series(path: Path, name: str, files: list[Path]) -> Source:
     last = [re.findall(r"\d+", file.name if file.suffix[1:].isdigit() else file.stem) for file in files]
     numbers = np.array([int(found[-1]) if found and len(found[-1]) < 18 else -1 for found in last], dtype=np.int64)
     steps = np.diff(numbers)
+    # Numbers that rise steadily count frames; serial numbers and dates leave gaps that no recording has.
     if len(files) > 1 and numbers.min() >= 0 and (steps > 0).all() and np.ptp(numbers) // steps.min() < _SPARSE * len(numbers) + 100:
         return Source(path, name, "images", numbers, True, tuple(files))
     return Source(path, name, "images", np.arange(len(files)), False, tuple(files))

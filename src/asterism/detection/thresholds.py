@@ -78,6 +78,7 @@ def estimate_thresholds(grey: Grey, background: ArrayLike | int | None = None) -
     few, most = _sampled(grey), int(np.iinfo(grey.dtype).max)
     dark = few if background is None else few - _sampled(background_of(grey, background))
     lowest = int(dark.min())
+    # Above a background the dark may be negative, and a histogram counts from nought.
     found = _from_histogram(np.bincount((dark - lowest).ravel()), _pixel_noise(grey, few))
     blob, peak = (float(min(max(value + lowest, 0), most - 1)) for value in (found.blob, found.peak))
     return Thresholds(blob, peak, found.noise, found.uneven or found.lit)
@@ -101,12 +102,15 @@ def estimate_background(images: Sequence[ArrayLike]) -> Grey | int | None:
         return None
     side = RULES.block_px // RULES.every
     tall, wide = (max(round(length / side), 1) for length in few.shape)
+    # Stretched to whole blocks, so that those at the border are as large as the others.
     even = np.asarray(cv2.resize(few.astype(np.float32), (wide * side, tall * side), interpolation=cv2.INTER_NEAREST))
+    # The lower quartile: markers cover less than a quarter of any block, and shadows more than nothing.
     blocks = np.quantile(even.reshape(tall, side, wide, side), 0.25, axis=(1, 3))
     smooth = _interpolation(first.shape[0], tall) @ blocks @ _interpolation(first.shape[1], wide).T
     light = np.clip(np.rint(smooth), 0, np.iinfo(first.dtype).max).astype(first.dtype)
     left = few - _sampled(light)
     after = _from_histogram(np.bincount((left - left.min()).ravel()), noise)
+    # A background that does not lower the threshold only adds its own errors.
     if not after.lit and after.peak + left.min() < before.peak:
         return light
     return RULES.around_px if before.uneven else None
@@ -142,6 +146,7 @@ class _Histogram:
 def _from_histogram(counts: NDArray[np.int64], noise: float) -> _Histogram:
     """Thresholds of grey values that are counted from 0; noise: of pixels side by side."""
     shares = np.cumsum(counts) / counts.sum()
+    # Markers and lamps lie in the upper half; the lower one is the dark with its noise.
     quarter, middle = (int(np.searchsorted(shares, share, side="right")) for share in (0.25, 0.5))
     spread = (middle - quarter) / QUARTILE
     noise = max(noise, RULES.min_noise)
@@ -158,6 +163,7 @@ def _pixel_noise(grey: Grey, few: NDArray[np.int64]) -> float:
     Where a quarter of the pixels is black, the noise below is cut off, and they differ by that much less.
     """
     beside = grey[:: RULES.every, 1 :: RULES.every]
+    # Neighbours share the light and differ by noise alone, whatever the scene; edges are the tenth that is left out.
     steps = np.bincount(np.abs(few[:, : beside.shape[1]] - beside).ravel(), minlength=1)
     cut = 1.6 if np.count_nonzero(few) < 0.75 * few.size else 1.0
     return cut * float(np.searchsorted(np.cumsum(steps), 0.9 * steps.sum())) / 2.33

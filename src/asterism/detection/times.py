@@ -47,6 +47,7 @@ class FrameTimes:
         listed = list(dict.fromkeys(self.camera))
         ends = [re.search(r"(\d+)\D*$", name) for name in cameras]
         numbers = [str(int(end[1])) if end else "" for end in ends]
+        # Names first, then numbers at their ends, then mere order: the surest way that fits all cameras.
         if set(cameras) <= set(listed):
             keys = list(cameras)
         elif len(set(numbers)) == len(cameras) and set(numbers) <= set(listed):
@@ -84,6 +85,7 @@ def _times(path: Path) -> FrameTimes:
     numbers = np.zeros((len(lines) - 1, 3))
     for row, (line, text) in enumerate(lines[1:]):
         cells = cells_of(text.replace(",", ".") if delimiter == ";" else text, delimiter)
+        # Where semicolons part the cells, commas are decimal ones.
         given = [number_of(cells[at[key]]) if 0 <= at[key] < len(cells) else None for key in ("frame", "time", "sync")]
         numbers[row] = [np.nan if number is None else number for number in given]
         whole = numbers[row, [0, 2] if at["sync"] >= 0 else [0]]
@@ -100,6 +102,7 @@ def _check(path: Path, names: Sequence[str], frame: NDArray[np.int64], time: Flo
     steps = []
     for name in dict.fromkeys(names):
         rows = np.flatnonzero(np.array(names) == name)
+        #
         rows = rows[np.argsort(frame[rows], kind="stable")]
         steps.append(np.diff(time[rows]))
         for what, numbers in (("image", frame), ("common frame", sync)):

@@ -34,19 +34,23 @@ def write_atomically(path: Path, data: bytes | bytearray | Iterable[bytes | byte
     killed runs left behind are removed. Raises AsterismError where the place cannot be written to.
     """
     try:
+        # The target is replaced, not the link to it.
         target = Path(os.path.realpath(path)) if path.is_symlink() else path
         remove_unfinished(target)
         temporary = target.with_name(_temporary_name(target.name, os.getpid()))
         mode = target.stat().st_mode & 0o777 if target.exists() else None
         try:
+            # Created for us alone: a file of that name is another process', or an attack.
             handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666 if mode is None else 0o600)
             with os.fdopen(handle, "wb") as stream:
                 for piece in [data] if isinstance(data, bytes | bytearray) else data:
                     stream.write(piece)
             if mode is not None:
                 os.chmod(temporary, mode)
+            # Renaming is atomic: a reader sees the old file or the new one.
             os.replace(temporary, target)
         finally:
+            # Also after an error: what is left would look like a file of a killed run.
             temporary.unlink(missing_ok=True)
     except OSError as problem:
         raise AsterismError(
@@ -59,6 +63,7 @@ def remove_unfinished(target: Path) -> None:
     beginning = _temporary_name(target.name, 0).removesuffix("0.part")
     for path in target.parent.glob(f"{_literally(beginning)}*.part"):
         found = re.fullmatch(r"(\d{1,10})\.part", path.name.removeprefix(beginning))
+        # Only a process that has ended leaves its file behind.
         if found and not _runs(int(found[1])):
             path.unlink(missing_ok=True)
             if _removed is not None:
@@ -72,6 +77,7 @@ def _temporary_name(name: str, process: int) -> str:
 
 def _literally(text: str) -> str:
     """The text as a pattern of names that only it fits."""
+    # Square brackets make the wild cards of a glob stand for themselves.
     return re.sub(r"([*?\[])", r"[\1]", text)
 
 
@@ -79,6 +85,7 @@ def _runs(process: int) -> bool:
     """Whether another process of this number runs; also where that cannot be told. This process has no unfinished file when it asks."""
     if process == os.getpid():
         return False
+    # Windows tells nothing without rights: then the file stays.
     if sys.platform == "win32":
         return True
     try:

@@ -33,10 +33,12 @@ def arrays_of_npz(data: bytes, only: Collection[str] | None = None) -> dict[str,
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = archive.infolist()
+        # The directory is checked before anything is unpacked.
         if len(members) > _MOST_MEMBERS or sum(member.file_size for member in members) > most_unpacked(len(data)):
             raise ValueError("it claims to hold more than it can")
         if any(member.compress_type not in _METHODS for member in members):
             raise ValueError("it is packed otherwise than NumPy does")
+        # NumPy's own names without their ending.
         names = {member.filename.removesuffix(".npy"): member for member in members}
         return {name: _array(archive.read(member)) for name, member in names.items() if only is None or name in only}
 
@@ -49,12 +51,15 @@ def _array(data: bytes) -> NDArray[Any]:
         raise ValueError(f"an array has format version {version}")
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, fortran, dtype = read_header(stream)
+    # In Python's integers, which cannot overflow.
     count = 1
     for length in shape:
         count *= int(length)
+    # Objects would be unpickled, which runs code.
     if dtype.hasobject or min(shape, default=0) < 0 or count * dtype.itemsize > len(data) - stream.tell():
         raise ValueError("an array in it is longer than its data, or holds objects")
     if dtype.kind not in "biufSU":
         raise ValueError(f"an array in it holds {dtype}")
+    # The copy frees the file's bytes.
     values = np.frombuffer(data, dtype, count, stream.tell())
     return np.array(values.reshape(shape, order="F" if fortran else "C"))

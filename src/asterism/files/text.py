@@ -21,6 +21,7 @@ def read_bytes(path: Path) -> bytes:
     """The whole file. Raises AsterismError where it cannot be read or is empty."""
     with guarded_reading(path):
         data = path.read_bytes()
+    # Blocks of zeros are what a broken copy leaves.
     if not data.strip(b"\x00 \t\r\n"):
         raise AsterismError(f"{path} is empty; export it again.")
     return data
@@ -30,11 +31,13 @@ def decoded(path: Path, data: bytes) -> str:
     """The text of a file: UTF-8 or UTF-16 with its mark, else Latin-1. Raises AsterismError where it is not text."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", errors="replace")
+    # A zero byte is in no text but UTF-16.
     if b"\x00" in data[:4096]:
         raise AsterismError(f"{path} is not a text file; if it is a C3D, MAT or NPZ file, give it that suffix.")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
+        # Latin-1 reads every byte; names may be wrong, numbers are not.
         return data.decode("latin-1")
 
 
@@ -46,6 +49,7 @@ def lines_of(text: str) -> list[str]:
 
 def delimiter_of(line: str) -> str | None:
     """What separates the cells of a line: tab, semicolon or comma; None is any blank."""
+    # A tab decides before a semicolon, and that before a comma: decimals have commas.
     for candidate in "\t;,":
         if candidate in line:
             return candidate
@@ -66,6 +70,7 @@ def cells_of(line: str, delimiter: str | None) -> list[str]:
     """The cells of a line, without surrounding blanks and quotes. Raises AsterismError where one is too long to be a cell."""
     cells = _split(line, delimiter)
     longest = max(map(len, cells), default=0)
+    # A damaged line would end up as a name in every message.
     if longest > _LONGEST_CELL:
         begins = max(cells, key=len)[:20]
         raise AsterismError(f"a cell that begins {begins!r} has {longest:,} characters, which is no name or number; find and correct it.")

@@ -28,30 +28,36 @@ def read_toml(path: Path) -> dict[str, Any]:
 def toml_line(key: str, value: Any) -> str:
     """One `key = value`; floats keep their bits. Values are plain (numbers, texts, lists, mappings, None left out) or NumPy's."""
     text = f"{_key(key)} = {_value(value)}"
+    # Long lists of lists have a line for each: matrices stay readable.
     if len(text) > _WIDTH and isinstance(value, list) and value and isinstance(value[0], list | str):
         text = f"{_key(key)} = [\n" + "".join(f"    {_value(item)},\n" for item in value) + "]"
     return text
 
 
 def _key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _text(key)
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else toml_text(key)
 
 
 def _value(value: Any) -> str:
+    # NumPy's values become Python's.
     if hasattr(value, "tolist"):
         value = value.tolist()
+    # Before the numbers: True is an int to Python.
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int):
         return str(value)
     if isinstance(value, float):
+        # repr gives the shortest text with the same bits.
         return repr(value) if math.isfinite(value) else "nan" if math.isnan(value) else f"{'-' if value < 0 else ''}inf"
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_key(str(k))} = {_value(v)}" for k, v in value.items() if v is not None) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_value(item) for item in value if item is not None) + "]"
-    return _text(str(value))
+    return toml_text(str(value))
 
 
-def _text(text: str) -> str:
+def toml_text(text: str) -> str:
+    """A text in quotes, as TOML reads it back."""
+    # JSON's escapes are TOML's, but for this one.
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

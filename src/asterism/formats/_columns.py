@@ -76,6 +76,7 @@ class Points:
 
     def __post_init__(self) -> None:
         longest = max(map(len, self.labels), default=0)
+        # A damaged file can make one name of megabytes, which every message would repeat.
         if longest > _LONGEST_LABEL:
             number = next(i for i, label in enumerate(self.labels) if len(label) == longest) + 1
             raise AsterismError(f"point {number} has a name of {longest:,} characters; give it one of at most {_LONGEST_LABEL:,}.")
@@ -97,6 +98,7 @@ def recording_of(
 
     Raises AsterismError, naming the file, where it has no marker of the set, has one twice, or does not determine the vertical.
     """
+    # The subject's name is the same before each label, so that it says nothing about the points.
     labels, subject = without_common_subject(points.labels)
     kinds = np.array(points.kind_of_points, dtype=object)
     physical = np.nonzero(kinds != COMPUTED)[0]
@@ -106,14 +108,17 @@ def recording_of(
         columns, names = wanted_columns(path, labels, MarkerSet.load(markers))
     present = columns >= 0
     positions = points.positions  # as it is where all columns stay in their places: long recordings are large
+    # Only where columns move is the array copied.
     if not np.array_equal(columns, np.arange(len(labels))):
         positions = np.full((len(points.positions), len(names), 3), np.nan)
         positions[:, present] = points.positions[:, columns[present]]
+    # What a model computed stands anywhere and would mislead the search for the vertical.
     bodily = points.positions if len(physical) == len(labels) else points.positions[:, physical]
     up, how = settle_vertical(path, bodily, [labels[c] for c in physical], vertical, declared=points.declared, fallback=points.fallback)
     findings = points.findings
     if how == "data against file":
         findings = (*findings, vertical_conflict("the declared vertical contradicts the markers; the vertical is that of the markers"))
+    # The writer must find each sample again in its own file.
     origin = np.where(np.isnan(positions[:, :, 0]), -1, columns[None, :])
     metadata: dict[str, Any] = {
         "file": str(path),
@@ -134,6 +139,7 @@ def recording_of(
         metadata=metadata,
         source=points if source is None else source,
         origin=origin.astype(np.int64, copy=False),
+        # Columns that were not asked for stay in the file when it is written again.
         taken=tuple(int(c) for c in (physical if markers is None else columns[present])),
         first_frame=points.first_frame,
         log=points.log,
@@ -146,6 +152,7 @@ def wanted_columns(path: Path, labels: Sequence[str], wanted: MarkerSet) -> tupl
     A column with the name in the set takes precedence over one with an alias.
     Raises AsterismError where no marker of the set is present, or two columns carry one marker's name.
     """
+    # A set's own name wins over an alias: a file may have both a heel and its other name.
     exact = {canonical(without_subject(label)) for label in labels} & {canonical(name) for name in wanted.names}
     spelled = [
         ""
@@ -185,13 +192,16 @@ def settle_vertical(
         return as_vertical(given), "given"
     found = estimate_vertical(positions, labels)
     if declared is not None:
+        # A declared vertical is believed unless two independent signs speak against it.
         declared = as_vertical(declared)
+        # Below 60 degrees apart the markers do not contradict it: a body may lean.
         if found.certain and found.vector is not None and float(found.vector @ declared) < 0.5:
             return found.vector, "data against file"
         return declared, "file"
     if found.vector is not None:
         return found.vector, "data"
     if fallback is not None:
+        # Only now the habit of the format: it is right for most files and proves nothing.
         return as_vertical(fallback), "convention"
     raise AsterismError(f"{path} does not say which way is up and its points do not show it; give vertical=, for example vertical='z'.")
 
@@ -201,12 +211,14 @@ def without_common_subject(labels: Sequence[str]) -> tuple[tuple[str, ...], str]
 
     Unnamed points need not carry it. Names that would be left as Marker1, Marker2, ... keep their prefix.
     """
+    # Points without a name often lack the prefix that all others carry.
     named = [label for label, kind in zip(labels, kinds_by_name(labels), strict=True) if kind != UNNAMED]
     subjects = {label.rpartition(":")[0] for label in named}
     if len(subjects) != 1 or "" in subjects:
         return tuple(labels), ""
     subject = subjects.pop()
     rests = [label.rpartition(":")[2] for label in named]
+    # "Marker1" to "Marker9" mean nothing without the body that they belong to.
     if all(re.fullmatch(r"(?i)marker\s*\d+", rest) or not rest for rest in rests):
         return tuple(labels), ""
     return tuple(label.rpartition(":")[2] if label.startswith(subject + ":") else label for label in labels), subject
@@ -230,6 +242,7 @@ def metres_per_unit(path: Path, declared: str | None, raw: Floats, others: Seque
     scale = METRES_PER_UNIT.get((declared or "").strip().casefold())
     if scale is not None:
         if np.isfinite(size) and not _SMALLEST_BODY <= size * scale <= _LARGEST_BODY:
+            # An odd size may be real: the unit stands where the sizes of all units are odd.
             likely = _unit_by_size(size, raw)
             if METRES_PER_UNIT[likely] == scale:
                 return scale, _short_unit(scale), [units_assumed(f"the points lie {metres(size * scale)} apart")]
@@ -238,6 +251,7 @@ def metres_per_unit(path: Path, declared: str | None, raw: Floats, others: Seque
                 f"the units are probably {likely}: correct the units field."
             )
         return scale, _short_unit(scale), []
+    # Exporters shift the header by a cell, so that the unit stands in its neighbour's place.
     misplaced = next((other.strip() for other in others if other.strip().casefold() in METRES_PER_UNIT), None)
     what = f"the units {declared.strip()!r} are not known" if declared and declared.strip() else "no units in the file"
     if misplaced is not None:
@@ -256,11 +270,14 @@ def body_size(raw: Floats) -> float:
 
     About the height of a whole body. A few missing points do not matter. NaN with fewer than two points.
     """
+    # Some two hundred frames tell the size as well as an hour does.
     some = raw[:: max(1, len(raw) // 200)]
+    # Numbers from damage must not decide: infinite, or beyond what squares can hold.
     some = np.where(np.isfinite(some).all(axis=2, keepdims=True) & (np.abs(some) < 1e100).all(axis=2, keepdims=True), some, np.nan)
     some = some[(~np.isnan(some[:, :, 0])).sum(axis=1) > 1]
     if not len(some):
         return float("nan")
+    # Four times the median distance from the middle is about the height of a standing person.
     away = np.linalg.norm(some - nan_median(some, axis=1)[:, None], axis=2)
     size = 4.0 * float(nan_median(nan_median(away, axis=1), axis=0))
     return size if size > 0 else float("nan")
@@ -270,6 +287,7 @@ def _unit_by_size(size: float, raw: Floats) -> str:
     """The unit in which that size is a person's; for a single point, the unit that fits its distance from the origin."""
     if np.isfinite(size):
         return "m" if size < 12 else "cm" if size < 300 else "mm"
+    # A single point has no size: its distance from the origin is all there is.
     away = np.abs(raw[np.isfinite(raw)])
     return "m" if len(away) and float(np.median(away)) < 12 else "mm"
 
@@ -277,8 +295,10 @@ def _unit_by_size(size: float, raw: Floats) -> str:
 def as_metres(raw: Floats, scale: float, zero_is_missing: bool = True) -> tuple[Floats, list[Finding]]:
     """Positions in metres, NaN for what cannot be a place (not finite, beyond 1000 km, zero in all three); and findings."""
     with np.errstate(over="ignore", invalid="ignore"):
+        # A huge number may overflow here, and is taken as missing below.
         positions = raw * scale
         impossible = np.any(np.isinf(raw) | (np.abs(positions) > _FURTHEST), axis=2)
+    # Many programs write a missing sample as three zeros.
     zero = np.all(raw == 0, axis=2) & zero_is_missing
     positions[impossible | zero | np.isnan(positions).any(axis=2)] = np.nan
     findings = []

@@ -30,7 +30,9 @@ def comments_of(lines: Sequence[str]) -> Comments:
     events = []
     for line in lines:
         if not line.startswith("#"):
+            # Comments stand at the head: a # further down is part of the data.
             break
+        # Spreadsheets add separators behind a comment, to fill the row.
         key, sign, value = line.lstrip("# ").rstrip(" ,;\t").partition("=")
         key, value = key.strip().casefold(), value.strip()
         if key == "event" and sign:
@@ -40,10 +42,12 @@ def comments_of(lines: Sequence[str]) -> Comments:
             if seconds is not None and seconds == seconds:
                 events.append(Event(label.strip(), seconds, context.strip()))
         elif sign:
+            # The first of two equal keys counts, as in the file that was opened first.
             found.setdefault(key, value)
     numbers = [number_of(cell) for cell in found.get("vertical", "").split()]
     vertical = None
     if len(numbers) == 3 and None not in numbers:
+        # Comments are edited by hand: what cannot be read is left out, not refused.
         try:
             vertical = as_vertical([float(n or 0.0) for n in numbers])
         except AsterismError:

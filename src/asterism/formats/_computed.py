@@ -19,6 +19,7 @@ def computed_labels(recording: Recording) -> tuple[str, ...]:
 
 def without_computed(recording: Recording) -> Recording:
     """The same recording, which is written without the points of its file that are no columns of it."""
+    # All columns of the source count as replaced, so that none of them is written.
     return replace(recording, taken=tuple(range(len(_source_labels(recording)))))
 
 

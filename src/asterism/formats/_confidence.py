@@ -23,5 +23,6 @@ class LabelConfidence:
     @classmethod
     def of_labelling(cls, labelling: Labelling) -> LabelConfidence:
         """The confidence of the labels that a labelling gives."""
+        # NaN stands for a label of which nothing is known, and a file has no place for that.
         known = np.nan_to_num(np.clip(labelling.confidence, 0.0, 1.0))
         return cls(labelling.names, np.where(labelling.indices >= 0, known, 0.0))

@@ -28,9 +28,11 @@ def described(path: Path, points: Points) -> dict[str, Any]:
     """
     labels, subject = without_common_subject(points.labels)
     kinds = np.array(points.kind_of_points, dtype=object)
+    # Gaps are counted of named markers: pieces without a name begin and end everywhere.
     physical = np.nonzero(kinds == MARKER)[0]
     captured = np.nonzero(kinds != COMPUTED)[0]
     seen = ~np.isnan(points.positions[:, physical, 0])
+    # A file whose vertical is open is described all the same: that is what a person looks for here.
     try:
         vertical, how = settle_vertical(
             path,
@@ -69,6 +71,7 @@ def described(path: Path, points: Points) -> dict[str, Any]:
 
 def _repeated(labels: Sequence[str]) -> list[Finding]:
     """A finding for each label that occurs several times; nothing for files with very many labels."""
+    # Counting repeats is quadratic, which very many labels would make slow.
     twice = sorted({label for label in labels if labels.count(label) > 1}) if len(labels) < _MANY_LABELS else []
     return [point_names(f"the label {label} occurs {labels.count(label)} times") for label in twice]
 
@@ -78,5 +81,6 @@ def gaps(seen: Floats) -> int:
     count = 0
     for column in np.asarray(seen, dtype=bool).T:
         frames = np.nonzero(column)[0]
+        # Only a run between two seen frames is a gap: before the first a marker was not there yet.
         count += int((np.diff(frames) > 1).sum())
     return count

@@ -66,6 +66,7 @@ def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None
     """
     from asterism.formats.c3d._reader import read_c3d
 
+    # Arguments are checked before the file is opened: their message must not name the file.
     path = Path(path)
     wanted = None if markers is None else MarkerSet.load(markers)
     up = None if vertical is None else as_vertical(vertical)
@@ -73,6 +74,7 @@ def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None
         kind = _kind_of(path)
         if kind == "C3D":
             return read_c3d(path, wanted, up)
+        # Points of cameras are no markers: a folder may hold both, and goes on with the next file.
         if kind == "2D CSV":
             raise NoMarkers(
                 f"{path} holds 2D points of cameras and no markers in space; reconstruct them with `asterism reconstruct` first."
@@ -97,6 +99,7 @@ def read_clouds(path: str | Path, vertical: ArrayLike | str | None = None) -> Cl
             clouds = npz.read_npz_clouds(path)
             if clouds is not None:
                 return clouds
+        # Anything else is read as a recording, and loses its labels.
         return read(path, vertical=vertical).clouds()
 
 
@@ -135,6 +138,7 @@ def write(
         if suffix == ".csv":
             return csv_long.write_clouds(path, recording)
         raise AsterismError(f"{path}: anonymous clouds are written as .npz or .csv; choose one of them.")
+    # The form of another program's file cannot be written: its header says what only that program knows.
     own_form = str(recording.metadata.get("format", ""))
     if suffix == ".csv" and own_form in _FORMS_NOT_WRITTEN:
         lost = write(path, replace(recording, metadata={**recording.metadata, "format": "CSV"}), labelling=labelling, clouds=clouds)
@@ -149,6 +153,7 @@ def write(
         return list(_function(_WRITERS[suffix])(path, recording))
     if suffix in _WITH_CONFIDENCE:
         return list(_function(_WRITERS[suffix])(path, recording, confidence))
+    # What a format cannot hold is said, never dropped in silence.
     return [*_function(_WRITERS[suffix])(path, recording), "the confidence of the labels"]
 
 
@@ -212,6 +217,7 @@ def write_points(path: str | Path, clouds: Clouds, evidence: Evidence, columns: 
     omitted = ["the evidence of each point (residual, covariance, cameras)"]
     if suffix == ".csv":
         return write(path, clouds) + omitted
+    # Formats with columns need one for each track.
     frames, many = clouds.frame_of, int(columns.max(initial=-1)) + 1
     positions = np.full((len(clouds), many, 3), np.nan)
     positions[frames, columns] = clouds.xyz
@@ -219,6 +225,7 @@ def write_points(path: str | Path, clouds: Clouds, evidence: Evidence, columns: 
     if suffix != ".c3d":
         return write(path, recording) + omitted
     residual, cameras = np.zeros((len(clouds), many)), np.zeros((len(clouds), many, len(evidence.camera_names)), dtype=np.bool_)
+    # C3D has one number for the distance from a ray, so that the depth is folded into it.
     residual[frames, columns] = evidence.residual * evidence.depth_scale
     cameras[frames, columns] = evidence.cameras
     write_c3d_points(path, recording, residual, cameras)
@@ -234,6 +241,7 @@ def _with_computed(recording: Recording) -> Recording:
     if not isinstance(recording.source, Points):
         return recording
     positions, labels, _ = all_points(recording, "C3D", events=True)
+    # Without its source it is written as a new file, with all points as markers of their own.
     return replace(recording, positions=positions, labels=labels, source=None, origin=None, taken=())
 
 
@@ -274,6 +282,7 @@ def _described(path: Path) -> dict[str, Any]:
         table = storage.read_table(path)
         if not storage.holds_markers(table):
             return storage.described_table(path, table)
+    # A table of values is a CSV, too: only when no markers are in it, it is read as one.
     try:
         points = _function(_READERS[kind])(path)
     except AsterismError:
@@ -302,6 +311,7 @@ def convert(source: str | Path, target: str | Path, vertical: ArrayLike | str | 
     source, target = Path(source), Path(target)
     with guarded_reading(source):
         kind = _kind_of(source)
+    # A CSV may be either: angles are recognised by having no groups of x, y and z.
     if kind in ("storage", "CSV"):
         table = storage.table_or_none(source)
         if table is not None and not storage.holds_markers(table, strictly=kind == "storage"):
@@ -327,6 +337,7 @@ def _function(name: str) -> Callable[..., Any]:
 def _kind_of(path: Path) -> str:
     """Which reader a file needs: by its content, or by its suffix where the content leaves it open."""
     suffix = path.suffix.casefold()
+    # Content decides before the suffix: files are renamed more often than rewritten.
     with guarded_reading(path), path.open("rb") as file:
         head = file.read(8192)
     if not head.strip(b"\x00 \t\r\n"):
@@ -337,10 +348,12 @@ def _kind_of(path: Path) -> str:
         return "QTM MAT"
     if suffix == ".npz":
         raise AsterismError(f"{path} is not an NPZ file; it was damaged or has the wrong suffix.")
+    # UTF-16 is text with zeros in it, which its mark gives away.
     text_like = b"\x00" not in head or head[:2] in (b"\xff\xfe", b"\xfe\xff")
     by_content = _text_kind(path, head) if text_like else None
     if by_content is not None:
         return by_content
+    # The second byte of every C3D file is 80; other binary files seldom begin so.
     if suffix == ".c3d" or (not text_like and len(head) > 1 and head[1] == 0x50):
         return "C3D"
     by_suffix = {".trc": "TRC", ".csv": "CSV", ".txt": "CSV", ".tsv": "QTM TSV", ".mot": "storage", ".sto": "storage"}.get(suffix)
@@ -353,6 +366,7 @@ def _text_kind(path: Path, head: bytes) -> str | None:
     """The format by the first lines of a file, or None."""
     from asterism.formats import csv_blobs, csv_long, csv_nexus
 
+    # Ever weaker signs, the most telling first.
     lines = lines_of(decoded(path, head))
     first = lines[0].strip().strip('"').casefold()
     if first.startswith("format version"):
@@ -363,6 +377,7 @@ def _text_kind(path: Path, head: bytes) -> str | None:
         return "TRC"
     if any(line.startswith(("NO_OF_FRAMES", "MARKER_NAMES")) for line in lines[:16]):
         return "QTM TSV"
+    # An endheader stands far down where a header lists many columns.
     if any(line.strip(" ,;\t").casefold() == "endheader" for line in lines[:200]):
         return "storage"
     if csv_nexus.is_nexus(lines):

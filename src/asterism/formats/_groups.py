@@ -36,6 +36,7 @@ def marker_groups(names: Sequence[str]) -> tuple[list[ColumnGroup], list[int]]:
     after it. The first spelling that gives the most groups counts for the whole file.
     """
     best: list[ColumnGroup] = []
+    # One spelling for the whole file: mixed ones would tear the axes of a marker apart.
     for pattern in _SUFFIXES:
         found = _groups(names, pattern)
         if len(found) > len(best):
@@ -48,6 +49,7 @@ def exact_groups(names: Sequence[str], before_axis: str, start: int = 0) -> list
     """The points where all columns from `start` on are NAME + before_axis + x, y, z side by side, as Asterism writes them; else None."""
     found = []
     for i in range(start, len(names), 3):
+        # Side by side and in order: only then no name can be mistaken for another's axis.
         stems = [name.removesuffix(before_axis + axis) for name, axis in zip(names[i : i + 3], "xyz", strict=False)]
         if len(stems) < 3 or len(set(stems)) != 1 or stems[0] == names[i]:
             return None
@@ -63,11 +65,14 @@ def _groups(names: Sequence[str], pattern: re.Pattern[str]) -> list[ColumnGroup]
         if match is None:
             continue
         marker, axis = match["name"].strip(), match["axis"].lower()
+        # Forces and angles have x, y and z as well, and are no places.
         if _NO_POSITIONS.fullmatch(marker):
             continue
         axes = incomplete.setdefault(marker, {})
+        # An index of 0 to 2 stands for x to z.
         axes[("xyz".find(axis) if axis in "xyz" else int(axis))] = column
         if len(axes) == 3:
             found.append((min(axes.values()), ColumnGroup(marker, (axes[0], axes[1], axes[2]), match["units"] or match["bare"])))
+            # A name may come again later in the file: it is then another point.
             del incomplete[marker]
     return [group for _, group in sorted(found, key=lambda pair: pair[0])]

@@ -26,6 +26,7 @@ def variables_of(data: bytes) -> dict[str, Any]:
 
     Raises ValueError where the file is not what it says, or would unpack to far more than it holds.
     """
+    # The mark of the byte order is the only sure sign of the format.
     if len(data) < 136 or data[126:128] not in (b"IM", b"MI"):
         raise ValueError("it has no header of MATLAB 5")
     order = "<" if data[126:128] == b"IM" else ">"
@@ -42,12 +43,14 @@ def variables_of(data: bytes) -> dict[str, Any]:
 
 
 def _unpacked(body: bytes) -> bytes:
+    # Small files may unpack freely; beyond that, only as far as numbers can be packed.
     most = max(_MOST_BYTES, 100 * len(body))
     try:
         unpacker = zlib.decompressobj()
         out = unpacker.decompress(body, most)
     except zlib.error as problem:
         raise ValueError("a compressed part of it is damaged") from problem
+    # What is left over would go on: the part claims too much.
     if unpacker.unconsumed_tail:
         raise ValueError("a part of it unpacks to far more than it should")
     return out
@@ -58,6 +61,7 @@ def _element(data: bytes, place: int, order: str) -> tuple[int, bytes, int]:
     if place + 8 > len(data):
         raise ValueError("it ends within an element")
     kind, size = struct.unpack_from(order + "II", data, place)
+    # A small element keeps type, size and content in eight bytes.
     if kind >> 16:
         size, kind = kind >> 16, kind & 0xFFFF
         if size > 4:
@@ -66,11 +70,13 @@ def _element(data: bytes, place: int, order: str) -> tuple[int, bytes, int]:
     if place + 8 + size > len(data):
         raise ValueError("it ends within an element")
     end = place + 8 + size
+    # Elements begin at multiples of 8; compressed ones do not.
     return kind, data[place + 8 : end], end if kind == _COMPRESSED else min(len(data), end + -size % 8)
 
 
 def _matrix(body: bytes, order: str, depth: int) -> tuple[str, Any]:
     """Name and value of one matrix element."""
+    # A file can claim any depth, and each level costs stack.
     if depth > _DEEPEST:
         raise ValueError("its cells and structs are nested too deeply")
     _, flags, place = _element(body, 0, order)
@@ -82,6 +88,7 @@ def _matrix(body: bytes, order: str, depth: int) -> tuple[str, Any]:
     shape = struct.unpack(f"{order}{len(sizes) // 4}i", sizes)
     count = 1
     for length in shape:
+        # A negative size would make a count that looks small.
         if length < 0:
             raise ValueError("an array has a negative size")
         count *= length
@@ -98,6 +105,7 @@ def _matrix(body: bytes, order: str, depth: int) -> tuple[str, Any]:
 
 
 def _cells(body: bytes, place: int, order: str, count: int, depth: int) -> tuple[list[Any], int]:
+    # Every cell takes eight bytes at least: more are a false claim.
     if count > (len(body) - place) // 8:
         raise ValueError("a cell array or struct claims more than it holds")
     values = []
@@ -118,6 +126,7 @@ def _structs(body: bytes, place: int, order: str, count: int, depth: int) -> Any
         raise ValueError("the field names of a struct are damaged")
     fields = [names[i : i + width].split(b"\x00")[0].decode("latin-1") for i in range(0, len(names), width)] if names else []
     values, _ = _cells(body, place, order, count * len(fields), depth)
+    # Structs of several elements hold their fields element by element.
     each = [dict(zip(fields, values[i * len(fields) : (i + 1) * len(fields)], strict=True)) for i in range(count if fields else 0)]
     return each[0] if count == 1 and each else each
 
@@ -133,6 +142,8 @@ def _numbers(body: bytes, place: int, order: str, shape: tuple[int, ...], count:
     if kind not in _NUMBERS:
         raise ValueError("an array is of no known type")
     values = np.frombuffer(content, dtype=order + _NUMBERS[kind], count=len(content) // int(_NUMBERS[kind][1]))
+    # Too few numbers would be read from what follows.
     if len(values) != count:
         raise ValueError("an array has another length than it says")
+    # Whole bytes keep their type: they are flags, such as the kind of a sample.
     return values.astype(np.uint8 if kind == 2 else np.float64).reshape(shape, order="F")

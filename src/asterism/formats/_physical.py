@@ -58,6 +58,7 @@ def kinds_by_name(labels: Sequence[str]) -> list[str]:
         elif _COMPUTED_NAME.fullmatch(canonical(label)) or _VIRTUAL.fullmatch(label):
             kinds.append(COMPUTED)
         else:
+            # Axes of segments are computed only where the whole family is there: a single LKNEO may be a marker.
             kinds.append(COMPUTED if any(place in family for suffix, family in families if suffix == "OALP") else MARKER)
     return kinds
 
@@ -72,8 +73,10 @@ def point_kinds(labels: Sequence[str], positions: Floats | None = None, declared
     listed = {canonical(without_subject(label)) for label in declared} - {""}
     kinds = kinds_by_name(labels)
     for place, label in enumerate(labels):
+        # What the file itself lists as computed needs no guess.
         if kinds[place] != UNNAMED and canonical(without_subject(label)) in listed:
             kinds[place] = COMPUTED
+    # Few frames show no exact relation, and very many points would take long.
     if positions is not None and len(positions) >= _FEWEST_FRAMES and len(labels) <= 20 * _MOST_POINTS:
         _judge_by_geometry([without_subject(label).strip() for label in labels], positions, kinds)
     return kinds
@@ -84,6 +87,7 @@ def _families(labels: Sequence[str]) -> list[tuple[str, dict[int, str]]]:
     stems: dict[str, dict[str, int]] = {}
     for place, label in enumerate(labels):
         if len(label) >= 3:
+            # Short labels have no stem that could tell a family.
             stems.setdefault(label[:-1], {}).setdefault(label[-1].upper(), place)
     found = []
     for endings in _AXES:
@@ -97,14 +101,18 @@ def _judge_by_geometry(labels: Sequence[str], positions: Floats, kinds: list[str
     points = [p for p, kind in enumerate(kinds) if kind != UNNAMED]
     if not 4 <= len(points) <= 20 * _MOST_POINTS:
         return
+    # Relations that hold to the last bit in two dozen frames hold in all.
     frames = np.linspace(0, len(positions) - 1, min(_FRAMES_TESTED, len(positions))).astype(int)
     some = positions[frames]
+    # The cheap tests come first and leave fewer points to the costly one.
     _mark_flat_values(some, points, kinds)
     _mark_far_values(some, [p for p in points if kinds[p] == MARKER], kinds)
     candidates = [p for p in points if kinds[p] == MARKER or _may_be_joint(labels[p])][:_MOST_POINTS]
+    # Three axes and an origin are the least that can show a frame.
     if len(candidates) < 4:
         return
     wobble, seen = _wobble(some[:, candidates])
+    # A diagonal of zeros is exact and says nothing.
     exact = (wobble < _EXACT) & (seen >= _FEWEST_FRAMES)
     np.fill_diagonal(exact, False)
     named = [labels[p] for p in candidates]
@@ -112,6 +120,7 @@ def _judge_by_geometry(labels: Sequence[str], positions: Floats, kinds: list[str
     frames_found = _orthogonal_frames(named, some[:, candidates], exact, judged)
     _mark_frames(named, frames_found, wobble, seen, judged)
     _mark_twins_and_offsets(named, some[:, candidates], exact, judged)
+    # Tips that end in 1 show that the model numbers its axes, so that a lone 0 is an origin.
     if any(named[tip][-1:] == "1" for _, tips in frames_found for tip in tips):
         for place, label in enumerate(named):
             alone = not any(label[:-1] + digit in named for digit in "123456789")
@@ -130,7 +139,9 @@ def _mark_flat_values(some: Floats, points: list[int], kinds: list[str]) -> None
     """Powers and scalars: one coordinate, the others zero. Not used where most points lie in a plane."""
     values = some[:, points]
     present = np.isfinite(values[:, :, 0]).sum(axis=0) >= _FEWEST_FRAMES
+    # A coordinate that is zero in every frame is one that the value does not have.
     flat = (np.where(np.isfinite(values), values, 0.0) == 0.0).all(axis=0).sum(axis=1) >= 1
+    # A planar recording has a flat coordinate in all its points.
     if present.any() and (flat & present).sum() < 0.5 * present.sum():
         for point, is_flat in zip(points, flat & present, strict=True):
             if is_flat:
@@ -148,16 +159,20 @@ def _mark_far_values(some: Floats, points: list[int], kinds: list[str]) -> None:
     size = np.where(present, np.abs(values).max(axis=2), 0.0).max(axis=0)
     centre = nan_median(np.where((present.sum(axis=1) > 0)[:, None, None], values, 0.0), axis=1)
     offset = np.where(present, np.abs(values - centre[:, None]).max(axis=2), 0.0)
+    # Near the origin wherever the body is, or tens of metres away: no marker is either.
     suspect = (size < _LARGEST_ANGLE) | ((offset > _ABSURD).sum(axis=0) > 0.5 * present.sum(axis=0))
     low = np.where(present[:, :, None], values, np.inf).min(axis=0)
     high = np.where(present[:, :, None], values, -np.inf).max(axis=0)
+    # What stands still may be a marker on the floor.
     suspect &= (present.sum(axis=0) >= _FEWEST_FRAMES) & ((high - low).max(axis=1) > _STILL)
     if not suspect.any() or (~suspect).sum() < 4:
         return
+    # Angles are told from markers by being alone: near a body a small value proves nothing.
     body = np.where(np.isfinite(values[:, ~suspect]), values[:, ~suspect], np.inf)
     for place in np.nonzero(suspect)[0]:
         with np.errstate(invalid="ignore"):
             nearest = np.linalg.norm(body - values[:, [place]], axis=2).min(axis=1)
+        # A fifth of the frames is enough: an angle may pass by a marker now and then.
         if (nearest[present[:, place]] > _ALONE).mean() >= 0.2:
             kinds[points[place]] = COMPUTED
 
@@ -167,6 +182,7 @@ def _wobble(some: Floats) -> tuple[Floats, NDArray[np.int64]]:
     seen = np.zeros((some.shape[1],) * 2, dtype=np.int64)
     low, high = np.full(seen.shape, np.inf), np.full(seen.shape, -np.inf)
     for frame in some:
+        # Frame by frame: all pairs in all frames at once would take too much memory.
         distance = np.sqrt(((frame[:, None] - frame[None]) ** 2).sum(axis=2))
         both = np.isfinite(distance)
         seen += both
@@ -185,7 +201,9 @@ def _orthogonal_frames(
     stems = np.array([label[:-1] for label in labels])
     same_name = stems[:, None] == stems
     found = []
+    # An origin keeps exact distances from its three tips.
     for origin in np.nonzero(exact.sum(axis=1) >= 3)[0]:
+        # More than two dozen exact neighbours are a solved rigid body, not axes.
         around = np.nonzero(exact[origin] & ~judged)[0][:24]
         arms = some[:, around] - some[:, [origin]]
         lengths = np.linalg.norm(arms, axis=2)
@@ -196,6 +214,7 @@ def _orthogonal_frames(
         square = np.nan_to_num(cosines, nan=0.0).max(axis=0) < _RIGHT_ANGLE
         square &= np.isfinite(cosines).sum(axis=0) >= _FEWEST_FRAMES
         square &= exact[np.ix_(around, around)] & (same_length | same_name[np.ix_(around, around)])
+        # Each pair of square arms once, and the third one square to both.
         for i, j in zip(*np.nonzero(np.triu(square)), strict=True):
             found += [
                 (int(origin), (int(around[i]), int(around[j]), int(around[k]))) for k in np.nonzero(square[i] & square[j])[0] if k > j
@@ -214,10 +233,12 @@ def _mark_frames(
     origins = {origin for origin, _ in found}
     for origin, tips in found:
         judged[list(tips)] = True
+        # An origin without the tips' name may be a marker that defines the axes.
         judged[origin] |= any(labels[origin][:-1] == labels[tip][:-1] for tip in tips)
     for _, tips in found:
         attached = ((wobble[list(tips)] < _VERY_EXACT) & (seen[list(tips)] >= _FEWEST_FRAMES)).all(axis=0)
         for place in np.nonzero(attached)[0]:
+            # Markers may sit at the origin of a frame, so that origins are spared.
             judged[place] |= int(place) not in origins
 
 
@@ -229,6 +250,7 @@ def _mark_twins_and_offsets(labels: Sequence[str], some: Floats, exact: NDArray[
     for a, b in zip(*np.nonzero(exact), strict=True):
         with np.errstate(invalid="ignore"):
             same = np.nanmax(np.abs(some[:, a] - some[:, b])) < _VERY_EXACT
+        # Exact to one marker only: rigid bodies are exact among all of theirs.
         alone = (exact[b] & ~judged).sum() == 1
         extends = alone and labels[b] != labels[a] and labels[b].startswith(labels[a])
         if extends or (labels[b].upper().endswith("KAX") and labels[a].upper().endswith("KNE")):
@@ -245,16 +267,19 @@ def _is_plain_name(label: str) -> bool:
 def _mark_midpoints(some: Floats, judged: NDArray[np.bool_]) -> None:
     """A point exactly half-way between two markers in every frame is computed."""
     markers = np.nonzero(~judged & (np.isfinite(some[:, :, 0]).sum(axis=0) >= _FEWEST_FRAMES))[0]
+    # Pairs grow with the square: beyond this, names must do.
     if not 3 <= len(markers) <= 150:
         return
     paths = some[:, markers]
     frame = paths[int(np.isfinite(paths[:, :, 0]).sum(axis=1).argmax())]
     i, j = np.triu_indices(len(markers), k=1)
     for k in range(len(markers)):
+        # One frame rules out nearly all triples before the others are looked at.
         close = np.abs(frame[i] + frame[j] - 2 * frame[k]).max(axis=1) < 4 * _EXACT
         for a, b in zip(i[close], j[close], strict=True):
             error = np.abs(paths[:, a] + paths[:, b] - 2 * paths[:, k]).max(axis=1)
             distance = np.linalg.norm(paths[:, a] - paths[:, b], axis=1)
             both = np.isfinite(error)
+            # Two markers in one place have everything between them.
             if both.sum() >= _FEWEST_FRAMES and k not in (a, b) and error[both].max() < 4 * _EXACT and distance[both].min() > 0.01:
                 judged[markers[k]] = True

@@ -53,8 +53,10 @@ def for_program(recording: Recording, program: str, target: str | Path) -> tuple
         raise AsterismError(f"{target}: files for {program} are written as {wanted.suffix}; name it {target.stem}{wanted.suffix}.")
     up, left = as_vertical(wanted.up), list[str]()
     turned = not np.allclose(recording.vertical, up, atol=1e-6)
+    # A file that suits the program already is not touched.
     if not turned and not wanted.named:
         return recording, left
+    # Turned points no longer fit the analog data and axes of their file.
     if isinstance(recording.source, C3DFile):
         why = f"which {program} does not need" if wanted.named else "whose axes are those of the file"
         left.append(f"what {recording.metadata.get('file', 'the source')} holds besides markers and events, {why}")
@@ -62,6 +64,7 @@ def for_program(recording: Recording, program: str, target: str | Path) -> tuple
         left.append(f"{len(recording.source.labels) - len(recording.taken)} computed points")
     positions = recording.positions @ rotation_between(recording.vertical, up).T if turned else recording.positions
     metadata = {**recording.metadata, "units": "mm"}
+    # Without its source, the file is written anew in the program's axes.
     prepared = replace(recording, positions=positions, vertical=up, metadata=metadata, source=None, origin=None, taken=())
     if not wanted.named:
         return prepared, left
@@ -76,6 +79,7 @@ def for_program(recording: Recording, program: str, target: str | Path) -> tuple
 def rotation_between(vertical: Floats, up: Floats) -> Floats:
     """The smallest rotation (3, 3) that brings one unit vector to another; about X where they are opposite."""
     axis, cosine = np.cross(vertical, up), float(vertical @ up)
+    # Opposite vectors have no single smallest rotation: any axis across them will do.
     if cosine < -1 + 1e-9:
         about = np.array([1.0, 0.0, 0.0]) if abs(vertical[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
         about = about - (about @ vertical) * vertical

@@ -24,13 +24,16 @@ def rows_of_numbers(path: Path, lines: Sequence[str], first_line: int, delimiter
     """
     kept = [i for i, line in enumerate(lines) if line.strip(' \t,;"')]
     out = np.full((len(kept), width), np.nan)
+    # Where semicolons separate cells, a comma is the decimal mark.
     decimal_comma = delimiter == ";"
     short: list[int] = []
     blank = float("nan")
     for row, i in enumerate(kept):
         line = lines[i].replace(",", ".") if decimal_comma else lines[i]
+        # Splitting by hand is many times faster; quotes need the careful way.
         cells = line.split(delimiter) if '"' not in line else cells_of(line, delimiter)
         if len(cells) > width:
+            # Blank cells at the end are what spreadsheets leave behind.
             if any(cell.strip() for cell in cells[width:]):
                 raise AsterismError(
                     f"{path}, line {first_line + i}: {len(cells)} cells where the header has {width}; correct this line or the header."
@@ -39,10 +42,12 @@ def rows_of_numbers(path: Path, lines: Sequence[str], first_line: int, delimiter
         elif len(cells) < width:
             short.append(row)
         try:
+            # Python reads 1_000 as a number, which no program writes.
             if "_" in line:
                 raise ValueError
             out[row, : len(cells)] = [float(cell) if cell else blank for cell in cells]
         except ValueError:
+            # Only a line that failed is read cell by cell, so that the message can name the place.
             for column, cell in enumerate(cells):
                 number = number_of(cell)
                 if number is None:
@@ -67,6 +72,7 @@ def rate_of(path: Path, declared: float | None, times: Floats | None, findings: 
         return float(declared)
     if timed is None:
         raise AsterismError(f"{path} does not say how many frames per second it has; add the rate to its header or a time column.")
+    # Both are given and differ: the samples' own times are right, and a person should know.
     if good:
         findings.append(
             rate_conflict(f"the header says {declared:g} frames per second, the time column {timed:.6g}; the rate is the latter")
@@ -79,8 +85,10 @@ def _timed_rate(times: Floats | None, declared: float | None) -> tuple[float | N
     if times is None or len(times) < 2 or not (np.abs(times) < 1e9).all():
         return None, False
     span, steps = float(times[-1] - times[0]), np.diff(times)
+    # Printed times are rounded: their last digit is how far they may be off.
     digit = next((10.0**-d for d in range(7) if np.allclose(np.round(times, d), times, rtol=0, atol=1e-9)), 1e-6)
     mean = span / len(steps)
+    # Uneven times are no clock, for instance of frames that were left out.
     if not np.isfinite(span) or mean < 1e-6 or np.abs(steps - mean).max() > 1.01 * digit + 0.02 * mean:
         return None, False
     agrees = declared is not None and declared > 0 and abs(len(steps) / declared - span) <= 1.01 * digit + 1e-4 * span
@@ -91,6 +99,7 @@ def frames_in_place(frames: Floats, rows: Floats) -> tuple[Floats, int, list[Fin
     """Rows (T, ...) with NaN rows inserted where frame numbers are left out, the first frame's number, and findings."""
     if not len(frames):
         return rows, 1, []
+    # Frame numbers with fractions are something else, such as times.
     numbers = np.round(np.where(np.isfinite(frames), frames, 0.0))
     if (numbers != frames).any() or (np.abs(numbers) > 2**31).any():
         return rows, 1, []
@@ -99,6 +108,7 @@ def frames_in_place(frames: Floats, rows: Floats) -> tuple[Floats, int, list[Fin
     if len(steps) == 0 or (steps == steps[0]).all():
         return rows, first, []
     span = int(numbers[-1] - numbers[0]) + 1
+    # A jump back, or a huge gap, is damage or a joined file: filling it would cost memory for nothing.
     if (steps < 1).any() or span > 4 * len(frames) + 1000:
         return rows, first, [frame_numbers("the frame numbers do not rise one by one; the lines were taken in their order")]
     filled = np.full((span, *rows.shape[1:]), np.nan)

@@ -17,6 +17,7 @@ def all_points(recording: Recording, format: str, *, events: bool = False) -> tu
     positions, labels, omitted = recording.positions, list(recording.labels), []
     source = recording.source
     if isinstance(source, Points):
+        # A recording of other frames than its source has no place for the source's other points.
         if len(source.positions) == len(positions):
             others = [c for c in range(len(source.labels)) if c not in set(recording.taken)]
             positions = np.concatenate([positions, source.positions[:, others]], axis=1)
@@ -32,6 +33,7 @@ def all_points(recording: Recording, format: str, *, events: bool = False) -> tu
 
 def dense_rows(values: Floats, decimals: int) -> Floats:
     """(T, 3 P) numbers of a text file. A point exactly at zero moves by one last digit, since zeros read as missing."""
+    # Adding zero turns -0 into 0, which would be written with its sign.
     values = np.round(values, decimals) + 0.0
     at_zero = (values == 0).all(axis=2)
     if at_zero.any():

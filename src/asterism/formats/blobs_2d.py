@@ -42,6 +42,7 @@ def read_2d(path: str | Path, cameras: Sequence[str] | None = None, rate: float 
     """
     path = Path(path)
     suffix = path.suffix.lower()
+    # Closed formats are named with the way out, before anything is read.
     if suffix in _NOT_READABLE:
         raise AsterismError(f"{path} {_NOT_READABLE[suffix]}")
     if suffix == ".tsv":
@@ -65,6 +66,7 @@ def _qtm(path: Path, wanted: tuple[str, ...] | None, wanted_rate: float | None) 
         raise AsterismError(f"{path} has no list `cameras` with `serial` and `samples`; {_QTM_MEND}.")
     names = [str(entry.get("serial", "")) for entry in entries]
     order = tuple(names) if wanted is None else wanted
+    # Serials are what both files share: the rig must know every camera that sends points.
     absent = next((name for name in names if name not in order), None)
     if absent is not None:
         raise AsterismError(
@@ -78,9 +80,11 @@ def _qtm(path: Path, wanted: tuple[str, ...] | None, wanted_rate: float | None) 
         values[:, 2:4] / _SUBPIXELS,
         order,
         rate=wanted_rate if wanted_rate is not None else checked_rate(float(content.get("frequency", 100.0))),
+        # One size for each blob: the mean of its width and height.
         sizes=values[:, 4:6].mean(axis=1) / _SUBPIXELS,
         frames=max(len(entry["samples"]) for entry in entries),
     )
+    # QTM counts frames from 1.
     return replace(blobs, first_frame=1)
 
 

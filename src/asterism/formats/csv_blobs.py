@@ -58,8 +58,10 @@ def _blobs(path: Path, wanted: tuple[str, ...] | None, wanted_rate: float | None
     order, camera = _cameras(path, names, values[:, 1], listed if wanted is None else wanted, strict=wanted is not None)
     _refuse(sheet, values[:, 0] != np.round(values[:, 0]), "the frame is not a whole number; correct it")
     _refuse(sheet, np.abs(values[:, 0]) > 2**53, "the frame number is too large; correct it")
+    # A row without a place says that the camera looked and saw nothing.
     present = ~np.isnan(values[:, 2:4])
     declared_blobs = _whole(comments.get("blobs"), int(present[:, 0].sum()))
+    # The file's own count shows a file that broke off.
     if declared_blobs != present[:, 0].sum():
         raise AsterismError(
             f"{path} declares {declared_blobs} blobs and has {present[:, 0].sum()}; it was cut off or joined, write it again."
@@ -71,11 +73,13 @@ def _blobs(path: Path, wanted: tuple[str, ...] | None, wanted_rate: float | None
     declared = _whole(comments.get("first_frame"), int(frames.min()) if len(frames) else 0)
     first = int(frames.min(initial=declared))
     total = max(int(frames.max(initial=first - 1)) - first + 1, _whole(comments.get("frames"), 0))
+    # A single wrong frame number would spread the file over millions of empty frames.
     if total * len(order) > _MOST_SPREAD * len(values) + _MOST_EMPTY:
         raise AsterismError(
             f"{path}: frame numbers run from {first} to {first + total - 1} for {len(values)} rows; correct the column frame."
         )
     times = _times(sheet, values[:, 5], frames - first, camera, total, len(order))
+    # Two programs that write one log repeat its rows.
     seen = present.all(axis=1) & _first_of_its_kind(np.column_stack([frames, camera, values[:, 2:4]]))
     blobs = Blobs.from_rows(
         frames[seen] - first,
@@ -98,6 +102,7 @@ def _comment(line: str) -> tuple[str, str]:
 
 def _first_of_its_kind(rows: Floats) -> NDArray[np.bool_]:
     """(n,) whether a row of (n, m) differs from all rows before it."""
+    # Sorted, equal rows stand together, and the first of each is the earliest.
     order = np.lexsort(rows.T[::-1])
     first = np.ones(len(rows), dtype=bool)
     first[order[1:]] = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
@@ -113,10 +118,12 @@ def write_blobs(blobs: Blobs, path: str | Path) -> None:
     Blobs(frames: 2 at 50 Hz (0.04 s), cameras: left, right, blobs: 3)
     """
     path = Path(path)
+    # The separators of the file, and what its header puts between names, must not be in one.
     spoilt = next((name for name in blobs.cameras if re.search(r'[,;\t"|\r\n]', name) or name != name.strip()), None)
     if spoilt is not None:
         raise AsterismError(f"{path}: the camera {spoilt!r} has a comma, bar, quote or blank in its name that CSV cannot carry; rename it.")
     sized = bool(np.isfinite(blobs.sizes).any())
+    # The counts let a reader see that the file is whole.
     head = [f"# rate={blobs.rate!r}", f"# frames={len(blobs)}", f"# first_frame={blobs.first_frame}", f"# blobs={len(blobs.xy)}"]
     head += [f"# cameras={'|'.join(blobs.cameras)}"]
     head += [",".join(["frame", "camera", "x", "y", *(["size"] if sized else []), *(["time"] if blobs.times is not None else [])])]
@@ -133,6 +140,7 @@ def write_blobs(blobs: Blobs, path: str | Path) -> None:
         pattern += ",%s"
     rows = [pattern % row for row in zip(*cells, strict=True)]
     if blobs.times is not None:
+        # Images without blobs have a row for their time, or the clock would have gaps.
         empty = np.argwhere((blobs.counts == 0) & np.isfinite(blobs.times))
         gap = ",,,," if sized else ",,,"
         rows += [f"{t + blobs.first_frame},{spelled[c]}{gap}{_time(float(blobs.times[t, c]))}" for t, c in empty.tolist()]
@@ -195,6 +203,7 @@ class _BlobTable:
     def values(self) -> tuple[Floats, list[str]]:
         """(rows, 6): frame, camera (its place among the names that the file uses), x, y, size, time, NaN where blank; and these names."""
         try:
+            # The fast way takes whole columns; what it cannot read, the careful one names.
             return self._fast()
         except (ValueError, UnicodeDecodeError):
             return self._careful()
@@ -206,10 +215,12 @@ class _BlobTable:
         body = [line for line in self.lines[self.header + 1 :] if line]
         text = "\n".join(body)
         mark = self.delimiter
+        # A row with another number of cells shows in the count of separators.
         if '"' in text or (mark is not None and text.count(mark) != len(body) * (self.width - 1)):
             raise ValueError
         if mark is not None:
             text = text.replace(",", ".") if mark == ";" else text
+            # Twice, since pairs of separators overlap.
             for _ in range(2):
                 text = text.replace(mark + mark, f"{mark}nan{mark}")
             text = f"{text}\n".replace(f"{mark}\n", f"{mark}nan\n")
@@ -224,6 +235,7 @@ class _BlobTable:
                 encoding="utf-8",
                 converters={self.place[1]: lambda cell: known.setdefault(cell.strip(), len(known))},
             )
+        # A blank camera or frame has to be named with its line.
         if "nan" in known or not np.isfinite(out[:, 0]).all():
             raise ValueError
         return out, [name_of_cell(name) for name in known]
@@ -267,9 +279,11 @@ def _refuse(sheet: _BlobTable, wrong: Any, why: str) -> None:
 
 def _cameras(path: Path, used: list[str], place: Floats, names: tuple[str, ...], strict: bool) -> tuple[tuple[str, ...], Ints]:
     """The cameras' names in order, and for each row its camera; `strict`: no other names are allowed."""
+    # Cameras may be numbers: 1, 1.0 and 01 are one.
     plain = [str(int(float(name))) if re.fullmatch(r"\d{1,9}(\.0*)?", name) else name for name in used]
     if not strict:
         named = [name for name in plain if name not in names]
+        # Numbers within names count as numbers: camera 10 comes after 9.
         names = (*names, *sorted(dict.fromkeys(named), key=lambda name: [(len(d), d) if d.isdigit() else (0, d) for d in _pieces(name)]))
     elif not all(name in names for name in plain):
         unknown_names = [name for name in plain if name not in names]
@@ -277,6 +291,7 @@ def _cameras(path: Path, used: list[str], place: Floats, names: tuple[str, ...],
         if len(numbers) < len(plain) or max(numbers) > len(names):
             unknown = next((name for name in unknown_names if not name.isdigit()), unknown_names[0])
             raise AsterismError(f"{path}: there is no camera {unknown[:40]}; the rig has {some_of(names, 12)}.")
+        # Neither 0 nor the last number leaves open whether they count from 0 or 1.
         if 0 in numbers and len(names) in numbers:
             raise AsterismError(f"{path}: cameras are numbered 0 to {len(names)}, one more than the rig has ({some_of(names, 12)}).")
         if 0 not in numbers and len(names) not in numbers:
@@ -301,6 +316,7 @@ def _times(sheet: _BlobTable, stamps: Floats, frame: Ints, camera: Ints, frames:
         return None
     times = np.full(frames * cameras, np.nan)
     cell, known = frame * cameras + camera, np.isfinite(stamps)
+    # The first of repeated stamps stays: the later ones are compared with it.
     times[cell[known][::-1]] = stamps[known][::-1]
     differs = known & (np.abs(times[cell] - stamps) > _CLOCK_JITTER)
     _refuse(sheet, differs, "the camera took this frame at two different times; correct the column time")
@@ -315,6 +331,7 @@ def _rate(declared: str | None, times: Floats | None) -> float:
         with np.errstate(invalid="ignore"):
             steps = np.diff(times, axis=0)
             steps = steps[steps > 0]
+        # The median step: single images may be lost.
         if len(steps):
             return float(f"{1.0 / np.median(steps):.6g}")
     return _DEFAULT_RATE

@@ -54,6 +54,7 @@ def read_long(path: Path) -> Points:
     frame_at = next((i for i, name in enumerate(names) if _FRAME.fullmatch(name)), None)
     time_at = next((i for i, name in enumerate(names) if _TIME.fullmatch(name)), None)
     name_at = next((i for i, name in enumerate(names) if _NAME.fullmatch(name)), None)
+    # The clock and the place are what every row must have.
     wanted = [i for i in (frame_at, time_at) if i is not None] + [axes[axis] for axis in "xyz"]
     values, marks, line_numbers = _samples(path, lines, at + 1, delimiter, wanted, name_at)
     count = 1 + (frame_at is not None and time_at is not None)
@@ -66,9 +67,11 @@ def read_long(path: Path) -> Points:
         times = np.full(frames, np.nan)
         times[frame] = stamps
         known = np.isfinite(times)
+        # Frames without a row have a time, too: the clock runs on between them.
         if known.sum() > 1:
             times = np.interp(np.arange(frames), np.nonzero(known)[0], times[known])
     labels, column = _columns(path, marks, frame, line_numbers)
+    # Few samples over many frames and names are damage, and would fill the memory.
     if frames * max(1, len(labels)) > _MOST_SPREAD * len(values) + _MOST_EMPTY:
         raise AsterismError(
             f"{path} spreads over {frames} frames and {len(labels)} points, too many for memory; split it or correct its frame numbers."
@@ -108,6 +111,7 @@ def write_long(path: Path, recording: Recording, confidence: LabelConfidence | N
     ]
     title = "frame,time,marker,x,y,z" + ("" if confidence is None else ",confidence")
     write_atomically(path, utf8("\n".join([*head, title, *rows]) + "\n"))
+    # A column without a sample has no row, so that the file cannot name it.
     unseen = [label for m, label in enumerate(labels) if np.isnan(positions[:, m, 0]).all()]
     if unseen:
         omitted.append(f"columns without a sample: {', '.join(unseen[:5])}")
@@ -127,6 +131,7 @@ def read_long_confidence(path: Path) -> LabelConfidence | None:
     """The column `confidence` of a file that Asterism wrote, by label and frame; None where it has none."""
     lines = lines_of(decoded(path, read_bytes(path)))
     at = data_start(lines)
+    # Only our own files have this column, so that their header tells them.
     if at >= len(lines) or lines[at].strip() != "frame,time,marker,x,y,z,confidence":
         return None
     points = read_long(path)
@@ -164,6 +169,7 @@ def _samples(
             continue
         cells = cells_of(line, delimiter) if '"' in line else line.split(delimiter)
         if len(cells) <= last:
+            # The last line of a file that broke off is dropped; others are damage inside.
             if i == len(lines) - 1:
                 break
             raise AsterismError(f"{path}, line {i + 1}: {len(cells)} cells where the header has more; correct or remove this line.")
@@ -195,11 +201,13 @@ def _frames(
     if wrong.any():
         raise AsterismError(f"{path}, line {lines[int(np.nonzero(wrong)[0][0])]}: the frame is not a whole number; correct it.")
     if not numbered:
+        # Distinct times are the frames where no column counts them.
         _, frame = np.unique(column, return_inverse=True)
         return frame.astype(np.int64), int(frame.max()) + 1, 1
     low = int(column.min()) if first is None else min(first, int(column.min()))
     frame = (column - low).astype(np.int64)
     span = int(frame.max()) + 1
+    # The file may end with empty frames, which only its comment knows.
     if count is not None and span <= count <= span + 1_000_000:
         span = count
     if span > 100 * len(column) + 100_000:
@@ -211,6 +219,7 @@ def _frames(
 
 def _columns(path: Path, marks: list[str] | None, frame: NDArray[np.int64], lines: list[int]) -> tuple[list[str], NDArray[np.int64]]:
     """The labels in order of appearance and each row's column; anonymous points are numbered within their frame."""
+    # Points without a name are counted within their frame, in the order of the rows.
     if marks is None:
         order = np.argsort(frame, kind="stable")
         ordered = frame[order]
@@ -221,6 +230,7 @@ def _columns(path: Path, marks: list[str] | None, frame: NDArray[np.int64], line
     index: dict[str, int] = {}
     column = np.array([index.setdefault(mark, len(index)) for mark in marks], dtype=np.int64)
     labels = [name or "*" for name in index]
+    # Frame and marker as one number: equal ones are repeats.
     key = frame * max(1, len(index)) + column
     order = np.argsort(key, kind="stable")
     repeated = np.nonzero(np.diff(key[order]) == 0)[0]

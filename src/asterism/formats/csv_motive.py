@@ -38,6 +38,7 @@ def read_motive(path: Path) -> Points:
     if at is None:
         raise AsterismError(f"{path} has no line that begins with Frame; export it from Motive again, with its header.")
     above = [cells_of(line, ",") for line in lines[1:at]]
+    # Motive moves these rows from version to version: they are found by what they hold.
     types = next((row for row in above if any(cell.casefold() in _TYPES for cell in row[2:])), None)
     if types is None:
         raise AsterismError(f"{path} has no row with the types of its columns (Marker, Rigid Body, ...); export it with its header.")
@@ -54,8 +55,10 @@ def read_motive(path: Path) -> Points:
     declared = number_of(header.get("export frame rate", header.get("capture frame rate", "")))
     times = values[:, 1] if len(axes) > 1 and axes[1].casefold().startswith("time") else None
     rate = rate_of(path, declared, times, findings)
+    # Kinds are told before empty frames are put in between.
     kinds = _kinds(blocks, positions)
     positions, first, jumps = frames_in_place(values[:, 0], positions)
+    # A recording that was stopped early still has the header of the whole take.
     total = number_of(header.get("total exported frames", ""))
     if total is not None and total == total and total != len(values):
         findings.append(header_conflict(f"the header says {total:g} frames, the file holds {len(values)}"))
@@ -97,6 +100,7 @@ def _kinds(blocks: list[_Block], positions: Floats) -> tuple[str, ...]:
     measured = [i for i, block in enumerate(blocks) if block.kind in ("marker", "unlabeled marker")]
     kinds = []
     for i, block in enumerate(blocks):
+        # A fitted marker is a copy only where a measured one runs along.
         if block.kind in ("rigid body", "bone", "skeleton") or (
             block.kind in ("rigid body marker", "bone marker") and _has_twin(positions, i, measured)
         ):
@@ -110,6 +114,7 @@ def _has_twin(positions: Floats, fitted: int, measured: list[int]) -> bool:
     for other in measured:
         apart = np.linalg.norm(positions[:, fitted] - positions[:, other], axis=1)
         both = np.isfinite(apart)
+        # 10 mm: the fit moves a marker by its error, seldom by more.
         if both.sum() > 0 and float(np.median(apart[both])) < _TWIN:
             return True
     return False

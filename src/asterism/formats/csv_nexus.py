@@ -21,6 +21,7 @@ def is_nexus(lines: Sequence[str]) -> bool:
     """Whether the first line names one of Nexus' sections and the second line is a rate or an event table."""
     first = lines[0].strip(" ,;\t\ufeff").casefold()
     if first not in _SECTIONS or len(lines) < 2:
+        # A single word may be anything's header: the second line must be a rate.
         return False
     return number_of(lines[1].strip(" ,;\t")) is not None or first == "events"
 
@@ -43,11 +44,13 @@ def read_nexus(path: Path) -> Points:
     delimiter = delimiter_of(lines[at + 2]) or ","
     over, axes = cells_of(lines[at + 2], delimiter), cells_of(lines[at + 3], delimiter)
     units = next((cell for cell in cells_of(lines[at + 4], delimiter) if cell), None)
+    # Nexus leaves the row of units out of some exports.
     has_units = units is not None and number_of(units) is None
     labels, columns = _points(over, axes)
     if not labels:
         raise AsterismError(f"{path}, line {at + 3}: no trajectory is named over columns X, Y, Z; export the file again.")
     start = at + (5 if has_units else 4)
+    # The section ends with a blank line, or where the next one begins.
     end = next((i for i in range(start, len(lines)) if not bare[i] or bare[i] in _SECTIONS), len(lines))
     values, findings = rows_of_numbers(path, lines[start:end], start + 1, delimiter, max(len(over), len(axes), max(columns) + 1))
     raw = values[:, columns].reshape(len(values), len(labels), 3)
@@ -75,6 +78,7 @@ def _points(over: list[str], axes: list[str]) -> tuple[list[str], list[int]]:
     for i, axis in enumerate(axes[:-2] if len(axes) > 2 else []):
         trio = [re.sub(r"\W", "", cell).upper() for cell in axes[i : i + 3]]
         if axis and trio == ["X", "Y", "Z"]:
+            # A pair of columns without a name is a trajectory that was not labelled.
             labels.append((over[i] if i < len(over) else "") or f"*{len(labels) + 1}")
             columns += [i, i + 1, i + 2]
     return labels, columns
@@ -95,6 +99,7 @@ def _events(lines: list[str], bare: list[str]) -> tuple[Event, ...]:
         cells = cells_of(lines[i], delimiter_of(lines[i]))
         lowered = [cell.casefold() for cell in cells]
         if not names:
+            # The section has columns in any order, by version.
             if "name" in lowered and any(cell.startswith("time") for cell in lowered):
                 names = ["time" if cell.startswith("time") else cell for cell in lowered]
             continue

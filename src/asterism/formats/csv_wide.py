@@ -40,6 +40,7 @@ def read_wide(path: Path) -> Points:
         raise AsterismError(f"{path} has no header row; write one such as frame,time,LKNE_x,LKNE_y,LKNE_z.")
     delimiter = delimiter_of(lines[at])
     names, units, body_at = _header(lines, at, delimiter)
+    # Our own files are read exactly: no name of theirs can be mistaken for an axis.
     by_asterism = comments.frames is not None and names[:2] == ["frame", "time"]
     positions_end = _positions_end(names) if by_asterism else len(names)
     exact = exact_groups(names[:positions_end], "_", 2) if by_asterism else None
@@ -62,6 +63,7 @@ def read_wide(path: Path) -> Points:
     rate = rate_of(path, comments.rate, times, findings)
     first, jumps = comments.first_frame, list[Finding]()
     if frame_at is not None:
+        # A frame column also shows the frames that were left out.
         positions, numbered, jumps = frames_in_place(values[:, frame_at], positions)
         first = numbered if len(values) else first
     return Points(
@@ -94,10 +96,12 @@ def write_wide(path: Path, recording: Recording, confidence: LabelConfidence | N
     head = comment_lines(
         units, recording.rate, recording.vertical, len(positions), first, str(recording.metadata.get("subject", "")), recording.events
     )
+    # Separators and # in a name would end a cell, or the header.
     bare = [cell_text(re.sub(r'[,;"#]', " ", label)) for label in _unrepeated(labels)]
     names = [f"{label}_{axis}" for label in bare for axis in "xyz"]
     body = spelled_numbers(dense_rows(positions / METRES_PER_UNIT[units], decimals), ",", decimals)
     if confidence is not None:
+        # Of repeated labels the first keeps its name, so that it gets the confidence.
         bare_of = dict(zip(reversed(labels), reversed(bare), strict=True))
         names += [f"{bare_of.get(name, name)}{_CONFIDENCE}" for name in confidence.names]
         body = [
@@ -138,6 +142,7 @@ def _header(lines: list[str], at: int, delimiter: str | None) -> tuple[list[str]
     below = cells_of(lines[at + 1], delimiter) if at + 1 < len(lines) else []
     axes = [cell for cell in below if re.fullmatch(r"(?i)[xyz]", cell)]
     body = at + 1
+    # Names over axes: the name stands over the first of its three columns.
     if len(axes) >= 3 and len(axes) >= 0.5 * len([cell for cell in below if cell]):
         width = max(len(names), len(below))
         names += [""] * (width - len(names))
@@ -145,12 +150,14 @@ def _header(lines: list[str], at: int, delimiter: str | None) -> tuple[list[str]
         over = ""
         joined = []
         for name, axis in zip(names, below, strict=True):
+            # A blank cell belongs to the name before it.
             over = name or over
             joined.append(f"{over}_{axis}" if re.fullmatch(r"(?i)[xyz]", axis) else (axis or name))
         names, body = joined, at + 2
         below = cells_of(lines[body], delimiter) if body < len(lines) else []
     words = [cell.strip("[]()").casefold() for cell in below if cell.strip()]
     lengths = [word for word in words if word in METRES_PER_UNIT]
+    # A row of units has words where the data have numbers.
     if len(lengths) >= 3 and all(number_of(word) is None for word in words):
         return names, lengths[0], body + 1
     return names, None, body
@@ -160,6 +167,7 @@ def _numbers_only(lines: list[str], names: list[str], rest: list[int], delimiter
     """The data lines with columns that hold text (a subject, a comment) blanked, where the first line has such."""
     first = next((line for line in lines if line.strip(" ,;\t")), "")
     cells = cells_of(first, delimiter)
+    # Columns of text, such as a subject, are blanked, or no row would be one of numbers.
     words = [i for i in rest if i < len(cells) and number_of(cells[i].replace(",", ".")) is None]
     if not words or delimiter is None or len(cells) > len(names):
         return lines

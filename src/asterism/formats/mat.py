@@ -25,6 +25,7 @@ def read_mat(path: Path) -> Points:
     A sample of Type 0 is missing. Raises AsterismError, naming the file, where it is damaged, of MATLAB's version 7.3, or not QTM's.
     """
     data = read_bytes(path)
+    # MATLAB's version 7.3 is HDF5, which needs a library of its own.
     if data[1:4] == b"HDF" or data[:10] == b"MATLAB 7.3":
         raise AsterismError(f"{path} is a MAT file of version 7.3; save it with -v7 in MATLAB, or export it from QTM as C3D or TSV.")
     try:
@@ -48,6 +49,7 @@ def _points(path: Path, take: dict[str, Any]) -> Points:
         raise ValueError(f"{frames} frames")
     sets = take["Trajectories"]
     raw, labels, kinds = [], list[str](), list[str]()
+    # Pieces that QTM did not identify come after the named ones, numbered through.
     for key in ("Labeled", "Unidentified"):
         part = sets.get(key) if isinstance(sets, dict) else None
         if not isinstance(part, dict) or "Data" not in part:
@@ -62,6 +64,7 @@ def _points(path: Path, take: dict[str, Any]) -> Points:
     together = np.concatenate(raw, axis=1) if raw else np.full((frames, 0, 3), np.nan)
     if not np.isfinite(rate) or rate <= 0:
         raise AsterismError(f"{path} gives a frame rate of {rate:g}; export it from QTM again.")
+    # QTM always writes millimetres; the size of the body checks it.
     scale, units, found = metres_per_unit(path, "mm", together)
     positions, missing = as_metres(together, scale, zero_is_missing=False)
     return Points(
@@ -87,14 +90,17 @@ def _number(value: Any) -> float:
 def _samples(part: dict[str, Any], frames: int, named: int) -> Floats:
     """(T, N, 3) in the file's unit from Data (N, 4, T), which MATLAB stores as (N, 4) where T is 1, with Type 0 as NaN."""
     data = np.asarray(part["Data"], dtype=np.float64)
+    # An empty array still says how many trajectories there were.
     if data.size == 0:
         return np.full((frames, max(named, min(data.shape[0], 10_000) if data.ndim == 3 else 0), 3), np.nan)
+    # MATLAB drops the last dimension where there is one frame.
     data = data.reshape(*data.shape[:2], -1)
     if data.shape[1] not in (3, 4) or data.shape[2] != frames:
         raise ValueError(f"Data is {data.shape}, expected (trajectories, 4, {frames})")
     positions = np.ascontiguousarray(data[:, :3].transpose(2, 0, 1))
     kinds = part.get("Type")
     if kinds is not None and np.size(kinds) == positions.shape[0] * positions.shape[1]:
+        # Type 0 marks samples that QTM has not measured.
         positions[np.asarray(kinds).reshape(len(data), frames).T == 0] = np.nan
     return positions
 
@@ -110,6 +116,7 @@ def _events(entries: Any) -> tuple[Event, ...]:
 def write_mat(path: Path, recording: Recording) -> list[str]:
     """Write a MAT file laid out as QTM does, in millimetres, compressed. Returns what the format cannot carry."""
     positions, labels, omitted = all_points(recording, "MAT", events=True)
+    # Names with a star are ours for points without a name.
     named = [i for i, label in enumerate(labels) if not label.startswith("*")]
     rest = [i for i in range(len(labels)) if i not in set(named)]
     parts: dict[str, Any] = {"Labeled": _part(positions[:, named], [labels[i] for i in named])}
@@ -129,6 +136,7 @@ def write_mat(path: Path, recording: Recording) -> list[str]:
             events[i] = (f"{event.context} {event.label}".strip(), float(round(event.time * recording.rate) + 1), event.time)
         take["Events"] = events
     name = re.sub(r"\W", "_", path.stem)[:31] or "take"
+    # MATLAB's variables begin with a letter and have 31 characters at most.
     name = name if name[0].isalpha() else f"take_{name}"[:31]
     buffer = io.BytesIO()
     from scipy.io import savemat

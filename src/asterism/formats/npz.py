@@ -27,6 +27,7 @@ def read_npz(path: Path) -> Points:
 
     Raises AsterismError, naming the file, where it is damaged, of a later version, or not of Asterism.
     """
+    # The kind decides which arrays there must be.
     clouds = read_npz_clouds(path)
     if clouds is not None:
         return _points_of_clouds(clouds)
@@ -38,6 +39,7 @@ def read_npz(path: Path) -> Points:
         events = tuple(Event(str(e[0]), float(e[1]), str(e[2])) for e in notes.get("events", []))
         if positions.ndim != 3 or positions.shape[1:] != (len(labels), 3) or np.isinf(positions).any():
             raise ValueError(f"positions {positions.shape} do not fit {len(labels)} labels, or are infinite")
+        # A sample is there in all coordinates or not at all.
         positions[np.isnan(positions).any(axis=2)] = np.nan
         rate = float(stored["rate"])
         if not np.isfinite(rate) or rate <= 0:
@@ -70,6 +72,7 @@ def read_npz_clouds(path: Path) -> Clouds | None:
     try:
         xyz, offsets = np.array(stored["xyz"], dtype=np.float64), np.array(stored["offsets"], dtype=np.int64)
         columns = np.array(stored["columns"], dtype=np.int64)
+        # Offsets are followed blindly later, so that they are checked here once.
         fits = xyz.ndim == 2 and xyz.shape[1] == 3 and offsets.ndim == 1 and len(offsets) > 0 and columns.shape == (len(xyz),)
         if not fits or offsets[0] != 0 or offsets[-1] != len(xyz) or (np.diff(offsets) < 0).any() or not np.isfinite(xyz).all():
             raise ValueError("its points and frames do not fit together")
@@ -87,6 +90,7 @@ def read_npz_clouds(path: Path) -> Clouds | None:
 def write_npz(path: Path, recording: Recording, confidence: LabelConfidence | None = None) -> list[str]:
     """Write positions, labels, rate, vertical, events and the confidence of labels as they are. Returns what the format cannot carry."""
     positions, labels, omitted = all_points(recording, "NPZ", events=True)
+    # Points that the file had computed must not become markers on the way.
     kinds = list[str]()
     if isinstance(recording.source, Points) and len(labels) > len(recording.labels):
         kinds = ["marker"] * len(recording.labels) + ["computed"] * (len(labels) - len(recording.labels))
@@ -150,6 +154,7 @@ def read_npz_evidence(path: Path) -> Evidence | None:
     except (KeyError, TypeError, ValueError) as problem:
         raise AsterismError(f"{path} is damaged ({problem}); write it again.") from problem
     points, cameras = len(clouds.xyz), len(evidence.camera_names)
+    # Every point needs every kind of evidence.
     shapes = (evidence.residual.shape, evidence.covariance.shape, evidence.cameras.shape, evidence.depth_scale.shape)
     if shapes != ((points,), (points, 3, 3), (points, cameras), (points,)):
         raise AsterismError(f"{path} is damaged (its points and their evidence do not fit together); write it again.")
@@ -197,6 +202,7 @@ def _save(path: Path, **arrays: Any) -> None:
     buffer = io.BytesIO()
     stored: dict[str, Any] = {"asterism": VERSION, **arrays}
     np.savez_compressed(buffer, **stored)
+    # A file that packs very well would be refused as one that claims too much.
     if sum(np.asarray(array).nbytes for array in stored.values()) > most_unpacked(len(buffer.getvalue())) // 2:
         buffer = io.BytesIO()
         np.savez(buffer, **stored)  # packed so far, it could not be told from a file that claims too much
@@ -222,6 +228,7 @@ def _points_of_clouds(clouds: Clouds) -> Points:
     counts = clouds.counts
     most = int(counts.max()) if len(counts) else 0
     positions = np.full((len(clouds), most, 3), np.nan)
+    # The n-th point of each frame goes into column n.
     place = np.arange(len(clouds.xyz)) - clouds.offsets[clouds.frame_of]
     positions[clouds.frame_of, place] = clouds.xyz
     return Points(positions, tuple(f"*{i + 1}" for i in range(most)), clouds.rate, "NPZ", declared=clouds.vertical)

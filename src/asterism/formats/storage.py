@@ -67,6 +67,7 @@ def _table(path: Path) -> TimeSeriesTable:
     lines = lines_of(decoded(path, read_bytes(path)))
     end = next((i for i, line in enumerate(lines[:_HEADER_LINES]) if line.strip(" \t,;").casefold() == "endheader"), None)
     header = _header(lines[:end] if end is not None else lines[:0])
+    # Our CSV tables carry the same header as comments.
     if end is None:
         header |= _header([line.lstrip("# ") for line in lines[:20] if line.startswith("#")])
     names_at = next(
@@ -76,12 +77,15 @@ def _table(path: Path) -> TimeSeriesTable:
         raise AsterismError(f"{path} ends before its column names; export it again.")
     delimiter = delimiter_of(lines[names_at])
     names = cells_of(lines[names_at], delimiter)
+    # A separator at the end of the header makes a column without a name.
     while names and not names[-1]:
         names.pop()
     body = lines[names_at + 1 :]
+    # A Vec3 cell holds its three numbers between commas.
     if header.get("datatype", "").casefold().startswith("vec3") and delimiter == "\t":
         names = [names[0], *(f"{name}_{axis}" for name in names[1:] for axis in "xyz")]
         body = [line.replace(",", "\t") for line in body]
+    # Numbers in the header are a file without one.
     if not names or any(number_of(name) is not None and name for name in names):
         raise AsterismError(f"{path}, line {names_at + 1}: numbers where the column names belong; write a row of names above the numbers.")
     values, _ = rows_of_numbers(path, body, names_at + 2, delimiter, len(names))
@@ -150,6 +154,7 @@ def write_table(path: str | Path, table: TimeSeriesTable) -> list[str]:
 def holds_markers(table: TimeSeriesTable, strictly: bool = True) -> bool:
     """Whether columns are positions of points: groups of x, y and z, none named as a force; strictly: nearly all columns are."""
     groups, rest = _groups_of(table)
+    # A table of forces may hold one point of application, too.
     return len(groups) > 0 and (not strictly or len(rest) <= 0.1 * len(table.names))
 
 
@@ -179,6 +184,7 @@ def points_of_table(path: Path, table: TimeSeriesTable) -> Points:
     scale, units, found = metres_per_unit(path, table.units or next((g.units for g in groups if g.units), None), raw)
     positions, missing = as_metres(raw, scale)
     rate = rate_of(path, table.said_rate, table.times, findings)
+    # A start beyond 30 years is no time of a recording, but a clock's.
     start = float(table.times[0]) if len(table.times) and np.abs(table.times[0]) < 1e9 else None
     return Points(
         positions,
@@ -200,6 +206,7 @@ def write_marker_table(path: Path, recording: Recording) -> list[str]:
     names = tuple(f"{name}_t{axis}" for name in bare for axis in "xyz")
     times = np.round(recording.times, 9)
     values = np.round(positions, 9) + 0.0
+    # Three zeros would be read as a missing sample.
     values[(values == 0).all(axis=2), 0] = 1e-9
     write_table(path, TimeSeriesTable(names, values.reshape(len(values), len(names)), times, _MARKERS, units="m", said_rate=recording.rate))
     if recording.vertical[1] < 0.99:
@@ -228,16 +235,19 @@ def _header(lines: list[str]) -> dict[str, str]:
         key, sign, value = line.strip(" \t,;").partition("=")
         if sign:
             found.setdefault(key.strip().casefold(), value.strip(" \t,;"))
+        # Keys without a sign of equality come from older programs.
         elif i == 0 and key:
             found[""] = key
         else:
             word = re.fullmatch(r"(datacolumns|datarows|units|name)\s+(\S.*)", key.strip(), re.IGNORECASE)
             if word:
                 found.setdefault(word[1].casefold(), word[2].strip())
+    # "Units are S.I. units" is a sentence, not a unit.
     if found.get("units", "").casefold().startswith("are "):
         del found["units"]
     return found
 
 
 def _shortest(value: float) -> str:
+    # The shortest text that gives the same bits.
     return "" if value != value else f"{value:.17g}" if float(f"{value:.15g}") != value else f"{value:.15g}"

@@ -51,6 +51,7 @@ def read_trc(path: Path) -> Points:
     sheet = _sheet(path, lines)
     header, labels, rows, findings = sheet.header, sheet.labels, sheet.rows, sheet.findings
     raw = rows[:, 2:].reshape(len(rows), len(labels), 3)
+    # A cut last line may end within a number, which then reads as another one.
     if len(raw) and _cut_short(lines, sheet.delimiter):
         findings.append(cut_off("the file ends within a line; the last marker of its last frame is taken as missing"))
         seen = np.nonzero(~np.isnan(raw[-1]).all(axis=1))[0]
@@ -58,6 +59,7 @@ def read_trc(path: Path) -> Points:
     scale, units, found = metres_per_unit(path, header.get("units"), raw, list(header.values()))
     positions, missing = as_metres(raw, scale)
     declared = number_of(header.get("datarate", ""))
+    # Some programs fill in one of the two rates only.
     if declared is None or not declared > 0:
         declared = number_of(header.get("camerarate", ""))
     rate = rate_of(path, declared, rows[:, 1], findings)
@@ -65,6 +67,7 @@ def read_trc(path: Path) -> Points:
     positions, first, jumps = frames_in_place(rows[:, 0], positions)
     for key, count, what in (("numframes", len(rows), "frames"), ("nummarkers", len(labels), "markers")):
         number = number_of(header.get(key, ""))
+        # Readers of other programs trust the header, so that its errors are worth a note.
         if number is None or number != count:
             findings.append(header_conflict(f"the header says {header.get(key) or 'no number of'} {what}, the file holds {count}"))
     return Points(
@@ -82,6 +85,7 @@ def read_trc(path: Path) -> Points:
 
 def _sheet(path: Path, lines: list[str]) -> _TrcParts:
     """The parts of a file. Raises AsterismError where the header is not that of a TRC file or a cell is not a number."""
+    # Lines may stand above the header, and blanks between its parts.
     at = next((i for i, line in enumerate(lines[:12]) if "datarate" in line.casefold()), None)
     if at is None or at + 2 >= len(lines):
         raise AsterismError(f"{path} is not a TRC file: it has no line with DataRate, CameraRate, NumFrames; export it again.")
@@ -92,6 +96,7 @@ def _sheet(path: Path, lines: list[str]) -> _TrcParts:
         )
     header = _header(lines[at], lines[at + 1] if names_at > at + 1 else "")
     delimiter = delimiter_of(lines[names_at])
+    # Some programs leave the row X1, Y1, Z1 out.
     letters = cells_of(lines[names_at + 1], delimiter) if names_at + 1 < len(lines) else []
     has_letters = any(re.fullmatch(r"[XYZxyz]\d*", cell) for cell in letters)
     data_at = names_at + 2 if has_letters else names_at + 1
@@ -137,6 +142,7 @@ def _header(keys: str, values: str) -> dict[str, str]:
     delimiter = delimiter_of(keys)
     names, cells = cells_of(keys, delimiter), cells_of(values, delimiter_of(values) if delimiter is None else delimiter)
     filled, written = [n for n in names if n], [c for c in cells if c]
+    # Padding with tabs moves values from under their keys; the filled cells still pair up.
     pairs = (
         zip(filled, written, strict=False) if len(cells) > len(names) or len(filled) == len(written) else zip(names, cells, strict=False)
     )
@@ -148,8 +154,10 @@ def _labels(line: str, delimiter: str | None, letters: list[str], data: list[str
     cells = cells_of(line, delimiter)[2:]
     named = [cell for cell in cells if cell]
     width = max((len(cells_of(row, delimiter)) for row in data if row.strip()), default=0)
+    # The letters count the columns best, then the rows, then the names.
     columns = sum(bool(re.fullmatch(r"[XYZxyz]\d*", cell)) for cell in letters) or max(width - 2, 3 * len(named))
     count = max(columns // 3, len(named))
+    # A name over each third cell, as the format has it; else the names stand side by side.
     spread = delimiter is not None and all(i % 3 == 0 for i, cell in enumerate(cells) if cell) and not (len(named) == 1 and count > 1)
     if spread:
         labels = [cells[i] if i < len(cells) else "" for i in range(0, 3 * count, 3)]
@@ -175,5 +183,6 @@ def _cut_short(lines: list[str], delimiter: str | None) -> bool:
     last, above = cells_of(lines[-1], delimiter), cells_of(lines[-2], delimiter)
     if len(last) < len(above):
         return any(above[len(last) :])
+    # A number that lost its last digits has fewer decimals than the one above it.
     decimals = [len(cells[-1].partition(".")[2]) for cells in (last, above)]
     return bool(last[-1]) and last[-1].casefold() != "nan" and decimals[0] < decimals[1]

@@ -44,6 +44,7 @@ def read_tsv(path: Path) -> Points:
     lines = lines_of(decoded(path, read_bytes(path)))
     head = _head(lines)
     if "MARKER_NAMES" not in head.values:
+        # Any program writes tables with tabs: without QTM's keys it is one of those.
         if not head.values:
             return read_long(path) if is_long(lines) else read_wide(path)
         raise AsterismError(f"{path} has no line MARKER_NAMES; export 3D data from QTM again, with its header.")
@@ -56,6 +57,7 @@ def read_tsv(path: Path) -> Points:
     raw = rows[:, extra:].reshape(len(rows), len(labels), 3)
     scale, units, findings = metres_per_unit(path, "mm", raw)
     positions, missing = as_metres(raw, scale)
+    # The time stands just before the coordinates.
     times = rows[:, extra - 1] if extra else None
     rate = rate_of(path, number_of(head.first("FREQUENCY")), times, findings)
     first, jumps = 1, list[Finding]()
@@ -88,6 +90,7 @@ def _head(lines: list[str]) -> _Head:
         cells = [cell.strip() for cell in line.split("\t")]
         if not line.strip():
             continue
+        # The first line without a key in capitals begins the table.
         if not _KEY.fullmatch(cells[0]) or (len(cells) > 1 and number_of(cells[0]) is not None):
             return _Head(values, events, i)
         if cells[0] == "EVENT" and len(cells) > 3:
@@ -105,6 +108,7 @@ def _table(lines: list[str], at: int, markers: int) -> tuple[int, int]:
         titles = [cell.strip().casefold() for cell in lines[at].split("\t")]
         return at + 1, int("frame" in titles[:2]) + int("time" in titles[:2])
     if at < len(lines):
+        # Without titles, the number of cells beyond the coordinates tells whether frame and time are there.
         return at, {2: 2, 1: 1}.get(len(lines[at].rstrip("\t").split("\t")) - 3 * markers, 0)
     return at, 0
 

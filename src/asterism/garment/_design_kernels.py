@@ -34,6 +34,7 @@ def contexts_of(identity, members, colours, out):
     centre = identity // rings
     code = members[identity - centre * rings]
     middle, top = colours**4, colours**7
+    # Each of the eight ring places may be the one that is still open.
     for k in range(8):
         out[k] = centre * top + code % middle + code // (middle * colours) * middle
         code = code // colours + code % colours * top
@@ -71,10 +72,14 @@ def fill_in_raster_order(
     The last cell of a block is always the fourth place of its ring. Of the colours possible there the one is taken that leaves the
     contexts of its identity the most free identities (a context without one is a dead end). O(steps * (colours * 16 + k)), no allocation
     but of two small arrays. GaMoCap 2.1 undoes three cells at a dead end and has no weights.
+
+    Bounds: `position` is a cell of `order` and falls no further than 0. `free` starts as the number of rings in each context, `colours` at
+    most, and no identity is placed twice, so it stays within 0 to `colours`: `weights` has two more.
     """
     rings, context, used = members.size, np.zeros(8, np.int64), np.zeros(colours, np.int64)
     position, furthest, since, jump = state[POSITION], state[FURTHEST], state[SINCE], state[JUMP]
     random = word[0]
+    # The counts are not kept between calls, since they follow from the cells.
     for k in range(position):
         used[flat[order[k]]] += 1
     for _ in range(rules[2]):
@@ -89,8 +94,10 @@ def fill_in_raster_order(
                 if k != 4:
                     base += flat[centre + around[k]] * colours**k
         random = next_word(random)
+        # A random addend below one breaks ties without outweighing a context.
         best, best_cost, best_identity = -1, np.inf, -1
         for colour in range(colours):
+            # Tried before at this place with the same cells before it, or used up.
             if (tried[position] >> colour) & 1 or used[colour] >= cap[0] + cap[1] * position:
                 continue
             if apart and (flat[cell - 1] == colour or flat[cell + around[1]] == colour):
@@ -98,12 +105,15 @@ def fill_in_raster_order(
             cost, identity = float((random >> np.uint64(7 * colour + 7)) & np.uint64(127)) / 256.0, -1
             if centre >= 0:
                 ring = classes[base + colour * colours**4]
+                # No identity, one that is taken, or one too like it.
                 if ring < 0 or taken[ring + middle * rings] > 0:
                     continue
                 identity = ring + middle * rings
                 contexts_of(identity, members, colours, context)
                 for k in range(8):
+                    # A context that loses its last free identity is a dead end for a later cell.
                     cost += weights[0, free[context[k]]]
+                # One cell ahead: what this colour leaves for the next.
                 if position + 1 < order.size and completed[position + 1] >= 0:
                     following = completed[position + 1]
                     ahead = flat[following] * colours**7
@@ -127,6 +137,7 @@ def fill_in_raster_order(
                 furthest, since, jump = position, 0, 4
             continue
         back = min(rules[0], position)
+        # Stuck: the mistake lies farther back than single steps reach, and each longer jump doubles.
         jumps = since > rules[1]
         if jumps:
             back, jump, since = min(jump, position), 2 * jump, 0
@@ -136,6 +147,7 @@ def fill_in_raster_order(
             flat[order[position]] = -1
             if chosen[position] >= 0:
                 place(chosen[position], -1, near, taken, members, colours, free, context)
+        # After a jump the colours tried here were tried with other cells before it.
         if jumps or position == 0:
             tried[position] = 0
     state[POSITION], state[FURTHEST], state[SINCE], state[JUMP] = position, furthest, since, jump
@@ -168,6 +180,8 @@ def recolour(cell, colour, flat, is_block, around, colours, classes, rings, code
     IN  is_block (cells,), around (8,), classes (colours ** 8,), near (ids, k)
     OUT flat, codes (cells,) rings; number (cells,) identities; counts (ids,); others (ids,) exclusive or of the blocks with an identity
     O(9 (k + 1)). Twin: tests/twins_garment_design.py
+
+    Bounds: flat has a border of one cell outside the mask, so the blocks around a cell are in it.
     """
     step = colour - flat[cell]
     flat[cell] = colour
@@ -183,7 +197,9 @@ def recolour(cell, colour, flat, is_block, around, colours, classes, rings, code
         before, after = number[block], classes[codes[block]]
         if before >= 0:
             counts[before] -= 1
+            # An exclusive or of all blocks of an identity: of two, it gives the other.
             others[before] ^= block
+            # Pairs that the block made with all others of its identity.
             change -= counts[before]
             for j in range(near.shape[1]):
                 if near[before, j] >= 0:
@@ -216,6 +232,9 @@ def remove_conflicts(
     IN  is_cell, is_block (cells,); apart: whether cells side by side must differ; cap: the most cells of one colour; accept (m,)
     OUT all others; queue (cells,) holds every block in conflict but at most one of each identity. Returns the conflicts left.
     O(steps * 18 (k + 1)), no allocation.
+
+    Bounds: a block is in the queue once (`queued`), so `queue` needs no more room than there are cells. flat has a border of one cell
+    outside the mask.
     """
     waiting, conflicts, random = state[QUEUED], state[CONFLICTS], word[0]
     for _ in range(steps):
@@ -225,6 +244,7 @@ def remove_conflicts(
         random = next_word(random)
         entry = np.int64(((random >> np.uint64(32)) * np.uint64(waiting)) >> np.uint64(32))
         block = queue[entry]
+        # Solved by a neighbour's step since it came into the queue.
         if not in_conflict(block, number, counts, near):
             waiting -= 1
             queue[entry] = queue[waiting]
@@ -232,6 +252,7 @@ def remove_conflicts(
             continue
         random = next_word(random)
         identity = number[block]
+        # Only one of the two is in the queue; half of the time the other one moves.
         if identity >= 0 and counts[identity] == 2 and (random >> np.uint64(60)) & np.uint64(1):
             block ^= others[identity]
         pick = np.int64(((random >> np.uint64(28)) & np.uint64(0xFFFFFF)) * np.uint64(9 * (colours - 1)) >> np.uint64(24))
@@ -240,10 +261,12 @@ def remove_conflicts(
         new = (old + pick % (colours - 1) + 1) % colours
         if used[new] >= cap:
             continue
+        # Equal neighbours could run into one blob in the image.
         if apart and (flat[cell - 1] == new or flat[cell + 1] == new or flat[cell + around[1]] == new or flat[cell + around[5]] == new):
             continue
         change = recolour(cell, new, flat, is_block, around, colours, classes, rings, codes, number, counts, others, near)
         random = next_word(random)
+        # Uphill now and then, or the search stays in the first valley.
         if change > 0 and (change >= accept.size or (random >> np.uint64(11)) * (1.0 / 9007199254740992.0) >= accept[change]):
             recolour(cell, old, flat, is_block, around, colours, classes, rings, codes, number, counts, others, near)
             continue

@@ -109,6 +109,7 @@ def capture(
     frames: list[int] = []
     found: list[DensePoints] = []
     counts: list[list[int]] = []
+    # The factor on the centres' errors comes from the first moments; these wait for it, and all later ones need not.
     first: list[Future[CircleRays]] = []
     under_way: deque[Future[DensePoints]] = deque()
     scale: float | None = None
@@ -116,6 +117,7 @@ def capture(
     ahead = rules.together if workers > 1 else 0
 
     def finish(left: int) -> None:
+        # Results are taken in order, so that the outcome does not depend on the number of workers.
         while len(under_way) > left:
             found.append(under_way.popleft().result())
             if progress is not None:
@@ -134,6 +136,7 @@ def capture(
             if len(first) == rules.scale_frames:
                 scale = _common_scale(rig, first, rules, pool)
                 under_way += [pool.submit(_points, rig, pattern, one, rules, scale) for one in first]
+        # A recording shorter than `scale_frames` moments has its factor from those that it has.
         if scale is None and first:
             scale = _common_scale(rig, first, rules, pool)
             under_way += [pool.submit(_points, rig, pattern, one, rules, scale) for one in first]
@@ -182,6 +185,7 @@ def _readings(moments: Iterable[Moment], read: Reader, together: int, pool: Exec
     under_way: deque[tuple[int, list[Future[UsedCircles] | None]]] = deque()
     while True:
         for number, group in islice(coming, together - len(under_way)):
+            # One image per task, so that the cameras of a moment are read side by side.
             under_way.append((number, [None if image is None else pool.submit(read, image) for image in group]))
         if not under_way:
             return
@@ -210,6 +214,7 @@ def _findings(rig: Rig, found: Sequence[DensePoints], read: Ints, scale: float, 
     used = np.zeros(len(rig), dtype=np.int64)
     twice = np.zeros(len(rig), dtype=np.int64)
     for one in found:
+        # One garment shows each identity once in an image; a second sight is a second garment or a mirror.
         twice += np.bincount(one.duplicates[:, 0], minlength=len(rig))
         used += one.by_camera
     for c, name in enumerate(names):
@@ -230,6 +235,7 @@ def _findings(rig: Rig, found: Sequence[DensePoints], read: Ints, scale: float, 
             mend = "Have one garment of this print in view, and no mirror."
             yield Finding("garment-seen-twice", Severity.ERROR, name, sentence, mend)
     seen, kept = sum(one.seen for one in found), sum(len(one) for one in found)
+    # Rays that miss each other by much more than their noise speak of moved cameras, or of images that are not of one moment.
     if seen and (seen - kept > rules.unfitting * seen or scale > rules.coarse):
         sentence = (
             f"rays of {100 * (seen - kept) / seen:.0f} % of the circles do not meet, and the others miss by {scale:.1f} times their noise."

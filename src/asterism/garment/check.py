@@ -101,6 +101,7 @@ def misread_blocks(windows: int, existing: int, chance: float) -> tuple[float, f
     """The share of blocks with a misread colour, estimated and at most (95 %), from how many of the blocks read exist."""
     if windows == 0:
         return 1.0, 1.0
+    # One misread colour spoils up to nine blocks, so a ninth of them counts as independent.
     missing = 1.0 - existing / windows
     apart = windows / _BLOCK
     most = float(beta.ppf(_LEVEL, apart * missing + 1.0, max(apart * (1.0 - missing), 1e-9)))
@@ -114,6 +115,7 @@ def _of_colours(blocks: float) -> float:
 
 def _findings(checked: PhotoCheck, read: ReadCircles) -> list[Finding]:
     """What speaks against the photo beside what the reader said itself."""
+    # What made the image unreadable has been said; all else follows from it.
     if any(finding.severity is Severity.ERROR for finding in read.findings):
         return []
     found = []

@@ -85,6 +85,7 @@ def design_pattern(
     mask, laid_out = lay_out(outline)
     blocks = int((whole_blocks(mask)).sum())
     most = most_identities(colours, given)
+    # What cannot be done is said before any search.
     if blocks > most:
         raise AsterismError(
             f"the pattern needs {blocks} identities, and {colours} colours have at most {most} with these rules; "
@@ -92,6 +93,7 @@ def design_pattern(
         )
     rng = np.random.default_rng(seed)
     sheet = _DesignArrays(mask, colours, given)
+    # Raster order is fast, and leaves holes near the end; the search then fills them with conflicts and removes these.
     cells, missing = _fill(sheet, given, rng, progress)
     if missing and given.method == "search":
         missing = _search(sheet, cells, given, rng, progress)
@@ -112,6 +114,7 @@ def most_identities(colours: int, rules: DesignRules) -> int:
     if rules.equal_neighbours:
         return count_identities(colours) // (colours if rules.least_difference > 1 else 1)
     codes = np.flatnonzero(ring_classes(colours) >= 0)
+    # A class counts only if one of its rings, in one of its turns, has no two equal neighbours.
     ring = codes[:, None] // colours ** np.arange(8) % colours
     uneven = (ring != np.roll(ring, 1, axis=1)).all(axis=1)
     possible = [ring_classes(colours)[codes[uneven & (ring[:, 1::2] != centre).all(axis=1)]] for centre in range(colours)]
@@ -135,10 +138,12 @@ def lay_out(outline: tuple[int, int] | ArrayLike | Mapping[str, ArrayLike]) -> t
     cut: dict[str, Bools] = {}
     for name, form in masks.items():
         array = np.ones(form, dtype=np.bool_) if isinstance(form, tuple) and len(form) == 2 else np.asarray(form)
+        # A piece without a whole block would carry no identity at all.
         if array.ndim != 2 or not array.size or not whole_blocks(array.astype(np.bool_)).any():
             raise AsterismError(f"piece {name} has no room for a block of 3 x 3 circles; give rows and columns, or a mask of them.")
         cut[str(name)] = array.astype(np.bool_)
     rows = max(mask.shape[0] for mask in cut.values())
+    # An empty column between pieces, so that no block spans a seam.
     sheet = np.zeros((rows, sum(mask.shape[1] + 1 for mask in cut.values()) - 1), dtype=np.bool_)
     pieces, column = [], 0
     for name, mask in cut.items():
@@ -184,12 +189,14 @@ def too_like(colours: int, least_difference: int) -> NDArray[np.int32]:
     for cells, steps in changes:
         changed, centre = digits.copy(), np.arange(colours)
         for cell, step in zip(cells, steps, strict=True):
+            # Cells 0 to 7 are the ring, 8 is the centre.
             if cell < 8:
                 changed[:, cell] = (changed[:, cell] + step) % colours
             else:
                 centre = (centre + step) % colours
         classes = ring_classes(colours)[ring_codes(changed, colours)]
         other = np.where(classes >= 0, centre[:, None] * rings + classes, -1).astype(np.int32).ravel()
+        # A change that turns an identity into itself is no other identity.
         near.append(np.where(other == own, -1, other))
     return np.ascontiguousarray(np.stack(near, axis=1)) if near else np.zeros((ids, 0), dtype=np.int32)
 
@@ -206,11 +213,13 @@ class _DesignArrays:
 
     def __init__(self, mask: Bools, colours: int, rules: DesignRules) -> None:
         self.colours, self.shape = colours, mask.shape
+        # A border of empty cells, so that the ring of every cell can be read without asking whether it is on the sheet.
         self.is_cell = np.pad(mask, 1).ravel()
         self.is_block = np.pad(whole_blocks(mask), 1).ravel()
         self.width = mask.shape[1] + 2
         self.around = np.array([dr * self.width + dc for dr, dc in RING], dtype=np.int64)
         self.order = np.flatnonzero(self.is_cell)
+        # A block is whole once its last cell in raster order, the one below right, is coloured.
         last = self.order - self.around[4]
         self.completed = np.where(self.is_block[np.maximum(last, 0)] & (last >= 0), last, -1)
         self.classes = ring_classes(colours)
@@ -230,6 +239,7 @@ def _fill(sheet: _DesignArrays, rules: DesignRules, rng: np.random.Generator, pr
     paper, q = rules.method == "paper", sheet.colours
     flat = np.full(len(sheet.is_cell), -1, dtype=np.int64)
     weights = np.zeros((2, q + 2))
+    # The paper chooses at random; ours prefers colours that leave many rings free.
     if not paper:
         weights[0, 1 : q + 1] = [rules.left[k] if k < len(rules.left) else 0.0 for k in range(q)]
         weights[1, : q + 1] = [rules.ahead[k] if k < len(rules.ahead) else 0.0 for k in range(q + 1)]
@@ -244,6 +254,7 @@ def _fill(sheet: _DesignArrays, rules: DesignRules, rng: np.random.Generator, pr
     taken = np.zeros(count_identities(q), dtype=np.int32)
     cap = np.array([20.0, (1.0 + sheet.excess) / q]) if np.isfinite(sheet.excess) else np.array([np.inf, 0.0])
     done = 0
+    # Kernels run in pieces, so that progress can be told and Ctrl-C works.
     while done < rules.raster_steps:
         steps = min(_CHUNK, rules.raster_steps - done)
         limits = np.array([3 if paper else 1, rules.raster_steps if paper else rules.patience, steps], dtype=np.int64)
@@ -263,6 +274,7 @@ def _search(sheet: _DesignArrays, flat: Ints, rules: DesignRules, rng: np.random
     """Colour the missing cells of `flat` at random, then remove the conflicts in place; returns the conflicts left."""
     q = sheet.colours
     missing = sheet.order[flat[sheet.order] < 0]
+    # Start colours at random, but never equal to a neighbour where that is asked for.
     for cell in missing:
         barred = {int(flat[cell + step]) for step in (-1, 1, sheet.around[1], sheet.around[5])} if sheet.apart else set()
         possible = [colour for colour in range(q) if colour not in barred] or list(range(q))
@@ -270,6 +282,7 @@ def _search(sheet: _DesignArrays, flat: Ints, rules: DesignRules, rng: np.random
     codes, number, counts, others = _count(sheet, flat)
     queue, queued = np.zeros(len(flat), dtype=np.int64), np.zeros(len(flat), dtype=np.bool_)
     blocks = np.flatnonzero(sheet.is_block)
+    # Each pair of equal blocks is a conflict, and each block without a class is one.
     conflicts = int((counts * (counts - 1) // 2).sum() + (number[blocks] < 0).sum())
     for like in sheet.near.T:
         conflicts += int((counts[like] * counts)[like >= 0].sum()) // 2
@@ -278,6 +291,7 @@ def _search(sheet: _DesignArrays, flat: Ints, rules: DesignRules, rng: np.random
     state = np.array([0, len(waiting), conflicts, 0], dtype=np.int64)
     word = rng.integers(1, 2**63, 1, dtype=np.uint64)
     used = np.bincount(flat[sheet.order], minlength=q).astype(np.int64)
+    # A few more than the share of each colour, so that small sheets can be balanced at all.
     cap = int(np.ceil(len(sheet.order) * (1.0 + sheet.excess) / q)) + 20 if np.isfinite(sheet.excess) else len(flat)
     accept = rules.acceptance ** np.arange(12.0)
     while state[kernels.QUEUED] and state[kernels.STEPS] < rules.search_steps:
@@ -314,6 +328,7 @@ def least_difference(pattern: Pattern) -> int:
     known[pattern.known] = True
     for difference in (2, 3):
         near = too_like(pattern.q, difference)[pattern.known]
+        # Only pairs of which both occur in this pattern count.
         if (known[np.maximum(near, 0)] & (near >= 0)).any():
             return difference - 1
     return 3

@@ -83,6 +83,7 @@ class _Film:
             return None
         if self._video is None:
             return self._named(_colour(cv2.imread(str(self._images[place]), cv2.IMREAD_COLOR)), number)
+        # A video is read forwards only: seeking is inexact in many codecs.
         image = None
         while self._next <= place:
             there, image = self._video.read()
@@ -100,6 +101,7 @@ class _Film:
                 + (f" from frame {number} on" if self._video is not None else " as an image")
                 + "; it was left out."
             )
+            # A video that ends early would be reported for each frame that is missing.
             known = any(finding.where == what for finding in self._camera.findings)
             if not known:
                 self._camera.findings.append(Finding("garment-image-unreadable", Severity.WARNING, what, sentence, "Copy it again."))
@@ -109,6 +111,7 @@ class _Film:
 def _colour(image: Any) -> Image | None:
     if image is None or image.size == 0:
         return None
+    # Grey images have no third axis.
     return np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else np.ascontiguousarray(image)
 
 
@@ -121,11 +124,13 @@ def colour_footage(paths: Sequence[str | Path], rig: Rig | None = None) -> Colou
     cameras = footage_of(paths)
     if rig is not None:
         cameras = _in_order(cameras, rig)
+    # Single photos are of one moment, whatever their names say.
     if all(len(camera) == 1 for camera in cameras):
         return ColourFootage(
             tuple(Footage(c.name, c.images, c.video, np.zeros(1, dtype=np.int64), c.findings) for c in cameras), np.zeros(1, int)
         )
     frames = np.unique(np.concatenate([camera.frames for camera in cameras]))
+    # Without numbers nothing tells which images were taken together.
     if (frames < 0).any():
         raise AsterismError(
             f"camera {next(c.name for c in cameras if (c.frames < 0).any())}: some of its images have no number at the end of their names, "

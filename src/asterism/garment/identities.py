@@ -41,11 +41,14 @@ def ring_classes(colours: int) -> NDArray[np.int32]:
     """
     check_colours(colours)
     codes = np.arange(colours**8, dtype=np.int32)
+    # All eight shifts of every ring, one after the other; the smallest one names the class.
     smallest, turned = codes.copy(), codes
     for shift in range(1, 8):
         turned = turned // colours + (turned % colours) * colours**7
         np.minimum(smallest, turned, out=smallest)
+        # A ring with any period is its own shift by four.
         if shift == 4:
+            # Classes are numbered by their smallest rings.
             periodic = turned == codes
     first = (smallest == codes) & ~periodic
     rank = np.cumsum(first, dtype=np.int32) - 1

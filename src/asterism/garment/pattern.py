@@ -89,11 +89,13 @@ class Pattern:
             raise AsterismError(
                 f"circles of {self.diameter:g} m at a pitch of {self.pitch:g} m are not possible; give metres, such as 0.010 and 0.018."
             )
+        # Identities are computed from the colours, never taken from a file, so the two cannot contradict each other.
         colours = given.astype(np.int8)
         ids = grid_identities(colours, len(hsv))
         _check_unique(colours, ids)
         pieces = tuple(self.pieces) or (Piece("sheet", 0, 0, *colours.shape),)
         _check_pieces(colours, pieces)
+        # A pattern is shared by readers and caches, so nobody may change its arrays.
         for array in (colours, hsv, ids):
             array.setflags(write=False)
         for name, value in (("colours", colours), ("hsv", hsv), ("ids", ids), ("pieces", pieces)):
@@ -134,6 +136,7 @@ class Pattern:
     def cells(self, ids: ArrayLike) -> Ints:
         """Rows and columns of identities, (..., 2); -1, -1 for one that does not occur."""
         number = np.asarray(ids, dtype=np.int64)
+        # An unknown identity points to place 0 here, and is masked in the next line.
         possible = (number >= 0) & (number < len(self.cell_of))
         flat = np.where(possible, self.cell_of[np.where(possible, number, 0)], -1).astype(np.int64)
         cell = np.stack([flat // self.shape[1], flat % self.shape[1]], axis=-1)
@@ -196,6 +199,7 @@ class Pattern:
         lines += [toml_line("identities", len(self.known))]
         for piece in self.pieces:
             lines += ["", "[[piece]]", *(toml_line(k, getattr(piece, k)) for k in ("name", "row", "column", "rows", "columns"))]
+        # The lookup first: a description that is there names a lookup that is there.
         write_atomically(lookup, buffer.getvalue())
         write_atomically(description, utf8("\n".join(lines) + "\n"))
         return description
@@ -215,6 +219,7 @@ class Pattern:
             raise AsterismError(f"{path} does not describe a garment; give the file that asterism garment print wrote.")
         _check_version(path, table.get("version"))
         with guarded_reading(path, _REMADE):
+            # The lookup is looked for beside its description alone, whatever path the file names.
             pattern = _from_lookup(path.with_name(Path(str(table["lookup"])).name))
             return replace(pattern, pitch=float(table["pitch"]), diameter=float(table["diameter"]))
 
@@ -229,6 +234,7 @@ def _from_lookup(path: Path) -> Pattern:
         names, cells = stored["piece_names"], stored["piece_cells"]
         pieces = tuple(Piece(str(name), *(int(v) for v in cell)) for name, cell in zip(names, cells, strict=True))
         pattern = Pattern(stored["colours"], stored["hsv"], float(stored["pitch"]), float(stored["diameter"]), pieces)
+        # A changed colour changes identities, so a damaged file shows.
         if not np.array_equal(pattern.ids, stored["ids"]):
             raise AsterismError(f"{path} is damaged: its colours and its identities contradict each other; {_REMADE}.")
         return pattern
@@ -250,6 +256,7 @@ def _check_unique(colours: NDArray[np.int8], ids: NDArray[np.int32]) -> None:
     if len(periodic):
         row, col = periodic[0]
         raise AsterismError(f"the ring around row {row}, column {col} has a rotational period; change one of its colours.")
+    # Sorted identities lie side by side where they occur twice.
     order = np.argsort(ids, axis=None, kind="stable")
     ascending = ids.ravel()[order]
     twice = np.flatnonzero((ascending[1:] == ascending[:-1]) & (ascending[1:] >= 0))
@@ -263,6 +270,7 @@ def _check_pieces(colours: NDArray[np.int8], pieces: tuple[Piece, ...]) -> None:
     names = [piece.name for piece in pieces]
     if len(set(names)) < len(names) or not all(names):
         raise AsterismError(f"the pieces are called {', '.join(names)}; give each a name of its own.")
+    # A border of one cell, so that touching can be seen without asking for the sheet's edge.
     owner = np.zeros(np.add(colours.shape, 2), dtype=np.int32)
     for place, piece in enumerate(pieces, 1):
         past = (piece.row + piece.rows, piece.column + piece.columns)
@@ -275,6 +283,7 @@ def _check_pieces(colours: NDArray[np.int8], pieces: tuple[Piece, ...]) -> None:
             raise AsterismError(f"piece {piece.name} lies outside the sheet of {colours.shape[0]} x {colours.shape[1]} cells.")
         if owner[piece.row : past[0] + 2, piece.column : past[1] + 2].any():
             raise AsterismError(f"piece {piece.name} touches another; leave a row or column between pieces.")
+        # Row and column 0 of the owners are the border, so pieces are shifted by one.
         owner[piece.row + 1 : past[0] + 1, piece.column + 1 : past[1] + 1] = place
     if ((colours >= 0) & (owner[1:-1, 1:-1] == 0)).any():
         raise AsterismError("some circles of the pattern belong to no piece; make the pieces larger.")

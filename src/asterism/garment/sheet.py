@@ -96,6 +96,7 @@ def drawing_of(pattern: Pattern, rules: SheetRules | None = None) -> Drawing:
     cells = np.argwhere(pattern.colours >= 0)
     radius = 0.5 * pattern.diameter
     offset = rules.margin + radius
+    # Places are the circles' middles, a margin and a radius from the edge.
     circles = np.column_stack([offset + cells[:, 1] * pattern.pitch, offset + cells[:, 0] * pattern.pitch, np.full(len(cells), radius)])
     width = 2 * offset + (cols - 1) * pattern.pitch
     height = 2 * offset + (rows - 1) * pattern.pitch
@@ -106,9 +107,11 @@ def drawing_of(pattern: Pattern, rules: SheetRules | None = None) -> Drawing:
         texts.append((left, top - 0.5 * (rules.margin - word), word, piece.name))
     patches, inks = np.zeros((0, 4)), np.zeros((0, 3))
     if rules.card:
+        # The card is as wide as the sheet at most.
         side = min(2.0 * pattern.pitch, (width - 2 * rules.margin) / (1.5 * (len(colours) + 1)))
         lefts = rules.margin + 1.5 * side * np.arange(len(colours) + 1)
         patches = np.column_stack([lefts, np.full(len(lefts), height), np.full((len(lefts), 2), side)])
+        # White beside the inks, by which a photo's white balance can be judged.
         inks = np.concatenate([colours, np.ones((1, 3))])
         height += side + rules.margin
     ground = colorsys.hsv_to_rgb(*rules.background)
@@ -142,6 +145,7 @@ def as_svg(drawing: Drawing) -> str:
     width, height = (_MM * side for side in drawing.size)
     size = f'width="{width:.3f}mm" height="{height:.3f}mm" viewBox="0 0 {width:.3f} {height:.3f}"'
     lines = [f'<svg xmlns="http://www.w3.org/2000/svg" {size}>', f'<rect width="100%" height="100%" fill="{_hex(drawing.ground)}"/>']
+    # One group per ink keeps the file a third as large.
     for ink in np.unique(drawing.inks, axis=0):
         lines.append(f'<g fill="{_hex(ink)}">')
         of_ink = drawing.circles[(drawing.inks == ink).all(axis=1)] * _MM
@@ -158,6 +162,7 @@ def as_svg(drawing: Drawing) -> str:
 def as_png(drawing: Drawing, rules: SheetRules) -> bytes:
     """The drawing as PNG with its resolution in the file, (h, w, 3), edges smoothed."""
     scale = rules.dpi / 0.0254
+    # The size is checked before memory is asked for.
     width, height = (round(side * scale) for side in drawing.size)
     if max(width, height) > _MOST_PIXELS:
         raise AsterismError(f"a PNG of {width} x {height} pixels is too large; take fewer dpi, or SVG or PDF.")
@@ -173,6 +178,7 @@ def as_png(drawing: Drawing, rules: SheetRules) -> bytes:
         size = high * scale / 22.0
         cv2.putText(image, words, (round(x * scale), round(y * scale)), cv2.FONT_HERSHEY_SIMPLEX, size, (102, 102, 102), 1, cv2.LINE_AA)
     data = bytes(cv2.imencode(".png", image)[1])
+    # OpenCV writes no resolution, so the chunk is put behind the header by hand; a print shop scales by it.
     density = round(scale).to_bytes(4, "big")
     chunk = b"pHYs" + density + density + b"\x01"
     mark = len(chunk) - 4
@@ -186,6 +192,7 @@ def as_pdf(drawing: Drawing, rules: SheetRules) -> bytes:
     shown = (page[0] - 2 * edge, page[1] - 2 * edge)
     if min(shown) <= 2 * overlap:
         raise AsterismError(f"pages of {page[0]:g} x {page[1]:g} m leave no room beside their edge and overlap; take larger ones.")
+    # The last page of a row may be narrower; a billionth keeps an exact fit from asking for one page more.
     counts = [max(1, int(np.ceil((side - overlap) / (part - overlap) - 1e-9))) for side, part in zip(drawing.size, shown, strict=True)]
     contents = []
     for row in range(counts[1]):
@@ -205,6 +212,7 @@ def _page(drawing: Drawing, corner: tuple[float, float], page: tuple[float, floa
     yield f"{k / _MM:.6f} 0 0 {-k / _MM:.6f} {k * (edge - corner[0]):.3f} {k * (page[1] - edge + corner[1]):.3f} cm"
     yield f"{_rgb(drawing.ground)} rg 0 0 {drawing.size[0] * _MM:.3f} {drawing.size[1] * _MM:.3f} re f"
     low, high = np.array(corner), np.add(corner, (width, height))
+    # A page draws only the circles that reach into it.
     near = ((drawing.circles[:, :2] + drawing.circles[:, 2:] > low) & (drawing.circles[:, :2] - drawing.circles[:, 2:] < high)).all(axis=1)
     for ink in np.unique(drawing.inks, axis=0):
         yield f"{_rgb(ink)} rg"
@@ -236,6 +244,7 @@ def _cut_marks(page: tuple[float, float], edge: float) -> str:
     lines = []
     for x in (edge, page[0] - edge):
         for y in (edge, page[1] - edge):
+            # Marks lie outside of what is printed, so that they are gone once the page is cut.
             out_x, out_y = (0.1 * edge if x == edge else page[0] - 0.1 * edge), (0.1 * edge if y == edge else page[1] - 0.1 * edge)
             for one, other in (((x, out_y), (x, y + 0.25 * (out_y - y))), ((out_x, y), (x + 0.25 * (out_x - x), y))):
                 lines.append(" ".join(f"{_POINTS * v:.3f}" for v in one) + " m " + " ".join(f"{_POINTS * v:.3f}" for v in other) + " l")
@@ -256,6 +265,7 @@ def _pdf_file(contents: list[str], page: tuple[float, float]) -> bytes:
         packed = zlib.compress(content.encode("latin-1", "replace"), 9)
         objects.append(f"<< /Type /Page /Parent 2 0 R /Contents {5 + 2 * i} 0 R >>".encode())
         objects.append(f"<< /Length {len(packed)} /Filter /FlateDecode >>\nstream\n".encode() + packed + b"\nendstream")
+    # The cross-reference table needs the place of each object in the file.
     out, places = bytearray(b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n"), []
     for number, body in enumerate(objects, 1):
         places.append(len(out))
@@ -274,6 +284,7 @@ def printed_colours(hsv: Floats) -> Floats:
     """
     primaries = np.where(_NEUGEBAUER <= 10.3, _NEUGEBAUER / 3294.6, ((_NEUGEBAUER / 255 + 0.055) / 1.055) ** 2.4)
     light = []
+    # The eight overprints of three inks, each weighted by the share of paper that shows it.
     for colour in np.atleast_2d(hsv):
         cover = 1.0 - np.array(colorsys.hsv_to_rgb(*colour))
         weights = np.ones((2, 2, 2))

@@ -82,9 +82,11 @@ def consistent_points(points: DensePoints, pattern: Pattern, rules: SurfaceRules
     good = np.bincount(right.ravel(), minlength=len(points)).astype(np.float64)
     size = np.trace(points.covariance, axis1=1, axis2=2)
     kept = np.ones(len(points), dtype=np.bool_)
+    # The worst neighbour leaves first and the others are counted again, because one wrong point accuses all around it.
     while (bad[kept] > 0).any():
         rows = np.flatnonzero(kept & (bad > 0))
         share = bad[rows] / (bad[rows] + good[rows])
+        # Ties go to the point with fewer good neighbours, then to the less certain one.
         worst = rows[np.lexsort((-size[rows], good[rows], -share))[0]]
         kept[worst] = False
         for pairs, count in ((wrong, bad), (right, good)):
@@ -106,6 +108,7 @@ def surface(points: DensePoints, pattern: Pattern, rules: SurfaceRules | None = 
     edges = [_edge(points, grid, pattern, rules, step) for step in range(len(_STEPS))]
     held = np.concatenate([np.stack([edge.one[edge.good], edge.other[edge.good]], axis=1) for edge in edges])
     count = len(points)
+    # Points that hang together form groups; small groups on their own are speckles.
     hang = coo_array((np.ones(len(held)), (held[:, 0], held[:, 1])), shape=(count, count))
     group = connected_components(hang, directed=False)[1] if count else np.empty(0, dtype=np.int64)
     large = np.bincount(group, minlength=1)[group] >= rules.least if count else np.empty(0, dtype=np.bool_)
@@ -131,6 +134,7 @@ def write_surface(path: str | Path, cloth: Surface, pattern: Pattern | None = No
 def _ply(cloth: Surface, pattern: Pattern | None) -> bytes:
     inks = np.full((len(cloth.ids), 3), 200, dtype=np.uint8)
     if pattern is not None:
+        # Vertices carry their ink, so that a viewer shows the print.
         shown = np.array([colorsys.hsv_to_rgb(*colour) for colour in pattern.hsv])
         cells = pattern.cells(cloth.ids)
         inks = np.rint(255 * shown[pattern.colours[cells[:, 0], cells[:, 1]]]).astype(np.uint8)
@@ -161,6 +165,7 @@ def _grid_of(points: DensePoints, pattern: Pattern) -> Ints:
     if len(cells) and cells[:, 0].min() < 0:
         stranger = int(points.ids[int(np.argmin(cells[:, 0]))])
         raise AsterismError(f"identity {stranger} does not occur in this pattern; give the garment that was captured.")
+    # A margin of one cell, so that neighbours can be taken without asking for the border.
     grid = np.full((pattern.shape[0] + 2, pattern.shape[1] + 2), -1, dtype=np.int64)
     grid[cells[:, 0] + 1, cells[:, 1] + 1] = np.arange(len(points))
     return grid
@@ -186,6 +191,7 @@ def _edge(points: DensePoints, grid: Ints, pattern: Pattern, rules: SurfaceRules
     between = points.positions[second] - points.positions[first]
     distance = np.sqrt(between[:, 0] ** 2 + between[:, 1] ** 2 + between[:, 2] ** 2)
     beyond = distance - rules.stretch * pattern.pitch * float(np.hypot(down, right))
+    # The error along the edge is only needed where cloth would have to stretch.
     doubtful = np.flatnonzero(beyond > 0)
     along = between[doubtful] / distance[doubtful, None]
     spread = points.covariance[first[doubtful]] + points.covariance[second[doubtful]]
@@ -205,6 +211,7 @@ def _triangles(positions: Floats, grid: Ints, edges: list[_Edge]) -> Ints:
     ab, ac, bd, cd = right[:, :-1], down[:, :-1], down[:, 1:], right_below[:, :-1]
     ad, bc = falling[:, :-1], rising[:, 1:]
     all_four = (a >= 0) & (b >= 0) & (c >= 0) & (d >= 0)
+    # Of a square with four corners the shorter diagonal is the fold's; three corners make one triangle.
     shorter = np.zeros(a.shape, dtype=np.bool_)
     lengths = [np.linalg.norm(positions[one[all_four]] - positions[two[all_four]], axis=1) for one, two in ((a, d), (b, c))]
     shorter[all_four] = lengths[0] <= lengths[1]

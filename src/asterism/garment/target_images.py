@@ -38,6 +38,7 @@ def find_target(
     seen: list[list[Any]] = []
     sizes: dict[int, tuple[int, int]] = {}
     with ThreadPoolExecutor(max(1, workers)) as pool:
+        # Only so many images are in memory at a time.
         while batch := list(islice(chosen, _TOGETHER)):
             images = [image for _, group in batch for image in group if image is not None]
             done = iter(pool.map(read, images) if workers > 1 else map(read, images))

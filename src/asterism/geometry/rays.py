@@ -40,6 +40,8 @@ def nearest_point_to_lines(origins: Floats, directions: Floats) -> Floats:
     >>> nearest_point_to_lines(origins, directions).round(6) + 0.0
     array([2., 0., 1.])
     """
+    # What is left of each direction across the line: its distance from a point squares with it.
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+    # Least squares give the smallest solution where the lines are parallel.
     point: Floats = np.linalg.lstsq(across.sum(axis=0), np.einsum("cij,cj->i", across, origins), rcond=None)[0]
     return point

@@ -25,6 +25,7 @@ def best_rotation(covariances: Floats) -> Floats:
            [ 0.,  0.,  1.]])
     """
     u, _, vt = np.linalg.svd(covariances)
+    # The sign of the last axis turns a reflection into the best rotation.
     u[..., :, 2] *= np.linalg.det(u @ vt)[..., None]
     rotations: Floats = u @ vt
     return rotations
@@ -42,6 +43,7 @@ def fit_rigid(points: Floats, targets: Floats, weights: Floats | None = None) ->
     array([0., 0., 2.])
     """
     if weights is None:
+        # Only what is centred decides the rotation.
         here, there = points.mean(axis=0), targets.mean(axis=0)
         covariance = (targets - there).T @ (points - here)
     else:
@@ -49,6 +51,7 @@ def fit_rigid(points: Floats, targets: Floats, weights: Floats | None = None) ->
         here, there = weights @ points / total, weights @ targets / total
         covariance = (weights[:, None] * (targets - there)).T @ (points - here)
     rotation = best_rotation(covariance)
+    # The centre of the points must land on the centre of the targets.
     return rotation, there - rotation @ here
 
 
@@ -69,12 +72,15 @@ def place_objects(template: ArrayLike, positions: Floats) -> tuple[Floats, Float
     model = np.asarray(template, dtype=np.float64).reshape(-1, 3)
     present = np.asarray(np.isfinite(positions).all(axis=2))
     count = np.maximum(present.sum(axis=1), 1)[:, None]
+    # Missing points take part as zeros, which add nothing.
     filled = np.where(present[:, :, None], positions, 0.0)
     mean = filled.sum(axis=1) / count
     model_mean = (present[:, :, None] * model).sum(axis=1) / count
+    # The template is centred on the points that are seen, not on all of its own.
     centred = np.where(present[:, :, None], model[None] - model_mean[:, None], 0.0)
     rotations = best_rotation(np.einsum("tki,tkj->tij", np.where(present[:, :, None], filled - mean[:, None], 0.0), centred))
     translations = mean - np.einsum("tij,tj->ti", rotations, model_mean)
+    # A template in a line has two points at least, any other three.
     rank = np.linalg.matrix_rank(model - model.mean(axis=0), tol=_FLAT)
     too_few = present.sum(axis=1) < min(rank + 1, 3)
     rotations[too_few], translations[too_few] = np.nan, np.nan
@@ -92,6 +98,7 @@ def align_about_z(frames: Floats, template: Floats) -> Floats:
     >>> bool(np.allclose(align_about_z(turned[None], body)[0], body))
     True
     """
+    # A marker counts where both have it.
     shown = ~np.isnan(frames[:, :, :1]) & ~np.isnan(template[None, :, :1])
     count = np.maximum(shown.sum(axis=1, keepdims=True), 1)
     here = np.where(shown, frames, 0.0).sum(axis=1, keepdims=True) / count
@@ -100,6 +107,7 @@ def align_about_z(frames: Floats, template: Floats) -> Floats:
     a, b = np.where(shown, moved[..., :2], 0.0), np.where(shown, template[:, :2] - there[..., :2], 0.0)
     along = (a * b).sum(axis=(1, 2))
     across = (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sum(axis=1)
+    # The angle of the least squares in the plane, in closed form.
     angle = np.arctan2(across, along)[:, None]
     cos, sin = np.cos(angle), np.sin(angle)
     x, y = moved[..., 0].copy(), moved[..., 1].copy()

@@ -60,6 +60,7 @@ def z_up_rotation(vertical: Floats) -> Floats:
     array([0., 0., 1.])
     """
     x, y, z = vertical
+    # Half a turn has no unique axis: x is taken.
     if z <= _STRAIGHT_DOWN:
         return np.diag([1.0, -1.0, -1.0])
     under = 1 + z if z > -0.5 else (x * x + y * y) / (1 - z)  # the same number; 1 + z loses its digits near -z
@@ -68,6 +69,7 @@ def z_up_rotation(vertical: Floats) -> Floats:
 
 def rotate_z_up(points: Floats, vertical: Floats) -> Floats:
     """Points (..., 3) rotated by `z_up_rotation`. Points whose vertical is +z already are returned as they are, not copied."""
+    # Most recordings stand along z already, and long ones are large.
     if vertical[2] == 1.0:
         return points
     if vertical[2] <= _STRAIGHT_DOWN:

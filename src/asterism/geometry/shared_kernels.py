@@ -10,6 +10,20 @@ from asterism._jit import kernel
 
 
 @kernel(inline=True)
+def clamped_index(value, low, high):
+    """A real number cut to a whole one, from `low` to `high`; `low` for NaN.
+
+    IN  value; low, high whole. What infinity, NaN or a number beyond 64 bits becomes as a whole number depends on the processor, so it is
+        clamped before, not after.
+    O(1), no allocation.
+    """
+    # Also for NaN, which is not greater than anything.
+    if not value > low:
+        return low
+    return int(value) if value < high else high
+
+
+@kernel(inline=True)
 def cofactors(xx, xy, xz, yx, yy, yz, zx, zy, zz):
     """Determinant and upper cofactors (xx, xy, xz, yy, yz, zz) of a 3 x 3 matrix, whose inverse is their quotient where it is symmetric.
 
@@ -29,6 +43,7 @@ def symmetric_inverse(h):
     O(1), no allocation.
     """
     determinant, xx, xy, xz, yy, yz, zz = cofactors(h[0], h[1], h[2], h[1], h[3], h[4], h[2], h[4], h[5])
+    # Also where it is NaN.
     if not determinant > 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     k = 1.0 / determinant
@@ -44,6 +59,7 @@ def rotate_by(rotation, x, y, z, own_axes):
     O(1).
     """
     angle = math.sqrt(x * x + y * y + z * z)
+    # The limit of the quotient at 0, where it would be 0 / 0.
     half = 0.5 if angle < 1e-8 else (1.0 - math.cos(angle)) / (angle * angle)
     sine = 1.0 if angle < 1e-8 else math.sin(angle) / angle
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -94,6 +110,7 @@ def nearest_to_rays(origins, rays, first, last, parallel, normal, right, out):
         count += 1
         along = rays[r, 0] * origins[r, 0] + rays[r, 1] * origins[r, 1] + rays[r, 2] * origins[r, 2]
         for j in range(3):
+            # A ray pulls only across its own direction.
             right[j] += origins[r, j] - rays[r, j] * along
             for k in range(3):
                 normal[j, k] += (1.0 if j == k else 0.0) - rays[r, j] * rays[r, k]
@@ -102,6 +119,7 @@ def nearest_to_rays(origins, rays, first, last, parallel, normal, right, out):
     determinant, xx, xy, xz, yy, yz, zz = cofactors(
         normal[0, 0], normal[0, 1], normal[0, 2], normal[0, 1], normal[1, 1], normal[1, 2], normal[0, 2], normal[1, 2], normal[2, 2]
     )
+    # Per cubed number of rays, so that the limit means the same for two rays and for twenty.
     if not determinant > parallel * count**3:
         return False
     out[0] = (xx * right[0] + xy * right[1] + xz * right[2]) / determinant
@@ -134,6 +152,7 @@ def where_lines_approach(d0, d1, d2, e0, e1, e2, o0, o1, o2):
     dd, ee, de = d0 * d0 + d1 * d1 + d2 * d2, e0 * e0 + e1 * e1 + e2 * e2, d0 * e0 + d1 * e1 + d2 * e2
     od, oe = o0 * d0 + o1 * d1 + o2 * d2, o0 * e0 + o1 * e1 + o2 * e2
     under = dd * ee - de * de
+    # Relative to the lengths, which are arbitrary: the squared sine of the angle.
     if not under > 1e-8 * dd * ee:
         return 0.0, 0.0, False
     return (od * ee - oe * de) / under, (od * de - oe * dd) / under, True
@@ -164,6 +183,7 @@ def fit_about_z(points, rows, template, markers):
             bx, by = template[markers[i], 0] - qx, template[markers[i], 1] - qy
             along += ax * bx + ay * by
             across += ax * by - ay * bx
+    # The turn is the direction of the summed products; no angle is needed, only its cosine and sine.
     size = math.sqrt(along * along + across * across)
     cos, sin = (along / size, across / size) if size > 0.0 else (1.0, 0.0)
     return cos, sin, (px, py, pz), (qx, qy, qz)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 from asterism.geometry import rotate_z_up
 from asterism.labelling import recording_labeller
 from asterism.labelling.body.labeller import BodyLabeller, usual_fits
@@ -46,6 +47,16 @@ class MarkerModel:
 
     `fit` learns from labelled recordings. `label` labels whole recordings, `label_frames` each frame by itself, and `stream` live points.
     `save` and `load` write and read a model file. A model never changes: `learn` and `adapt` return new ones.
+
+    >>> from asterism.labelling import TrainingRules
+    >>> from asterism.simulation import simulate_walks
+    >>> *people, ann = simulate_walks(4, frames=60, markers="helen-hayes", seed=0)
+    >>> quick = TrainingRules(folds=2, trial_frames=10, stretches=1, stretch_frames=30)  # for the example only
+    >>> model = MarkerModel.fit(people, training=quick)
+    >>> labelling = model.label(ann)
+    >>> right = labelling.indices == np.arange(15)  # the clouds have the points in the order of the markers
+    >>> bool(right.mean() > 0.9), bool(labelling.confidence[right].mean() > 0.9)
+    (True, True)
     """
 
     def __init__(self, state: ModelState) -> None:
@@ -150,13 +161,14 @@ class MarkerModel:
             train_model(self.marker_set, training, progress, earlier=earlier, left_out=self.about.get("left_out_markers", ()))
         )
 
-    def adapt(self, static: Recording) -> MarkerModel:
+    def adapt(self, static: Recording, rules: SubjectRules | None = None) -> MarkerModel:
         """A new model for one subject: its body model is narrowed to this person's by one recording, usually of the person standing.
 
         static: labelled with at least half of the model's markers, else it is labelled first, as a whole recording. Markers may be
-        missing. Raises AsterismError where too few markers are visible or the labels fit no body that the model knows.
+        missing. rules: how a body is narrowed to a person.
+        Raises AsterismError where too few markers are visible or the labels fit no body that the model knows.
         """
-        state, rules = self.state, SubjectRules()
+        state, rules = self.state, rules or SubjectRules()
         columns = self.marker_set.columns_of(static.labels)[state.markers]
         if (columns >= 0).sum() >= 0.5 * len(columns):
             frames = np.where(columns[:, None] >= 0, static.positions[:, columns], np.nan)
@@ -170,7 +182,7 @@ class MarkerModel:
         about = {**state.about, "adapted_to": subject_of(static), "adapted_gain": gain}
         return MarkerModel(replace(state, body=body, general_body=state.body, about=about))
 
-    def subject_fit(self, clouds: Clouds, labelling: Labelling) -> float:
+    def subject_fit(self, clouds: Clouds, labelling: Labelling, rules: SubjectRules | None = None) -> float:
         """How much better the subject's own body explains these labels than the body of people at large does.
 
         1 means as much better as in the recording that the model was adapted by. Below `OTHER_SUBJECT_FIT` it is another person, or the
@@ -180,7 +192,7 @@ class MarkerModel:
         if state.general_body is None:
             return float("nan")
         frames = rotate_z_up(labelling.positions(clouds)[:, state.markers], clouds.vertical)
-        gain = subject_body_gain(self.body_labeller.settings, state.body, state.general_body, frames, clouds.rate, SubjectRules())
+        gain = subject_body_gain(self.body_labeller.settings, state.body, state.general_body, frames, clouds.rate, rules or SubjectRules())
         return gain / max(float(self.about["adapted_gain"]), 1.0)
 
     def label(self, recording: Clouds | Recording, *, workers: int = 1, progress: Progress | None = None, **earlier: Any) -> Labelling:
@@ -307,6 +319,13 @@ class MarkerModel:
             self.rigid_distances,
         )
         return Stream(model, rate, delay, vertical)
+
+    def findings(self, where: str = "the model") -> list[Finding]:
+        """What a person should know of the model before they use it. where: its file."""
+        if self.state.training is not None:
+            return []
+        sentence = f"{where} was written by an earlier Asterism: it labels, but learns nothing, and does not judge recordings."
+        return [Finding("model-earlier-version", Severity.NOTE, where, sentence, "Train it again with `asterism train`.")]
 
     def in_recording(self) -> BodyInRecording:
         """This model as one of the bodies that `label_whole` looks for."""

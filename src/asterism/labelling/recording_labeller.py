@@ -17,7 +17,7 @@ from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.labelling.whole.label import label_whole
 from asterism.labelling.whole.point_labels import BodyInRecording
 from asterism.labelling.whole.relabel import LabelledTracklets, label_tracklets
-from asterism.labelling.whole.scene import RecordingLabellingSettings
+from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.progress import Progress
 from asterism.recording import Clouds, Labelling, MarkerSet
 
@@ -158,7 +158,9 @@ class RecordingLabeller:
         if len(self.models) == 1:
             model = self.models[0]
             if keep_tracklets and len(clouds.xyz):
-                kept = label_tracklets(model.in_recording(), clouds, model.state.body_rules, settings.workers, progress)
+                kept = label_tracklets(
+                    model.in_recording(), clouds, settings.recording, settings.subject, model.state.body_rules, settings.workers, progress
+                )
                 return LabelledBodies(kept.labelling, (kept.labelling,), kept)
             labelling = model.label_one_body(clouds, progress, settings=settings)
             return LabelledBodies(labelling, (labelling,))

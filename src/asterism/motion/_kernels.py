@@ -38,6 +38,8 @@ def smooth_path(measured, information, model, path, covariance):
     IN  measured (n, 3) m, n >= 4; information (n, 6) 1/m2, the inverse covariance of each as (xx, xy, xz, yy, yz, zz); model JerkModel
     OUT path (n, 3) m, covariance (n, 3, 3) m2
     O(rounds * n) time, O(n) memory: all matrices are banded.
+
+    Bounds: n >= 4, so that there is a third difference.
     """
     weights = model.weights
     n = len(measured)
@@ -62,6 +64,7 @@ def smooth_path(measured, information, model, path, covariance):
         for t in range(n - 3):
             # The prior keeps the variance above zero where the path lies on a cubic by chance.
             above, below = model.trust * model.floor, model.trust
+            # Neighbouring differences share the strength of the jerk, which changes slowly along the way.
             for k in range(max(-reach, -t), min(reach, n - 4 - t) + 1):
                 above += weights[k + reach] * square[t + k]
                 below += 3.0 * weights[k + reach]
@@ -106,6 +109,7 @@ def _normal_equations(measured, information, variance, lower, right):
 def _factor(lower):
     """OUT lower (3 n, BAND): the Cholesky factor of the banded matrix that it held. O(n BAND^2)."""
     for i in range(len(lower)):
+        # Beyond the band all is zero and stays so.
         reach = min(i, BAND - 1)
         # From the far end of the band towards the diagonal: each place needs only those that are factored already.
         for k in range(reach, -1, -1):
@@ -135,6 +139,7 @@ def _solve(lower, right):
 @kernel
 def _invert(lower, inverse):
     """Those places of the inverse that the band holds, from the last row to the first (Takahashi's equations)."""
+    # From the last row on each place needs only those behind it within the band.
     for i in range(len(lower) - 1, -1, -1):
         reach = min(len(lower) - 1 - i, BAND - 1)
         # The full inverse is dense; these recursions need no place outside the band.

@@ -124,13 +124,13 @@ def analyse_motion(
     motions, kept, left_out, problems = [], [], [], []
     # One limb that cannot be told must not cost the angles of the others.
     for limb, name in enumerate(names):
-        own = recording.positions[:, limb_of == limb]
+        points_of_limb = recording.positions[:, limb_of == limb]
         try:
-            motions.append(estimate_limb_motion(own, rules.method, rules=rules.limb))
+            motions.append(estimate_limb_motion(points_of_limb, rules.method, rules=rules.limb))
             kept.append(limb)
         except AsterismError as error:
             problems.append(f"{file}, {name}: {error}")
-            if own.shape[1] < 3:
+            if points_of_limb.shape[1] < 3:
                 raise AsterismError(problems[-1]) from None
             left_out.append(_left_out(name, str(error)))
         if progress is not None:
@@ -146,11 +146,11 @@ def analyse_motion(
     angles = tuple(joint_angles(motions[a], motions[b], (a, b), f"{names[a]} / {names[b]}") for a, b in skeleton.pairs)
     joints = [skeleton.joints[child] for _, child in skeleton.pairs]
     centres = np.array([joint.centres(motions[a], motions[b]) for (a, b), joint in zip(skeleton.pairs, joints, strict=True) if joint])
-    found = (*left_out, *_findings(recording, limb_of, angles), *_apart(names, skeleton))
+    findings = (*left_out, *_findings(recording, limb_of, angles), *_apart(names, skeleton))
     # The log says what made the angles, in the file that keeps them.
     logged = recording.logged("motion estimated", "asterism", method=rules.method, joints=rules.joint_method, limbs=len(names))
     return MotionAnalysis(
-        logged, limb_of, names, tuple(motions), skeleton, angles, centres.reshape(len(angles), len(recording), 3), segmentation, found
+        logged, limb_of, names, tuple(motions), skeleton, angles, centres.reshape(len(angles), len(recording), 3), segmentation, findings
     )
 
 
@@ -199,22 +199,23 @@ def _apart(names: Sequence[str], skeleton: Skeleton) -> list[Finding]:
 
 
 def _findings(recording: Recording, limb_of: Ints, angles: Sequence[JointAngles]) -> list[Finding]:
-    found = []
+    findings = []
     # Only points that are on a limb: the others do not touch the result.
     share = 1 - recording.visible.mean(axis=0)
     often = [label for label, missing, limb in zip(recording.labels, share, limb_of, strict=True) if missing > OFTEN_MISSING and limb >= 0]
     if often:
         sentence = f"{len(often)} points are missing in more than half of the frames ({some_of(often, 6)}); they count where they are seen."
-        found.append(Finding("motion-points-missing", Severity.NOTE, "the points", sentence, "Fill or record them anew if a limb has few."))
+        mend = "Fill or record them anew if a limb has few."
+        findings.append(Finding("motion-points-missing", Severity.NOTE, "the points", sentence, mend))
     unseen = [label for label, limb in zip(recording.labels, limb_of, strict=True) if limb < 0 and label]
     if unseen:
         sentence = f"{len(unseen)} points belong to no limb ({some_of(unseen, 6)})."
-        found.append(Finding("motion-points-unused", Severity.NOTE, "the points", sentence))
+        findings.append(Finding("motion-points-unused", Severity.NOTE, "the points", sentence))
     for joint in angles:
         # A joint that hardly turns has a centre and an axis all the same; they are noise.
         turned = float(np.nanmax(joint.angle))
         if turned < STILL:
             sentence = f"{joint.name} turns by {np.degrees(turned):.1f} degrees at most, which tells neither a centre nor an axis."
             mend = "Record a movement in which the joint turns."
-            found.append(Finding("motion-joint-still", Severity.WARNING, joint.name, sentence, mend))
-    return found
+            findings.append(Finding("motion-joint-still", Severity.WARNING, joint.name, sentence, mend))
+    return findings

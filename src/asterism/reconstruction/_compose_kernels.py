@@ -60,8 +60,12 @@ def compose(rig, frame):
 
     Returns Hypotheses, how many there are, and how many pairs passed the gate. O(C blobs log blobs + gated pairs * C).
     Twin: tests/twins_reconstruction.py
+
+    Bounds: `most` is the number of blobs of the fullest camera, which `epipolar` holds of each of two; hypotheses are appended to lists
+    that grow.
     """
     cameras, blobs = len(rig.cameras), len(frame.blobs)
+    # One workspace for all pairs, as large as the fullest camera asks.
     most = 1
     for c in range(cameras):
         most = max(most, int(frame.grid[c, END] - frame.grid[c, FIRST]))
@@ -69,6 +73,7 @@ def compose(rig, frame):
     index = BlobIndex(np.full(blobs, -1, np.int64), np.zeros(blobs, np.bool_), np.ones(blobs, np.bool_))
     epipolar = PairAngles(np.empty((2, most)), np.empty((2, most)))
     work = ComposeWorkspace(epipolar, index, np.empty(cameras, np.int64), fit_workspace())
+    # The most rectangular pairs first (`RigArrays.pairs`): their hypotheses lie best, and later pairs find them composed.
     for pair in range(len(rig.pairs)):
         found, count, passed = _compose_pair(rig, frame, pair, found, count, work)
         gated += passed
@@ -94,10 +99,13 @@ def _compose_pair(rig, frame, pair, found, count, work):
     _epipolar_angles(rig, frame, pair, 1, epipolar)
     angle, variance = epipolar.angles[0], epipolar.variances[0]
     others, variances = epipolar.angles[1], epipolar.variances[1]
+    # By angle, so that the blobs within the gate are a stretch of the order.
     order = ascending(others, many_b)
     last = many_b
+    # Rays along the baseline have no angle; infinity put them at the end.
     while last > 0 and others[order[last - 1]] == np.inf:
         last -= 1
+    # The gate of the stretch must hold for the least exact blob; each pair is then tried by its own variance.
     widest = 0.0
     for k in range(many_b):
         widest = max(widest, variances[k])
@@ -106,6 +114,7 @@ def _compose_pair(rig, frame, pair, found, count, work):
         if angle[k] == np.inf:
             continue
         half = gate * math.sqrt(variance[k] + widest)
+        # An angle near pi has partners near minus pi.
         for turn in range(-1, 2):
             aim = angle[k] + 2.0 * math.pi * turn
             if aim - half > math.pi or aim + half < -math.pi:
@@ -115,6 +124,7 @@ def _compose_pair(rig, frame, pair, found, count, work):
                 m = order[at]
                 at += 1
                 miss = others[m] - aim
+                # Both blobs' inexactness together says whether they can be one point.
                 if miss * miss > gate * gate * (variance[k] + variances[m]):
                     continue
                 gated += 1
@@ -149,11 +159,14 @@ def _epipolar_angles(rig, frame, pair, which, out):
     for k, blob in enumerate(range(int(frame.grid[c, FIRST]), int(frame.grid[c, END]))):
         x, y = frame.blobs[blob, 0], frame.blobs[blob, 1]
         cu, cv = u0 * x + u1 * y + u2, v0 * x + v1 * y + v2
+        # Squared distance from the baseline's direction, by which an angle about it loses its meaning.
         rho = cu * cu + cv * cv
+        # Along the baseline a small error turns the plane by any angle.
         if rho < LEAST_BASELINE_SINE * LEAST_BASELINE_SINE * (x * x + y * y + 1.0):
             angle[k] = np.inf
             spread[k] = 0.0
             continue
+        # Derivative of the angle by the place in the image; the Jacobian's inverse brings pixel noise to it.
         gx, gy = (cu * v0 - cv * u0) / rho, (cu * v1 - cv * u1) / rho
         s0, s1, s2, s3 = frame.blobs[blob, 2], frame.blobs[blob, 3], frame.blobs[blob, 4], frame.blobs[blob, 5]
         k_inverse = 1.0 / (s0 * s3 - s1 * s2)
@@ -182,14 +195,17 @@ def _compose_blobs(rig, frame, pair, i, j, found, count, work):
     Returns Hypotheses and how many there are now. O(C), and the hypotheses of blob i.
     """
     index, rays = work.blob_index, work.rays
+    # Known already, or both have better homes: most pairs of a crowd end here.
     if (index.well_supported[i] and index.well_supported[j]) or _is_composed(rig, pair, i, j, index, found):
         return found, count
     many, worth = _grow_hypothesis(rig, frame, pair, i, j, index.available, rays, work.fit)
+    # No likelier than two strays, or found before from another pair.
     if not worth > 0.0 or _is_listed(found, index.head, rays):
         return found, count
     found = append_hypothesis(found, count, rays, work.fit.point, worth)
     for c in range(len(rays)):
         if rays[c] >= 0:
+            # At the head of each blob's list, so that lists need no memory of their own.
             found.links[count, c] = index.head[rays[c]]
             index.head[rays[c]] = count
             index.well_supported[rays[c]] |= many >= WELL_SUPPORTED_CAMERAS
@@ -202,6 +218,7 @@ def _is_composed(rig, pair, i, j, index, found):
     a, b = rig.pairs[pair, 0], rig.pairs[pair, 1]
     at = index.head[i]
     while at >= 0:
+        # The pair is one of the n (n - 1) / 2 versions of a hypothesis that exists.
         if found.rays[at, b] == j:
             return True
         at = found.links[at, a]
@@ -214,6 +231,7 @@ def _is_listed(found, head, rays):
     for c in range(len(rays)):
         if rays[c] >= 0:
             at = head[rays[c]]
+            # The list of its first ray is enough: the same rays would stand in it.
             while at >= 0:
                 if same_rays(found, at, rays):
                     return True
@@ -232,6 +250,7 @@ def _grow_hypothesis(rig, frame, pair, i, j, available, rays, work):
     """
     a, b = rig.pairs[pair, 0], rig.pairs[pair, 1]
     x, h, g = work.point, work.information, work.gradient
+    # Behind a camera or parallel: the pair is no point.
     if not closest_point(rig, frame, pair, i, j, x):
         return 0, -np.inf
     for c in range(len(rays)):
@@ -240,18 +259,22 @@ def _grow_hypothesis(rig, frame, pair, i, j, available, rays, work):
     if not fit(rig, frame, rays, work, 1)[0] < np.inf:
         return 0, -np.inf
     for c in range(len(rays)):
+        # One blob after the other: each narrows down where the next must be.
         if c in (a, b):
             continue
         blob = best_blob(rig, frame, c, work, available)[0]
         if blob < 0:
             continue
+        # Gradient of the new ray alone: for the others the point is at its best already.
         set_zero(g)
+        # One step of the filter, cheaper than a new fit, which follows once at the end.
         if add_ray(rig, frame, c, blob, work) < np.inf:
             rays[c] = blob
             _, i0, i1, i2, i3, i4, i5 = symmetric_inverse(h)
             x[0] += i0 * g[0] + i1 * g[1] + i2 * g[2]
             x[1] += i1 * g[0] + i3 * g[1] + i4 * g[2]
             x[2] += i2 * g[0] + i4 * g[1] + i5 * g[2]
+    # All rays together may show that one of the first two was wrong.
     square, many = fit_and_prune(rig, frame, rays, work, 1)
     if not square < np.inf or many < rig.limits[FEWEST] or not inside_volume(rig, x):
         return many, -np.inf

@@ -53,11 +53,13 @@ def add_ray(rig, frame, c, blob, work):
     """
     x, h, g = work.point, work.information, work.gradient
     u, v, w = in_camera_axes(rig.cameras, c, x[0], x[1], x[2])
+    # Behind the camera a projection would be mirrored, and a wrong ray would look right.
     if not w > 1e-9:
         return np.inf
     px, py = u / w, v / w
     cameras, blobs = rig.cameras, frame.blobs
     s0, s1, s2, s3 = blobs[blob, 2], blobs[blob, 3], blobs[blob, 4], blobs[blob, 5]
+    # In units of the noise, so that cameras of different resolution count as they should.
     k = 1.0 / rig.cameras[c, NOISE]
     dx, dy = frame.blobs[blob, 0] - px, frame.blobs[blob, 1] - py
     r0, r1 = k * (s0 * dx + s1 * dy), k * (s2 * dx + s3 * dy)
@@ -70,6 +72,7 @@ def add_ray(rig, frame, c, blob, work):
     bz = cameras[c, 5] - py * cameras[c, 8]
     j00, j01, j02 = k * (s0 * ax + s1 * bx), k * (s0 * ay + s1 * by), k * (s0 * az + s1 * bz)
     j10, j11, j12 = k * (s2 * ax + s3 * bx), k * (s2 * ay + s3 * by), k * (s2 * az + s3 * bz)
+    # Only the upper triangle: the matrix is symmetric.
     h[0] += j00 * j00 + j10 * j10
     h[1] += j00 * j01 + j10 * j11
     h[2] += j00 * j02 + j10 * j12
@@ -101,9 +104,11 @@ def fit(rig, frame, rays, work, steps):
             if rays[c] >= 0:
                 square = add_ray(rig, frame, c, rays[c], work)
                 total += square
+                # The worst ray is what `fit_and_prune` drops.
                 if square > largest:
                     largest, camera = square, c
         determinant, i0, i1, i2, i3, i4, i5 = symmetric_inverse(h)
+        # Rays that are parallel, or NaN, determine no point.
         if not (determinant > 0.0 and total < np.inf):
             return np.inf, np.inf, camera
         if step == steps:
@@ -112,6 +117,7 @@ def fit(rig, frame, rays, work, steps):
         x[0] += dx
         x[1] += dy
         x[2] += dz
+        # The gain of the step in squared deviations: too little to go on for, and known without another look at the rays.
         if g[0] * dx + g[1] * dy + g[2] * dz < 1e-8:
             total -= g[0] * dx + g[1] * dy + g[2] * dz
             break
@@ -135,10 +141,12 @@ def fit_and_prune(rig, frame, rays, work, steps):
         square, largest, camera = fit(rig, frame, rays, work, steps)
         if not square < np.inf:
             return np.inf, count
+        # Two rays always meet in a way: their sum must keep the limit, too.
         if largest <= limit and (count > 2 or square <= limit):
             return square, count
         if count <= 2:
             return np.inf, count
+        # The worst one alone: others may fit once it is gone.
         rays[camera] = -1
         count -= 1
     return np.inf, count
@@ -167,6 +175,7 @@ def closest_point(rig, frame, pair, i, j, x):
         cameras[b, 2] * fx + cameras[b, 5] * fy + cameras[b, 8],
     )
     o0, o1, o2 = cameras[b, 12] - cameras[a, 12], cameras[b, 13] - cameras[a, 13], cameras[b, 14] - cameras[a, 14]
+    # In multiples of the rays, so that a negative one tells of a place behind its camera.
     s, t, cross = where_lines_approach(d0, d1, d2, e0, e1, e2, o0, o1, o2)
     if not (cross and s > 1e-6 and t > 1e-6):
         return False

@@ -48,6 +48,9 @@ def reconstruct_frames(rig, rays, begin, end, out, counts, notes):
         notes (T, 2): pairs that passed the gate; components of conflicting hypotheses that were not solved to the end
     Returns the number of points. O(gated pairs * C) for each frame, and the search of `pack`. Twins of its steps:
     tests/test_reconstruction.py, tests/twins_reconstruction.py
+
+    Bounds: a chosen point has two blobs or more and shares none, so a frame of B blobs gives B // 2 points at most; the sum of B // 2 is no
+    larger than half of all.
     """
     cameras = len(rig.cameras)
     total = 0
@@ -57,6 +60,7 @@ def reconstruct_frames(rig, rays, begin, end, out, counts, notes):
         blobs = first[cameras]
         counts[t - begin] = 0
         notes[t - begin, :] = 0
+        # One blob is no point.
         if blobs < 2:
             continue
         frame = frame_arrays(rays.normalised[here : here + blobs], rays.jacobian[here : here + blobs], first)
@@ -82,6 +86,7 @@ def _write_chosen(rig, frame, found, chosen, here, out, total):
     Returns how many were written. O(n log n + chosen * C).
     """
     work = fit_workspace()
+    # What a chosen hypothesis has is not to be had by another.
     available = np.ones(len(frame.blobs), np.bool_)
     for n in range(len(chosen)):
         if chosen[n]:
@@ -89,6 +94,7 @@ def _write_chosen(rig, frame, found, chosen, here, out, total):
                 if found.rays[n, c] >= 0:
                     available[found.rays[n, c]] = False
     many = 0
+    # Surest first: where two want a blob that is free, it gets it.
     for n in ascending(-found.scores, len(chosen)):
         if not chosen[n]:
             continue
@@ -117,6 +123,7 @@ def write_point(rig, frame, rays, here, work, out, at):
         if rays[c] >= 0:
             out.rays[at, c] = here + rays[c]
             many += 1
+            # Only the residual is wanted of `add_ray`; the information was inverted before.
             set_zero(work.information)
             pixels += add_ray(rig, frame, c, rays[c], work) * rig.cameras[c, NOISE] ** 2
     for axis in range(3):
@@ -141,6 +148,7 @@ def attach_available(rig, frame, rays, work, available):
         many += rays[c] >= 0
         if rays[c] < 0:
             rays[c] = best_blob(rig, frame, c, work, available)[0]
+    # With a ray more, the worst may be another one: it must not cost a ray that was there.
     square, left = fit_and_prune(rig, frame, rays, work, 1)
     kept = square < np.inf and left >= many
     for c in range(len(rays)):
@@ -148,6 +156,7 @@ def attach_available(rig, frame, rays, work, available):
             rays[c] = before[c]
         elif rays[c] >= 0:
             available[rays[c]] = False
+        # A ray that was dropped is free for the next point.
         elif before[c] >= 0:
             available[before[c]] = True
 
@@ -166,6 +175,7 @@ def count_visibility(rig, points, rays, expected, seen):
             many += rays[p, c] >= 0
         for c in range(rays.shape[1]):
             has = rays[p, c] >= 0
+            # Three other rays, so that the place is sure whether or not this camera saw it.
             if many - has >= 3 and in_view(rig, c, points[p])[0]:
                 expected[c] += 1
                 seen[c] += has

@@ -38,6 +38,7 @@ def append_hypothesis(found, count, rays, point, worth):
     OUT found Hypotheses
     Returns the lists, twice as long where they were full. O(C), amortised.
     """
+    # Twice as long: each hypothesis is copied about once in all, however many there come to be.
     if count == len(found.scores):
         found = _doubled(found)
     for c in range(len(rays)):
@@ -54,6 +55,7 @@ def _doubled(found):
     size, cameras = found.rays.shape
     longer = empty_hypotheses(2 * size, cameras)
     for n in range(size):
+        # Element by element, which compiles faster than slices.
         for c in range(cameras):
             longer.rays[n, c], longer.links[n, c] = found.rays[n, c], found.links[n, c]
         for axis in range(3):
@@ -77,9 +79,12 @@ def holders_by_blob(rays, members, blobs):
 
     IN  rays (n, C); members (m,) the hypotheses that count, in the order in which they are to be listed; blobs: how many there are
     Returns starts (blobs + 1,) and holders (starts[-1],): blob b is held by holders[starts[b]:starts[b + 1]]. O(m C + blobs).
+
+    Bounds: entries are counted before `holders` is made.
     """
     cameras = rays.shape[1]
     starts = np.zeros(blobs + 1, np.int64)
+    # Counting sort by blob: one flat array instead of a list for each blob.
     for n in members:
         for c in range(cameras):
             if rays[n, c] >= 0:
@@ -88,6 +93,7 @@ def holders_by_blob(rays, members, blobs):
         starts[blob + 1] += starts[blob]
     holders = np.empty(starts[blobs], np.int64)
     fill = np.empty(blobs + 1, np.int64)
+    # A copy to count up in, since `starts` is what is given back.
     for blob in range(blobs + 1):
         fill[blob] = starts[blob]
     for n in members:

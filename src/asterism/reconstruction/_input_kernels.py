@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.geometry.shared_kernels import clamped_index
 from asterism.reconstruction._order_kernels import ascending
 
 NOISE, GAIN, MISSING, LOW, HIGH, LENS = 15, 16, 17, 18, 20, 22
@@ -64,10 +65,12 @@ def first_of_duplicates(xy, offsets, out):
         x = np.empty(end - begin)
         for k in range(end - begin):
             x[k] = xy[begin + k, 0]
+        # By x, so that equal positions stand together.
         order = ascending(x, end - begin)
         for k in range(end - begin):
             out[begin + order[k]] = True
             back = k - 1
+            # Only back to another x.
             while back >= 0 and x[order[back]] == x[order[k]]:
                 if xy[begin + order[back], 1] == xy[begin + order[k], 1]:
                     out[begin + order[k]] = False
@@ -80,6 +83,8 @@ def frame_arrays(normalised, jacobian, first):
 
     IN  normalised (B, 2); jacobian (B, 4) px; first (C + 1,) where each camera's blobs begin
     Returns FrameArrays. O(B).
+
+    Bounds: cells and their ends are counted before `bins` is made; `_cell` clamps to the grid.
     """
     cameras, count = len(first) - 1, len(normalised)
     blobs = np.empty((count, 6))
@@ -90,6 +95,7 @@ def frame_arrays(normalised, jacobian, first):
     grid = np.zeros((cameras, 8))
     total = 0
     for c in range(cameras):
+        # About one blob a cell: fewer cells hold too many, more are empty.
         side = max(1, int(math.sqrt(first[c + 1] - first[c])))
         grid[c, SIDE], grid[c, CELLS], grid[c, FIRST], grid[c, END] = side, total, first[c], first[c + 1]
         total += side * side + 1
@@ -100,6 +106,7 @@ def frame_arrays(normalised, jacobian, first):
             y0, y1 = min(y0, normalised[i, 1]), max(y1, normalised[i, 1])
         if x1 >= x0:
             grid[c, LEFT], grid[c, TOP] = x0, y0
+            # The tiny addend keeps the last blob in the last cell, and one blob alone from dividing by zero.
             grid[c, PER_X], grid[c, PER_Y] = side / (x1 - x0 + 1e-9), side / (y1 - y0 + 1e-9)
     return FrameArrays(blobs, grid, _filled_bins(blobs, grid, first, total))
 
@@ -112,9 +119,11 @@ def _filled_bins(blobs, grid, first, cells):
         base, side = int(grid[c, CELLS]), int(grid[c, SIDE])
         for i in range(first[c], first[c + 1]):
             bins[base + _cell(grid, c, blobs[i, 0], blobs[i, 1])] += 1
+        # Behind all cells the blob numbers, so that one array holds both.
         bins[base] += cells + first[c]
         for k in range(1, side * side + 1):
             bins[base + k] += bins[base + k - 1]
+        # Backwards, because ends count down to beginnings: each cell's blobs rise.
         for i in range(first[c + 1] - 1, first[c] - 1, -1):
             k = base + _cell(grid, c, blobs[i, 0], blobs[i, 1])
             bins[k] -= 1
@@ -126,8 +135,8 @@ def _filled_bins(blobs, grid, first, cells):
 def _cell(grid, c, x, y):
     """Returns the cell of camera c in which a place on its normalised plane lies, or the nearest one. O(1)."""
     side = int(grid[c, SIDE])
-    column = min(max(int((x - grid[c, LEFT]) * grid[c, PER_X]), 0), side - 1)
-    row = min(max(int((y - grid[c, TOP]) * grid[c, PER_Y]), 0), side - 1)
+    column = clamped_index((x - grid[c, LEFT]) * grid[c, PER_X], 0, side - 1)
+    row = clamped_index((y - grid[c, TOP]) * grid[c, PER_Y], 0, side - 1)
     return row * side + column
 
 

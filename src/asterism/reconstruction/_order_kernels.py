@@ -18,6 +18,7 @@ def ascending(values, count):
     Returns order (count,). O(n log n). Twin: np.argsort
     """
     order, spare = np.empty(count, np.int64), np.empty(count, np.int64)
+    # Short runs by insertion, which beats merging while they are short.
     for begin in range(0, count, RUN):
         for i in range(begin, min(begin + RUN, count)):
             value, k = values[i], i
@@ -31,12 +32,14 @@ def ascending(values, count):
             middle, end = min(begin + width, count), min(begin + 2 * width, count)
             left, right = begin, middle
             for k in range(begin, end):
+                # On equal values the left one first: so the sort is stable, and equal scores keep their order.
                 if left < middle and (right >= end or values[order[left]] <= values[order[right]]):
                     spare[k] = order[left]
                     left += 1
                 else:
                     spare[k] = order[right]
                     right += 1
+        # The two arrays change places instead of being copied.
         order, spare = spare, order
         width *= 2
     return order

@@ -54,10 +54,12 @@ def pack(rays, scores, count, blobs):
     best found, improved by exchanges of one for several. O(n log n), and MOST_WORK for each component.
     Twins: an integer program (tests/test_reconstruction.py), all sets (tests/test_reconstruction_twins.py)
     """
+    # The best come first: early sets are then worth much, and the bound cuts more of the others.
     order = ascending(-scores, count)
     starts, holders = holders_by_blob(rays, order, blobs)
     problem = Packing(rays, scores, starts, holders)
     chosen, open_ = np.zeros(count, np.bool_), np.ones(count, np.bool_)
+    # Most hypotheses of a frame have no serious rival, and need no search.
     _take_dominant(problem, order, open_, chosen)
     unproved = 0
     members, falling, place = np.empty(count, np.int64), np.empty(count), np.full(count, -1, np.int64)
@@ -69,10 +71,12 @@ def pack(rays, scores, count, blobs):
             falling[k] = -scores[members[k]]
         component = Component(members[ascending(falling, many)], place)
         for k in range(many):
+            # Places by score, as `_search` and `_bound` go through the members.
             place[component.members[k]] = k
         if not _search(problem, component, chosen):
             unproved += 1
         for k in range(many):
+            # Its places are cleared one by one: to clear the whole array would cost n for each component.
             open_[component.members[k]] = False
             place[component.members[k]] = -1
     return chosen, unproved
@@ -94,6 +98,7 @@ def _take_dominant(problem, order, open_, chosen):
         for n in order:
             if not open_[n]:
                 continue
+            # A number for each look instead of an array to clear: a rival of several blobs is counted once.
             stamp += 1
             rivals = 0.0
             for c in range(problem.rays.shape[1]):
@@ -106,7 +111,9 @@ def _take_dominant(problem, order, open_, chosen):
                     if open_[other] and other != n and counted[other] != stamp:
                         counted[other] = stamp
                         best = max(best, problem.scores[other])
+                # Of the rivals at one blob at most one can be chosen, so the best of each blob bounds what they are worth together.
                 rivals += best
+            # Any set with rivals of n can put n in their place and be worth no less.
             if problem.scores[n] >= rivals:
                 chosen[n] = True
                 changed = True
@@ -130,6 +137,8 @@ def _conflict_component(problem, open_, n, members, place):
 
     OUT members, the first of which they are; place, not -1 for them
     Returns how many. O(members * rivals), no allocation: frames can have thousands of components.
+
+    Bounds: a hypothesis has one place, so there are no more members than hypotheses.
     """
     place[n] = 0
     members[0] = n
@@ -141,6 +150,7 @@ def _conflict_component(problem, open_, n, members, place):
                 for k in range(problem.starts[blob], problem.starts[blob + 1]):
                     other = problem.holders[k]
                     if open_[other] and place[other] < 0:
+                        # A place marks it as found, so that it comes once.
                         place[other] = many
                         members[many] = other
                         many += 1
@@ -155,21 +165,27 @@ def _search(problem, component, chosen):
     OUT chosen (n,), the best set added
     Returns whether that set is proved to be the best. O(2^m), at most MOST_WORK looks at rivals.
     Twin: all sets (tests/test_reconstruction_twins.py)
+
+    Bounds: `depth` counts members that are taken, each once, m at most; path has one more.
     """
     scores, members = problem.scores, component.members
     many = len(members)
     blocked, covered = np.zeros(many, np.int64), np.full(many, -1, np.int64)
     taken, best = np.zeros(many, np.bool_), np.zeros(many, np.bool_)
     path = np.empty(many + 1, np.int64)
+    # The greedy set is the first to be beaten: with it the bound cuts from the beginning.
     best_value = _greedy(problem, component, best)
     depth, at, value, work, stamp = 0, 0, 0.0, 0, 0
     proved, going = True, True
     while going:
         stamp += 1
+        # What cannot become better than the best set is left at once.
         bound, looks = _bound(problem, component, at, value, blocked, covered, stamp)
         work += looks
+        # A member with a rival in the set cannot come in.
         while at < many and blocked[at] != 0:
             at += 1
+        # Take it first: with members in order of score the best sets come early.
         if bound > best_value + TOLERANCE and at < many and work <= MOST_WORK:
             taken[at] = True
             value += scores[members[at]]
@@ -182,17 +198,20 @@ def _search(problem, component, chosen):
             best_value = value
             for k in range(many):
                 best[k] = taken[k]
+        # Counted in looks, not in seconds, so that every machine stops at the same set.
         if work > MOST_WORK:
             proved = False
             break
         going = depth > 0
         if going:
+            # Back to the last one taken, and on without it.
             depth -= 1
             at = path[depth]
             taken[at] = False
             value -= scores[members[at]]
             _count_conflicts(problem, component, at, blocked, -1)
             at += 1
+    # The best set so far is often one exchange away from the best of all.
     if not proved:
         _exchange(problem, component, best)
     for k in range(many):
@@ -213,6 +232,7 @@ def _bound(problem, component, at, value, blocked, covered, stamp):
     rays, starts, holders = problem.rays, problem.starts, problem.holders
     bound, looks = value, 0
     for k in range(at, len(component.members)):
+        # Members that are covered by an earlier one's blob are rivals of it: the better one stands for both.
         if blocked[k] != 0 or covered[k] == stamp:
             continue
         n = component.members[k]
@@ -226,6 +246,7 @@ def _bound(problem, component, at, value, blocked, covered, stamp):
                 for place in range(starts[blob], starts[blob + 1]):
                     j = component.place[holders[place]]
                     wide += j >= at and blocked[j] == 0 and covered[j] != stamp
+                # Of its blobs the one that covers most members bounds them at the worth of one.
                 if wide > widest:
                     widest_blob, widest = blob, wide
         for place in range(starts[widest_blob], starts[widest_blob + 1]):
@@ -258,6 +279,7 @@ def _count_conflicts(problem, component, k, blocked, by):
             for at in range(problem.starts[blob], problem.starts[blob + 1]):
                 j = component.place[problem.holders[at]]
                 if j >= 0:
+                    # A count, not a flag: a member may have several rivals in the set, and is free when the last has left.
                     blocked[j] += by
 
 
@@ -278,6 +300,7 @@ def _exchange(problem, component, best):
     work = 0
     while improved and work <= MOST_WORK:
         improved = False
+        # A member that lost to a rival by score may win with what else becomes free.
         for k in range(many):
             if best[k] or work > MOST_WORK:
                 continue
@@ -286,9 +309,11 @@ def _exchange(problem, component, best):
             _set_member(problem, component, k, best, blocked, True)
             won = problem.scores[component.members[k]]
             coming, won = _add_freed(problem, component, removed[:leaving], won, best, blocked, added)
+            # Strictly better, so that it ends.
             if won > lost + TOLERANCE:
                 improved = True
                 continue
+            # Not better: all goes back as it was.
             for n in range(coming):
                 _set_member(problem, component, added[n], best, blocked, False)
             _set_member(problem, component, k, best, blocked, False)
@@ -305,11 +330,15 @@ def _set_member(problem, component, k, best, blocked, chosen):
 
 @kernel
 def _remove_rivals(problem, component, k, best, blocked, removed):
-    """Put all rivals of member k out of a set, into removed (m,). Returns how many, their worth, and the looks. O(rivals^2)."""
+    """Put all rivals of member k out of a set, into removed (m,). Returns how many, their worth, and the looks. O(rivals^2).
+
+    Bounds: a rival is out of the set once it is removed, so each comes once: m.
+    """
     leaving, lost, looks = 0, 0.0, 0
     for c in range(problem.rays.shape[1]):
         blob = problem.rays[component.members[k], c]
         if blob >= 0:
+            # Looks are counted for all of its rivals, taken or not, since each is looked at.
             looks += problem.starts[blob + 1] - problem.starts[blob]
             for at in range(problem.starts[blob], problem.starts[blob + 1]):
                 j = component.place[problem.holders[at]]
@@ -326,6 +355,8 @@ def _add_freed(problem, component, removed, worth, best, blocked, added):
     """Put in all members that share a blob with a removed one and have no rival in the set any more, into added (m,).
 
     Returns how many, and `worth` with what they are worth added. O(removed * rivals^2).
+
+    Bounds: a member is in the set once it is added, so each comes once: m.
     """
     coming = 0
     for r in removed:

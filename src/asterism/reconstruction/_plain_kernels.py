@@ -31,6 +31,7 @@ def reconstruct_frame_plain(rig, rays, frame_number, by_covariance, out):
     frame = frame_arrays(rays.normalised[here : here + first[cameras]], rays.jacobian[here : here + first[cameras]], first)
     spreads = np.empty(len(out.points))
     versions = _compose_pairs(rig, frame, out.rays, out.points, spreads)
+    # The caller comes again with more room.
     if versions > len(out.points):
         return 0, versions
     groups = merge_versions(rig, out.rays, out.points, spreads, versions, by_covariance)
@@ -58,6 +59,8 @@ def _compose_pairs(rig, frame, rays, points, spreads):
 
     OUT rays (n, C), points (n, 3) m, spreads (n,) m2, the trace of each point's covariance
     Returns how many there are; the arrays are filled as far as they reach. O(all pairs of blobs).
+
+    Bounds: what does not fit is counted and not written; the caller comes again with more room.
     """
     one, work = np.empty(len(rig.cameras), np.int64), fit_workspace()
     limit = rig.limits[GATE] ** 2
@@ -73,6 +76,7 @@ def _compose_pairs(rig, frame, rays, points, spreads):
                 square = fit(rig, frame, one, work, 1)[0]
                 if not (square <= limit and inside_volume(rig, work.point)):
                     continue
+                # Counted on without being written: so the caller learns how much room it takes.
                 if count < len(points):
                     _, i0, _, _, i3, _, i5 = symmetric_inverse(work.information)
                     rays[count], points[count], spreads[count] = one, work.point, i0 + i3 + i5
@@ -93,11 +97,14 @@ def merge_versions(rig, rays, points, spreads, count, by_covariance):
         by_covariance: near are versions within GATE deviations, by the sum of both spreads; those with the least spread come first
     OUT rays (n, C), points (n, 3) m: groups are written over the versions
     Returns how many groups there are. O(versions * groups * C). Twin: tests/twins_reconstruction.py
+
+    Bounds: there are no more groups than versions.
     """
     groups = 0
     members, first = np.empty(count, np.int64), np.empty(count, np.int64)
     out_rays, out_points = np.empty_like(rays[:count]), np.empty_like(points[:count])
     middle, slopes = np.empty((1, 3)), np.empty((2, 1, 2, 3))
+    # The least spread first, so that a group's first version is its best.
     for n in ascending(spreads, count) if by_covariance else np.arange(count):
         nearest, group = np.inf, -1
         for k in range(groups):
@@ -105,6 +112,7 @@ def merge_versions(rig, rays, points, spreads, count, by_covariance):
             for axis in range(3):
                 square += (points[n, axis] - out_points[k, axis]) ** 2
                 middle[0, axis] = (points[n, axis] + out_points[k, axis]) / 2.0
+            # Only a nearer group can win.
             if square >= nearest or not _are_compatible(rays[n], out_rays[k]):
                 continue
             if by_covariance:
@@ -119,8 +127,10 @@ def merge_versions(rig, rays, points, spreads, count, by_covariance):
             groups += 1
             continue
         members[group] += 1
+        # The running mean, without a second pass.
         out_points[group] += (points[n] - out_points[group]) / members[group]
         for c in range(rays.shape[1]):
+            # Compatible rows have equal blobs or none (-1), so that the larger is the one that is there.
             out_rays[group, c] = max(out_rays[group, c], rays[n, c])
     rays[:groups], points[:groups] = out_rays[:groups], out_points[:groups]
     return groups
@@ -135,12 +145,15 @@ def _sensitivity(rig, rays, place, slopes):
     IN  rays (C,) blobs of two cameras; place (1, 3) m
     OUT slopes (2, 1, 2, 3): workspace
     Returns m; NaN where one of the two cannot see the place. O(C). Twin: asterism.cameras.accuracy.sensitivity
+
+    Bounds: of more than two cameras the first two are taken.
     """
     information, side = np.zeros(6), 0
     for c in range(len(rays)):
         if rays[c] >= 0 and side < 2:
             own = rig.cameras[c]
             pixel_jacobians(own[LENS:], own[:9].reshape(3, 3), own[9:12], place, slopes[side])
+            # In deviations of the noise, so that both cameras compare.
             slopes[side] /= own[NOISE]
             for row in slopes[side, 0]:
                 information[0] += row[0] * row[0]

@@ -8,7 +8,7 @@ import numpy as np
 
 from asterism._jit import kernel
 from asterism.cameras.lens_kernels import CX, CY, FX, FY, distorted
-from asterism.geometry.shared_kernels import symmetric_inverse
+from asterism.geometry.shared_kernels import clamped_index, symmetric_inverse
 from asterism.reconstruction._input_kernels import (
     CELLS,
     END,
@@ -42,9 +42,12 @@ def best_blob(rig, frame, c, work, available):
     IN  work: the point and its information; available (B,) whether a blob may be taken
     Returns the blob, -1 where none is within the gate, and its squared distance in standard deviations. O(blobs within the spread), no
     allocation. Twin: tests/test_reconstruction.py
+
+    Bounds: cells beyond the grid are clamped to it before they become whole numbers, however far the point is.
     """
     x, h = work.point, work.information
     u, v, w = in_camera_axes(rig.cameras, c, x[0], x[1], x[2])
+    # A point behind the camera, or a camera without blobs.
     if not w > 1e-9 or frame.grid[c, FIRST] == frame.grid[c, END]:
         return -1, np.inf
     determinant, i0, i1, i2, i3, i4, i5 = symmetric_inverse(h)
@@ -65,6 +68,7 @@ def best_blob(rig, frame, c, work, available):
     )
     qx, qy, qz = i0 * ax + i1 * ay + i2 * az, i1 * ax + i3 * ay + i4 * az, i2 * ax + i4 * ay + i5 * az
     sx, sy, sz = i0 * bx + i1 * by + i2 * bz, i1 * bx + i3 * by + i4 * bz, i2 * bx + i4 * by + i5 * bz
+    # The point's covariance as this camera sees it: how far off the blob may be.
     cxx, cxy, cyy = ax * qx + ay * qy + az * qz, bx * qx + by * qy + bz * qz, bx * sx + by * sy + bz * sz
     noise = rig.cameras[c, NOISE]
     # The narrowest scale from pixels to the normalized plane is near the focal length; half of it is safe for the box.
@@ -72,11 +76,12 @@ def best_blob(rig, frame, c, work, available):
     wide_x, wide_y = rig.limits[GATE] * math.sqrt(cxx + floor * floor), rig.limits[GATE] * math.sqrt(cyy + floor * floor)
     grid = frame.grid
     side = int(grid[c, SIDE])
-    left = int(max(0.0, (px - wide_x - grid[c, LEFT]) * grid[c, PER_X]))
-    right = int(min(side - 1.0, math.floor((px + wide_x - grid[c, LEFT]) * grid[c, PER_X])))
-    top = int(max(0.0, (py - wide_y - grid[c, TOP]) * grid[c, PER_Y]))
-    bottom = int(min(side - 1.0, math.floor((py + wide_y - grid[c, TOP]) * grid[c, PER_Y])))
+    left = clamped_index((px - wide_x - grid[c, LEFT]) * grid[c, PER_X], 0, side)
+    right = clamped_index(np.floor((px + wide_x - grid[c, LEFT]) * grid[c, PER_X]), -1, side - 1)
+    top = clamped_index((py - wide_y - grid[c, TOP]) * grid[c, PER_Y], 0, side)
+    bottom = clamped_index(np.floor((py + wide_y - grid[c, TOP]) * grid[c, PER_Y]), -1, side - 1)
     best, chosen = rig.limits[GATE] * rig.limits[GATE], -1
+    # The box lies beside all blobs.
     if left > right:
         return -1, np.inf
     for row in range(top, bottom + 1):
@@ -84,14 +89,17 @@ def best_blob(rig, frame, c, work, available):
         for place in range(frame.bins[at + left], frame.bins[at + right + 1]):
             blob = frame.bins[place]
             dx, dy = frame.blobs[blob, 0] - px, frame.blobs[blob, 1] - py
+            # A cell reaches beyond the box.
             if not (available[blob] and math.fabs(dx) <= wide_x and math.fabs(dy) <= wide_y):
                 continue
             s0, s1, s2, s3 = frame.blobs[blob, 2], frame.blobs[blob, 3], frame.blobs[blob, 4], frame.blobs[blob, 5]
             r0, r1 = s0 * dx + s1 * dy, s2 * dx + s3 * dy
             m0, m1 = s0 * cxx + s1 * cxy, s0 * cxy + s1 * cyy
             n0, n1 = s2 * cxx + s3 * cxy, s2 * cxy + s3 * cyy
+            # The blob's noise beside the point's own inexactness.
             v00, v01, v11 = m0 * s0 + m1 * s1 + noise * noise, m0 * s2 + m1 * s3, n0 * s2 + n1 * s3 + noise * noise
             square = (v11 * r0 * r0 - 2.0 * v01 * r0 * r1 + v00 * r1 * r1) / (v00 * v11 - v01 * v01)
+            # Of equals the smaller number, so that the order of the cells decides nothing.
             if square < best or (square == best and blob < chosen):
                 best, chosen = square, blob
     return chosen, best
@@ -104,10 +112,10 @@ def _has_blob_near(frame, c, x, y, wide_x, wide_y):
     side = int(grid[c, SIDE])
     if frame.grid[c, FIRST] == frame.grid[c, END]:
         return False
-    left = int(max(0.0, (x - wide_x - grid[c, LEFT]) * grid[c, PER_X]))
-    right = int(min(side - 1.0, math.floor((x + wide_x - grid[c, LEFT]) * grid[c, PER_X])))
-    top = int(max(0.0, (y - wide_y - grid[c, TOP]) * grid[c, PER_Y]))
-    bottom = int(min(side - 1.0, math.floor((y + wide_y - grid[c, TOP]) * grid[c, PER_Y])))
+    left = clamped_index((x - wide_x - grid[c, LEFT]) * grid[c, PER_X], 0, side)
+    right = clamped_index(np.floor((x + wide_x - grid[c, LEFT]) * grid[c, PER_X]), -1, side - 1)
+    top = clamped_index((y - wide_y - grid[c, TOP]) * grid[c, PER_Y], 0, side)
+    bottom = clamped_index(np.floor((y + wide_y - grid[c, TOP]) * grid[c, PER_Y]), -1, side - 1)
     if left > right:
         return False
     for row in range(top, bottom + 1):
@@ -129,6 +137,7 @@ def in_view(rig, c, x):
     lens = rig.cameras[c, LENS:]
     ix, iy, ux, uy, vx, vy = distorted(lens, px, py)
     ix, iy = lens[FX] * ix + lens[CX], lens[FY] * iy + lens[CY]
+    # Beyond the fold of the lens model a point far aside comes back into the image.
     inside = (
         rig.cameras[c, LOW] + BORDER <= ix <= rig.cameras[c, HIGH] - BORDER
         and rig.cameras[c, LOW + 1] + BORDER <= iy <= rig.cameras[c, HIGH + 1] - BORDER
@@ -150,12 +159,14 @@ def score(rig, frame, rays, work, square):
     determinant = symmetric_inverse(work.information)[0]
     if not (determinant > 0.0 and square < np.inf):
         return -np.inf
+    # The volume of places that explain the blobs alike: exact hypotheses pay for being exact (Occam).
     total = rig.limits[PRIOR] - 0.5 * math.log(determinant) - 0.5 * square
     for c in range(len(rays)):
         if rays[c] >= 0:
             total += rig.cameras[c, GAIN]
         else:
             inside, px, py = in_view(rig, c, work.point)
+            # A blob so near may hold this marker, too: then its absence says nothing.
             if inside and not _has_blob_near(frame, c, px, py, MERGED / rig.cameras[c, LENS + FX], MERGED / rig.cameras[c, LENS + FY]):
                 total += rig.cameras[c, MISSING]
     return total

@@ -38,15 +38,19 @@ def add_without_shared(rig, frame, found, count):
                 continue
             for place in range(starts[blob], starts[blob + 1]):
                 rival = holders[place]
+                # A much weaker rival takes no blob from it: what it would lose decides nothing.
                 if rival == n or found.scores[rival] < LEAST_RIVAL * found.scores[n]:
                     continue
                 left = _without_shared(found, n, rival, rays)
+                # Two rays are a point only where the settings allow two cameras.
                 if left < max(2, rig.limits[FEWEST]) or _is_among(found, begin, total, rays):
                     continue
+                # The fit begins at the old place, which lies near.
                 for axis in range(3):
                     work.point[axis] = found.points[n, axis]
                 square = fit(rig, frame, rays, work, 2)[0]
                 worth = score(rig, frame, rays, work, square)
+                # What is no likelier than strays cannot be chosen anyway.
                 if worth > 0.0 and inside_volume(rig, work.point):
                     found = append_hypothesis(found, total, rays, work.point, worth)
                     total += 1
@@ -55,7 +59,10 @@ def add_without_shared(rig, frame, found, count):
 
 @kernel
 def _multi_camera(found, count):
-    """Returns the hypotheses of MULTI_CAMERA cameras or more, in their order. O(count * C)."""
+    """Returns the hypotheses of MULTI_CAMERA cameras or more, in their order. O(count * C).
+
+    Bounds: some of `count` hypotheses.
+    """
     out = np.empty(count, np.int64)
     total = 0
     for n in range(count):
@@ -73,6 +80,7 @@ def _without_shared(found, n, rival, rays):
     """OUT rays (C,): those of hypothesis n without those that a rival has too. Returns how many are left. O(C)."""
     left = 0
     for c in range(len(rays)):
+        # Only the same blob of the same camera is shared.
         shared = found.rays[n, c] >= 0 and found.rays[n, c] == found.rays[rival, c]
         rays[c] = -1 if shared else found.rays[n, c]
         left += rays[c] >= 0

@@ -88,8 +88,10 @@ def fit_of_cameras(result: Reconstruction, rig: Rig) -> tuple[CameraFit, ...]:
     bounds = image_bounds(result.blobs, rig)
     fits = []
     for c, camera in enumerate(rig):
+        # Points that the camera helped to make would excuse it, so the others alone must show them.
         points = _evenly(np.flatnonzero(_shown_by_others(result, c)), RULES.max_points)
         pixels = camera.project(result.clouds.xyz[points])
+        # Near the border a marker may be half out of the image, and missing it is no fault.
         inside = ((pixels > bounds[0, c] + RULES.border_px) & (pixels < bounds[1, c] - RULES.border_px)).all(axis=1)
         seen = result.cameras[points[inside], c]
         share = float(seen.mean()) if len(seen) >= RULES.min_points else float("nan")

@@ -103,10 +103,12 @@ def common_view(rig: Rig, bounds: Floats, volume: Floats) -> float:
     if np.isfinite(volume).all():
         return float(np.prod(volume[1] - volume[0]))
     positions = np.array([camera.position for camera in rig])
+    # The point nearest to all lines of sight, by least squares: what the cameras were aimed at.
     across = np.array([np.eye(3) - np.outer(camera.rotation[2], camera.rotation[2]) for camera in rig])
     aim = np.linalg.lstsq(across.sum(axis=0), np.einsum("cij,cj->i", across, positions), rcond=None)[0]
     reach = float(np.median(np.linalg.norm(positions - aim, axis=1)))
     low, high = aim - reach, aim + reach
+    # A coarse grid finds the common view, and the next one is laid closely around it.
     for _ in range(_VIEW_ROUNDS):
         step = (high - low) / _VIEW_CELLS
         grid = low + step * (np.stack(np.meshgrid(*[np.arange(_VIEW_CELLS)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) + 0.5)
@@ -131,6 +133,7 @@ def _pairs(rig: Rig) -> tuple[Ints, Floats]:
                 continue
             along = baseline / length
             middle = views[a] + views[b]
+            # Any two axes across the baseline sort points by epipolar plane; these have the scene in front of them.
             across = middle - along * (middle @ along)
             if np.linalg.norm(across) < 1e-6:
                 across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
@@ -138,5 +141,6 @@ def _pairs(rig: Rig) -> tuple[Ints, Floats]:
             found.append((-float(np.linalg.norm(np.cross(views[a], views[b]))), a, b, np.stack([across, np.cross(along, across)])))
     if not found:
         raise AsterismError("all cameras of the rig stand in one place and see no depth; check the rig's translations.")
+    # Lines of sight at right angles tell depth best, so such pairs propose points first.
     found.sort(key=lambda pair: pair[:3])
     return np.array([pair[1:3] for pair in found], dtype=np.int64), np.array([pair[3] for pair in found])

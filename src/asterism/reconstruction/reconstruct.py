@@ -50,16 +50,27 @@ def reconstruct(
 
     Cameras without a pose are left out. Raises AsterismError where the rig lacks a camera of the blobs, fewer than two cameras are left, or
     a setting is out of range.
+
+    >>> from asterism.cameras import Camera
+    >>> left = Camera("left", (640, 480), (500.0, 500.0), (319.5, 239.5))
+    >>> right = Camera("right", (640, 480), (500.0, 500.0), (319.5, 239.5), translation=[-0.5, 0.0, 0.0])
+    >>> rig = Rig((left, right))
+    >>> marker = [[0.2, 0.1, 2.0]]
+    >>> blobs = Blobs.from_rows([0, 0], [0, 1], rig.project(marker).reshape(2, 2), rig.names, rate=100.0)
+    >>> reconstruct(blobs, rig, ReconstructionSettings(noise=0.3)).clouds.xyz.round(6)
+    array([[0.2, 0.1, 2. ]])
     """
     settings = ReconstructionSettings() if settings is None else settings
     findings: list[Finding] = []
     blobs, rig = _posed(blobs, rig, findings)
     settings.check(len(rig))
+    # Before cameras are brought to one clock: a lamp that stays would be followed as well as any marker.
     blobs, masked = _masked(blobs, settings.mask_static, findings)
     rays = _rays(_on_common_clock(blobs, findings), rig, findings)
     bounds, corners = image_bounds(rays.blobs, rig), settings.corners
     problem = ReconstructionProblem(rig, bounds, corners, common_view(rig, bounds, corners), settings.min_cameras, settings.gate)
     run = partial(_points_and_residuals, rays)
+    # Gates and prices depend on the noise, which the blobs themselves tell.
     model, noise_known, looked_at = estimate_observation_model(problem, rays.blobs.counts, run, settings.noise)
     if not noise_known:
         findings.append(_noise_unknown(looked_at))
@@ -99,6 +110,7 @@ def _posed(blobs: Blobs, rig: Rig, findings: list[Finding]) -> tuple[Blobs, Rig]
         )
         rig, blobs = (rig.select(posed), blobs.select_cameras(posed)) if posed else (rig, blobs)
     seeing = [name for name, count in zip(blobs.cameras, blobs.counts.sum(axis=0), strict=True) if count]
+    #
     if len(posed) >= 2 and len(seeing) == 1:
         raise AsterismError(f"all blobs are of camera {seeing[0]}, and points need two cameras; add the others' blobs.")
     if len(posed) < 2:
@@ -217,6 +229,7 @@ def _points_and_residuals(rays: BlobRays, arrays: RigArrays, begin: int, end: in
 
 def _run_global(arrays: RigArrays, rays: BlobRays, begin: int, end: int) -> _FramesPart:
     offsets, cameras = rays.blobs.offsets, len(rays.blobs.cameras)
+    # A point takes two blobs at least, so half of them bound the number of points.
     out = _empty_points(int(offsets[end * cameras] - offsets[begin * cameras]) // 2, cameras)
     counts, notes = np.zeros(end - begin, dtype=np.int64), np.zeros((end - begin, 2), dtype=np.int64)
     total = reconstruct_frames(arrays, rays.arrays, begin, end, out, counts, notes)
@@ -228,6 +241,7 @@ def _run_plain(by_covariance: bool, arrays: RigArrays, rays: BlobRays, begin: in
     frames = []
     notes = np.zeros((end - begin, 2), dtype=np.int64)
     for t in range(begin, end):
+        # The plain method keeps all versions of a point at first, whose number only a run tells: run again with room for that many.
         while True:
             out = _empty_points(capacity, cameras)
             kept, versions = reconstruct_frame_plain(arrays, rays.arrays, t, by_covariance, out)
@@ -267,6 +281,7 @@ def _assembled(
     notes = np.concatenate([np.empty((0, 2), dtype=np.int64), *(part.notes for part in parts)])
     counts = np.concatenate([np.zeros(1, dtype=np.int64), *(part.counts for part in parts)])
     used = np.zeros(len(blobs.xy), dtype=np.bool_)
+    #
     used[points.rays[points.rays >= 0]] = True
     cell = blobs.frame_of * cameras + blobs.camera_of
     vertical = as_vertical("z" if rig.vertical is None else rig.vertical)
@@ -292,6 +307,7 @@ def _scale(rays: Ints, xyz: Floats, rig: Rig) -> Floats:
     """(P,) m/px, depth over focal length, the mean over each point's cameras."""
     total = np.zeros(len(xyz))
     for c, camera in enumerate(rig):
+        # The geometric mean of the focal lengths keeps the area of a pixel.
         depth = xyz @ camera.rotation[2] + camera.translation[2]
         total += np.where(rays[:, c] >= 0, depth / math.sqrt(camera.focal[0] * camera.focal[1]), 0.0)
     mean: Floats = total / np.maximum((rays >= 0).sum(axis=1), 1)

@@ -110,6 +110,7 @@ def _camera(result: Reconstruction, rig: Rig, c: int, fit: CameraFit) -> dict[st
 
 def _reflections(result: Reconstruction, static: Sequence[StaticPoint]) -> Iterator[Finding]:
     """Static points that only two of many cameras show, unless most points are static: a static trial."""
+    # Any two cameras' lamps meet somewhere; a third camera that agrees makes it a thing in the room.
     suspect = [point for point in static if point.cameras == 2]
     if len(result.blobs.cameras) < 4 or not suspect or len(static) > RULES.max_static * float(np.median(result.clouds.counts)):
         return
@@ -138,6 +139,7 @@ def rig_findings(result: Reconstruction, rig: Rig, fits: Sequence[CameraFit]) ->
         )
         return [*found, none]
     found += [*_noisy(result, fits), *_misfits(result, rig, fits)]
+    # Where something else was found wrong, unused blobs follow from it and need no sentence of their own.
     if not found and result.unused.sum() > RULES.max_unused * blobs:
         found.append(
             Finding(
@@ -158,6 +160,7 @@ def _outside_images(result: Reconstruction, rig: Rig) -> Iterator[Finding]:
     for c, camera in enumerate(rig):
         xy = result.blobs.xy[camera_of == c]
         if camera.size is not None and len(xy):
+            # A pixel of grace, since programs count from the corner or from the centre of the first one.
             share = float(((xy < -1.5) | (xy > np.array(camera.size) + 0.5)).any(axis=1).mean())
             if share > RULES.max_outside:
                 outside[camera.name] = f"{100 * share:.0f} % of the blobs of camera {camera.name} ({camera.size[0]} x {camera.size[1]} px)"
@@ -193,6 +196,7 @@ def _noisy(result: Reconstruction, fits: Sequence[CameraFit]) -> Iterator[Findin
     if noise <= RULES.max_noise:
         return
     sentence = f"blobs lie {noise:.1f} px from where the rig has their points, a few tenths are usual"
+    # Noise that no camera has as a whole is in the blobs; a rig that was moved shows as whole images that are off.
     if all(fit.systematic < FIT_RULES.misfit_noises * noise for fit in fits):
         yield Finding(
             "reconstruct-noisy-blobs",
@@ -217,8 +221,10 @@ def _misfits(result: Reconstruction, rig: Rig, fits: Sequence[CameraFit]) -> Ite
     used = 1 - result.unused.sum(axis=0) / np.maximum(blobs, 1)
     systematic = np.nan_to_num([fit.systematic for fit in fits])
     limits = np.array([misfit_limit(float(noise)) for noise in result.noise])
+    # A moved camera draws the others' points away, so only those near the largest misfit are named.
     draws = (systematic > limits) & (systematic > RULES.joint_misfit * systematic.max(initial=0.0))
     idle = (blobs > 0) & (used < RULES.min_used * used.max(initial=0.0))
+    # Where most are off, nobody can say who moved.
     if draws.sum() > len(names) / 2:
         yield Finding(
             "reconstruct-rig-misfit",

@@ -22,6 +22,7 @@ def fields_of(table: Mapping[str, Any], origin: str) -> dict[str, Any]:
 def _text(place: str, value: Any) -> str:
     if not isinstance(value, str):
         raise ValueError(f"`{place}` is {_kind(value)}, not a text")
+    # A damaged file can hold a name of megabytes.
     if len(value) > _LONGEST_NAME and place != "title":
         raise ValueError(f"`{place}` has a name of {len(value)} characters, {_LONGEST_NAME} at most are one")
     return value
@@ -60,4 +61,5 @@ def _kind(value: Any) -> str:
         list: "a list",
         dict: "a table",
     }
+    # TOML has dates and times besides these.
     return kinds.get(type(value), "a date or time")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
-from asterism.recording.arrays import Floats, Ints, checked_rate, frame_rows
+from asterism.recording.arrays import Floats, Ints, check_offsets, checked_rate, frame_rows
 from asterism.recording.display import Rows, as_html, as_text, duration, listed
 
 
@@ -33,6 +33,9 @@ class Blobs:
     sizes: Floats
     times: Floats | None = None
     first_frame: int = 0
+
+    def __post_init__(self) -> None:
+        check_offsets(self.offsets, len(self.xy), "blobs")
 
     @classmethod
     def from_rows(
@@ -72,6 +75,7 @@ class Blobs:
         if when is not None and when.shape != (total, len(cameras)):
             raise AsterismError(f"times have shape {when.shape}, expected ({total}, {len(cameras)}): frames, cameras.")
         cell = frame * len(cameras) + camera
+        # Stable: blobs of one image keep the order in which they were detected.
         order = np.argsort(cell, kind="stable")
         offsets = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=total * len(cameras)))]).astype(np.int64)
         return cls(np.ascontiguousarray(xy[order]), offsets, tuple(cameras), checked_rate(rate), sizes[order], when)
@@ -80,6 +84,7 @@ class Blobs:
         return (len(self.offsets) - 1) // len(self.cameras)
 
     def select(self, kept: NDArray[np.bool_]) -> Blobs:
+        # Offsets of what is kept: how many were kept before each place.
         """Some of the blobs: those that `kept` (P,) marks. All frames and cameras stay, also those without a blob."""
         before = np.concatenate([[0], np.cumsum(kept)])
         return replace(self, xy=self.xy[kept], offsets=before[self.offsets].astype(np.int64), sizes=self.sizes[kept])

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate, frame_rows, same_values
+from asterism.recording.arrays import Floats, Ints, as_vertical, check_offsets, checked_rate, frame_rows, same_values
 from asterism.recording.display import Rows, as_html, as_text, duration, listed
 from asterism.recording.verdict import Verdict
 
@@ -47,6 +47,9 @@ class Clouds:
     columns: Ints
     tracks: Ints | None = None
 
+    def __post_init__(self) -> None:
+        check_offsets(self.offsets, len(self.xyz), "points")
+
     @classmethod
     def from_points(
         cls,
@@ -68,6 +71,7 @@ class Clouds:
         for t, given in enumerate(points):
             frame = np.asarray(given, dtype=np.float64)
             if frame.size == 0:
+                # An empty list has no second dimension of its own.
                 frame = frame.reshape(0, 3)
             if frame.ndim != 2 or frame.shape[1] != 3:
                 raise AsterismError(f"frame {t}: points have shape {frame.shape}, expected (points, 3); transpose or split them.")
@@ -76,6 +80,7 @@ class Clouds:
             frames.append(frame)
         counts = np.array([0, *map(len, frames)], dtype=np.int64)
         xyz = np.concatenate(frames) if frames else np.empty((0, 3))
+        # No point came from a column: the clouds were not made of a recording.
         numbers = None if tracks is None else _checked_tracks(tracks, counts[1:])
         return cls(xyz, np.cumsum(counts), checked_rate(rate), as_vertical(vertical), np.full(len(xyz), -1, dtype=np.int64), numbers)
 
@@ -93,6 +98,7 @@ class Clouds:
         """The points of one frame, (N_t, 3) m."""
         if not -len(self) <= frame < len(self):
             raise IndexError(f"frame {frame} of {len(self)}")
+        # Negative frames count from the end, as in lists.
         frame %= len(self)
         return self.xyz[self.offsets[frame] : self.offsets[frame + 1]]
 
@@ -111,6 +117,7 @@ class Clouds:
 
     def select(self, kept: NDArray[np.bool_]) -> Clouds:
         """The clouds with the points that `kept` (P,) marks. All frames stay, also those without a point."""
+        # Frames stay also without a point: time must not be lost.
         before = np.concatenate([[0], np.cumsum(kept)])
         return replace(
             self,
@@ -203,6 +210,7 @@ class Labelling:
     def _facts(self) -> Rows:
         given = self.indices >= 0
         share = f"{100 * given.mean():.4g} % of {given.size}" if given.size else ""
+        # Labels without a known confidence have none to be the lowest.
         stated = self.confidence[given & ~np.isnan(self.confidence)]
         lowest = f"{stated.min():.3f}" if stated.size else ""
         return (("frames", str(len(self.indices))), ("markers", listed(self.names)), ("labelled", share), ("lowest confidence", lowest))
@@ -252,6 +260,7 @@ def _checked_tracks(tracks: Iterable[ArrayLike], counts: Ints) -> Ints:
         if frame.size and not np.issubdtype(frame.dtype, np.integer):
             raise AsterismError(f"frame {t}: track numbers are {frame.dtype}, expected whole numbers; -1 is for none.")
         numbered = frame[frame >= 0]
+        # -1 stands for no track and may repeat.
         if len(np.unique(numbered)) < len(numbered):
             raise AsterismError(f"frame {t}: two points have the same track number; a track has at most one point in a frame.")
     return np.concatenate([np.zeros(0, dtype=np.int64), *(frame.ravel().astype(np.int64) for frame in frames)])

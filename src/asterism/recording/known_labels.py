@@ -35,6 +35,7 @@ def marker_of_columns(marker_set: MarkerSet, labels: Sequence[str]) -> Ints:
     """For each column the marker of the set that its label means: (C,), -1 for none, and where several columns have that marker's label."""
     index = {name: m for m, name in enumerate(marker_set.names)}
     markers = np.array([index.get(marker_set.name_of(label) or "", -1) for label in labels], dtype=np.int64)
+    # A name that two columns have is of neither: which one is right is not known.
     counts = np.bincount(markers[markers >= 0], minlength=len(index))
     return np.where((markers >= 0) & (counts[markers] == 1), markers, -1)
 
@@ -71,11 +72,13 @@ def check_labels(
     named = np.nonzero(own >= 0)[0]
     frames, places = clouds.frame_of[named], named - clouds.offsets[clouds.frame_of[named]]
     elsewhere = labelling.indices[frames, own[named]] >= 0
+    # A name stays only where the model gave neither the point nor the marker another label.
     kept = (label[named] == NULL) & ~elsewhere
     against = (label[named] != own[named]) & ~kept
     indices, confidence = labelling.indices.copy(), labelling.confidence.copy()
     at = frames[kept], own[named][kept]
     proposed = np.full(len(at[0]), NULL) if labelling.candidates is None else labelling.candidates[at]
+    # The confidence is that of this point; where it was not the best candidate, nothing is known.
     confidence[at] = np.where(proposed == places[kept], confidence[at], np.nan)
     indices[at] = places[kept]
     found = _grouped(own[named][against], label[named][against], frames[against], labelling.names)

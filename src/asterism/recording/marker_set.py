@@ -44,6 +44,7 @@ class MarkerSet:
     def __post_init__(self) -> None:
         if not self.names:
             raise AsterismError(f"marker set {self.title or '(unnamed)'} has no markers; list them under `markers`.")
+        # Spellings are compared as files will be: without case and punctuation.
         spelled: dict[str, str] = {}
         for name in self.names:
             for spelling in (name, *self.aliases.get(name, ())):
@@ -72,6 +73,7 @@ class MarkerSet:
 
     def name_of(self, label: str) -> str | None:
         """The marker that a file's label means, or None. A subject prefix ("Ann:LKNE", "Ann_LKNE:") is ignored."""
+        # The whole label first: a prefix may be part of a name.
         return self._name_of_spelling.get(canonical(label)) or self._name_of_spelling.get(canonical(without_subject(label)))
 
     def columns_of(self, labels: Sequence[str]) -> Ints:
@@ -106,8 +108,10 @@ class MarkerSet:
         """
         if isinstance(source, MarkerSet):
             return source
+        # A list of names is a set without aliases.
         if not isinstance(source, str | Path):
             return cls(tuple(source), title="given names")
+        # Shipped names come before files: a file of that name in the folder must not shadow them.
         if isinstance(source, str) and source in shipped_marker_sets():
             text = resources.files("asterism").joinpath("marker_sets", f"{source}.toml").read_text(encoding="utf-8")
             return cls.from_toml(text, origin=source)
@@ -126,6 +130,7 @@ class MarkerSet:
         """A marker set from its TOML text; `origin` names it in messages."""
         from asterism.recording._marker_set_file import fields_of
 
+        # A damaged file may nest too deeply, or hold values of any type.
         try:
             return cls(**fields_of(tomllib.loads(text), origin))
         except (tomllib.TOMLDecodeError, RecursionError, ValueError) as problem:

@@ -36,6 +36,7 @@ def log_from_text(text: str) -> tuple[ProcessingStep, ...]:
     """The processing log that `log_as_text` wrote; empty for any other text: a damaged log makes no file unreadable."""
     try:
         steps = json.loads(text)
+        # A log is a note: a damaged one must not make the file unreadable.
         return tuple(ProcessingStep(str(action), str(by), dict(settings)) for action, by, settings in steps)
     except (ValueError, TypeError, RecursionError):
         return ()

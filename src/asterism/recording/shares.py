@@ -42,7 +42,9 @@ class LabelShares:
 def label_states(labelling: Labelling, clouds: Clouds) -> LabelStates:
     """What became of each marker in each frame, for a labelling of `clouds`."""
     given = np.asarray(labelling.indices >= 0)
+    # A confidence that is not known is not sure.
     sure = given & (np.nan_to_num(labelling.confidence) >= SURE)
+    # A point without a name may be the marker; without one it is hidden.
     unsure = ~given & (clouds.counts > given.sum(axis=1))[:, None]
     return LabelStates(sure, given & ~sure, unsure, ~given & ~unsure)
 
@@ -56,6 +58,7 @@ def label_shares(labelling: Labelling, clouds: Clouds) -> LabelShares:
     >>> label_shares(labelling, clouds)
     LabelShares(labelled=0.5, likely=0.25, unsure=0.25, hidden=0.0)
     """
+    # Nothing was labelled: no share is right or wrong.
     if labelling.indices.size == 0:
         return LabelShares(*[float("nan")] * 4)
     states = label_states(labelling, clouds)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate, same_values
 from asterism.recording.clouds import NULL, Clouds, Labelling
 from asterism.recording.display import Rows, as_html, as_text, duration, listed
@@ -89,6 +90,7 @@ class Recording:
             raise AsterismError(f"frame {frame}: a coordinate is infinite; write missing samples as NaN.")
         missing = np.isnan(positions)
         partly = missing.any(axis=2) & ~missing.all(axis=2)
+        # A sample with one coordinate missing has no place: it is missing as a whole.
         if partly.any():
             positions = positions.copy()
             positions[partly] = np.nan
@@ -184,6 +186,11 @@ class Recording:
         )
 
     @property
+    def warnings(self) -> tuple[Finding, ...]:
+        """What the reader of its file found, without its notes, which `asterism info` shows."""
+        return tuple(finding for finding in self.metadata.get("findings", ()) if finding.severity > Severity.NOTE)
+
+    @property
     def visible(self) -> NDArray[np.bool_]:
         """(T, M) whether a sample is present."""
         return ~np.isnan(self.positions[:, :, 0])
@@ -227,6 +234,7 @@ class Recording:
         kept = replace(self, positions=self.positions[which], source=None, origin=None, taken=())
         if not len(chosen):
             return replace(kept, events=())
+        # Equal steps keep the clock: the rate falls with the step.
         steps = np.unique(np.diff(chosen))
         evenly = len(steps) == 0 or (len(steps) == 1 and steps[0] > 0)
         step = int(steps[0]) if evenly and len(steps) else 1
@@ -236,6 +244,7 @@ class Recording:
         if step > 1 or "first_time" in metadata:
             metadata["first_time"] = float(times[0])
         kept = replace(kept, rate=self.rate / step, first_frame=first, metadata=metadata)
+        # Joined pieces follow each other at the old rate: each event moves with its frame.
         later = np.zeros(len(times)) if evenly else kept.times - times
         return replace(kept, events=_events_at(self.events, times, later, kept.rate))
 
@@ -268,11 +277,13 @@ class Recording:
         positions, new_origin = np.full((*shape, 3), np.nan), np.full(shape, -1, dtype=np.int64)
         positions[frames, markers] = self.positions[frames, columns]
         new_origin[frames, markers] = origin[frames, columns]
+        # What no marker took stays in its column: nothing that was measured is lost.
         left = self.positions.copy()
         left[frames, columns] = np.nan
         rest = np.nonzero(~np.isnan(left[:, :, 0]).all(axis=0))[0]
         rest_origin = np.where(np.isnan(left[:, rest, 0]), -1, origin[:, rest])
         names = [f"*{i + 1}" for i in range(len(rest))]
+        # A column keeps its name only where no marker of the labelling has it.
         if keep_names:
             before = [self.labels[column] for column in rest]
             names = [new if is_unnamed(old) or old in labelling.names else old for new, old in zip(names, before, strict=True)]
@@ -297,6 +308,7 @@ def _events_at(events: Sequence[Event], times: Floats, later: Floats, rate: floa
     moved = list[Event]()
     for event in events:
         nearest = int(np.argmin(np.abs(times - event.time)))
+        # Half a frame: an event between two frames belongs to the nearer one.
         if abs(times[nearest] - event.time) <= 0.5 / rate:
             moved.append(replace(event, time=event.time + float(later[nearest])))
     return tuple(moved)
@@ -316,6 +328,7 @@ def keep_labels(labelling: Labelling, recording: Recording, clouds: Clouds, mark
     marker_of_column = np.full(len(recording.labels), -1, dtype=np.int64)
     columns = marker_set.columns_of(recording.labels)
     marker_of_column[columns[columns >= 0]] = np.nonzero(columns >= 0)[0]
+    # Names that are no markers of the set are names, too: the model must not give them away.
     named = (marker_of_column >= 0) | np.array([not is_unnamed(label) for label in recording.labels], dtype=np.bool_)
     frame_of_point = clouds.frame_of
     marker_of_point = marker_of_column[clouds.columns]
@@ -324,6 +337,7 @@ def keep_labels(labelling: Labelling, recording: Recording, clouds: Clouds, mark
 
     given_frames, given_markers = np.nonzero(indices >= 0)
     points = clouds.offsets[given_frames] + indices[given_frames, given_markers]
+    # A label on a named column would contradict its name.
     removed = named[clouds.columns[points]]
     indices[given_frames[removed], given_markers[removed]] = NULL
     indices[frames, markers] = kept - clouds.offsets[frames]

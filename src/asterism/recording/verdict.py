@@ -53,6 +53,7 @@ class Verdict:
         """What a person should know before they use the labels; empty where the recording fits. where: the file."""
         found = []
         if not self.fits:
+            # Where no body is known, no label was given: that is no warning.
             severity = Severity.ERROR if self.kind == OTHER_BODY else Severity.WARNING
             found.append(Finding("label-foreign-recording", severity, where, f"{where}: {_SAID[self.kind]}.", _MEND[self.kind]))
         for group in self.exchangeable:
@@ -60,6 +61,7 @@ class Verdict:
             mend = "Compare them with the person or a picture, and correct them with `asterism review`."
             sentence = f"{where}: {names} may be exchanged throughout."
             found.append(Finding("label-exchangeable", Severity.WARNING, where, sentence, mend))
+        # Without a label nothing competes.
         if self.rough and self.kind != OTHER_BODY:
             sentence = (
                 f"{where}: {self.rough} pieces of tracks compete for markers in too many ways to compare all; the best labels found count."

@@ -57,13 +57,17 @@ def worn_marker_sets(labels: Sequence[str], rules: WornSetRules | None = None) -
         marker_of = {label: marker_set.name_of(label) for label in named}
         held = set(marker_of.values())
         found = tuple(marker for marker in marker_set.names if marker in held)
+        # A few common names prove nothing: heads and pelvises are called alike in all sets.
         if not found or len(found) < rules.found * len(marker_set):
             continue
         own = {marker for label, marker in marker_of.items() if marker and canonical(without_subject(label)) == canonical(marker)}
         extra = tuple(label for label in named if marker_of[label] is None)
         missing = tuple(marker for marker in marker_set.names if marker not in held)
+        # A laboratory's own spelling tells which of similar sets was meant.
         weight = len(own) + rules.spelling * (len(found) - len(own))
+        # Markers left over speak against a set as missing ones do.
         scored.append((weight / (len(marker_set) + len(extra)), WornSet(name, found, missing, extra)))
+    # Of equals the larger set, then the name: the order never depends on the files.
     scored.sort(key=lambda pair: (-pair[0], -len(pair[1].found), pair[1].name))
     return tuple(worn for _, worn in scored)
 

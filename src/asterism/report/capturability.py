@@ -15,13 +15,7 @@ if TYPE_CHECKING:
     from asterism.labelling import Capturability
 
 
-def capturability_report(
-    path: str | Path,
-    capturability: Capturability,
-    *,
-    title: str = "Can this marker set be labelled?",
-    settings: Mapping[str, Any] | None = None,
-) -> None:
+def capturability_report(path: str | Path, capturability: Capturability, *, settings: Mapping[str, Any] | None = None) -> None:
     """Write an HTML page on a marker set's capturability; `settings` (files, seed, ...) stand at its foot.
 
     Raises AsterismError where the file cannot be written.
@@ -67,7 +61,7 @@ def capturability_report(
     if capturability.by_occlusions:
         hidden, together, _ = capturability.by_occlusions[-1]
         merits.append((percent(float(together), 2), f"hit rate with {hidden} hidden", ""))
-    write_page(path, Page(title, capturability.verdict, settings or {}, merits, sections))
+    write_page(path, Page("Can this marker set be labelled?", capturability.verdict, settings or {}, merits, sections))
 
 
 def _thesis_sections(capturability: Capturability) -> list[Section]:

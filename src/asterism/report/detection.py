@@ -21,9 +21,7 @@ _COLUMNS = 2
 _WIDTH = 960
 
 
-def detection_report(
-    path: str | Path, detection: Detection, *, title: str = "Markers in the images", settings: Mapping[str, Any] | None = None
-) -> None:
+def detection_report(path: str | Path, detection: Detection, *, settings: Mapping[str, Any] | None = None) -> None:
     """Write an HTML page on what was found in each camera's images; `settings` are named at its foot.
 
     Raises AsterismError where the file cannot be written.
@@ -62,7 +60,7 @@ def detection_report(
         (str(len(findings)), "findings", "bad" if worst(findings) > Severity.NOTE else "good"),
     ]
     lead = " ".join(map(str, findings)) or "Nothing is wrong with the images."
-    write_page(path, Page(title, lead, settings or {}, merits, sections))
+    write_page(path, Page("Markers in the images", lead, settings or {}, merits, sections))
 
 
 def _over_time(names: tuple[str, ...], seconds: Floats, counts: Floats) -> figures.Figure:

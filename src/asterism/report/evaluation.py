@@ -16,9 +16,7 @@ if TYPE_CHECKING:
     from asterism.labelling.reliability import ConfidenceScore
 
 
-def evaluation_report(
-    path: str | Path, evaluation: Evaluation, *, title: str = "How often the labels are right", settings: Mapping[str, Any] | None = None
-) -> None:
+def evaluation_report(path: str | Path, evaluation: Evaluation, *, settings: Mapping[str, Any] | None = None) -> None:
     """Write an HTML page on an evaluation; `settings` (model, seed, rules, ...) stand at its foot.
 
     Raises AsterismError where the file cannot be written.
@@ -47,6 +45,7 @@ def evaluation_report(
         merits += [(count(easy.frames_per_second), f"frames per second, {_name(easy)}", "")]
     subjects = ", ".join(evaluation.subjects)
     lead = f"{len(evaluation.markers)} markers of {people} subject{'s' if people != 1 else ''}" + (f": {subjects}." if subjects else ".")
+    title = "How often the labels are right"
     write_page(path, Page(title, lead, {"rules": evaluation.rules, **(settings or {})}, merits, sections))
 
 

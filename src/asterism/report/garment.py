@@ -43,7 +43,7 @@ class Picture:
 
 def garment_report(
     path: str | Path,
-    made: Capture,
+    capture: Capture,
     pattern: Pattern,
     rig: Rig,
     *,
@@ -62,36 +62,36 @@ def garment_report(
     sections = []
     if criteria is not None:
         sections.append(Section("Against the truth", "The wearer is simulated, so it is known where each circle was.", table=criteria))
-    sections.append(Section("What to know before using it", table=findings_table(made.findings)))
+    sections.append(Section("What to know before using it", table=findings_table(capture.findings)))
     # The fullest frame shows the cloth best.
-    shown = int(np.argmax(made.points))
-    if made.points[shown]:
-        text = f"Frame {made.frames[shown]}, the one with most points: triangles between neighbours on the cloth. Drag to turn."
-        sections.append(Section("The cloth", text, figure=_cloth(made, pattern, rig, shown)))
+    shown = int(np.argmax(capture.points))
+    if capture.points[shown]:
+        text = f"Frame {capture.frames[shown]}, the one with most points: triangles between neighbours on the cloth. Drag to turn."
+        sections.append(Section("The cloth", text, figure=_cloth(capture, pattern, rig, shown)))
     for picture in pictures:
         text = "Circles with an identity have a ring in the colour that was read." if picture.circles is not None else ""
         sections.append(Section(picture.name, text, figure=_picture(picture, pattern)))
     sections += [
-        Section("Points over time", figure=_over_time(made)),
+        Section("Points over time", figure=_over_time(capture)),
         Section(
             "Which circles were captured",
             "The printed sheet: in how many of the frames each circle has a position. Circles at the borders have no identity.",
-            figure=_sheet(made, pattern),
+            figure=_sheet(capture, pattern),
         ),
-        Section("What each camera read", table=_cameras(made, rig)),
+        Section("What each camera read", table=_cameras(capture, rig)),
     ]
-    write_page(path, Page("Captured garment", _lead(made), settings or {}, _merits(made), sections))
+    write_page(path, Page("Captured garment", _lead(capture), settings or {}, _merits(capture), sections))
 
 
-def _lead(made: Capture) -> str:
-    level = worst(made.findings)
+def _lead(capture: Capture) -> str:
+    level = worst(capture.findings)
     if level == Severity.ERROR:
         return "Do not use this capture: see below."
     return "This capture can be used with care: see below." if level == Severity.WARNING else "This capture can be used."
 
 
-def _merits(made: Capture) -> list[tuple[str, str, str]]:
-    summary = made.summary()
+def _merits(capture: Capture) -> list[tuple[str, str, str]]:
+    summary = capture.summary()
     share = summary["of_those_seen_by_two_cameras"]
     return [
         (count(summary["points_per_frame"]), "points per frame", ""),
@@ -101,13 +101,13 @@ def _merits(made: Capture) -> list[tuple[str, str, str]]:
     ]
 
 
-def _cloth(made: Capture, pattern: Pattern, rig: Rig, frame: int) -> figures.Figure:
+def _cloth(capture: Capture, pattern: Pattern, rig: Rig, frame: int) -> figures.Figure:
     """The surface of one frame in 3D, up is up."""
     from asterism.garment.surface import surface
 
     # Triangles between neighbours on the print: they need no guess of the shape.
-    cloth = surface(made.trajectories.points(frame), pattern)
-    turn = z_up_rotation(made.trajectories.vertical)
+    cloth = surface(capture.trajectories.points(frame), pattern)
+    turn = z_up_rotation(capture.trajectories.vertical)
     x, y, z = np.round((cloth.points @ turn.T).T, 4) if len(cloth.points) else np.empty((3, 0))
     # Dots in the printed colours: whoever knows the suit sees where it is.
     cells = pattern.cells(cloth.ids)
@@ -161,24 +161,24 @@ def _picture(picture: Picture, pattern: Pattern) -> figures.Figure:
     )  # fmt: skip
 
 
-def _over_time(made: Capture) -> figures.Figure:
-    lines = (("points", made.points, figures.PALETTE[0]), ("circles that two cameras read", made.seen, figures.PALETTE[2]))
+def _over_time(capture: Capture) -> figures.Figure:
+    lines = (("points", capture.points, figures.PALETTE[0]), ("circles that two cameras read", capture.seen, figures.PALETTE[2]))
     data = [
         figures.line(
-            made.frames, values, name, "frame %{x}: %{y}", mode="lines+markers", line={"color": colour, "width": 2}, marker={"size": 5}
+            capture.frames, values, name, "frame %{x}: %{y}", mode="lines+markers", line={"color": colour, "width": 2}, marker={"size": 5}
         )
         for name, values, colour in lines
     ]
     return figures.figure(data, height=300, xaxis=figures.titled("frame"), yaxis=figures.titled("", rangemode="tozero"))
 
 
-def _sheet(made: Capture, pattern: Pattern) -> figures.Figure:
+def _sheet(capture: Capture, pattern: Pattern) -> figures.Figure:
     """The share of frames in which each circle has a position, on the printed sheet."""
     # Circles at the borders have no identity to capture: white, not missing.
     share = np.where(pattern.ids >= 0, 0.0, np.nan)
-    cells = pattern.cells(made.trajectories.ids)
+    cells = pattern.cells(capture.trajectories.ids)
     if len(cells):
-        share[cells[:, 0], cells[:, 1]] = np.isfinite(made.trajectories.positions[..., 0]).mean(axis=0)
+        share[cells[:, 0], cells[:, 1]] = np.isfinite(capture.trajectories.positions[..., 0]).mean(axis=0)
     trace = {
         "type": "heatmap", "z": np.round(100 * share, 1), "zmin": 0, "zmax": 100,
         "hovertemplate": "row %{y}, column %{x}: %{z} %<extra></extra>",
@@ -200,11 +200,11 @@ def _sheet(made: Capture, pattern: Pattern) -> figures.Figure:
     )  # fmt: skip
 
 
-def _cameras(made: Capture, rig: Rig) -> Table:
+def _cameras(capture: Capture, rig: Rig) -> Table:
     # A quarter of the best camera is little, whatever the suit.
-    most = float(made.read.mean(axis=0).max(initial=1.0))
+    most = float(capture.read.mean(axis=0).max(initial=1.0))
     rows: list[list[str | Cell]] = []
     for c, name in enumerate(rig.names):
-        mean = float(made.read[:, c].mean())
-        rows.append([name, Cell(count(mean), 0.6 if mean < 0.25 * most else 0.0), count(float(made.read[:, c].min()))])
+        mean = float(capture.read[:, c].mean())
+        rows.append([name, Cell(count(mean), 0.6 if mean < 0.25 * most else 0.0), count(float(capture.read[:, c].min()))])
     return Table(["camera", "circles identified per image", "fewest"], rows)

@@ -24,30 +24,30 @@ _MOST_POINTS = 4000
 REJECTED = "rejected"
 
 
-def segmentation_report(path: str | Path, results: Sequence[tuple[str, Recording, Segmentation]], *, title: str = "Limbs") -> None:
+def segmentation_report(path: str | Path, results: Sequence[tuple[str, Recording, Segmentation]]) -> None:
     """Write an HTML page on the limbs of recordings (name, recording, segmentation). Raises AsterismError where it cannot be written."""
     # Clinical angles first: where they are, they are what the page was asked for.
     sections = []
-    for name, recording, found in results:
-        names = [f"limb {k + 1}" for k in range(found.limbs)]
+    for name, recording, segmentation in results:
+        names = [f"limb {k + 1}" for k in range(segmentation.limbs)]
         rows: list[list[str | Cell]] = []
         for k, limb in enumerate(names):
-            points = found.points(k)
-            stray = found.stray[points, k]
+            points = segmentation.points(k)
+            stray = segmentation.stray[points, k]
             known = stray[np.isfinite(stray)]
             typical = 1000 * float(np.median(known)) if len(known) else np.nan
             rows.append([limb, some_of([recording.labels[n] for n in points], 10), str(len(points)), decimal(typical, 1)])
         sections.append(
             Section(
                 name,
-                f"{found.limbs} limbs in {len(recording)} frames, by {found.method}. Each point has the colour of its limb.",
-                figure=points_figure(recording, found.limb_of, names),
+                f"{segmentation.limbs} limbs in {len(recording)} frames, by {segmentation.method}. Each point has the colour of its limb.",
+                figure=points_figure(recording, segmentation.limb_of, names),
                 table=Table(["limb", "points", "number", "median stray, mm"], rows, left=2),
             )
         )
-    limbs = sum(found.limbs for _, _, found in results)
+    limbs = sum(segmentation.limbs for _, _, segmentation in results)
     lead = "Points that keep their places in the axes of one moving body are one limb."
-    write_page(path, Page(title, lead, {"recordings": len(results)}, [(str(limbs), "limbs", "")], sections))
+    write_page(path, Page("Limbs", lead, {"recordings": len(results)}, [(str(limbs), "limbs", "")], sections))
 
 
 def motion_report(
@@ -112,12 +112,12 @@ def points_figure(
     data = []
     for limb, name in enumerate(names):
         for open_, suffix in ((False, ""), (True, f", {REJECTED}")):
-            own = chosen[(limb_of[chosen] == limb) & (hollow[chosen] == open_)]
-            if len(own):
+            points = chosen[(limb_of[chosen] == limb) & (hollow[chosen] == open_)]
+            if len(points):
                 marker = {"size": 3 if len(limb_of) > 200 else 6, "color": figures.PALETTE[limb % len(figures.PALETTE)]}
                 marker["symbol"] = "circle-open" if open_ else "circle"
-                named = {"text": [recording.labels[n] for n in own], "hovertemplate": "%{text}<extra></extra>"}
-                places = recording.positions[frame, own]
+                named = {"text": [recording.labels[n] for n in points], "hovertemplate": "%{text}<extra></extra>"}
+                places = recording.positions[frame, points]
                 data.append(figures.in_space(places, 4, name=f"{name}{suffix}", marker=marker, **named))
     if centres is not None and len(centres):
         marker, hover = {"size": 7, "color": "#16213a", "symbol": "diamond"}, "joint centres<extra></extra>"

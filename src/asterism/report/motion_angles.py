@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from asterism.errors import AsterismError
 from asterism.recording import Floats
 from asterism.report import figures
 from asterism.report.page import NOTHING, Cell, Section, Table
@@ -31,13 +32,13 @@ def clinical_section(name: str, times: Floats, clinical: ClinicalAngles, known: 
         for column, angle in enumerate(CLINICAL):
             cell = row * len(CLINICAL) + column
             # What is not known, such as the ankle's adduction, gets no empty figure.
-            own = [(number, each) for number, each in enumerate(clinical.joints) if each.joint == joint]
-            own = [(number, each) for number, each in own if np.isfinite(each.angles[:, column]).any()]
+            drawn = [(number, each) for number, each in enumerate(clinical.joints) if each.joint == joint]
+            drawn = [(number, each) for number, each in drawn if np.isfinite(each.angles[:, column]).any()]
             # The time is named below the lowest figure of each column.
             last = row == len(joints) - 1 or (row == len(joints) - 2 and joints[-1] == "ankle" and angle == "adduction")
             axes, sides = _axes(cell, (row, len(joints)), (column, len(CLINICAL)), f"{joint} {angle} (°)", last)
-            layout |= sides if own else {}
-            for number, one in own:
+            layout |= sides if drawn else {}
+            for number, one in drawn:
                 colour, group = _SIDE_COLOURS[one.side], {**axes, "legendgroup": one.side}
                 if known is not None:
                     low, high = (np.round(np.degrees(end[:, column]), 2) for end in known.joints[number].intervals[0.95])
@@ -116,25 +117,28 @@ def angles_by_method(analysis: MotionAnalysis, joint: JointAngles) -> tuple[dict
     """By method: the angle of one joint (T,) rad since the frame from which `joint` counts, and how many of its weights, as a share, are
     below half the mean.
 
-    Runs `estimate_limb_motion` on two limbs for each method that `analysis` did not use.
+    Runs `estimate_limb_motion` on two limbs for each method that `analysis` did not use. A method that cannot tell a limb is absent.
     """
     from asterism.motion.analysis import joint_angles
     from asterism.motion.rigid import METHODS, estimate_limb_motion
 
-    pair = (joint.parent, joint.child)
+    pair, positions = (joint.parent, joint.child), analysis.recording.positions
     angles, rejected = {}, {}
     for method in METHODS:
-        # The method in use has been computed already.
-        one, other = [
-            own if own.method == method else estimate_limb_motion(analysis.recording.positions[:, analysis.limb_of == limb], method)
-            for limb, own in ((limb, analysis.motions[limb]) for limb in pair)
-        ]
-        angles[method] = joint_angles(one, other, pair, joint.name).angle
+        # The method in use has been computed already. One that finds the limb's points in a line is left out; the others still compare.
+        try:
+            one, other = [
+                motion if motion.method == method else estimate_limb_motion(positions[:, analysis.limb_of == limb], method)
+                for limb, motion in ((limb, analysis.motions[limb]) for limb in pair)
+            ]
+            angles[method] = joint_angles(one, other, pair, joint.name).angle
+        except AsterismError:
+            continue
         counted = [each.rejected[np.isfinite(each.residuals)] for each in (one, other)]
         rejected[method] = float(np.concatenate(counted).mean())
     return angles, rejected
 
 
-def _differences(apart: Floats, own: bool) -> list[str | Cell]:
+def _differences(apart: Floats, in_use: bool) -> list[str | Cell]:
     known = np.abs(apart[np.isfinite(apart)])
-    return [NOTHING, NOTHING] if own or not len(known) else [f"{known.mean():.2f}", f"{known.max():.2f}"]
+    return [NOTHING, NOTHING] if in_use or not len(known) else [f"{known.mean():.2f}", f"{known.max():.2f}"]

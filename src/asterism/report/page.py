@@ -141,9 +141,9 @@ def decimal(value: float, digits: int, unit: str = "") -> str:
     return f"{value:.{digits}f}{unit}" if math.isfinite(value) else NOTHING
 
 
-def millimetres(metres: float, digits: int = 2) -> str:
+def millimetres(metres: float) -> str:
     """A length in m as text: 0.32 mm; a dash where it is not known."""
-    return decimal(1000 * metres, digits, " mm")
+    return decimal(1000 * metres, 2, " mm")
 
 
 _SEVERITIES = {Severity.ERROR: Cell("do not use", 1.0, "bad"), Severity.WARNING: Cell("look at this", 0.6), Severity.NOTE: Cell("note")}

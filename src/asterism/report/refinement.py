@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 _TINTS = {"good": 0.0, "moved": 0.6, "out of step": 0.6, "lost": 1.0, "unknown": 0.3}
 
 
-def refinement_report(path: str | Path, made: Refinement, *, settings: Mapping[str, Any] | None = None) -> None:
+def refinement_report(path: str | Path, refinement: Refinement, *, settings: Mapping[str, Any] | None = None) -> None:
     """Write an HTML page on a refinement; `settings` are named at its foot. Raises AsterismError where the file cannot be written."""
     # By state, not by size: a camera out of step moves little and is wrong all the same.
-    states = [check.state for check in made.cameras]
+    states = [check.state for check in refinement.cameras]
     rows: list[list[str | Cell]] = [
         [
             check.name,
@@ -31,16 +31,16 @@ def refinement_report(path: str | Path, made: Refinement, *, settings: Mapping[s
             decimal(100 * check.zoomed, 2),
             percent(check.shown) if math.isfinite(check.shown) else NOTHING,
         ]
-        for check in made.cameras
+        for check in refinement.cameras
     ]
     head = ["camera", "state", "view moved by, px", "error now, px", "turned, degrees", "shifted, mm", "zoomed, %"]
     head += ["of the others' points shown"]
-    lead = " ".join(f"{sentence[0].upper()}{sentence[1:]}" for sentence in map(str, made.findings)) or "No camera was moved."
+    lead = " ".join(f"{sentence[0].upper()}{sentence[1:]}" for sentence in map(str, refinement.findings)) or "No camera was moved."
     merits = [
         (str(states.count("moved")), "cameras moved, with new poses", "warn" if "moved" in states else "good"),
         (str(states.count("lost")), "cameras lost", "bad" if "lost" in states else ""),
-        (f"{made.noise:.2f} px", "noise of the blobs", ""),
-        (str(made.frames), "frames used", ""),
+        (f"{refinement.noise:.2f} px", "noise of the blobs", ""),
+        (str(refinement.frames), "frames used", ""),
     ]
     sections = [
         Section(
@@ -49,6 +49,6 @@ def refinement_report(path: str | Path, made: Refinement, *, settings: Mapping[s
             "are not shown by it; that is no fault.",
             table=Table(head, rows, left=2),
         ),
-        Section("The refined rig", figure=rig_in_space(made.rig)),
+        Section("The refined rig", figure=rig_in_space(refinement.rig)),
     ]
     write_page(path, Page("Was a camera moved?", lead, settings or {}, merits, sections))

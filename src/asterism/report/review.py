@@ -52,7 +52,6 @@ def review_report(
     path: str | Path,
     entries: Sequence[ReviewEntry],
     *,
-    title: str = "What to check first",
     totals: tuple[int, float] | None = None,
     model_info: Mapping[str, Any] | None = None,
     marker_set: MarkerSet | None = None,
@@ -92,7 +91,8 @@ def review_report(
         text = "The ringed point is in question; the list opens each of them. Drag to turn; with the picture in focus, space plays and "
         sections.append(Section("In 3D", text + "the arrow keys step.", player=pack_recordings(shown)))
     lead = f"{len(entries)} of {number:,} pieces of tracks, by the number of samples that a check corrects."
-    write_page(path, Page(title, lead if entries else "No label needs a check.", model_info or {}, merits, sections))
+    lead = lead if entries else "No label needs a check."
+    write_page(path, Page("What to check first", lead, model_info or {}, merits, sections))
 
 
 def label_text(item: ReviewItem) -> str:

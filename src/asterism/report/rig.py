@@ -123,14 +123,16 @@ def camera_facts(rig: Rig, result: RigMap) -> list[dict[str, Any]]:
 def pair_scalars(rig: Rig, result: RigMap) -> list[dict[str, Any]]:
     """The 12 scalars (m) of each pair of cameras in the middle of the volume, the best pair first (thesis 3.3)."""
     middle = 0.5 * (result.volume.low + result.volume.high)
-    found = sensitivity(rig, middle[None], result.noise, "one-at-a-time")
+    sensitivities = sensitivity(rig, middle[None], result.noise, "one-at-a-time")
     # Pairs that see no common place come last.
-    order = np.argsort(np.where(np.isfinite(found.effective[:, 0]), found.effective[:, 0], np.inf), kind="stable")
+    order = np.argsort(np.where(np.isfinite(sensitivities.effective[:, 0]), sensitivities.effective[:, 0], np.inf), kind="stable")
     return [
         {
-            "pair": [rig.names[c] for c in found.pairs[q]],
-            "effective_m": float(found.effective[q, 0]),
-            "scalars_m": {axis: dict(zip(COORDINATES, found.scalars[q, 0, i].tolist(), strict=True)) for i, axis in enumerate("xyz")},
+            "pair": [rig.names[c] for c in sensitivities.pairs[q]],
+            "effective_m": float(sensitivities.effective[q, 0]),
+            "scalars_m": {
+                axis: dict(zip(COORDINATES, sensitivities.scalars[q, 0, i].tolist(), strict=True)) for i, axis in enumerate("xyz")
+            },
         }
         for q in order
     ]

@@ -102,16 +102,16 @@ def marker_bones(positions: Floats, names: Sequence[str], marker_set: MarkerSet 
 def _side_of(name: str, every: set[str]) -> str:
     """By a name's own words, or because the name with the other side's letter is a marker too; every: all names, canonical."""
     words = [word.casefold() for word in _WORDS.findall(name)]
-    own = canonical(name)
+    plain_name = canonical(name)
     for word in ("left", "right"):
-        if word in words or own.startswith(word):
+        if word in words or plain_name.startswith(word):
             return word
     # A single letter counts only beside another word: a marker may be called L.
     alone = [word for word in (words[:1] + words[-1:]) if word in ("l", "r")]
     if alone and len(words) > 1:
         return "left" if alone[0] == "l" else "right"
-    for at in [0, len(own) - 1, *range(1, len(own) - 1)] if own else ():
-        other = _OTHER_SIDE.get(own[at])
-        if other is not None and own[:at] + other + own[at + 1 :] in every:
-            return "left" if own[at] == "l" else "right"
+    for at in [0, len(plain_name) - 1, *range(1, len(plain_name) - 1)] if plain_name else ():
+        other = _OTHER_SIDE.get(plain_name[at])
+        if other is not None and plain_name[:at] + other + plain_name[at + 1 :] in every:
+            return "left" if plain_name[at] == "l" else "right"
     return "middle"

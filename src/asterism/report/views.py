@@ -84,7 +84,7 @@ def _picture(result: ViewsLabelling, c: int, frame: int) -> dict[str, Any]:
         radii = float(result.poses[frame, :3].mean()) * result.person.arrays.radii
         traces += [_capsule(camera, *part) for part in zip(starts, ends, radii, strict=True)]
         seen = camera.project(points)
-        links = [(seen[m], own) for own, m in zip(xy, labels, strict=True) if m >= 0]
+        links = [(seen[m], blob) for blob, m in zip(xy, labels, strict=True) if m >= 0]
         traces.append(_lines(links))
         # Expected to be hidden, and without a blob.
         hidden = (result.expected[frame, c] < 0.5) & ~np.isin(np.arange(len(points)), labels[labels >= 0])

@@ -23,79 +23,91 @@ _WORST = 0.7
 """px, a reprojection error that is tinted fully."""
 
 
-def wand_report(path: str | Path, made: WandCalibration, *, settings: Mapping[str, Any] | None = None) -> None:
+def wand_report(path: str | Path, calibration: WandCalibration, *, settings: Mapping[str, Any] | None = None) -> None:
     """Write an HTML page on a wand calibration; `settings` (files, wand, ...) are named at its foot.
 
     Raises AsterismError where the file cannot be written.
     """
     from asterism.calibration.wand import coverage
 
-    lengths = made.lengths[np.isfinite(made.lengths)]
-    cells = coverage(made)
+    lengths = calibration.lengths[np.isfinite(calibration.lengths)]
+    cells = coverage(calibration)
     sections = [
-        Section("What to know before using it", table=findings_table(made.findings)),
+        Section("What to know before using it", table=findings_table(calibration.findings)),
         Section(
             "The rig",
-            "Cameras with their images, and where the wand was waved. Turn it with the mouse. Up is as the cameras hang until a floor is "
-            "given." if made.rig.vertical is None else "Cameras with their images, and where the wand was waved. Turn it with the mouse.",
-            figure=rig_in_space(made.rig, points=_some(made.positions.reshape(-1, 3))),
+            "Cameras with their images, and where the wand was waved. Turn it with the mouse."
+            + ("" if calibration.rig.vertical is not None else " Up is as the cameras hang until a floor is given."),
+            figure=rig_in_space(calibration.rig, points=_some(calibration.positions.reshape(-1, 3))),
         ),
         Section(
             "Each camera",
-            table=_cameras(made, cells),
+            table=_cameras(calibration, cells),
             note="± is the standard deviation that the adjustment leaves; that of places is relative to all cameras.",
         ),
         Section(
             "What each image saw",
             "How often each part of each image saw a marker of the wand. White parts saw none: there the lens is a guess. Wave more there.",
-            figure=_coverage(made, cells),
+            figure=_coverage(calibration, cells),
         ),
         Section(
             "Where the volume was covered",
             "How many cameras saw the wand at each place, from above and from the side. A marker needs two; three make it safe.",
-            figure=_volume(made),
+            figure=_volume(calibration),
         ),
         Section(
             "Residuals",
             "Reprojection errors of each camera: half of them lie in the box. Cameras should look alike.",
-            figure=_residuals(made),
+            figure=_residuals(calibration),
         ),
     ]  # fmt: skip
     # A single marker has no length to measure.
-    if len(made.wand.lengths) > 1:
+    if len(calibration.wand.lengths) > 1:
         sections.append(
             Section(
                 "The wand as measured",
                 "Its length in each frame, from both ends triangulated by themselves: the accuracy that a recording can expect.",
-                figure=_histogram(1000 * (lengths - made.wand.lengths[-1]), "measured less given length in mm"),
+                figure=_histogram(1000 * (lengths - calibration.wand.lengths[-1]), "measured less given length in mm"),
             )
         )
-    spread = f"{1000 * lengths.std():.2f} mm" if len(lengths) and len(made.wand.lengths) > 1 else NOTHING
+    spread = f"{1000 * lengths.std():.2f} mm" if len(lengths) and len(calibration.wand.lengths) > 1 else NOTHING
     merits = [
-        (f"{made.rms:.3f} px", "reprojection error", "good" if made.rms < _WORST else "warn" if made.usable else "bad"),
+        (
+            f"{calibration.rms:.3f} px",
+            "reprojection error",
+            "good" if calibration.rms < _WORST else "warn" if calibration.usable else "bad",
+        ),
         (spread, "standard deviation of the wand as measured", ""),
-        (f"{len(made.rig)} of {len(made.rig) + len(made.excluded)}", "cameras calibrated", "" if not made.excluded else "warn"),
-        (count(len(made.used)), f"of {made.frames:,} frames used", ""),
-        (percent(made.mean_rejected_share), "of the wand's images left out", "warn" if made.mean_rejected_share > 0.12 else ""),
+        (
+            f"{len(calibration.rig)} of {len(calibration.rig) + len(calibration.excluded)}",
+            "cameras calibrated",
+            "" if not calibration.excluded else "warn",
+        ),
+        (count(len(calibration.used)), f"of {calibration.frames:,} frames used", ""),
+        (
+            percent(calibration.mean_rejected_share),
+            "of the wand's images left out",
+            "warn" if calibration.mean_rejected_share > 0.12 else "",
+        ),
     ]
-    lead = "This calibration can be used." if made.usable else "Do not use this calibration: see below."
+    lead = "This calibration can be used." if calibration.usable else "Do not use this calibration: see below."
     write_page(path, Page("Wand calibration", lead, settings or {}, merits, sections))
 
 
-def _cameras(made: WandCalibration, cells: Floats) -> Table:
+def _cameras(calibration: WandCalibration, cells: Floats) -> Table:
     rows: list[list[str | Cell]] = []
-    for c, camera in enumerate(made.rig):
-        sigma = made.sigma[c]
+    for c, camera in enumerate(calibration.rig):
+        sigma = calibration.sigma[c]
         rows.append(
             [
                 camera.name,
-                count(int((made.sightings.camera == c).sum())),
+                count(int((calibration.sightings.camera == c).sum())),
                 Cell(f"{camera.error:.3f}", min(max(camera.error - 0.3, 0.0) / _WORST, 1.0)),
                 percent(float((cells[c] > 0).mean()), 0),
                 f"{camera.focal[0]:.1f} ± {sigma[6]:.1f}",
                 f"{camera.centre[0]:.1f}, {camera.centre[1]:.1f} ± {np.nanmax(sigma[8:10]):.1f}",
                 ", ".join(f"{k:.3f}" for k in camera.radial[:3]),
-                f"{1000 * made.position_sigma[c]:.1f}",
+                f"{1000 * calibration.position_sigma[c]:.1f}",
             ]
         )
     head = ["camera", "markers", "error in px", "image covered", "focal length in px", "principal point in px", "k1, k2, ..."]
@@ -109,14 +121,14 @@ def _some(points: Floats) -> Floats:
     return points[:: max(1, len(points) // _MOST_POINTS)]
 
 
-def _coverage(made: WandCalibration, cells: Floats) -> figures.Figure:
+def _coverage(calibration: WandCalibration, cells: Floats) -> figures.Figure:
     """One small picture per camera."""
-    down = -(-len(made.rig) // _ACROSS)
+    down = -(-len(calibration.rig) // _ACROSS)
     # Counts differ by powers of ten between the middle and the edge of an image.
     most = float(np.log10(1.0 + cells.max(initial=0.0)))
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {"annotations": []}
-    for c, camera in enumerate(made.rig):
+    for c, camera in enumerate(calibration.rig):
         row, column = divmod(c, _ACROSS)
         width, height = camera.size or (8, 6)
         left, top = column / _ACROSS, 1.0 - row / down
@@ -142,13 +154,13 @@ def _coverage(made: WandCalibration, cells: Floats) -> figures.Figure:
     return figures.figure(data, height=60 + 190 * down, plot_bgcolor="#eef1f6", **layout)
 
 
-def _volume(made: WandCalibration) -> figures.Figure:
+def _volume(calibration: WandCalibration) -> figures.Figure:
     """From above and from the side: the mean number of cameras that saw the wand's markers, in cells of a 24th of the widest extent."""
     # Frames that were left out have no positions.
-    rows = np.searchsorted(made.used, made.sightings.frame)
-    markers = len(made.wand.lengths)
-    seen = np.bincount(rows * markers + made.sightings.point, minlength=len(made.used) * markers)
-    points = made.positions.reshape(-1, 3)
+    rows = np.searchsorted(calibration.used, calibration.sightings.frame)
+    markers = len(calibration.wand.lengths)
+    seen = np.bincount(rows * markers + calibration.sightings.point, minlength=len(calibration.used) * markers)
+    points = calibration.positions.reshape(-1, 3)
     good = np.isfinite(points).all(axis=1)
     points, seen = points[good], seen[good]
     # Cells of a share of the volume: small rooms and halls get pictures of the same fineness.
@@ -170,21 +182,21 @@ def _volume(made: WandCalibration) -> figures.Figure:
         mean = np.where(number > 0, total / np.maximum(number, 1), np.nan)
         data.append(
             {
-                "type": "heatmap", "z": np.round(mean, 2), "zmin": 2, "zmax": max(len(made.rig), 3), "showscale": n == 0,
+                "type": "heatmap", "z": np.round(mean, 2), "zmin": 2, "zmax": max(len(calibration.rig), 3), "showscale": n == 0,
                 "x": (low[0] + np.arange(shape[1]) + 0.5) * size, "y": (low[1] + np.arange(shape[0]) + 0.5) * size,
-                "colorscale": [[0, "#f6c177"], [1.0 / max(len(made.rig) - 2, 1) * 0.99, "#d8eef0"], [1, "#0b5563"]],
+                "colorscale": [[0, "#f6c177"], [1.0 / max(len(calibration.rig) - 2, 1) * 0.99, "#d8eef0"], [1, "#0b5563"]],
                 "colorbar": figures.colour_bar(title={"text": "cameras"}), "hovertemplate": "%{z} cameras<extra></extra>", **axes,
             }
         )  # fmt: skip
     return figures.figure(data, height=380, **layout)
 
 
-def _residuals(made: WandCalibration) -> figures.Figure:
-    size = np.linalg.norm(made.residuals, axis=1)
+def _residuals(calibration: WandCalibration) -> figures.Figure:
+    size = np.linalg.norm(calibration.residuals, axis=1)
     data = []
-    for c, camera in enumerate(made.rig):
+    for c, camera in enumerate(calibration.rig):
         # 5 and 95 %: the ends of a box must not be single outliers.
-        low, first, middle, third, high = np.percentile(size[made.sightings.camera == c], [5, 25, 50, 75, 95])
+        low, first, middle, third, high = np.percentile(size[calibration.sightings.camera == c], [5, 25, 50, 75, 95])
         data.append(
             {
                 "type": "box", "name": camera.name, "x": [camera.name], "lowerfence": [low], "q1": [first], "median": [middle],

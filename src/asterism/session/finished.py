@@ -25,10 +25,12 @@ class FinishedFiles:
 
     def __init__(self, folder: Path, how: Mapping[str, Any], models: Sequence[Path]) -> None:
         self.folder = folder
+        # other options or models make another output: the record of an earlier run says nothing then
         self.how = hashlib.sha256(json.dumps(as_json(how), sort_keys=True).encode()).hexdigest()
         self.models = [_hash(path) for path in models]
         self.entries: dict[str, dict[str, Any]] = {}
         for line in _lines(folder / NAME):
+            # an output that was begun again is not what the earlier line says
             if line.get("event") == "begun":
                 self.entries[str(line.get("output"))] = line
             elif line.get("event") == "written" and str(line.get("output")) in self.entries:
@@ -40,12 +42,15 @@ class FinishedFiles:
         `changed` in it says that somebody has changed the output since.
         """
         entry = self.entries.get(place.as_posix())
+        # the source, the models, the options or the program are others than then
         if entry is None or entry.get("key") != self._key(source):
             return None
         try:
             written = target.stat().st_mtime_ns
+            # the run was stopped between the two lines: the output counts where it was written after the first one
             if "row" not in entry and written + _SLACK < int(entry["at"]):
                 return None
+            # what somebody corrected by hand stays; the row says that it is no longer what was written
             changed = "sha256" in entry and entry["sha256"] != _hash(target)
         except (OSError, ValueError, KeyError, TypeError):
             return None
@@ -70,6 +75,7 @@ class FinishedFiles:
         path = self.folder / NAME
         text = json.dumps(line, ensure_ascii=True, allow_nan=False) + "\n"
         with path.open("ab+") as file:
+            # a power cut may have left half a line, which the next one must not be joined with
             if file.seek(0, os.SEEK_END) and (file.seek(-1, os.SEEK_END), file.read(1))[1] != b"\n":
                 text = "\n" + text
             file.write(text.encode())

@@ -79,16 +79,17 @@ class LabelledFile:
 
     def corrected(self, correction: Correction) -> LabelledFile:
         """The same file under the labels that a person has corrected."""
+        # findings and verdict stay: they are on what the models said
         return replace(self, labelling=correction.labelling, copy=self.copy.corrected(correction))
 
     def without_file(self) -> LabelledFile:
         """The same without what only writing needs: half of the memory of a recording of an hour."""
         return replace(self, copy=self.copy.without_file())
 
-    def write(self, target: Path, *, program: str | None = None, drop_computed: bool = False) -> list[str]:
+    def write(self, target: Path | str, *, program: str | None = None, drop_computed: bool = False) -> list[str]:
         """Write the labelled recording; returns what the file cannot hold.
 
         program: the one that reads the file next, see `formats.PROGRAMS`; it needs a recording in memory. drop_computed: whether points and
         angles that a model computed are left out. Raises AsterismError where the file cannot be written.
         """
-        return self.copy.write(target, program, drop_computed)
+        return self.copy.write(Path(target), program, drop_computed)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
+from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.marker_model import OTHER_SUBJECT_FIT, MarkerModel
 from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller
 from asterism.labelling.stretches import JoinedLabelling, label_in_stretches, stretches_of
@@ -62,17 +63,20 @@ class FileLabeller:
     options  what a person chose for the run
     files    of the run, among which standing trials are looked for
     names    what each body is called where two have markers of one name; by default 1, 2, ...
+    findings on the models
     """
 
     models: Sequence[MarkerModel]
     options: LabellingOptions = field(default_factory=LabellingOptions)
     files: Sequence[Path] = ()
     names: Sequence[str] | None = None
+    findings: Sequence[Finding] = ()
     _narrowed: dict[Path, MarkerModel | AsterismError] = field(default_factory=dict)
     _compiled: bool = False
 
     def __post_init__(self) -> None:
         # only a model that labels by the body can be narrowed to one, and only where there is one
+        # what votes by partial solvers has no body to narrow
         alone = len(self.models) == 1 and self.options.settings.method == "whole-body"
         find = alone and self.options.find_standing
         self._standing = StandingTrials(self.files, self.options.standing, find, self.options.vertical)
@@ -88,7 +92,8 @@ class FileLabeller:
         loaded = {path: MarkerModel.load(path) for path in dict.fromkeys(models)}
         # files say what labelled them, unless somebody has said it otherwise
         by = options.by or f"asterism {__version__}, {', '.join(path.name for path in models)}"
-        return cls([loaded[path] for path in models], replace(options, by=by), files, body_names(models))
+        findings = [finding for path, model in loaded.items() for finding in model.findings(str(path))]
+        return cls([loaded[path] for path in models], replace(options, by=by), files, body_names(models), findings)
 
     @property
     def marker_set(self) -> MarkerSet:
@@ -102,17 +107,21 @@ class FileLabeller:
         contradict each other.
         """
         path = Path(path)
+        # several bodies are told apart over the whole recording, and a page shows all points: both need it in memory
         source = open_source(path, self.options, by_ranges=self._plain.can_divide and not self.options.in_memory)
         self._compile(source)
-        person, findings = self._person(path), _of_reading(source)
+        person, findings = self._person(path), list(source.about.warnings)
         started = time.perf_counter()
+        # the names of all columns decide at once, so that all stretches treat them alike
         policy = choose_name_policy(source.about, self._plain.marker_set, self.options.file_names)
         try:
             found = self._labels(path, source, person, policy, progress)
         except _OtherSubject:
+            # the narrowed model labels somebody else worse than the plain one
             findings.append(_other_subject(path, person.trial, given=bool(self.options.standing)))
             person = _Person(self._plain)
             found = self._labels(path, source, person, policy, progress)
+        # the copy is made last: only now all stretches have said which columns they use
         copy = found.source.finish(found.labelling, policy, self.options.by)
         seconds = time.perf_counter() - started
         findings += found.labelling.findings(str(path))
@@ -164,6 +173,7 @@ class FileLabeller:
             bodies[:] = [labeller.label_two(clouds, report) if two else labeller.label_bodies(clouds, report, keep_tracklets=keep)]
             return bodies[0].labelling
 
+        # a source that is not in memory wants its labels small, too
         joined = JoinedLabelling(marker_set.names, len(source.counts), len(parts), compact=source.compact)
         against, undecided = list[tuple[int, Disagreement]](), person.narrowed
         source.begin(marker_set)
@@ -172,10 +182,11 @@ class FileLabeller:
             recording, clouds = source.frames(here), source.clouds(here)
             if undecided is not None:
                 # the first piece that shows enough of the person tells whose body it is
-                same = _shows_subject(undecided, clouds, piece)
+                same = _shows_subject(undecided, clouds, piece, self.options.settings.subject)
                 if same is False:
                     raise _OtherSubject
                 undecided = None if same else undecided
+            # names hold frame by frame, so that a piece needs no other one
             held, differ = merge_file_names(path, recording, clouds, piece, marker_set, policy)
             joined.add(begin, held)
             against += [(begin, each) for each in differ]
@@ -203,7 +214,9 @@ class FileLabeller:
             while len(self._narrowed) >= _NARROWED_KEPT:
                 self._narrowed.pop(next(iter(self._narrowed)))
             try:
-                self._narrowed[trial] = self.models[0].adapt(formats.read(trial, vertical=self.options.vertical))
+                self._narrowed[trial] = self.models[0].adapt(
+                    formats.read(trial, vertical=self.options.vertical), self.options.settings.subject
+                )
             except AsterismError as problem:
                 sentence = str(problem)
                 self._narrowed[trial] = AsterismError(sentence if trial.name in sentence else f"{trial}: {sentence}")
@@ -244,14 +257,9 @@ def body_names(models: Sequence[Path]) -> list[str]:
     return names if len(set(names)) == len(names) else [str(i + 1) for i in range(len(names))]
 
 
-def _of_reading(source: FrameSource) -> list[Finding]:
-    """What the reader of the file found, without its notes, which `asterism info` shows."""
-    return [finding for finding in source.about.metadata.get("findings", ()) if finding.severity > Severity.NOTE]
-
-
-def _shows_subject(model: MarkerModel, clouds: Clouds, labelling: Labelling) -> bool | None:
+def _shows_subject(model: MarkerModel, clouds: Clouds, labelling: Labelling, rules: SubjectRules) -> bool | None:
     """Whether a recording is of the person to whom the model is adapted; None where it shows too little of anybody."""
-    fit = model.subject_fit(clouds, labelling)
+    fit = model.subject_fit(clouds, labelling, rules)
     return None if math.isnan(fit) else fit >= OTHER_SUBJECT_FIT
 
 

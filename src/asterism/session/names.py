@@ -32,6 +32,7 @@ def merge_file_names(
             return keep_labels(labelling, recording, clouds, marker_set), ()
         except AsterismError as problem:
             raise AsterismError(f"{path}: {problem}") from None
+    # what contradicts is told in any case; only CHECK lets names stay
     checked, against = check_labels(labelling, recording, clouds, marker_set)
     return checked if policy == CHECK else labelling, against
 
@@ -52,6 +53,7 @@ def join_disagreements(of_pieces: Sequence[tuple[int, Disagreement]]) -> list[Di
     for begin, each in of_pieces:
         pair = each.name, each.given
         last, before = each.last_frame + begin, joined.get(pair)
+        # the pieces come in their order, so that the first one has the first frame
         if before is None:
             joined[pair] = replace(each, first_frame=each.first_frame + begin, last_frame=last)
         else:

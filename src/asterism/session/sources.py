@@ -144,6 +144,7 @@ class _InMemory:
         """All that a copy needs is there at the end."""
 
     def finish(self, labelling: Labelling, policy: str | None, by: str) -> _CopyInMemory:
+        # a name that means a marker is spelled as the set does, also where the point keeps it
         named = under_names_of_set(self.about, self._marker_set, policy)
         return _CopyInMemory(named, self.all_clouds, labelling, policy != IGNORE, by)
 
@@ -220,6 +221,7 @@ class _ByRanges:
         self._review.add(labelling, clouds)
 
     def finish(self, labelling: Labelling, policy: str | None, by: str) -> _CopyByRanges:
+        # all that is said of a copy counts points; where they are takes memory, and nobody asks
         counted = _counted(self.counts, self.about)
         return _CopyByRanges(self.long, self._labelled(labelling, counted, policy, by), counted, self._review.items())
 
@@ -230,6 +232,7 @@ class _ByRanges:
         blank = Labelling(np.full((1, len(marker_set)), NULL), np.zeros((1, len(marker_set))), marker_set.names)
         left = under_names_of_set(long.one_frame(np.isin(long.columns, rest)), marker_set, policy)
         head = left.with_labelling(blank, keep_names=policy != IGNORE, by=by)
+        # the file has one description per point: that of the column which most samples came from
         main = [int(counts.argmax()) if counts.any() else NULL for counts in self._origins] + rest
 
         def frames(some: slice) -> tuple[Recording, Floats]:
@@ -269,6 +272,7 @@ class _CopyByRanges:
             raise ValueError("a recording for another program is written as a whole; label it in memory")
         labelled = self._ranges()
         if drop_computed:
+            # the head alone says which columns are written: no range of frames need be touched
             labelled = replace(labelled, head=formats.without_computed(labelled.head))
         assert self.long is not None
         return write_long(target, self.long.file, labelled)

@@ -52,10 +52,12 @@ def stands(recording: Recording, rules: StandingRules | None = None) -> bool:
     """Whether most markers hardly move for most of a recording."""
     rules = rules or StandingRules()
     step = max(1, round(rules.step * recording.rate))
+    # too short to say: a walker who pauses would pass
     if len(recording) <= step or len(recording) < rules.duration * recording.rate:
         return False
     moved = np.linalg.norm(recording.positions[step:] - recording.positions[:-step], axis=2)
     known = ~np.isnan(moved)
+    # a marker that is not seen twice rests nowhere
     speed = np.where(known, moved, np.inf) * recording.rate / step
     resting = (speed < rules.max_speed).sum(axis=1) >= rules.resting * np.maximum(known.sum(axis=1), 1)
     enough = known.sum(axis=1) >= 4
@@ -81,13 +83,16 @@ class StandingTrials:
         """The standing trial of the person in a file; None where none is known, or where the file is that trial."""
         if self.given:
             return self.given[0] if len(self.given) == 1 else max(self.given, key=lambda trial: _shared_depth(trial, path))
+        # one file alone has no other that could be its standing trial
         if not self.automatic or len(self.files) < 2:
             return None
+        # names first: they cost no reading
         named = [trial for trial in self.files if is_standing_name(trial)]
         if path in named:
             return None
         usable = [trial for trial in named if self._near(trial, path) and _same_person(trial, path)]
         if not usable:
+            # no name says so: the files of the folder are read, each once
             usable = self._standing_beside(path)
             if path in usable:
                 return None
@@ -95,6 +100,7 @@ class StandingTrials:
 
     def _near(self, trial: Path, path: Path) -> bool:
         """Whether two files lie in one folder, or in one below that which all files share."""
+        # a trial above all files could be anybody's; one in a folder below belongs to that folder's person
         shared = len(Path(os.path.commonpath([os.path.abspath(file.parent) for file in self.files])).parts)
         return trial.parent == path.parent or _shared_depth(trial, path) > shared
 

@@ -79,7 +79,7 @@ class PipelineResult:
     def criteria(self) -> list[Criterion]:
         """What the whole pipeline promises on simulated sessions, and what was measured."""
         # Of the markers that were found: what no camera saw cannot be labelled.
-        points, found = self.points, self.right + self.unlabelled
+        points, found_markers = self.points, self.right + self.unlabelled
         return [
             Criterion("cameras that could not be calibrated", float(len(self.calibration.excluded)), 0.0, False, ""),
             Criterion("focal length, largest error", 100 * float(self.rig_errors.focal.max()), 0.1, False, "%"),
@@ -87,7 +87,7 @@ class PipelineResult:
             Criterion("markers that two cameras see, found within 3 mm", 100 * points.found(0.003), 99.5, True, "%"),
             Criterion("their distance from the truth, median", 1000 * float(np.nanmedian(points.error)), 1.0, False, "mm"),
             Criterion("points that are no marker", 1000 * points.ghosts / max(points.points, 1), 5.0, False, "of 1,000"),
-            Criterion("markers found that are labelled right", 100 * self.right / max(found, 1), 97.0, True, "%"),
+            Criterion("markers found that are labelled right", 100 * self.right / max(found_markers, 1), 97.0, True, "%"),
             Criterion("labels that are wrong", 100 * self.wrong / max(self.right + self.wrong, 1), 0.5, False, "%"),
         ]
 

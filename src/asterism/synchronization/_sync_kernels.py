@@ -24,6 +24,7 @@ def crossing(flat, offsets, cameras, a, b, frames, essential, near, longest, cro
         shared = asked = hits = 0
         for frame in frames:
             other = (frame + lag) * cameras + b
+            # In a crowd every line has a blob nearby, which tells nothing.
             if not 0 <= frame + lag < (len(offsets) - 1) // cameras or not 0 < offsets[other + 1] - offsets[other] <= crowd:
                 continue
             shared += 1
@@ -32,10 +33,12 @@ def crossing(flat, offsets, cameras, a, b, frames, essential, near, longest, cro
                 u = essential[0, 0] * x + essential[0, 1] * y + essential[0, 2]
                 v = essential[1, 0] * x + essential[1, 1] * y + essential[1, 2]
                 w = essential[2, 0] * x + essential[2, 1] * y + essential[2, 2]
+                # The line's own length, so that distances are those on the normalised plane.
                 within = near * math.sqrt(u * u + v * v)
                 asked += 1
                 for j in range(offsets[other], offsets[other + 1]):
                     if math.fabs(u * flat[j, 0] + v * flat[j, 1] + w) < within:
                         hits += 1
+                        # One is enough: the share of blobs with a partner is asked, not how many partners.
                         break
         scores[lag + longest] = hits / asked if shared >= fewest and asked else np.nan

@@ -47,6 +47,13 @@ def to_common_clock(blobs: Blobs) -> Blobs:
     sizes are interpolated too. Blobs whose times are None or equal come back as they are.
 
     Raises AsterismError where a camera's times do not increase, or the cameras share no time.
+
+    >>> frame, camera = np.repeat(np.arange(5), 2), np.tile([0, 1], 5)
+    >>> times = np.arange(5)[:, None] / 100 + [0.0, 0.004]  # the second camera is 4 ms late
+    >>> xy = np.column_stack([1000 * times.ravel(), np.full(10, 50.0)])  # both see 1 px per ms
+    >>> common = to_common_clock(Blobs.from_rows(frame, camera, xy, ("a", "b"), rate=100.0, times=times))
+    >>> common.xy[common.frame_of == 2].round(6).tolist()
+    [[22.0, 50.0], [22.0, 50.0]]
     """
     if blobs.times is None:
         return blobs
@@ -56,12 +63,14 @@ def to_common_clock(blobs: Blobs) -> Blobs:
     periods = [float(np.median(own)) if len(own) else np.nan for own in steps]
     if np.isnan(periods).all():
         return blobs
+    # Half of the cameras are as fast as this or faster: a few slow ones must not thin out what the others saw.
     period = float(np.nanquantile(periods, 0.5, method="lower"))
     periods = [period if np.isnan(own) else own for own in periods]
     instants, anew = _instants(blobs, times, period)
     frame_of, camera_of = blobs.frame_of, blobs.camera_of
     parts = []
     for c in range(len(blobs.cameras)):
+        # A frame without a time has no place on any clock.
         taken = np.flatnonzero(np.isfinite(times[:, c]))
         mine = np.flatnonzero((camera_of == c) & np.isfinite(times[frame_of, c]))
         order = np.searchsorted(taken, frame_of[mine])
@@ -90,6 +99,7 @@ def _instants(blobs: Blobs, times: Floats, period: float) -> tuple[Floats, bool]
             mean = middle
         return np.interp(np.arange(len(times)), np.flatnonzero(some), mean[some]), False
     seen = [column[np.isfinite(column)] for column in times.T]
+    # Only the time that all cameras share, since a point needs more than one of them.
     start, end = max(column[0] for column in seen if len(column)), min(column[-1] for column in seen if len(column))
     if end < start:
         first = min((column[-1], name) for column, name in zip(seen, blobs.cameras, strict=True) if len(column))[1]
@@ -107,6 +117,7 @@ def _at(instants: Floats, when: Floats, order: Ints, xy: Floats, sizes: Floats, 
     left = np.searchsorted(when, instants - RULES.same * period, side="right") - 1
     nearest = np.clip(left + np.array([[0], [1]]), 0, len(when) - 1)
     nearest = np.where(np.abs(when[nearest[0]] - instants) <= np.abs(when[nearest[1]] - instants), nearest[0], nearest[1])
+    # A blob taken at the instant needs no path, so that a triggered camera loses none.
     exact = np.abs(when[nearest] - instants) <= RULES.same * period
 
     at = np.flatnonzero(exact)
@@ -139,6 +150,7 @@ def _between(instants: Floats, when: Floats, order: Ints, xy: Floats, start: Int
     path = np.stack([before[start], start, end, following[end]])
     known = path >= 0
     knots = when[order[path]]
+    # Lagrange's weights over those of the four blobs that the path has.
     weights = known.astype(np.float64)
     for k in range(4):
         for other in range(4):
@@ -173,6 +185,7 @@ def _nearest(when: Floats, order: Ints, xy: Floats, speed: Floats, longest: floa
     following = np.full(len(xy), -1)
     if len(xy) < 2:
         return following
+    # Frames lie so far apart in a third coordinate that one tree answers for all frames at once.
     far = 10.0 * (np.ptp(xy) + 1.0)
     tree = cKDTree(np.column_stack([xy, far * order]))
     step = np.diff(when, append=np.inf)
@@ -189,7 +202,9 @@ def _nearest(when: Floats, order: Ints, xy: Floats, speed: Floats, longest: floa
 
     (ahead, miss), (back, _) = look(1), look(-1)
     clear = (ahead >= 0) & np.isfinite(miss)
+    # Both must choose each other: where two markers cross, one of them is left open rather than wrong.
     clear[clear] = back[ahead[clear]] == np.flatnonzero(clear)
+    # What moved much further than most did is another marker that happened to be the only one near.
     if clear.any():
         clear &= miss <= RULES.near_px + RULES.spreads * np.median(miss[clear])
     following[clear] = ahead[clear]

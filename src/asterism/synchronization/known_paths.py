@@ -51,6 +51,7 @@ def mean_clock(times: Floats) -> Floats:
         known = np.nonzero(np.isfinite(own))[0]
         if len(known) >= 2:
             rate = (own[known[-1]] - own[known[0]]) / (known[-1] - known[0])
+            # A camera that started late or stopped early keeps its rate there; left out, it would make the mean jump.
             beyond = frames - np.clip(frames, known[0], known[-1])
             every.append(np.interp(frames, known, own[known]) + rate * beyond)
     return np.asarray(np.mean(every, axis=0))
@@ -66,6 +67,7 @@ def resample_path(times: Floats, path: Floats, clock: Floats, period: float) -> 
         return np.empty(0, dtype=np.int64), np.empty((0, path.shape[1]))
     from scipy.interpolate import Akima1DInterpolator
 
+    # An instant inside a gap is asked of the two times around it, whose distance tells whether an image was lost.
     after = np.clip(np.searchsorted(times, clock), 1, len(times) - 1)
     inside = (clock >= times[0]) & (clock <= times[-1]) & (times[after] - times[after - 1] <= RULES.longest_gap * period)
     frames = np.nonzero(inside)[0]

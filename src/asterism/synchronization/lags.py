@@ -70,6 +70,7 @@ def lags(blobs: Blobs, rig: Rig | None = None, longest: int = RULES.longest) -> 
             above, best = _stands_out(_fitting(middles[a], middles[b], longest), *RULES.fitting)
             pairs += [(above, a, b, best - longest)] if above > 0 else []
     behind = np.full(cameras, np.nan)
+    # The pairs that stand out most decide first; a chain of them reaches all cameras.
     pairs.sort(reverse=True)
     if pairs:
         behind[pairs[0][1]] = 0.0
@@ -81,17 +82,24 @@ def lags(blobs: Blobs, rig: Rig | None = None, longest: int = RULES.longest) -> 
                 behind[b] = behind[a] + lag
     agree = np.zeros((2, cameras))
     for _, a, b, lag in pairs:
+        #
         agree[int(abs(behind[b] - behind[a] - lag) <= 1), [a, b]] += 1
+    # A camera that its pairs contradict as often as confirm is not late but unknown.
     behind[agree[1] <= agree[0]] = np.nan
     known = behind[np.isfinite(behind)]
     if len(known):
         values, counts = np.unique(known, return_counts=True)
+        # Most cameras of a room are in step; the lag is counted from them.
         behind -= values[np.argmax(counts)]
     return behind
 
 
 def out_of_step(name: str, behind: float) -> tuple[str, str]:
-    """A sentence about a camera that is so many frames behind most others, see `lags`, and what to do about it."""
+    """A sentence about a camera that is so many frames behind most others, see `lags`, and what to do about it.
+
+    >>> out_of_step("c2", 3.0)[0]
+    "camera c2 is 3 frames out of step: its frame 200 is the others' frame 197."
+    """
     many = f"{abs(behind):.0f} frame{'s' if abs(behind) != 1 else ''}"
     return (
         f"camera {name} is {many} out of step: its frame 200 is the others' frame {200 - behind:.0f}.",
@@ -123,6 +131,7 @@ def _frames(blobs: Blobs, begin: int, end: int) -> Blobs:
 def _middles(blobs: Blobs, camera: int) -> Floats:
     """(T, 2) px, the mean of the blobs of one camera in each frame that has as many of them as most have; NaN in others."""
     counts = blobs.counts[:, camera]
+    # The middle jumps where a marker appears or goes, so only frames with the usual number of blobs count.
     usual = int(np.argmax(np.bincount(counts[counts > 0], minlength=1)))
     middles = np.full((len(blobs), 2), np.nan)
     frames = np.flatnonzero((counts == usual) & (counts > 0))
@@ -143,11 +152,13 @@ def _fitting(first: Floats, second: Floats, longest: int) -> Floats:
         if len(both) < fewest:
             continue
         both = both[np.linspace(0, len(both) - 1, min(RULES.frames_to_fit, len(both))).astype(int)]
+        # Each pair of middles gives one row of y^T F x = 0, linear in the nine entries of F.
         products = (y[both, :, None] * x[both, None, :]).reshape(-1, 9)
         kept = products
         for _ in range(3):
             values, vectors = np.linalg.eigh(kept.T @ kept)
             miss = np.abs(products @ vectors[:, 0])
+            # A fraction of the frames always has a hidden marker in one camera.
             kept = products[miss <= np.quantile(miss, RULES.kept)]
         scores[lag + longest] = -0.5 * np.log(max(float(values[0]) / (len(kept) - 8), 1e-18))
     return scores
@@ -178,6 +189,7 @@ def _crossing(blobs: Blobs, flat: Floats, cameras: tuple[Camera, Camera], places
     (one, two), (a, b) = cameras, places
     turn = two.rotation @ one.rotation.T
     x, y, z = two.translation - turn @ one.translation
+    #
     essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ turn
     scores = np.full(2 * longest + 1, np.nan)
     counts = blobs.counts[:, a]
@@ -203,9 +215,11 @@ def _stands_out(scores: Floats, lowest: float, margin: float) -> tuple[float, in
     """
     if not np.isfinite(scores).any():
         return 0.0, 0
+    #
     filled = np.where(np.isfinite(scores), scores, -1.0)
     best = int(np.argmax(filled))
     left = right = best
+    # Scores fall off slowly to both sides of a peak; only beyond these flanks is there another one to compare with.
     while left > 0 and filled[left - 1] <= filled[left]:
         left -= 1
     while right < len(filled) - 1 and filled[right + 1] <= filled[right]:
@@ -214,6 +228,7 @@ def _stands_out(scores: Floats, lowest: float, margin: float) -> tuple[float, in
     above = float(filled[best] - others.max())
     known = np.flatnonzero(np.isfinite(scores))
     middle = len(filled) // 2
+    # Periodic motion, such as walking, has peaks a cycle apart.
     if filled[middle] > filled[best] - margin:
         best = middle
     clear = filled[best] >= lowest and above >= margin and known[0] < best < known[-1]

@@ -32,6 +32,7 @@ class LagRules:
 
 def image_velocities(sightings: Sightings) -> Floats:
     """(n, 2) px per frame, from where the same camera saw the same point one frame before and after; NaN where it did not."""
+    # One number for camera, point and frame: the neighbours in time are the number before and after.
     key = (sightings.camera * (sightings.point.max(initial=0) + 1) + sightings.point) * (
         sightings.frame.max(initial=0) + 3
     ) + sightings.frame
@@ -60,6 +61,7 @@ def lags_from_residuals(
     rules = rules or LagRules()
     lag_frames, sigma = np.full(cameras, np.nan), np.full(cameras, np.nan)
     frames = int(sightings.frame[-1]) + 1
+    # All frames in one block of equal height, so that linear algebra runs over all of them at once.
     rows = np.arange(len(sightings)) - np.searchsorted(sightings.frame, np.arange(frames))[sightings.frame]
     shape = (frames, int(rows.max()) + 1, 2)
     miss, moved, turns = np.zeros(shape), np.zeros((*shape, cameras)), np.zeros((*shape, by_object.shape[2]))
@@ -68,10 +70,12 @@ def lags_from_residuals(
     miss[at], turns[at] = residuals[good], by_object[good]
     moved[(*at, slice(None), sightings.camera[good])] = velocities[good]
     miss, moved, turns = (part.reshape(frames, 2 * shape[1], *part.shape[3:]) for part in (miss, moved, turns))
+    # The object's place was fitted to the late images, too, and took up part of the lag; what it can explain is taken out of both sides.
     miss, moved = _without_object(miss, moved, turns, rules.least_freedom)
     found, weight = np.zeros(cameras), np.ones(frames)
     for _ in range(rules.iterations):
         matrix = np.einsum("t,tic,tid->cd", weight, moved, moved)
+        # All cameras later by the same is a shift of the object, so the matrix has a direction of which nothing is known.
         inverse = np.linalg.pinv(matrix, rcond=rules.least_information, hermitian=True)
         found = inverse @ np.einsum("t,tic,ti->c", weight, moved, miss)
         left = np.sqrt(np.square(miss - moved @ found).mean(axis=1))
@@ -80,6 +84,7 @@ def lags_from_residuals(
     count = np.bincount(sightings.camera[good], minlength=cameras)
     known = count >= rules.least_sightings
     if known.any():
+        #
         middle = np.nonzero(known)[0][np.argsort(found[known])[(int(known.sum()) - 1) // 2]]
         lag_frames[known] = found[known] - found[middle]
         variance = np.diag(inverse) + inverse[middle, middle] - 2.0 * inverse[middle]

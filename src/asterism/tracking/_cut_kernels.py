@@ -22,6 +22,7 @@ def prediction_error(xyz, a, b, links):
     """
     c, d = links.previous[a], links.following[b]
     least, vx, vy, vz = np.inf, 0.0, 0.0, 0.0
+    # A swap that lasts a frame or two spoils the velocity on one side, so that each side counts alone, too.
     for before, after in ((1.0, 0.0), (0.0, 1.0), (0.5, 0.5)):
         if (before > 0.0 and c < 0) or (after > 0.0 and d < 0):
             continue
@@ -57,9 +58,11 @@ def rival_wins(xyz, rival, error, direction, from_, to, links, limits):
     rival *= limits.ratio_test
     if rival >= error:
         return False
+    # A rival without a link of its own may be a ghost: it must be far better to cut for it.
     if from_ < 0 or to < 0:
         return error > 3.0 * limits.no_cut_below
     its_error, x, y, z = prediction_error(xyz, from_, to, links)
+    # Both tracks err in the same direction where they move together: nothing has swapped.
     return rival < its_error and x * direction[0] + y * direction[1] + z * direction[2] < 0.5 * its_error * error
 
 
@@ -87,6 +90,7 @@ def recent_jerk(xyz, a, b, links):
     most = 0.0
     p = a
     for _ in range(3):
+        # Near the cut the tracks are already wrong: how they jerk is taken from before it.
         p = links.previous[p]
         if p < 0:
             break
@@ -107,11 +111,14 @@ def has_jumped(xyz, a, b, error, links, limits):
     IN error m, of the link. Returns bool. O(1).
     """
     c, d = links.previous[a], links.following[b]
+    # Both velocities must be known to tell an offset from a sudden move.
     if c < 0 or d < 0 or error < limits.jump:
         return False
+    # The same velocity on both sides of an offset: a body cannot move so, a number that passes to another marker can.
     change2 = 0.0
     for i in range(3):
         change2 += (xyz[d, i] - xyz[b, i] - xyz[a, i] + xyz[c, i]) ** 2
+    # The same velocity on both sides, and an offset far beyond what the track does elsewhere.
     return error > 3.0 * math.sqrt(change2) and error > 4.0 * recent_jerk(xyz, a, b, links)
 
 
@@ -133,15 +140,18 @@ def find_cuts(xyz, offsets, links, limits, cut):
             if a < 0:
                 continue
             error, x, y, z = prediction_error(xyz, a, b, links)
+            # Small errors are noise, and an unknown one cannot be judged.
             if error <= limits.no_cut_below or error == np.inf:
                 continue
             wrong, direction = has_jumped(xyz, a, b, error, links, limits), (x, y, z)
+            # First the points that could continue the track better,
             for other in range(first, last):
                 if wrong:
                     break
                 if other != b:
                     rival = error_length(xyz, a, other, links)
                     wrong = rival_wins(xyz, rival, error, direction, links.previous[other], other, links, limits)
+            # then the tracks that could continue better in this point.
             for other in range(before, first):
                 if wrong:
                     break
@@ -166,6 +176,7 @@ def count_strays(xyz, offsets, following, ratio, least):
                 continue
             links += 1
             length2 = (xyz[b, 0] - xyz[a, 0]) ** 2 + (xyz[b, 1] - xyz[a, 1]) ** 2 + (xyz[b, 2] - xyz[a, 2]) ** 2
+            # Short links pass by nothing: markers lie farther apart.
             if length2 <= least * least:
                 continue
             for c in range(offsets[t + 1], offsets[t + 2]):
@@ -183,12 +194,15 @@ def repair_links(xyz, offsets, links, forbidden, limits):
     IN     xyz (P, 3) m; offsets (T + 1,); forbidden (P,) the previous point that a point was cut from, -1 for none; limits LinkLimits
     IN/OUT links Links
     O(P), and O(ends x beginnings) a frame.
+
+    Bounds: a frame has no more ends, or beginnings, than points: `most` of the fullest frame.
     """
     most = 0
     for t in range(len(offsets) - 1):
         most = max(most, offsets[t + 1] - offsets[t])
     from_, to = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
     for t in range(1, len(offsets) - 1):
+        # Only loose ends can be joined.
         ends, starts = 0, 0
         for a in range(offsets[t - 1], offsets[t]):
             if links.following[a] < 0:
@@ -210,9 +224,11 @@ def repair_links(xyz, offsets, links, forbidden, limits):
             # the velocity must be known on both sides
             if links.previous[a] < 0 or links.following[b] < 0 or forbidden[b] == a:
                 continue
+            # What the track has jerked lately is how far its prediction may be off.
             gate = limits.noise + limits.usual_change + limits.residual_gain * recent_jerk(xyz, a, b, links)
             if error[i, j] > min(gate, limits.noise + limits.max_change):
                 continue
+            # A rival must be clearly farther, on both sides.
             least = limits.ratio_test * error[i, j] + limits.rival_gap
             unrivalled = True
             for other in range(starts):

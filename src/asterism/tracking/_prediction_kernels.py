@@ -20,9 +20,12 @@ def predict_tracks(ends, count, limits, predicted, gate):
     moves as its three nearest neighbours that have a velocity, or stays where it is.
     IN  ends TrackEnds of `count` tracks; limits LinkLimits. OUT predicted (count, 3) m; gate (count,) m
     O(count), and O(count) more for each single point.
+
+    Bounds: the three nearest are kept, the third in place of what is farther.
     """
     near, near2 = np.empty(3, dtype=np.int64), np.empty(3)
     for a in range(count):
+        # Half the acceleration: it changes, too, and all of it would overshoot.
         if ends.age[a] > 2:
             for i in range(3):
                 predicted[a, i] = ends.position[a, i] + ends.velocity[a, i] + 0.5 * ends.acceleration[a, i]
@@ -30,20 +33,25 @@ def predict_tracks(ends, count, limits, predicted, gate):
                 limits.noise + limits.usual_change + limits.residual_gain * ends.recent_error[a], limits.noise + limits.max_change
             )
             continue
+        # Two points give a velocity, whose change is not known yet.
         if ends.age[a] == 2:
             for i in range(3):
                 predicted[a, i] = ends.position[a, i] + ends.velocity[a, i]
             gate[a] = limits.noise + 3.0 * limits.usual_change
             continue
         neighbours = 0
+        # Only neighbours that have a velocity can lend it.
         for b in range(count):
+            # Only those that have a velocity can lend one.
             if ends.age[b] < 2:
                 continue
             far2 = 0.0
             for i in range(3):
                 far2 += (ends.position[a, i] - ends.position[b, i]) ** 2
+            # Insertion into the three nearest.
             if neighbours == 3 and far2 >= near2[2]:
                 continue
+            # Insertion into the three nearest, kept in order.
             where = min(neighbours, 2)
             while where > 0 and near2[where - 1] > far2:
                 near2[where], near[where] = near2[where - 1], near[where - 1]
@@ -53,14 +61,18 @@ def predict_tracks(ends, count, limits, predicted, gate):
         for i in range(3):
             predicted[a, i] = ends.position[a, i]
         gate[a] = limits.max_step
+        # Nobody near has a velocity: the point is expected where it is, as far as it may have moved.
         if neighbours == 0:
             continue
+        # By the inverse square of the distance: the nearest marker is likely on the same segment.
         total = 0.0
         for k in range(neighbours):
+            # The nearer a neighbour, the more alike it moves; the constant keeps coincident ones finite.
             total += 1.0 / (near2[k] + 1e-4)
         for i in range(3):
             for k in range(neighbours):
                 predicted[a, i] += ends.velocity[near[k], i] / ((near2[k] + 1e-4) * total)
+        # Neighbours that differ leave the point more room.
         most2 = 0.0
         for k in range(neighbours):
             off2 = 0.0
@@ -79,6 +91,8 @@ def start_links(ends, count, points, limits, next_point, previous):
     that moves by its own spacing might deceive one point, but not its neighbourhood.
     IN  ends TrackEnds of `count` tracks; points (n, 3) m; limits LinkLimits
     OUT next_point (count,), previous (n,), written where a link is made. O(count (count + n)).
+
+    Bounds: the three nearest are kept, the third in place of what is farther.
     """
     n = len(points)
     nearest, back = np.full(count, -1, dtype=np.int64), np.full(n, -1, dtype=np.int64)
@@ -90,6 +104,7 @@ def start_links(ends, count, points, limits, next_point, previous):
             for i in range(3):
                 far += (points[b, i] - ends.position[a, i]) ** 2
             far = math.sqrt(far)
+            # Nearest and second nearest, for points and tracks alike: a rival is the second.
             if far < miss[a]:
                 rival[a], miss[a], nearest[a] = miss[a], far, b
             elif far < rival[a]:
@@ -101,6 +116,7 @@ def start_links(ends, count, points, limits, next_point, previous):
     for a in range(count):
         b = nearest[a]
         least_rival = limits.ratio_test * miss[a] + limits.rival_gap
+        # Both must be each other's nearest, and no rival near either of them.
         if b >= 0 and (back[b] != a or miss[a] > limits.max_step or rival[a] <= least_rival or point_rival[b] <= least_rival):
             nearest[a] = -1
     near, near2 = np.empty(3, dtype=np.int64), np.empty(3)
@@ -128,7 +144,9 @@ def start_links(ends, count, points, limits, next_point, previous):
             off2 = 0.0
             for i in range(3):
                 off2 += (points[nearest[a], i] - ends.position[a, i] - points[nearest[b], i] + ends.position[b, i]) ** 2
+            # A turning body gives neighbours other velocities, the more the farther they are.
             alike += math.sqrt(off2) <= limits.noise + limits.neighbour_velocity_tol + limits.rotation_tol * math.sqrt(near2[k])
+        # Two neighbours: one alone may be deceived by the same pattern.
         if alike >= 2:
             next_point[a] = nearest[a]
             previous[nearest[a]] = a
@@ -152,4 +170,5 @@ def extend_tracks(ends, points, predicted, previous, following):
             following.acceleration[b, i] = following.velocity[b, i] - ends.velocity[a, i] if age > 2 else 0.0
             change2 += following.acceleration[b, i] ** 2
             error2 += (points[b, i] - predicted[a, i]) ** 2 if age > 3 else 0.0
+        # Errors fade by a fifth per frame: a track that was rough stays doubtful for a while.
         following.recent_error[b] = max(0.8 * ends.recent_error[a], math.sqrt(error2)) if age > 3 else math.sqrt(change2)

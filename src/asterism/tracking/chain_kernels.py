@@ -19,7 +19,9 @@ def sort_frames(xyz, offsets, order, axes, sign):
     a, b, c = axes
     for t in range(len(offsets) - 1):
         for p in range(offsets[t], offsets[t + 1]):
+            # Insertion sort: frames are short, and nearly sorted from one to the next.
             where = p
+            # Insertion: frames come nearly in order after the first axis.
             while where > offsets[t]:
                 q = order[where - 1]
                 if sign * xyz[q, a] < sign * xyz[p, a] or (
@@ -45,6 +47,7 @@ def link_numbers(numbers, frame, newest, links):
         if number < 0:
             continue
         before = newest[number]
+        # A number that comes back after a gap may be another marker.
         if before >= 0 and frame[p] - frame[before] == 1:
             links.previous[p], links.following[before] = before, p
         newest[number] = p
@@ -61,10 +64,12 @@ def combine_directions(forward, backward, previous, following):
     age, age_back = np.ones(count, dtype=np.int64), np.ones(count, dtype=np.int64)
     previous[:], following[:] = -1, -1
     continued = np.full(count, -1, dtype=np.int64)
+    # Ages tell whether a direction could judge: with fewer than three points a track has no acceleration.
     for p in range(count):
         if forward[p] >= 0:
             continued[forward[p]] = p
             age[p] = age[forward[p]] + 1
+    # Ages of the way back are counted from the end.
     for p in range(count - 1, -1, -1):
         if backward[p] >= 0:
             age_back[p] = age_back[backward[p]] + 1
@@ -74,6 +79,7 @@ def combine_directions(forward, backward, previous, following):
             origin[backward[p]] = p
     for q in range(count):
         p = forward[q]
+        # Both directions agree, or the other one was too young to judge.
         if p >= 0 and (backward[p] == q or (backward[p] < 0 and origin[q] < 0 and age_back[q] < 3)):
             following[p], previous[q] = q, p
         p = origin[q]
@@ -85,6 +91,7 @@ def combine_directions(forward, backward, previous, following):
 def number_chains(previous, of_point):
     """Number the chains of linked points, in the order of their first points. OUT of_point (P,). Returns how many. O(P)."""
     count = 0
+    # Points are in the order of frames, so that the point before has its number already.
     for p in range(len(previous)):
         if previous[p] >= 0:
             of_point[p] = of_point[previous[p]]

@@ -39,7 +39,9 @@ def pack_tracklets(tracklets: Tracklets, rest: int) -> Ints:
     column = np.empty(len(tracklets), dtype=np.int64)
     in_use: list[tuple[int, int]] = []
     count = 0
+    # The heap gives the column that has been free for longest.
     for j in np.argsort(tracklets.first, kind="stable"):
+        # A reader sees the break only if the column rests between two tracklets.
         if in_use and in_use[0][0] + rest < tracklets.first[j]:
             column[j] = heapq.heappop(in_use)[1]
         else:

@@ -31,6 +31,9 @@ def link_step(ends, count, points, limits, workspace, previous, following):
     IN   ends TrackEnds of `count` tracks; points (n, 3) m, sorted by x; limits LinkLimits; workspace LinkWorkspace for count and n
     OUT  previous (n,) the track that a point continues, -1 for none; following TrackEnds in this frame
     O((count + n) log n) and the pairs that come near; O(count (count + n)) where tracks begin.
+
+    Bounds: arrays of pairs are made twice as long where they are full; where all points of two frames lie within reach of each other, that
+    is up to twice count n pairs of 24 bytes. Pairs that are kept are written over those before.
     """
     n = len(points)
     predicted, gate, next_point = workspace.predicted, workspace.gate, workspace.next_point
@@ -45,12 +48,14 @@ def link_step(ends, count, points, limits, workspace, previous, following):
     moving = False
     for a in range(count):
         moving = moving or ends.age[a] > 1
+    # Without any velocity nothing can be predicted: links are made by neighbourhood.
     if not moving:
         start_links(ends, count, points, limits, next_point, previous)
     pairs, capacity = 0, len(pair_track)
     for a in range(count):
         # a single point takes only what nothing else in its gate rivals; the others' rivals may lie farther than their own gate
         reach = gate[a] if ends.age[a] == 1 else limits.ratio_test * gate[a] + limits.rival_gap
+        # Points are sorted by x, so that the reachable ones are found by bisection.
         low, high = 0, n
         while low < high:
             middle = (low + high) // 2
@@ -66,6 +71,7 @@ def link_step(ends, count, points, limits, workspace, previous, following):
             far2 = dx * dx + dy * dy + dz * dz
             if far2 > reach * reach:
                 continue
+            # Crowded frames have more pairs than expected: the memory grows by doubling.
             if pairs == capacity:
                 capacity *= 2
                 pair_track, pair_point, pair_distance = (
@@ -75,6 +81,7 @@ def link_step(ends, count, points, limits, workspace, previous, following):
                 )
             pair_track[pairs], pair_point[pairs], pair_distance[pairs] = a, b, math.sqrt(far2)
             pairs += 1
+    # Each round links what is unambiguous; what it links is no rival in the next.
     while True:
         for a in range(count):
             nearest_point[a], nearest_point_distance[a], second_point_distance[a] = -1, np.inf, np.inf
@@ -83,6 +90,7 @@ def link_step(ends, count, points, limits, workspace, previous, following):
         kept = 0
         for p in range(pairs):
             a, b = pair_track[p], pair_point[p]
+            # Pairs of what is linked fall out; the list gets shorter in each round.
             if next_point[a] >= 0 or previous[b] >= 0:
                 continue
             pair_track[kept], pair_point[kept], pair_distance[kept] = a, b, pair_distance[p]
@@ -100,9 +108,11 @@ def link_step(ends, count, points, limits, workspace, previous, following):
         changed = False
         for a in range(count):
             b = nearest_point[a]
+            # Each must be the other's nearest.
             if b < 0 or nearest_track[b] != a or nearest_point_distance[a] > gate[a]:
                 continue
             rival = limits.ratio_test * nearest_point_distance[a] + limits.rival_gap
+            # A single point has no velocity, so that anything in its gate is a rival.
             if ends.age[a] == 1:
                 rival = max(rival, gate[a])
             if second_point_distance[a] > rival and second_track_distance[b] > rival:
@@ -120,6 +130,8 @@ def link_frames(xyz, offsets, limits, backwards, linked):
     IN  xyz (P, 3) m, each frame's points sorted by x; offsets (T + 1,); limits LinkLimits
     OUT linked (P,) the point of the frame before (backwards: after) that a point continues, -1 for none
     O(frames) calls of `link_step`; memory for one frame.
+
+    Bounds: workspace and ends have room for the fullest frame.
     """
     most, frames = 0, len(offsets) - 1
     for t in range(frames):
@@ -130,8 +142,10 @@ def link_frames(xyz, offsets, limits, backwards, linked):
         t = frames - 1 - step if backwards else step
         first, last = offsets[t], offsets[t + 1]
         link_step(ends, count, xyz[first:last], limits, workspace, linked[first:last], following)
+        # Links of a frame count from its own beginning.
         for p in range(first, last):
             if linked[p] >= 0:
                 linked[p] += begins
+        # Two sets of ends in turn, so that no frame allocates.
         ends, following = following, ends
         count, begins = last - first, first

@@ -113,6 +113,7 @@ def find_tracklets(clouds: Clouds, rules: LinkRules | None = None) -> Tracklets:
     """
     rules = rules or LinkRules()
     limits = rules.limits(clouds.rate)
+    # Sorted by place, so that the order of points in a file changes nothing.
     order = np.arange(len(clouds.xyz))
     sort_frames(clouds.xyz, clouds.offsets, order, (0, 1, 2), 1.0)
     xyz = np.ascontiguousarray(clouds.xyz[order])
@@ -122,11 +123,15 @@ def find_tracklets(clouds: Clouds, rules: LinkRules | None = None) -> Tracklets:
     links = None if numbers is None else _usable_links(numbers, xyz, clouds.offsets, frame, rules)
     if numbers is not None and links is not None:
         _cut_and_complete(links, xyz, clouds.offsets, frame, numbers, limits, forbidden)
+    # Too few links by number: the system began a new number at every gap.
     if links is None or _linked_share(links) < rules.min_linked_share:
         by_motion = _by_motion(xyz, clouds.offsets, limits)
+        # Numbers that change more often than motion breaks are worth less than motion.
         if links is None or _linked_share(by_motion) > rules.motion_gain * _linked_share(links):
             links = by_motion
+            # What was cut from the numbers' links is not forbidden to those of motion.
             forbidden[:] = -1
+    # Ends that belong together are joined last, across track numbers.
     repair_links(xyz, clouds.offsets, links, forbidden, limits)
 
     sorted_numbers = np.empty(len(xyz), dtype=np.int64)
@@ -143,6 +148,7 @@ def _usable_links(numbers: Ints, xyz: Floats, offsets: Ints, frame: Ints, rules:
     """The links along track numbers (P,), None where they are no tracks."""
     links = _along_numbers(numbers, frame)
     count, strays = count_strays(xyz, offsets, links.following, rules.stray_ratio, rules.jump)
+    # Numbers that pass by nearer points all the time are places in a list.
     return None if strays > rules.max_stray_share * count else links
 
 
@@ -153,9 +159,11 @@ def _cut_and_complete(links: Links, xyz: Floats, offsets: Ints, frame: Ints, num
     """
     cut = np.zeros(len(xyz), dtype=np.bool_)
     find_cuts(xyz, offsets, links, limits, cut)
+    # A cut must not be undone by the repair that follows.
     forbidden[cut] = links.previous[cut]
     links.following[links.previous[cut]] = -1
     links.previous[cut] = -1
+    # Points without a number are linked among themselves only: the others have theirs.
     free = np.nonzero(numbers < 0)[0]
     free_offsets = np.concatenate([[0], np.cumsum(np.bincount(frame[free], minlength=len(offsets) - 1))]).astype(np.int64)
     between_free = _by_motion(np.ascontiguousarray(xyz[free]), free_offsets, limits)
@@ -171,6 +179,7 @@ def _linked_share(links: Links) -> float:
 def _along_numbers(numbers: Ints, frame: Ints) -> Links:
     """Links along track numbers (P,), from each frame to the next; -1 is no number."""
     links = Links(np.empty(len(numbers), dtype=np.int64), np.empty(len(numbers), dtype=np.int64))
+    # Huge numbers would need an array of their size.
     if numbers.max(initial=0) > len(numbers):
         numbers = np.where(numbers < 0, -1, np.unique(numbers, return_inverse=True)[1])
     link_numbers(numbers, frame, np.full(int(numbers.max(initial=0)) + 1, -1, dtype=np.int64), links)
@@ -180,6 +189,7 @@ def _along_numbers(numbers: Ints, frame: Ints) -> Links:
 def _by_motion(xyz: Floats, offsets: Ints, limits: LinkLimits) -> Links:
     """Links by motion, in both directions."""
     forward, backward, previous, following = (np.empty(len(xyz), dtype=np.int64) for _ in range(4))
+    # Both directions: what one cannot judge, the other may.
     link_frames(xyz, offsets, limits, False, forward)
     link_frames(xyz, offsets, limits, True, backward)
     combine_directions(forward, backward, previous, following)

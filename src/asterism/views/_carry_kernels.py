@@ -25,6 +25,7 @@ def carry_labels(old_uv, new_uv, old_xy, old_offsets, old_labels, xy, offsets, r
             m = old_labels[q]
             if m < 0:
                 continue
+            # By how far the body moves, from where the blob was: what the model has off at a marker stays off.
             u = old_xy[q, 0] + new_uv[c, m, 0] - old_uv[c, m, 0]
             v = old_xy[q, 1] + new_uv[c, m, 1] - old_uv[c, m, 1]
             best, second, chosen = np.inf, np.inf, -1
@@ -34,8 +35,10 @@ def carry_labels(old_uv, new_uv, old_xy, old_offsets, old_labels, xy, offsets, r
                     best, second, chosen = square, best, k
                 elif square < second:
                     second = square
+            # Another blob nearly as near makes it ambiguous.
             if chosen < 0 or not best < reach * reach or second < 4.0 * best:
                 continue
+            # Two labels for one blob: neither is believed, now or later.
             if math.isfinite(taken[chosen]):
                 out[chosen] = -1
                 continue

@@ -37,6 +37,7 @@ def project_linear(cameras, points, uv, slopes):
         for m in range(len(points)):
             x, y, z = points[m, 0], points[m, 1], points[m, 2]
             depth = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + t[2]
+            # Behind the camera, or at its centre, there is no image.
             if not depth > 0.05:
                 uv[c, m] = np.nan
                 slopes[c, m] = 0.0
@@ -74,20 +75,22 @@ def predict_visible(body, cameras, observing, pose, rotation, shares):
     )
     points, ends = np.empty((markers, 3)), np.empty((2 * capsules, 3))
     place_points(body.bones, body.places, pose, turned, moved, points)
-    if math.isinf(observing.doubt):
+    # Nothing hides, so that no line of sight need be followed.
+    if math.isinf(observing.occlusion_tolerance):
         shares[:] = observing.shown
     else:
         place_points(body.capsule_bones, body.capsule_ends, pose, turned, moved, ends)
         girth = (pose[0] + pose[1] + pose[2]) / 3.0
         depths = np.empty(shares.shape)
         sight_depths(cameras.eyes, points, ends[:capsules], ends[capsules:], girth * body.radii, observing.clearance, depths)
-        visible_shares(depths, observing.doubt, observing.softness, observing.hidden, observing.shown, shares)
+        visible_shares(depths, observing.occlusion_tolerance, observing.softness, observing.hidden, observing.shown, shares)
     uv, slopes = np.empty((len(shares), markers, 2)), np.empty((len(shares), markers, 2, 3))
     project_linear(cameras, points, uv, slopes)
     for c in range(len(shares)):
         for m in range(markers):
             u, v = uv[c, m, 0], uv[c, m, 1]
             inside = u > cameras.limits[c, 0] and u < cameras.limits[c, 1] and v > cameras.limits[c, 2] and v < cameras.limits[c, 3]
+            # Not 0: the pose may be wrong, and then a blob of the marker may be there.
             if not inside:
                 shares[c, m] = min(shares[c, m], observing.hidden)
 
@@ -106,23 +109,27 @@ def share_blobs(uv, slopes, shares, spreads, xy, offsets, sigma, observing, info
     cost = 0.0
     for c in range(len(uv)):
         for m in range(markers):
+            # The mean of both axes: how much wider a marker's spread makes its blob in this image.
             gain = 0.5 * (slopes[c, m, 0, 0] ** 2 + slopes[c, m, 0, 1] ** 2 + slopes[c, m, 0, 2] ** 2)
             gain += 0.5 * (slopes[c, m, 1, 0] ** 2 + slopes[c, m, 1, 1] ** 2 + slopes[c, m, 1, 2] ** 2)
             variance[m] = sigma * sigma + gain * spreads[m] * spreads[m]
             weight[m] = 0.0
             toward[m, 0] = toward[m, 1] = 0.0
         for k in range(offsets[c], offsets[c + 1]):
+            # A blob that no marker explains is a stray, and then pulls at none.
             total = observing.strays
             for m in range(markers):
                 du, dv = xy[k, 0] - uv[c, m, 0], xy[k, 1] - uv[c, m, 1]
                 square = du * du + dv * dv
                 part[m] = 0.0
+                # So far off the exponential is nothing, and costs as much as a near one.
                 if square < _FAR * _FAR * variance[m]:
                     part[m] = shares[c, m] * math.exp(-0.5 * square / variance[m]) / (2.0 * math.pi * variance[m])
                     total += part[m]
             cost -= math.log(total)
             for m in range(markers):
                 if part[m] > 0.0:
+                    # In proportion to the probability that the blob is this marker's.
                     pulling = part[m] / (total * variance[m])
                     weight[m] += pulling
                     toward[m, 0] += pulling * (xy[k, 0] - uv[c, m, 0])
@@ -161,6 +168,7 @@ def nearest_blobs(uv, slopes, shares, xy, offsets, sigma, observing, information
         for m in range(uv.shape[1]):
             if shares[c, m] < 0.5:
                 continue
+            # Where no blob is within reach, the reach itself is paid: so losing a blob is never cheaper than having it far off.
             best, chosen = observing.reach * observing.reach, -1
             for k in range(offsets[c], offsets[c + 1]):
                 square = (xy[k, 0] - uv[c, m, 0]) ** 2 + (xy[k, 1] - uv[c, m, 1]) ** 2
@@ -180,6 +188,7 @@ def given_blobs(uv, slopes, spreads, xy, offsets, labels, sigma, information, pu
     for c in range(len(uv)):
         for k in range(offsets[c], offsets[c + 1]):
             m = labels[k]
+            # A marker behind the camera cannot be pulled.
             if m >= 0 and math.isfinite(uv[c, m, 0]):
                 gain = 0.0
                 for i in range(3):
@@ -218,6 +227,7 @@ def evaluate(body, cameras, known, observing, shares, xy, offsets, labels, pose,
     gradient[:] = 0.0
     jacobian = np.empty((3, HINGES + hinges))
     for m in range(markers):
+        # A marker without blobs adds nothing, and its Jacobian costs most.
         if information[m, 0, 0] + information[m, 1, 1] + information[m, 2, 2] > 0.0:
             b = body.bones[m]
             point_jacobian(b, body.places[m], points[m], pose, turned, by_scale, axes, pivots, body.moves[b], jacobian)
@@ -253,12 +263,15 @@ def minimise(body, cameras, known, observing, xy, offsets, labels, sigmas, steps
     shares = np.empty((len(cameras.eyes), len(body.bones)))
     current = np.empty((size, size))
     cost = 0.0
+    # From a wide blur to the blobs' own: a wide one leads from afar, a narrow one is exact.
     for s in range(len(sigmas)):
+        # Anew at each stage, since what hides what depends on the pose.
         if len(labels) == 0:
             predict_visible(body, cameras, observing, pose, rotation, shares)
         damping = 1e-3
         cost = evaluate(body, cameras, known, observing, shares, xy, offsets, labels, pose, rotation, sigmas[s], current, gradient)
         for _ in range(steps):
+            # Not positive definite: more damping makes it so.
             if not solve_damped(current, gradient, free, damping, factor, step):
                 damping = 10.0 * damping + 1e-6
                 continue
@@ -278,11 +291,13 @@ def minimise(body, cameras, known, observing, xy, offsets, labels, sigmas, steps
                 next_hessian,
                 next_gradient,
             )
+            # Only downhill; a step that failed leaves pose and equations as they were.
             if next_cost < cost:
                 small = cost - next_cost < 1e-3
                 cost = next_cost
                 pose[:] = next_pose
                 rotation[:] = next_rotation
+                # The equations at the new pose are made already.
                 gradient, next_gradient = next_gradient, gradient
                 current, next_hessian = next_hessian, current
                 damping *= 0.2
@@ -290,6 +305,7 @@ def minimise(body, cameras, known, observing, xy, offsets, labels, sigmas, steps
                     break
             else:
                 damping = 8.0 * damping + 1e-4
+                # So short a step that nothing is left to gain.
                 if damping > 1e4:
                     break
     hessian[:] = current
@@ -317,6 +333,7 @@ def fit_positions(body, known, positions, noise, steps, free, pose, rotation):
         cost = 0.0
         next_hessian, next_gradient = np.zeros((size, size)), np.zeros(size)
         for m in range(markers):
+            # Missing markers say nothing.
             if math.isfinite(positions[m, 0]):
                 weight = 1.0 / (noise * noise + body.spreads[m] * body.spreads[m])
                 for k in range(3):
@@ -338,6 +355,7 @@ def fit_positions(body, known, positions, noise, steps, free, pose, rotation):
             next_hessian,
             next_gradient,
         )
+        # Else the next try begins from the best pose with more damping.
         if cost < best:
             done = best - cost < 1e-9 * (1.0 + cost)
             best = cost

@@ -22,8 +22,12 @@ def assign_best(gain, chosen):
     IN  gain (M, K) nats
     OUT chosen (M,): the column of each row, -1 for none
     O(M K + C M (M + K)) for C rows whose best column another row has; allocates (M + K,).
+
+    Bounds: a row is contested once: M. Each row has a column of its own that costs nothing (M more columns), so a way to a free column is
+    always found.
     """
     rows, columns = gain.shape
+    # A column of no blob for each row, so that a marker without a blob is an assignment like any other.
     wide = columns + rows
     u, v = np.zeros(rows + 1), np.zeros(wide + 1)
     owner, way = np.zeros(wide + 1, dtype=np.int64), np.zeros(wide + 1, dtype=np.int64)
@@ -34,6 +38,7 @@ def assign_best(gain, chosen):
         for j in range(columns):
             if -gain[i - 1, j] < u[i]:
                 u[i], best = -gain[i - 1, j], j + 1
+        # Most markers have a best blob of their own; only what is contested needs a search.
         if owner[best] == 0:
             owner[best] = i
         else:
@@ -43,6 +48,7 @@ def assign_best(gain, chosen):
         i = contested[n]
         owner[0] = i
         here = 0
+        # Shortest path from the contested row to a free column, over rows that would have to change theirs.
         least[:] = np.inf
         used[:] = False
         while True:
@@ -52,6 +58,7 @@ def assign_best(gain, chosen):
                 if used[j]:
                     continue
                 cost = -gain[row - 1, j - 1] if j <= columns else 0.0 if j - columns == row else _NEVER
+                # Reduced by the prices so far, costs are never negative, as shortest paths need.
                 cost -= u[row] + v[j]
                 if cost < least[j]:
                     least[j] = cost
@@ -59,8 +66,12 @@ def assign_best(gain, chosen):
                 if least[j] < step:
                     step = least[j]
                     following = j
+            if following == 0:  # gains without a number lead nowhere: the row stays without
+                here = 0
+                break
             for j in range(wide + 1):
                 if used[j]:
+                    # The new prices keep all costs at or above zero, and those on the path at zero.
                     u[owner[j]] += step
                     v[j] -= step
                 else:
@@ -68,6 +79,7 @@ def assign_best(gain, chosen):
             here = following
             if owner[here] == 0:
                 break
+        # Along the path each row gives its column to the one before.
         while here != 0:
             before = way[here]
             owner[here] = owner[before]
@@ -99,6 +111,7 @@ def margins(gain, chosen, out):
         own = gain[m, k]
         best = 0.0
         for other in range(columns):
+            # A free blob can be taken without loss to another marker.
             if other != k and holder[other] < 0:
                 best = max(best, gain[m, other])
         rival = best
@@ -106,6 +119,7 @@ def margins(gain, chosen, out):
             if other == m:
                 continue
             theirs = chosen[other]
+            # What the other marker gives up is what the exchange costs.
             before = gain[other, theirs] if theirs >= 0 else 0.0
             # The other marker takes this blob; this marker takes the other's, a free one, or none.
             instead = best
@@ -128,11 +142,13 @@ def blob_gains(uv, slopes, shares, means, covariances, xy, first, last, camera, 
     for m in range(len(means)):
         for k in range(last - first):
             gain[m, k] = -_NEVER
+        # Behind the camera there is no place to compare with.
         if not math.isfinite(uv[camera, m, 0]):
             continue
         s = slopes[camera, m]
         u = uv[camera, m, 0] + s[0, 0] * means[m, 0] + s[0, 1] * means[m, 1] + s[0, 2] * means[m, 2]
         v = uv[camera, m, 1] + s[1, 0] * means[m, 0] + s[1, 1] * means[m, 1] + s[1, 2] * means[m, 2]
+        # Covariance in the image: the blob's noise, and where the marker may be.
         a, b, c = noise, 0.0, noise
         for i in range(3):
             for j in range(3):
@@ -140,7 +156,9 @@ def blob_gains(uv, slopes, shares, means, covariances, xy, first, last, camera, 
                 b += s[0, i] * covariances[m, i, j] * s[1, j]
                 c += s[1, i] * covariances[m, i, j] * s[1, j]
         determinant = a * c - b * b
+        # Never quite sure, so that one blob at an unlikely place can be outweighed by others.
         share = min(max(shares[camera, m], 1e-3), 0.999)
+        # Seen against hidden, and the blob's density as this marker against that of a stray.
         usual = math.log(share / (1.0 - share)) - math.log(2.0 * math.pi * math.sqrt(determinant)) - math.log(observing.strays)
         for k in range(last - first):
             du, dv = xy[first + k, 0] - u, xy[first + k, 1] - v
@@ -181,6 +199,7 @@ def combine_sights(uv, slopes, chosen, xy, offsets, without, weight, information
         pull[:] = 0.0
         for c in range(len(uv)):
             k = chosen[c, m]
+            # The camera whose blobs are to be labelled must not confirm itself.
             if c != without and k >= 0:
                 row = offsets[c] + k
                 add_sight(slopes[c, m], weight, weight * (xy[row, 0] - uv[c, m, 0]), weight * (xy[row, 1] - uv[c, m, 1]), sum_of, pull)
@@ -216,11 +235,13 @@ def label_globally(cameras, observing, shares, points, priors, xy, offsets, roun
         before[:] = chosen
         for c in range(count):
             first, last = offsets[c], offsets[c + 1]
+            # In the first round nothing is known of other cameras' labels.
             if together and turn > 0:
                 combine_sights(uv, slopes, chosen, xy, offsets, c, weight, information, means, covariances)
             else:
                 means[:] = 0.0
                 covariances[:] = priors
+            # Each camera assigns exactly; only the cameras' influence on each other is iterated.
             gain = np.empty((markers, last - first))
             blob_gains(uv, slopes, shares, means, covariances, xy, first, last, c, observing, gain)
             assign_best(gain, chosen[c])
@@ -233,6 +254,7 @@ def label_globally(cameras, observing, shares, points, priors, xy, offsets, roun
                     total += gain[m, chosen[c, m]]
                     labels[first + chosen[c, m]] = m
                     margin[first + chosen[c, m]] = by_marker[m]
+        # Nothing has changed, so that nothing would.
         if turn > 0 and (before == chosen).all():
             break
     combine_sights(uv, slopes, chosen, xy, offsets, -1, weight, information, means, covariances)
@@ -253,6 +275,7 @@ def place_priors(body, pose, rotation, hessian, free, points, priors):
     place_bones(body.parents, body.pivots, body.hinge_starts, body.axes, pose, rotation, turned, moved, by_scale, axes, pivots)
     place_points(body.bones, body.places, pose, turned, moved, points)
     jacobian, factor, step = np.empty((3, size)), np.empty((size, size)), np.empty(size)
+    # The factor is all that is wanted of it: the step is not taken.
     known = solve_damped(hessian, step, free, 1e-9, factor, step)
     part = np.empty((3, fitted))
     for m in range(len(points)):
@@ -262,6 +285,7 @@ def place_priors(body, pose, rotation, hessian, free, points, priors):
         for i in range(3):
             for p in range(fitted):
                 total = jacobian[i, free[p]]
+                # Forward substitution: the inverse itself is never made.
                 for q in range(p):
                     total -= factor[p, q] * part[i, q]
                 part[i, p] = total / factor[p, p] if known else 0.0
@@ -280,5 +304,6 @@ def unseen_cost(shares):
     cost = 0.0
     for c in range(shares.shape[0]):
         for m in range(shares.shape[1]):
+            # A share of 1 would cost infinitely: no camera sees for sure.
             cost -= math.log(1.0 - min(shares[c, m], 0.999))
     return cost

@@ -25,6 +25,7 @@ def add_densities(uv, slopes, spreads, share, xy, offsets, sigma, out):
     """
     for c in range(len(uv)):
         for m in range(uv.shape[1]):
+            # Behind this camera.
             if not math.isfinite(uv[c, m, 0]):
                 continue
             gain = 0.0
@@ -44,6 +45,7 @@ def negative_log(densities):
     """Gives minus the sum of the logs, one log for eight densities. IN densities (P,) px-2. O(P), no allocation."""
     total, product = 0.0, 1.0
     for k in range(len(densities)):
+        # Eight densities of pixels neither overflow nor vanish in a product, and logs are what costs.
         product *= densities[k]
         if k % 8 == 7:
             total -= math.log(product)
@@ -65,6 +67,7 @@ def screen_limb(body, limb, first, cameras, observing, xy, offsets, sigma, chose
     turned, moved, by_scale = np.empty((bones, 3, 3)), np.empty((bones, 3)), np.empty((bones, 3, 3))
     axes, pivots = np.empty((hinges, 3)), np.empty((hinges, 3))
     place_bones(body.parents, body.pivots, body.hinge_starts, body.axes, pose, rotation, turned, moved, by_scale, axes, pivots)
+    # The rest of the body stays, so what it explains is worked out once for all angles.
     rest = np.empty((len(chosen), 3))
     place_points(body.bones[chosen], body.places[chosen], pose, turned, moved, rest)
     uv, slopes = np.empty((count, len(chosen), 2)), np.empty((count, len(chosen), 2, 3))
@@ -73,6 +76,7 @@ def screen_limb(body, limb, first, cameras, observing, xy, offsets, sigma, chose
     add_densities(uv, slopes, body.spreads[chosen], observing.shown, xy, offsets, sigma, ready)
     above = body.parents[first]
     tried, turn = np.empty(HINGES + angles.shape[1]), turned[above].copy()
+    # The limb hangs on the bone above as a body on its root.
     tried[:HINGES] = pose[:HINGES]
     tried[PLACE : PLACE + 3] = moved[above]
     points = np.empty((len(limb.bones), 3))
@@ -82,6 +86,7 @@ def screen_limb(body, limb, first, cameras, observing, xy, offsets, sigma, chose
         place_bones(limb.parents, limb.pivots, limb.hinge_starts, limb.axes, tried, turn, turned, moved, by_scale, axes, pivots)
         place_points(limb.bones, limb.places, tried, turned, moved, points)
         project_linear(cameras, points, uv, slopes)
+        # Each trial begins from what the rest explains.
         present[:] = ready
         add_densities(uv, slopes, limb.spreads, observing.shown, xy, offsets, sigma, present)
         costs[n] = negative_log(present)
@@ -102,5 +107,6 @@ def fit_limb(limb, cameras, known, observing, xy, offsets, labels, sigmas, steps
     size = poses.shape[1]
     free, hessian = np.arange(HINGES, size), np.empty((size, size))
     for n in range(len(poses)):
+        # Only the angles are free, but the search writes to its rotation.
         turned = rotation.copy()
         costs[n] = minimise(limb, cameras, known, observing, xy, offsets, labels, sigmas, steps, free, poses[n], turned, hessian)

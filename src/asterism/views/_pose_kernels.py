@@ -23,6 +23,7 @@ def place_bones(parents, pivots, hinge_starts, axes, pose, rotation, turned, mov
         (J, 3) m: the hinges in the world
     O(B + J), no allocation but 3 x 3. The paper's eq. 6 with the rotation, which is missing in print: R (S X) + T, bones turned below it.
     """
+    # Parents come before their children.
     for b in range(len(parents)):
         parent = parents[b]
         px, py, pz = pose[0] * pivots[b, 0], pose[1] * pivots[b, 1], pose[2] * pivots[b, 2]
@@ -40,12 +41,15 @@ def place_bones(parents, pivots, hinge_starts, axes, pose, rotation, turned, mov
             versine = 1.0 - cos
             for i in range(3):
                 u, v, w = turned[b, i, 0], turned[b, i, 1], turned[b, i, 2]
+                # The axis in the world as it is before this hinge turns: its own turn leaves it where it is.
                 hinge_axes[j, i] = u * ax + v * ay + w * az
                 hinge_pivots[j, i] = moved[b, i]
+                # A turn about one axis, written out: no matrix product per hinge.
                 turned[b, i, 0] = u * (cos + versine * ax * ax) + v * (sin * az + versine * ax * ay) + w * (versine * ax * az - sin * ay)
                 turned[b, i, 1] = u * (versine * ax * ay - sin * az) + v * (cos + versine * ay * ay) + w * (sin * ax + versine * ay * az)
                 turned[b, i, 2] = u * (sin * ay + versine * ax * az) + v * (versine * ay * az - sin * ax) + w * (cos + versine * az * az)
         for i in range(3):
+            # About the pivot, not about the origin.
             moved[b, i] -= turned[b, i, 0] * px + turned[b, i, 1] * py + turned[b, i, 2] * pz
             for k in range(3):
                 by_scale[b, i, k] -= turned[b, i, k] * pivots[b, k]
@@ -84,6 +88,7 @@ def point_jacobian(bone, place, point, pose, turned, by_scale, hinge_axes, hinge
     out[0, TURN + 1], out[1, TURN + 1], out[2, TURN + 1] = z, 0.0, -x
     out[0, TURN + 2], out[1, TURN + 2], out[2, TURN + 2] = -y, x, 0.0
     for j in range(len(moves)):
+        # A hinge moves only what hangs on it.
         if moves[j]:
             dx, dy, dz = point[0] - hinge_pivots[j, 0], point[1] - hinge_pivots[j, 1], point[2] - hinge_pivots[j, 2]
             out[0, HINGES + j] = hinge_axes[j, 1] * dz - hinge_axes[j, 2] * dy
@@ -102,12 +107,14 @@ def gather(jacobian, information, pull, hessian, gradient):
     size = jacobian.shape[1]
     for p in range(size):
         a, b, c = jacobian[0, p], jacobian[1, p], jacobian[2, p]
+        # Most hinges do not move a marker.
         if a == 0.0 and b == 0.0 and c == 0.0:
             continue
         gradient[p] += a * pull[0] + b * pull[1] + c * pull[2]
         u = information[0, 0] * a + information[0, 1] * b + information[0, 2] * c
         v = information[1, 0] * a + information[1, 1] * b + information[1, 2] * c
         w = information[2, 0] * a + information[2, 1] * b + information[2, 2] * c
+        # The lower triangle is enough: the matrix is symmetric.
         for q in range(p + 1):
             hessian[p, q] += u * jacobian[0, q] + v * jacobian[1, q] + w * jacobian[2, q]
 
@@ -125,10 +132,12 @@ def solve_damped(hessian, gradient, free, damping, factor, step):
     for i in range(size):
         for j in range(i + 1):
             p, q = max(free[i], free[j]), min(free[i], free[j])
+            # A share of the diagonal (Marquardt), so that metres and radians are damped alike.
             total = hessian[p, q] * (1.0 + damping if i == j else 1.0)
             for k in range(j):
                 total -= factor[i, k] * factor[j, k]
             if i == j:
+                # No positive definite matrix, also for NaN; the caller damps more.
                 if not total > 1e-12:
                     return False
                 factor[i, i] = math.sqrt(total)
@@ -157,6 +166,7 @@ def add_priors(pose, rotation, vertical, usual, precision, scale_usual, scale_pr
     O(J), no allocation.
     """
     cost = 0.0
+    # The common scale varies more among people than the differences of the three, so they have priors of their own.
     mean = 0.0
     for k in range(3):
         mean += (pose[k] - scale_usual[k]) / 3.0
@@ -176,6 +186,7 @@ def add_priors(pose, rotation, vertical, usual, precision, scale_usual, scale_pr
         gradient[TURN + k] += tilt_precision * tilt[k]
         for q in range(k + 1):
             hessian[TURN + k, TURN + q] += tilt_precision * ((1.0 if k == q else 0.0) - vertical[k] * vertical[q])
+    # Beyond a right angle the sine falls again: upside down would cost nothing.
     if ux * vx + uy * vy + uz * vz < 0.0:
         cost += tilt_precision
     for j in range(len(usual)):
@@ -197,12 +208,14 @@ def take_step(pose, rotation, step, smallest, low, high, new_pose, new_rotation)
     for p in range(len(pose)):
         new_pose[p] = pose[p] + step[p]
     for k in range(3):
+        # A scale that passes zero would turn the body inside out.
         new_pose[k] = max(new_pose[k], smallest)
         new_pose[TURN + k] = 0.0
     for j in range(len(low)):
         new_pose[HINGES + j] = min(max(new_pose[HINGES + j], low[j]), high[j])
     x, y, z = 0.5 * step[TURN], 0.5 * step[TURN + 1], 0.5 * step[TURN + 2]
     length = math.sqrt(x * x + y * y + z * z)
+    # The limit of sin x / x at 0.
     sine = 1.0 if length < 1e-9 else math.sin(length) / length
     w, x, y, z = math.cos(length), sine * x, sine * y, sine * z
     for k in range(3):

@@ -44,10 +44,12 @@ def sight_depths(eyes, points, starts, ends, radii, clearance, out):
         for c in range(len(eyes)):
             out[c, m] = -1.0
         for k in range(len(radii)):
+            # A marker sits on the body: its own capsule is as thin as that asks.
             own, _ = nearest_on_segments(point, point, starts[k], ends[k])
             room = math.sqrt(own) - clearance
             reach = 0.5 * math.sqrt(squared_distance(starts[k], ends[k])) + max(radii[k, 0], radii[k, 1]) + _CLEAR
             for c in range(len(eyes)):
+                # Most capsules are far from a line of sight, and a cross product tells.
                 if is_far(eyes[c], point, starts[k], ends[k], reach):
                     continue
                 apart, t = nearest_on_segments(eyes[c], point, starts[k], ends[k])
@@ -56,13 +58,15 @@ def sight_depths(eyes, points, starts, ends, radii, clearance, out):
 
 
 @kernel
-def visible_shares(depths, doubt, softness, hidden, shown, out):
+def visible_shares(depths, occlusion_tolerance, softness, hidden, shown, out):
     """The probability that a camera has a blob of a marker, from how deep its line of sight runs.
 
-    IN  depths (C, M) m; doubt m: what is hidden by less counts as visible; softness m; hidden, shown: the lowest and highest probability
+    IN  depths (C, M) m; occlusion_tolerance m: occlusions shallower than this do not hide; softness m
+        hidden, shown: the lowest and highest probability
     OUT out (C, M)
     O(C M), no allocation.
     """
     for c in range(depths.shape[0]):
         for m in range(depths.shape[1]):
-            out[c, m] = hidden + (shown - hidden) / (1.0 + math.exp(min((depths[c, m] - doubt) / softness, 50.0)))
+            # The exponent is bounded, beyond which the share does not change any more.
+            out[c, m] = hidden + (shown - hidden) / (1.0 + math.exp(min((depths[c, m] - occlusion_tolerance) / softness, 50.0)))

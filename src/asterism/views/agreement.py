@@ -38,16 +38,19 @@ def check_by_model(
     """
     columns = model.marker_set.columns_of(result.body.labels)
     frame, marker = np.nonzero(result.views >= 2)
+    # One camera gives a ray and no point, so only markers that two cameras show can be compared.
     named = model.label(_points_of(result, frame, marker), progress=progress) if len(frame) else None
     if named is None or not (columns >= 0).any():
         return result
     other = np.full(result.views.shape, NULL, dtype=np.int64)
     certain = np.zeros(result.views.shape)
+    # The place of each point within its own frame, which is how a labelling counts candidates.
     place = np.concatenate([np.arange(n) for n in np.bincount(frame, minlength=len(result.views))] or [np.empty(0)]).astype(np.int64)
     for m in np.nonzero(columns >= 0)[0]:
         hit = (named.indices[frame, m] == place) & (named.indices[frame, m] >= 0)
         other[frame[hit], marker[hit]] = columns[m]
         certain[frame[hit], marker[hit]] = np.nan_to_num(named.confidence[frame[hit], m])
+    # Markers that only the body or only the model knows can neither agree nor disagree.
     known = np.isin(np.arange(len(result.body.labels)), columns)
     differs = (other >= 0) & (other != np.arange(result.views.shape[1])) & known
     compared = (other >= 0) & known
@@ -68,14 +71,17 @@ def _lowered(
     """The labelling with the confidence that disagreement leaves. differs, compared (T, M); certain (T, M): of the model's other name."""
     given = np.nonzero(result.labels >= 0)[0]
     at = (result.blobs.frame_of[given], result.labels[given])
+    # Nothing is quite certain: an odds ratio of certainties would else be zero divided by zero.
     p = np.clip(result.confidence[given], 0.0, 1.0 - _DOUBT)
     q = np.clip(certain[at], 0.0, 1.0 - _DOUBT)
     alike = _alike(differs, compared, result.blobs.rate)[at[0]]
     left = np.minimum(p * (1.0 - q) / (p * (1.0 - q) + (1.0 - p) * q), np.maximum(alike, 0.5))
+    # Agreement leaves a label as it was, unless the body around it is disputed as a whole.
     most = np.where(differs[at], left, np.where(alike < 0.5, 0.5, 1.0))
     confidence, labels = result.confidence.copy(), result.labels.copy()
     confidence[given] = np.minimum(most, result.confidence[given])
     labels[given[confidence[given] < least_confidence]] = NULL
+    # A withdrawn label takes its sighting with it; a marker without sightings has no place any more.
     views = np.zeros_like(result.views)
     some = labels >= 0
     np.add.at(views, (result.blobs.frame_of[some], labels[some]), 1)
@@ -94,6 +100,7 @@ def _alike(differs: NDArray[np.bool_], compared: NDArray[np.bool_], rate: float)
     """(T,) the share of the points within `_AROUND` that both name alike; 1 where none is compared."""
     reach = int(_AROUND * rate)
     around = np.ones(2 * reach + 1)
+    # The same window over both, so that the share is one of points and not a mean of shares of frames.
     inside = slice(reach, reach + len(differs))
     wrong, of = (np.convolve(each.sum(axis=1), around)[inside] for each in (differs, compared))
     share: Floats = 1.0 - wrong / np.maximum(of, 1.0)

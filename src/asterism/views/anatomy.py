@@ -96,6 +96,7 @@ def joints_of(markers: Mapping[str, Floats]) -> Joints:
         found = [markers[canonical(name)] for name in names if canonical(name) in markers]
         return np.mean(found, axis=0) if found else None
 
+    # The pelvis sets the axes and the size of all that has no marker of its own.
     left_front, right_front, back = mean("LASI"), mean("RASI"), mean("SACR", "LPSI", "RPSI")
     if left_front is None or right_front is None or back is None:
         raise AsterismError("a body needs the pelvis' markers (LASI, RASI, and SACR or LPSI and RPSI); label them.")
@@ -104,6 +105,7 @@ def joints_of(markers: Mapping[str, Floats]) -> Joints:
     front = 0.5 * (left_front + right_front)
     middle = 0.5 * (front + back)
     places = {"pelvis": middle, "waist": middle + size * np.array([-0.01, 0.0, 0.09])}
+    # Without a marker, the neck and the head stand where they are over an average pelvis, scaled by its width.
     neck = mean("C7", "CLAV")
     neck = middle + size * np.array([-0.02, 0.0, 0.46]) if neck is None else neck + np.array([0.0, 0.0, -0.01])
     head = mean("LFHD", "RFHD", "LBHD", "RBHD")
@@ -113,15 +115,18 @@ def joints_of(markers: Mapping[str, Floats]) -> Joints:
         places[f"{side} hip"] = front + width * np.array([-0.22, 0.36 * sign, -0.30])
         knee, ankle, heel, toe = (mean(letter + end) for end in ("KNE", "ANK", "HEE", "TOE"))
         inner_knee, inner_ankle = mean(letter + "KNM", letter + "MKN", letter + "KNEM"), mean(letter + "MMA", letter + "ANKM")
+        # The inner markers of a limb are often worn in static trials only; without them half a limb's thickness is taken off.
         if knee is None or ankle is None:
             raise AsterismError(f"a body needs {letter}KNE and {letter}ANK; label them.")
         places[f"{side} knee"] = knee - 0.048 * out if inner_knee is None else 0.5 * (knee + inner_knee)
         places[f"{side} ankle"] = ankle - 0.034 * out if inner_ankle is None else 0.5 * (ankle + inner_ankle)
+        # Without foot markers a foot stands flat below its ankle.
         flat = places[f"{side} ankle"] * np.array([1.0, 1.0, 0.0])
         places[f"{side} heel"] = flat + size * np.array([-0.03, 0.0, 0.03]) if heel is None else heel + size * np.array([0.03, 0.0, 0.0])
         places[f"{side} toe"] = flat + size * np.array([0.14, 0.0, 0.02]) if toe is None else toe + size * np.array([0.02, 0.0, -0.015])
         shoulder, elbow = mean(letter + "SHO", letter + "ACR"), mean(letter + "ELB")
         wrist, finger = mean(letter + "WRA", letter + "WRB"), mean(letter + "FIN")
+        # Without arm markers an arm hangs down, a little away from the trunk; the wrist and finger follow the forearm's direction.
         shoulder = neck + size * np.array([0.02, 0.15 * sign, -0.07]) if shoulder is None else shoulder + size * np.array([0, 0, -0.045])
         elbow = shoulder + size * np.array([-0.03, 0.08 * sign, -0.25]) if elbow is None else elbow - 0.03 * out
         wrist = elbow + size * np.array([0.05, 0.03 * sign, -0.2]) if wrist is None else wrist
@@ -148,6 +153,7 @@ def bones_of(joints: Joints, worn: set[str]) -> tuple[Bone, ...]:
         ):
             chain[f"{side} {bone}"] = parent
             pivots[f"{side} {bone}"] = f"{side} {joint}"
+    # A bone between two that carry markers has to be there, or the lower one would hang in the air.
     needed = {"pelvis"}
     for bone in worn:
         while bone not in needed:
@@ -176,8 +182,10 @@ def _hinges(bone: str, joints: Joints) -> tuple[Hinge, ...]:
     plain, right = (plain, side == "right") if side in ("left", "right") else (bone, False)
     hinges = []
     for name, axis, spread, low, high in _HINGES[plain]:
+        # The elbow's range is counted from the straight arm, and the rest pose may be bent.
         if (plain, name) == ("forearm", "flexion"):
             low = min(-_elbow_bend(joints, side) - _HYPEREXTENSION, -_HYPEREXTENSION)
+        # The right side mirrors the left: a turn about x or z changes its sign, one about y does not.
         turned = (-axis[0], axis[1], -axis[2]) if right else axis
         unit = tuple(float(x) + 0.0 for x in turned)
         hinges.append(
@@ -199,6 +207,7 @@ def capsules_of(joints: Joints, bones: tuple[Bone, ...]) -> tuple[Capsule, ...]:
         (
             "head",
             "head",
+            # A part without a bone of its own moves with the nearest bone above it.
             "head" if "head" in names else trunk,
             at["head"] - size * np.array([0, 0, 0.04]),
             at["head"] + size * np.array([0, 0, 0.06]),

@@ -66,14 +66,14 @@ class Observing(NamedTuple):
 
     noise    px, standard deviation of a blob's x and y
     strays   blobs per px2 that show no marker
-    doubt    m, softness m, hidden, shown, clearance m: see `visible_shares` and `sight_depths`; an infinite doubt: all markers are shown
+    occlusion_tolerance, softness, clearance m; hidden, shown: see `visible_shares` and `sight_depths`; infinite tolerance: all are shown
     reach    px, `nearest` alone: distances above it do not count
     nearest  whether each visible marker takes its nearest blob (the paper's eq. 7), or blobs are shared among markers
     """
 
     noise: float
     strays: float
-    doubt: float
+    occlusion_tolerance: float
     softness: float
     hidden: float
     shown: float

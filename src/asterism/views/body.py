@@ -98,6 +98,7 @@ class ArticulatedBody:
     def __post_init__(self) -> None:
         names = [bone.name for bone in self.bones]
         if not names or self.bones[0].parent or any(not bone.parent for bone in self.bones[1:]):
+            # Kernels walk the bones once from the root down, so a parent has to come before its children.
             raise AsterismError(f"body {self.title}: exactly the first bone has no parent; give each other bone one.")
         for place, bone in enumerate(self.bones):
             if bone.parent and bone.parent not in names[:place]:
@@ -116,6 +117,7 @@ class ArticulatedBody:
 
     def _check_numbers(self) -> None:
         where = f"body {self.title}"
+        # Lengths in millimetres are the usual mistake: no body is taller than 10 m or shorter than 5 cm.
         if not 0.05 < self.height < 10:
             raise AsterismError(f"{where}: its height is {self.height:g} m; give metres.")
         numbers = [x for part in self.bones for x in part.pivot] + [x for part in self.markers for x in (*part.place, part.spread)]
@@ -203,6 +205,7 @@ class ArticulatedBody:
         """The body of a person of this height (m), the same everywhere else. Raises AsterismError where it is not a height in metres."""
         if not 0.3 < height < 2.8:
             raise AsterismError(f"a height of {height:g} m is not a person's; give metres, 0.3 to 2.8.")
+        # All lengths grow alike; angles, and how much people differ, stay.
         k = height / self.height
 
         def grown(place: Sequence[float]) -> tuple[float, float, float]:
@@ -228,6 +231,7 @@ class ArticulatedBody:
         starts = np.concatenate([[0], np.cumsum([len(bone.hinges) for bone in self.bones])]).astype(np.int64)
         hinges = self.hinges
         moves = np.zeros((len(self.bones), len(hinges)), dtype=np.bool_)
+        # A hinge moves its own bone and all below it; parents come first, so each bone inherits a complete row.
         for b in range(len(self.bones)):
             if parents[b] >= 0:
                 moves[b] = moves[parents[b]]

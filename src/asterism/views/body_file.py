@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import tomllib
 from collections.abc import Mapping
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from asterism.errors import AsterismError, guarded_reading
+from asterism.files.toml import toml_text
 from asterism.views.body import ArticulatedBody, BodyMarker, Bone, Capsule, Hinge, Point
 
 _VERSION = 1
@@ -67,6 +67,7 @@ def _body(table: Mapping[str, Any], origin: str) -> ArticulatedBody:
     poses = {}
     for entry in _tables(table, "poses", needed=False):
         angles = _mapping(entry.get("angles_deg", {}), "angles_deg")
+        # A pose with a misspelt hinge would silently leave that hinge at rest.
         unknown = next((name for name in angles if name not in hinges), None)
         if unknown is not None:
             raise ValueError(f"the pose {entry.get('name')!r} turns {unknown!r}, which is no hinge")
@@ -106,6 +107,7 @@ def _bone(entry: Mapping[str, Any]) -> Bone:
 
 def _unit(axis: Point) -> Point:
     length = math.sqrt(sum(x * x for x in axis))
+    # Rounded numbers are brought to length 1; a vector far from it is a mistake.
     if not 0.5 < length < 2.0:
         raise ValueError("an axis does not have length 1")
     return (axis[0] / length, axis[1] / length, axis[2] / length)
@@ -113,6 +115,7 @@ def _unit(axis: Point) -> Point:
 
 def _tables(table: Mapping[str, Any], key: str, needed: bool = True) -> list[Mapping[str, Any]]:
     found = table.get(key, [])
+    # A bound on the entries, so that a hostile file cannot take the memory.
     if not isinstance(found, list) or len(found) > _MOST or any(not isinstance(entry, dict) for entry in found) or (needed and not found):
         raise ValueError(f"`{key}` is no list of tables")
     return found
@@ -156,37 +159,34 @@ def _pair(entry: Mapping[str, Any], key: str) -> tuple[float, float]:
 
 def body_to_toml(body: ArticulatedBody) -> str:
     """The body as the text of its TOML file."""
-    lines = ['format = "asterism body"', f"version = {_VERSION}", f"title = {_quoted(body.title)}", f"height = {body.height:.4f} # m"]
+    lines = ['format = "asterism body"', f"version = {_VERSION}", f"title = {toml_text(body.title)}", f"height = {body.height:.4f} # m"]
     lines += [f"scale_spread = [{body.scale_spread[0]:.4f}, {body.scale_spread[1]:.4f}]"]
     lines += ["# Lengths in metres, in the rest pose: x ahead, y left, z up, the floor at z = 0."]
     for bone in body.bones:
-        parent = [f"parent = {_quoted(bone.parent)}"] if bone.parent else []
-        lines += ["", "[[bones]]", f"name = {_quoted(bone.name)}", *parent, f"pivot = {_list(bone.pivot)}"]
+        parent = [f"parent = {toml_text(bone.parent)}"] if bone.parent else []
+        lines += ["", "[[bones]]", f"name = {toml_text(bone.name)}", *parent, f"pivot = {_list(bone.pivot)}"]
         if bone.hinges:
             lines += ["hinges = ["]
             for hinge in bone.hinges:
                 usual, spread, low, high = (math.degrees(angle) for angle in (hinge.usual, hinge.spread, hinge.low, hinge.high))
                 degrees = f"usual_deg = {usual:.1f}, spread_deg = {spread:.1f}, low_deg = {low:.1f}, high_deg = {high:.1f}"
-                lines += [f"    {{ name = {_quoted(hinge.name)}, axis = {_list(hinge.axis)}, {degrees} }},"]
+                lines += [f"    {{ name = {toml_text(hinge.name)}, axis = {_list(hinge.axis)}, {degrees} }},"]
             lines += ["]"]
     for marker in body.markers:
         place = f"place = {_list(marker.place)}\nspread = {marker.spread:.4f}"
-        lines += ["", "[[markers]]", f"name = {_quoted(marker.name)}", f"bone = {_quoted(marker.bone)}", place]
+        lines += ["", "[[markers]]", f"name = {toml_text(marker.name)}", f"bone = {toml_text(marker.bone)}", place]
     for part in body.capsules:
         ends = f"start = {_list(part.start)}\nend = {_list(part.end)}\nradii = {_list(part.radii)}"
-        lines += ["", "[[capsules]]", f"name = {_quoted(part.name)}", f"bone = {_quoted(part.bone)}", ends]
+        lines += ["", "[[capsules]]", f"name = {toml_text(part.name)}", f"bone = {toml_text(part.bone)}", ends]
     for name, angles in body.poses.items():
-        turned = ", ".join(f"{_quoted(h)} = {math.degrees(a):.1f}" for h, a in zip(body.hinge_names, angles, strict=True))
-        lines += ["", "[[poses]]", f"name = {_quoted(name)}", f"angles_deg = {{ {turned} }}"]
+        turned = ", ".join(f"{toml_text(h)} = {math.degrees(a):.1f}" for h, a in zip(body.hinge_names, angles, strict=True))
+        lines += ["", "[[poses]]", f"name = {toml_text(name)}", f"angles_deg = {{ {turned} }}"]
     if body.aliases:
         lines += ["", "[aliases]"]
-        lines += [f"{_quoted(name)} = [{', '.join(map(_quoted, spelled))}]" for name, spelled in body.aliases.items()]
+        lines += [f"{toml_text(name)} = [{', '.join(map(toml_text, spelled))}]" for name, spelled in body.aliases.items()]
     return "\n".join(lines) + "\n"
 
 
-def _quoted(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
 def _list(numbers: tuple[float, ...]) -> str:
+    # Adding zero turns -0.0 into 0.0, so that a body written twice is the same file.
     return "[" + ", ".join(f"{round(number, 4) + 0.0:.4f}" for number in numbers) + "]"

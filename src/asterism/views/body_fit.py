@@ -80,6 +80,7 @@ def fit_body(
     sizes = np.array([_asis_height(places) for places in posed])
     mean_size = float(np.mean(sizes))
     everything = sorted(set.intersection(*(set(places) for places in posed)))
+    # People of all sizes are scaled to the mean one before their markers are averaged.
     mean = {
         name: np.mean([places[name] * (mean_size / size) for places, size in zip(posed, sizes, strict=True)], axis=0) for name in everything
     }
@@ -89,6 +90,7 @@ def fit_body(
     given = tuple(people) or tuple(str(i) for i in range(len(standing) + len(moving)))
     if len(given) != len(standing) + len(moving):
         raise AsterismError(f"{len(given)} people are named for {len(standing) + len(moving)} recordings; name one for each.")
+    # One standing trial shows no movement and no second person: the person's own size and places are all that is known.
     if len(standing) == 1 and not moving:
         spread = rules.least_spread
         return replace(body, markers=tuple(replace(marker, spread=spread) for marker in body.markers), scale_spread=(0.03, 0.01))
@@ -97,6 +99,7 @@ def fit_body(
 
 def _upright(recording: Recording) -> dict[str, Floats]:
     """Mean places (3,) m of the labelled markers in the axes of a rest pose, by canonical names."""
+    # The body faces along x with its left at y, whichever way the person stood.
     points = rotate_z_up(recording.positions, recording.vertical)
     some = np.asarray(np.isfinite(points[:, :, 0]).any(axis=0))
     middle = np.full(points.shape[1:], np.nan)
@@ -111,6 +114,7 @@ def _upright(recording: Recording) -> dict[str, Floats]:
     left /= np.linalg.norm(left)
     axes = np.array([[left[1], -left[0], 0.0], left, [0.0, 0.0, 1.0]])
     origin = 0.5 * (0.5 * (front[0] + front[1]) + np.mean(backs, axis=0))
+    # The floor is a marker's radius below the lowest marker.
     known = [place for name, place in places.items() if anatomy.bone_of(name) is not None]
     origin[2] = min(place[2] for place in known) - 0.015
     return {name: axes @ (place - origin) for name, place in places.items()}
@@ -125,6 +129,7 @@ def _common_names(standing: Sequence[Recording], posed: Sequence[Mapping[str, Fl
     first = [without_subject(label) for label in standing[0].labels if not is_unnamed(label)]
     spelled = {canonical(label): label for label in first}
     if wanted is None:
+        # Several trials must agree in what a marker is; an unknown name of one trial is taken as it is worn.
         names = [spelled[key] for key in spelled if all(key in places for places in posed)]
         known = [name for name in names if anatomy.bone_of(name) is not None]
         return tuple(known if len(standing) > 1 else names)
@@ -180,6 +185,7 @@ def pose_recording(body: ArticulatedBody, positions: Floats, *, scales: Floats |
         np.full(len(positions), np.nan),
     )
     known = known_of(body, np.array([0.0, 0.0, 1.0]))
+    # A given size is not fitted, so the three scales are left out of what is free.
     free = np.array([i for i in range(size) if scales is None or i >= PLACE], dtype=np.int64)
     pose, rotation = np.zeros(size), np.eye(3)
     warm = False
@@ -188,6 +194,7 @@ def pose_recording(body: ArticulatedBody, positions: Floats, *, scales: Floats |
         if there.sum() < 4:
             warm = False
             continue
+        # A frame after a gap starts from the rigid fit of the rest pose, since the last pose is too old.
         if not warm:
             rotation, place = fit_rigid(arrays.places[there], points[there])
             pose = np.concatenate([np.ones(3), place, np.zeros(3), arrays.usual])
@@ -211,10 +218,12 @@ def _learned(
     """The body with mean places of the markers, their spreads, and where there are moving trials the hinges' usual angles and poses."""
     points = [_chosen_positions(recording, body, rules.frames) for recording in recordings]
     who = sorted(set(people))
+    # Poses depend on where the markers sit and markers are placed by the poses, so both are found in turns.
     for _ in range(rules.rounds):
         offsets, angles, scales = [], [], []
         for person in who:
             own = [positions for positions, name in zip(points, people, strict=True) if name == person]
+            # One size for each person: the median over frames, which single bad fits do not move.
             scale = np.nanmedian(np.concatenate([pose_recording(body, positions, rules=rules).poses[:, :3] for positions in own]), axis=0)
             fits = [pose_recording(body, positions, scales=scale, rules=rules) for positions in own]
             offsets.append(np.concatenate([rest_places(body, fit, positions) for fit, positions in zip(fits, own, strict=True)]))
@@ -266,6 +275,7 @@ def rest_places(body: ArticulatedBody, fit: PosedFrames, positions: Floats) -> F
 def _with_offsets(body: ArticulatedBody, offsets: Sequence[Floats], rules: BodyFitRules) -> ArticulatedBody:
     means = np.array([np.nanmean(part, axis=0) for part in offsets])
     mean = np.nanmean(means, axis=0)
+    # Two kinds of scatter: skin over one person's bones, and hands that place markers differently on each person.
     within = np.nanmean(np.array([np.nanvar(part, axis=0).mean(axis=1) for part in offsets]), axis=0)
     several = len(offsets) > 2
     between = np.nanvar(means, axis=0, ddof=1).mean(axis=1) if several else np.full(len(mean), rules.people_spread**2)
@@ -287,6 +297,7 @@ def _with_motion(body: ArticulatedBody, angles: Floats, rules: BodyFitRules) -> 
     place = 0
     bones = []
     for bone in body.bones:
+        # Each hinge keeps the range that anatomy allows: what a person showed narrows where it usually is, not what it can do.
         hinges = []
         for hinge in bone.hinges:
             middle = float(np.clip(usual[place], hinge.low, hinge.high))
@@ -312,11 +323,13 @@ def _raised_arms(body: ArticulatedBody, usual: Floats) -> dict[str, tuple[float,
 def _apart(points: Floats, count: int) -> Floats:
     """Centres of so many groups of points (n, d): k-means, started at points far from each other. Deterministic. O(n count d)."""
     centres = [points.mean(axis=0)]
+    # The next start is the point that no centre is near yet, so that rare poses get a centre of their own.
     for _ in range(count - 1):
         nearest = np.min([((points - centre) ** 2).sum(axis=1) for centre in centres], axis=0)
         centres.append(points[int(np.argmax(nearest))])
     found = np.array(centres)
     for _ in range(20):
+        # Lloyd's iterations; twenty are more than such small sets take.
         group = np.argmin(((points[:, None] - found[None]) ** 2).sum(axis=2), axis=1)
         found = np.array([points[group == i].mean(axis=0) if (group == i).any() else found[i] for i in range(count)])
     return found

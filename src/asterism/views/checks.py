@@ -28,6 +28,7 @@ _JUDGED_FRAMES = 60
 def refuse_mirrored(body: ArticulatedBody) -> None:
     """Raise AsterismError where most left markers of a body are right of their partners: x is ahead, y left, z up."""
     places = {canonical(marker.name): marker.place[1] for marker in body.markers}
+    # One exchanged pair may be a slip of one name; most of them are a mirrored body.
     pairs = body.marker_set.pairs
     wrong = sum(places[canonical(left)] < places[canonical(right)] for left, right in pairs)
     if len(pairs) >= 2 and 2 * wrong > len(pairs):
@@ -47,6 +48,7 @@ def _absent(result: ViewsLabelling, labels: Ints) -> list[str]:
     there = np.isfinite(result.poses[:, 0])
     expected = result.expected[there].sum(axis=(0, 1))
     seen = np.bincount(labels[labels >= 0], minlength=len(expected))
+    # Ten sightings that should be there and are not: fewer could be chance.
     return [name for name, wanted, got in zip(result.body.labels, expected, seen, strict=True) if wanted > 10 and got < _NOT_WORN * wanted]
 
 
@@ -57,6 +59,7 @@ def misfits(result: ViewsLabelling) -> Ints:
     """
     blobs, rig = result.blobs, result.rig
     frames = np.nonzero((result.views > 0).any(axis=1))[0]
+    # Frames over the whole recording, so that a camera that was moved half-way shows, too.
     frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _JUDGED_FRAMES)).round().astype(np.int64))]
     count, markers = len(rig), len(result.body.markers)
     xy = np.full((len(frames), count, markers, 2), np.nan)
@@ -68,7 +71,9 @@ def misfits(result: ViewsLabelling) -> Ints:
     eyes = np.stack([camera.position for camera in rig])
     expected, there = result.expected[frames].sum(axis=(0, 2)), np.isfinite(xy[..., 0]).sum(axis=(0, 2))
     some = blobs.counts.sum(axis=0) > 0
+    # A camera may look past the body altogether: it has blobs, but not those that the body lets expect.
     out = [c for c in range(count) if some[c] and expected[c] > 20 and there[c] < _HARDLY_SEEN * expected[c]]
+    # The worst one is taken out first and the others judged again without it, because it pulls their points with it.
     while count - len(out) > 2:
         off = _medians(result, xy, rays, eyes, [c for c in range(count) if c not in out])
         worst = int(np.nanargmax(off)) if np.isfinite(off).any() else -1
@@ -83,11 +88,13 @@ def _medians(result: ViewsLabelling, xy: Floats, rays: Floats, eyes: Floats, use
     off = np.full(len(result.rig), np.nan)
     for c in used:
         others = [o for o in used if o != c]
+        # The point nearest to the rays of the other cameras: the sum over rays of the projector across the ray, solved.
         along = rays[:, others]
         shown = np.isfinite(along[..., 0])
         across = np.where(shown[..., None, None], np.eye(3) - along[..., :, None] * along[..., None, :], 0.0)
         total, right = across.sum(axis=1), np.einsum("tomij,oj->tmi", across, eyes[others])
         enough = (shown.sum(axis=1) >= 2) & np.isfinite(xy[:, c, :, 0])
+        # A median of fewer distances says little about a camera.
         if enough.sum() < 20:
             continue
         points = np.linalg.solve(total[enough], right[enough][..., None])[..., 0]
@@ -101,6 +108,7 @@ def findings(result: ViewsLabelling, misfitting: Ints) -> list[Finding]:
     counts = blobs.counts
     there = np.isfinite(result.poses[:, 0])
     worth_a_try = counts.sum(axis=1) > 0
+    # Frames in which no camera has a blob cannot show the body, and are not held against it.
     found = list[Finding]()
     for c in np.nonzero(counts.sum(axis=0) == 0)[0]:
         name = blobs.cameras[c]
@@ -132,6 +140,7 @@ def findings(result: ViewsLabelling, misfitting: Ints) -> list[Finding]:
     if absent:
         sentence = f"the cameras should show {', '.join(absent)}, and hardly do."
         mend = "If they are not worn, give a body without them (`asterism body fit --markers`)."
+        # Blobs of frames without the body are told as lost frames, and not a second time as unlabelled.
         found.append(Finding("views-markers-absent", Severity.WARNING, ", ".join(absent), sentence, mend))
     left = float((~given[there[blobs.frame_of]]).sum()) / max(float(given.sum()), 1.0)
     if left > _MANY_LEFT:

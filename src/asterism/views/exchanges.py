@@ -28,9 +28,11 @@ def exchanges_of(body: ArticulatedBody) -> tuple[Exchange, ...]:
     pairs = [(number[left], number[right]) for left, right in body.marker_set.pairs]
     groups = dict[tuple[tuple[int, int], ...], None]()
     for first in range(len(arrays.parents)):
+        # Bones come in the order of parent before child, so one pass finds all below the first.
         below = {first}
         below.update(b for b in range(first, len(arrays.parents)) if _is_below(arrays.parents, b, first))
         for bones in (below, {first}):
+            # A leg that takes the other's place does so from the hip, the knee or the ankle down, or one bone alone does.
             group = tuple(pair for pair in pairs if int(arrays.bones[pair[0]]) in bones)
             if group:
                 groups.setdefault(group)
@@ -39,6 +41,7 @@ def exchanges_of(body: ArticulatedBody) -> tuple[Exchange, ...]:
 
 def _is_below(parents: Ints, bone: int, above: int) -> bool:
     while bone > above:
+        # A parent has a smaller number than its child, so the climb ends at `above` or passes it.
         bone = int(parents[bone])
     return bone == above
 

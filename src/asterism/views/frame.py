@@ -54,10 +54,12 @@ class BlobLabels:
 
     def against(self, other: BlobLabels, by: float = 0.0) -> BlobLabels:
         """This explanation of a frame, or another one that is better by more than `by` nats; its margins know both. O(N)."""
+        # A single place that compares two explanations, so that a label's margin knows all that was tried.
         if other.gain > self.gain + by:
             return other.against(self)
         ahead = max(self.gain - other.gain, 0.0)
         differ = self.labels != other.labels
+        # Where both agree on a blob, it is as far ahead of whatever the other explanation's rivals would have it be.
         return replace(self, rival_margin=np.minimum(self.rival_margin, np.where(differ, ahead, ahead + other.rival_margin)))
 
 
@@ -121,6 +123,7 @@ class FrameLabeller:
         if carried is None or last is None:
             return self._fitted(t, pose, rotation, rules.follow, rules.follow_steps)
         found = self._fitted(t, pose, rotation, rules.follow[-1:], rules.follow_steps, carried)
+        # The last frame's labels lead a fit astray once a limb has left its blobs; a fit without labels is not misled by them.
         if found.gain < last[1].gain - rules.drop:
             found = found.against(self._fitted(t, pose, rotation, rules.follow, rules.follow_steps))
         return found
@@ -140,6 +143,7 @@ class FrameLabeller:
         project_linear(cameras, posed_points(self.body, pose, rotation)[0], uv[1], slopes)
         labels = np.empty(len(xy), dtype=np.int64)
         carry_labels(uv[0], uv[1], old_xy, old_offsets, found.labels, xy, offsets, self.rules.carry, labels)
+        # Fewer labels than half would tie the pose to a part of the body.
         return labels if 2 * (labels >= 0).sum() >= (found.labels >= 0).sum() > 0 else None
 
     def from_nothing(self, t: int) -> BlobLabels:
@@ -150,12 +154,14 @@ class FrameLabeller:
         found = self._best_start(t)
         if not self._explains(found, self.rules.enough_gain):
             rules = self.rules
+            # A second, wider search: twice the headings, and none of the starts is left behind early.
             more = replace(rules, headings=2 * rules.headings, kept=2 * rules.kept, going_on=1.0, coarse_steps=2 * rules.coarse_steps)
             found = found.against(replace(self, rules=more)._best_start(t))
         return found
 
     def _explains(self, found: BlobLabels, share: float) -> bool:
         """Whether the gain of an expected sighting is at least this share of that of one that is exactly where it is expected."""
+        # The gain of a sighting at its expected place: its normal density against the density of strays.
         most = -np.log(2 * np.pi * self.rules.noise**2 * self.observing.strays)
         return bool(found.gain >= share * most * self.expected(found).sum())
 
@@ -165,6 +171,7 @@ class FrameLabeller:
         rules = self.rules
         poses, rotations = starts(self.scene, self.body, xy, offsets, rules.headings, self.size)
         costs = self._screened(t, poses, rotations)
+        # Starts have been through the coarse blurs already.
         fine = tuple(blur for blur in rules.blur if blur < rules.coarse[-1])
         results = [
             self._fitted(t, self._arms_sought(t, poses[n], rotations[n], self.limb_rules.blur), rotations[n], fine, rules.steps)
@@ -172,12 +179,14 @@ class FrameLabeller:
         ]
         results.sort(key=lambda result: -result.gain)
         best = results[0]
+        # Exchanged sides and limbs that hold each other's blobs are where fits get stuck; each is tried only while the whole is in doubt.
         if not self._explains(best, rules.sure_gain):
             best = self.exchanged(t, best)
         best = self.with_limbs_sought(t, best)
         if not self._explains(best, rules.sure_gain):
             best = self.with_limbs_parted(t, best)
         best = self.turned(t, best, hands=True)
+        # The other heading is the one rival that no local fit reaches from here.
         about = self.from_start(t, *self._about(best))
         if about.gain > best.gain:
             best, about = self.turned(t, self.with_limbs_sought(t, about), hands=True), best
@@ -188,6 +197,7 @@ class FrameLabeller:
     def _about(self, found: BlobLabels) -> tuple[Floats, Floats]:
         """The pose and the rotation of a body in the same place that faces the other way, its joints as usual."""
         up = self.scene.vertical
+        # Half a turn about the vertical.
         half = 2.0 * np.outer(up, up) - np.eye(3)
         middle = self.placed(found).mean(axis=0)
         pose = found.pose.copy()
@@ -202,12 +212,15 @@ class FrameLabeller:
         hessian = np.empty((poses.shape[1], poses.shape[1]))
         costs, left = np.full(len(poses), np.inf), np.arange(len(poses))
         for stage, blur in enumerate(rules.coarse):
+            # Blurred blobs show the outline only, so that many starts lead to one place; the blur shrinks from stage to stage.
             fixed = (arrays, cameras, known, observing, xy, offsets, _UNKNOWN, np.array([blur]))
             found = np.array([minimise(*fixed, rules.coarse_steps, free, poses[n], rotations[n], hessian) for n in left])
             last = stage == len(rules.coarse) - 1
+            # Some of the starts go on, and never fewer than are wanted in the end.
             going = max(int(np.ceil(rules.going_on * len(left))), 2 * rules.kept)
             best = np.argsort(found, kind="stable")[: len(left) if last else going]
             left, found = left[best], found[best]
+            # In the right place with wrong arms a start costs as much as in a wrong place, so the arms are sought before the next stage.
             for n in () if last else left:
                 poses[n] = self._arms_sought(t, poses[n], rotations[n], rules.coarse[stage + 1], self.limb_rules.early)
         costs[left] = found
@@ -249,6 +262,7 @@ class FrameLabeller:
         for one, other in pairwise(self._limbs):
             before = found
             both = np.concatenate([one.markers, other.markers])
+            # Each of the two limbs is sought among the blobs that neither has, so that neither keeps the other from its own.
             for pose in self._free(t, before, both).alone(one, *self._from(before), self.limb_rules.kept):
                 first = self._fitted(t, pose, before.rotation, self.rules.follow[-1:], 0)
                 pose = self._free(t, first, other.markers).alone(other, pose, before.rotation, self._kit[2], self.limb_rules, 1)[0]
@@ -263,6 +277,7 @@ class FrameLabeller:
         for part in self._exchanges:
             labels = part.names[found.labels + 1]
             if not np.array_equal(labels, found.labels):
+                # The hinges of exchanged parts say nothing of the other side.
                 pose = found.pose.copy()
                 pose[HINGES + part.hinges] = self.body.arrays.usual[part.hinges]
                 found = found.against(self._fitted(t, pose, found.rotation, self.rules.exchange, self.rules.steps, labels), by=_BETTER)
@@ -277,6 +292,7 @@ class FrameLabeller:
     def _free(self, t: int, found: BlobLabels, markers: Ints) -> LimbScreen:
         """The blobs of frame t without a label, or with that of one of these markers."""
         xy, offsets = self.scene.frame(t)
+        # Blobs of other parts stay theirs.
         free = (found.labels < 0) | np.isin(found.labels, markers)
         before = np.concatenate([[0], np.cumsum(free)]).astype(np.int64)
         return LimbScreen(self.body, self.scene.cameras, self._kit[3], xy[free], before[offsets])
@@ -313,11 +329,13 @@ class FrameLabeller:
         points, covariances = np.empty((len(arrays.bones), 3)), np.empty((len(arrays.bones), 3, 3))
         means, priors = np.empty_like(points), np.empty_like(covariances)
         noise = np.array([rules.noise])
+        # Numba compiles one kernel for both cases; only what the pose is fitted to differs.
         if thought is None:
             minimise(arrays, cameras, known, observing, xy, offsets, _UNKNOWN, np.array(blur), steps, free, pose, rotation, hessian)
         else:
             minimise(arrays, cameras, known, observing, xy, offsets, thought, np.array(blur), steps, free, pose, rotation, hessian)
         gain, before = 0.0, np.full(len(xy), -2, dtype=np.int64) if thought is None else thought.copy()
+        # Labels and pose in turns until the labels stay: each is easy when the other is known.
         for turn in range(rules.turns + 1):
             predict_visible(arrays, cameras, observing, pose, rotation, shares)
             place_priors(arrays, pose, rotation, hessian, free, points, priors)
@@ -329,6 +347,7 @@ class FrameLabeller:
                 break
             before[:] = labels
             minimise(arrays, cameras, known, observing, xy, offsets, labels, noise, rules.label_steps, free, pose, rotation, hessian)
+        # What the cameras should have shown and did not, and how unusual the pose is, count against it.
         gain -= unseen_cost(shares) + self._pose_cost(pose, rotation)
         return BlobLabels(labels, margin, pose, rotation, points + means, covariances, float(gain), np.full(len(labels), np.inf))
 
@@ -350,6 +369,7 @@ def _reordered(labels: Ints, group: Ints) -> list[Ints]:
     """Labels (N,) with the markers of a group in each other order that changes them."""
     number = np.arange(-1, max(labels.max(initial=-1), group.max()) + 1)
     ways = list[Ints]()
+    # Every order once; orders that change nothing, as of markers without blobs, are left out.
     for order in permutations(group.tolist()):
         number[group + 1] = order
         changed: Ints = number[labels + 1]
@@ -361,6 +381,7 @@ def _reordered(labels: Ints, group: Ints) -> list[Ints]:
 def _different(costs: Floats, poses: Floats, rotations: Floats, most: int) -> list[int]:
     """The best starts, no two at one place: 3 cm and 0.2 rad."""
     chosen = list[int]()
+    # A second start at the same place would be fitted to the same end.
     for n in np.argsort(costs, kind="stable"):
         near = (
             np.linalg.norm(poses[n, 3:6] - poses[k, 3:6]) < 0.03

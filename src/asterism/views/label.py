@@ -13,7 +13,7 @@ from asterism.views import checks
 from asterism.views.body import ArticulatedBody
 from asterism.views.body_file import load_body
 from asterism.views.frame import FrameLabeller
-from asterism.views.passes import Pass, Seen, Starts, joined
+from asterism.views.passes import DirectionalTracker, ScoredFrame, Starts, joined
 from asterism.views.personal import personal_body
 from asterism.views.result import ViewsLabelling
 from asterism.views.rules import RULES, ViewsRules
@@ -52,12 +52,14 @@ def label_views(
     checks.refuse_mirrored(body)
     scene = scene_of(blobs, rig)
     labeller = FrameLabeller(scene, body, rules, None if height is None else height / body.height)
+    # The general body's places can be off by centimetres on this person, so it is learned before labels are given.
     if rules.personal and len(blobs):
         labeller = _for_person(labeller)
     track = _Track(labeller, body)
     track.run(progress)
     result = track.result(least_confidence)
     misfits = checks.misfits(result)
+    # A camera that does not fit the others would pull their points off: it is left out and everything is done again.
     if len(misfits):
         result = _without(blobs, rig, misfits, body, height, rules, least_confidence)
     if checks.is_other_body(result):
@@ -80,12 +82,14 @@ def _without(
     left = int(seeing.sum()) - int(seeing[cameras].sum())
     scene = scene_of(blobs.select(kept), rig)
     labeller = FrameLabeller(scene, body, rules, None if height is None else height / body.height)
+    # Two cameras that are left out of five say that the rig is wrong rather than two cameras.
     enough = left >= 2 and 2 * left >= int(seeing.sum())
     if enough and rules.personal:
         labeller = _for_person(labeller)
     track = _Track(labeller, body)
     track.run()
     few = track.result(least_confidence)
+    # Where the remaining cameras still contradict each other nobody knows which of them is right.
     if not enough or len(checks.misfits(few)):
         few = _withdrawn(few)
     labels, candidates = np.full((2, len(blobs.xy)), NULL, dtype=np.int64)
@@ -113,15 +117,16 @@ class _Track:
     def __init__(self, labeller: FrameLabeller, body: ArticulatedBody) -> None:
         self.body = body
         self.labeller = labeller
-        self.seen: list[Seen | None] = []
+        self.seen: list[ScoredFrame | None] = []
         self.restarts: list[int] = []
 
     def run(self, progress: Progress | None = None) -> None:
         """Label all frames."""
         frames, both = len(self.labeller.scene.blobs), self.labeller.rules.both_ways
         starts, total = Starts(self.labeller), frames * (2 if both else 1)
-        forward, backward = Pass(self.labeller, starts, 1), Pass(self.labeller, starts, -1)
+        forward, backward = DirectionalTracker(self.labeller, starts, 1), DirectionalTracker(self.labeller, starts, -1)
         for n in range(total):
+            # The second direction ends where the first began, so that both have seen the whole recording.
             if n < frames:
                 forward.take(n)
             else:
@@ -146,10 +151,12 @@ class _Track:
                 continue
             first, last = scene.blobs.offsets[t * cameras], scene.blobs.offsets[(t + 1) * cameras]
             sights = np.bincount(found.labels.labels[found.labels.labels >= 0], minlength=markers)
+            # A label seen by one camera alone has no second ray to contradict it, so its confidence is judged apart.
             sure = rules.confidence(found.labels.margin, sights[found.labels.labels] < 2, found.labels.rival_margin)
             given = (found.labels.labels >= 0) & (sure >= least_confidence)
             confidence[first:last] = np.where(found.labels.labels >= 0, sure, 0.0)
             candidates[first:last] = found.labels.labels
+            # A frame in which the body was lost keeps its labels as candidates only.
             if found.quality < rules.lost:
                 confidence[first:last] = np.minimum(confidence[first:last], _DOUBTFUL)
                 continue
@@ -159,6 +166,7 @@ class _Track:
             expected[t] = self.labeller.expected(found.labels)
             placed[t] = self.labeller.placed(found.labels)
             views[t] = found_views
+            # Only markers with a label that was given get a place.
             there = found_views > 0
             positions[t, there], covariances[t, there] = found.labels.points[there], found.labels.covariances[there]
         made = ViewsLabelling(

@@ -86,11 +86,14 @@ def limbs_of(body: ArticulatedBody, rules: LimbSearchRules = RULES) -> tuple[Lim
     limbs = []
     for b in range(1, len(children)):
         chain = [b]
+        # A chain follows single children; where a bone branches, the limb ends.
         while len(children[chain[-1]]) == 1:
             chain += children[chain[-1]]
+        # A limb begins at the trunk, which is the root or has several children.
         begins = arrays.parents[b] == 0 or len(children[arrays.parents[b]]) > 1
         if begins and len(chain) >= 2 and not children[chain[-1]]:
             limb = _limb(arrays, np.array(chain, dtype=np.int64), rules)
+            # Limbs that can hardly move are found by the fit of the whole body.
             if float(np.sqrt((1.0 / limb.arrays.precision).sum())) > rules.loose:
                 limbs.append(limb)
     return tuple(limbs)
@@ -124,6 +127,7 @@ def _limb(body: ArticulatedBodyArrays, chain: Ints, rules: LimbSearchRules) -> L
 def _tried(limb: ArticulatedBodyArrays, sought: int, rules: LimbSearchRules) -> Floats:
     """(N, L) rad, the angles that are tried: the first hinges vary."""
     spread = rules.reach * limb.precision**-0.5
+    # Angles are tried within what anatomy allows and what is usual, whichever is narrower.
     low, high = np.maximum(limb.low, limb.usual - spread), np.minimum(limb.high, limb.usual + spread)
     angles = np.repeat(limb.usual[None], rules.tried, axis=0)
     angles[:, :sought] = low[:sought] + evenly(rules.tried, sought) * (high - low)[:sought]
@@ -153,6 +157,7 @@ class LimbScreen:
 
         O(tried (bones + blobs) + first steps blobs).
         """
+        # The limb is sought as if all blobs were its own: blobs of other parts only make its own stand out less.
         angles, costs = self._screened(limb, _NONE, pose, rotation, rules.tried, rules.blur)
         chosen = _apart(angles, costs, rules.first, rules.apart)
         fitted, costs = self._fitted(limb, chosen, _NONE, np.array(rules.fit), rules.own_steps, pose, rotation, known)
@@ -160,6 +165,7 @@ class LimbScreen:
 
     def _screened(self, limb: Limb, rest: Ints, pose: Floats, rotation: Floats, tried: int, blur: float) -> tuple[Floats, Floats]:
         """The angles of a limb as given and `tried` others (N, L), with their costs (N,); rest: the other markers that have blobs."""
+        # The angles as they are take part, so that a search never makes a pose worse.
         angles = np.concatenate([pose[None, HINGES + limb.hinges], limb.tried[:tried]])
         costs = np.empty(len(angles))
         screen_limb(
@@ -178,7 +184,9 @@ class LimbScreen:
         """The pose (9 + J,) with the angles of one limb that fit labels (P,) best, from `tried` starts. O(tried steps)."""
         angles = np.concatenate([pose[None, HINGES + limb.hinges], limb.tried[:tried]])
         number = np.full(len(self.body.markers) + 1, -1, dtype=np.int64)
+        # Labels of other parts become -1, which the kernel does not use.
         number[limb.markers] = np.arange(len(limb.markers))
+        # Four times the noise: a start may be that far off before the fit.
         noise = np.array([4.0 * self.observing.noise])
         angles, costs = self._fitted(limb, angles, number[labels], noise, steps, pose, rotation, known)
         out = pose.copy()
@@ -190,6 +198,7 @@ class LimbScreen:
     ) -> tuple[Floats, Floats]:
         """Angles (N, L) of a limb after a fit from each, and their costs (N,); see `fit_limb`."""
         turned, moved = posed_bones(self.body, pose, rotation)
+        # The limb hangs on the bone above it, whose pose stays as it is.
         above = int(self.body.arrays.parents[limb.first])
         starts = np.empty((len(angles), HINGES + angles.shape[1]))
         starts[:, :HINGES] = np.concatenate([pose[:PLACE], moved[above], np.zeros(3)])
@@ -205,6 +214,7 @@ class LimbScreen:
 def _apart(angles: Floats, costs: Floats, most: int, apart: float) -> Floats:
     """The cheapest angles (N, L), at most so many, no two nearer than `apart` (rad)."""
     chosen = list[int]()
+    # The cheapest first, so that of two near ones the better is kept.
     for n in np.argsort(costs, kind="stable") if most > 1 else [int(np.argmin(costs))]:
         if all(np.abs(angles[n] - angles[k]).max() > apart for k in chosen):
             chosen.append(int(n))
@@ -218,6 +228,7 @@ def evenly(count: int, dimensions: int) -> Floats:
     """(count, dimensions) numbers in 0 to 1, evenly spread: multiples of the powers of the generalised golden ratio (Roberts 2018)."""
     ratio = 2.0
     for _ in range(60):
+        # The root of x^(d+1) = x + 1 by iteration; sixty rounds are enough for all digits.
         ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
     steps = ratio ** -np.arange(1.0, dimensions + 1)
     spread: Floats = (0.5 + np.arange(1, count + 1)[:, None] * steps) % 1.0

@@ -50,6 +50,7 @@ def personal_body(labeller: FrameLabeller, rules: PersonalRules = PERSONAL) -> A
     frames = _spread(labeller, rules.frames)
     found = _labelled(labeller, frames)
     good = [t for t, each in found.items() if quality_of(labeller, each) >= rules.quality]
+    # Learned from few frames, a body would be that of the blobs' noise.
     if len(good) < 2 * rules.least_frames:
         return general
     astray = _astray(labeller, found, good, rules)
@@ -60,7 +61,9 @@ def personal_body(labeller: FrameLabeller, rules: PersonalRules = PERSONAL) -> A
             for marker, away in zip(body.markers, astray, strict=True)
         )
         labeller = replace(labeller, body=replace(body, markers=wider))
+        # With room for the astray markers the labels are found again, so that their true blobs can take part.
         found = {t: labeller.turned(t, labeller.again(t, found[t])) for t in good}
+    # Cross-validation both ways: what half of the frames teaches has to explain the other half better.
     for learned, unused in ((good[::2], good[1::2]), (good[1::2], good[::2])):
         if not _is_better(labeller, _learned(labeller, found, learned, rules), [found[t] for t in unused], unused):
             return general
@@ -77,6 +80,7 @@ def _is_better(labeller: FrameLabeller, own: ArticulatedBody, found: list[BlobLa
     gain = 0.0
     for t, each in zip(frames, found, strict=True):
         pose = each.pose.copy()
+        # The person's own body has the person's size, so its scales start at 1.
         pose[:PLACE] = 1.0
         gain += personal.from_start(t, pose, each.rotation).gain - each.gain
     return gain > 0.0
@@ -103,6 +107,7 @@ def _labelled(labeller: FrameLabeller, frames: Ints) -> dict[int, BlobLabels]:
     the others are not tried.
     """
     out = dict[int, BlobLabels]()
+    # A third of the frames first: where the body is in none of them, the rest would be searched in vain.
     for part in (frames[::3], frames[1::3], frames[2::3]):
         for t in part.tolist():
             try:
@@ -113,6 +118,7 @@ def _labelled(labeller: FrameLabeller, frames: Ints) -> dict[int, BlobLabels]:
             return out
     known = sorted(out)
     for order in (known, known[::-1]):
+        # Good poses spread to their neighbours, forwards and then backwards.
         for before, t in pairwise(order):
             other = labeller.from_start(t, out[before].pose, out[before].rotation)
             if other.gain > out[t].gain + 1.0:
@@ -126,6 +132,7 @@ def _astray(labeller: FrameLabeller, found: dict[int, BlobLabels], good: list[in
     for t in good:
         expected += labeller.expected(found[t]).sum(axis=0)
         seen += np.bincount(found[t].labels[found[t].labels >= 0], minlength=markers)
+    # Markers that no camera should see cannot be missed.
     return np.asarray((seen < rules.least_found * expected) & (expected > 1.0))
 
 
@@ -137,6 +144,7 @@ def _views(labeller: FrameLabeller, found: BlobLabels) -> Ints:
 def _with_own_places(body: ArticulatedBody, found: list[BlobLabels], views: list[Ints], rules: PersonalRules) -> ArticulatedBody:
     poses = np.array([each.pose for each in found])
     scale: Floats = np.median(poses[:, :PLACE], axis=0)
+    # A marker that one camera shows lies somewhere on a ray, so its place comes from the model and teaches nothing.
     positions = np.array([np.where(seen[:, None] >= 2, each.points, np.nan) for each, seen in zip(found, views, strict=True)])
     rest = rest_places(body, PosedFrames(poses, np.array([each.rotation for each in found]), np.zeros(len(found))), positions)
     root = np.array(body.bones[0].pivot)
@@ -147,6 +155,7 @@ def _with_own_places(body: ArticulatedBody, found: list[BlobLabels], views: list
             markers.append(marker)
             continue
         middle = np.median(own, axis=0)
+        # 1.4826 times the median deviation is a normal distribution's standard deviation, and outliers do not count.
         scatter = 1.4826 * float(np.sqrt(np.mean(np.median(np.abs(own - middle), axis=0) ** 2)))
         markers.append(replace(marker, place=as_point(middle + root), spread=min(marker.spread, max(scatter, rules.least_spread))))
     return _scaled(replace(body, markers=tuple(markers)), scale)
@@ -158,6 +167,7 @@ def _scaled(body: ArticulatedBody, scale: Floats) -> ArticulatedBody:
     def grown(place: tuple[float, float, float]) -> tuple[float, float, float]:
         return as_point(np.array(place) * scale)
 
+    # Capsules are round, so their radii grow with the mean of the three scales.
     girth = float(scale.mean())
     return replace(
         body,

@@ -43,8 +43,11 @@ def minimise_plain(labeller: FrameLabeller, t: int, pose: Floats, rotation: Floa
     a rotation vector. Visibility is tested once for each iteration.
     """
     xy, offsets = labeller.scene.frame(t)
-    observing: Observing = labeller.observing._replace(nearest=True, reach=rules.reach, doubt=0.0, softness=1e-9, hidden=0.0, shown=1.0)
+    observing: Observing = labeller.observing._replace(
+        nearest=True, reach=rules.reach, occlusion_tolerance=0.0, softness=1e-9, hidden=0.0, shown=1.0
+    )
     known = labeller.known
+    # The paper knows neither the size nor the tilt before; a hundredth of the usual precision keeps the system solvable.
     loose = known._replace(scale_precision=np.full(2, 1e-6), tilt_precision=1e-6)
     pose, rotation = pose.copy(), rotation.copy()
     size = len(pose)
@@ -67,7 +70,8 @@ def label_stepwise(labeller: FrameLabeller, t: int, pose: Floats, rotation: Floa
     points = posed_points(labeller.body, pose, rotation)[0]
     count, markers = len(labeller.scene.rig), len(points)
     shares, uv = np.empty((count, markers)), np.empty((count, markers, 2))
-    observing = labeller.observing._replace(doubt=0.0, softness=1e-9, hidden=0.0, shown=1.0)
+    # The paper's test is sharp: a marker is hidden or it is not.
+    observing = labeller.observing._replace(occlusion_tolerance=0.0, softness=1e-9, hidden=0.0, shown=1.0)
     predict_visible(labeller.body.arrays, labeller.scene.cameras, observing, pose, rotation, shares)
     project_linear(labeller.scene.cameras, points, uv, np.empty((count, markers, 2, 3)))
     labels = np.full(len(xy), -1, dtype=np.int64)
@@ -75,6 +79,7 @@ def label_stepwise(labeller: FrameLabeller, t: int, pose: Floats, rotation: Floa
     conflicts = list[tuple[int, int, Ints]]()
     for c in range(count):
         near = _nearest_visible(xy[offsets[c] : offsets[c + 1]], uv[c], shares[c] > 0.5, rules.neighbourhood)
+        # Several blobs at one projection are decided after all cameras have their exclusive ones, which help to decide.
         for m in np.unique(near[near >= 0]):
             rivals = offsets[c] + np.nonzero(near == m)[0]
             if len(rivals) == 1:

@@ -11,7 +11,7 @@ from asterism.cameras import Rig
 from asterism.findings import Finding
 from asterism.recording import NULL, Blobs, Clouds, Floats, Ints, Labelling, Recording
 from asterism.views.body import ArticulatedBody
-from asterism.views.sights import BEFORE, SightRules, foreseen
+from asterism.views.sights import FROM_PREVIOUS, SightRules, predict_visibility
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +74,12 @@ class ViewsLabelling:
         out[self.blobs.frame_of[given], self.blobs.camera_of[given], self.labels[given]] = True
         return out
 
-    def foreseen(self, rules: SightRules = BEFORE) -> Floats:
+    def predict_visibility(self, rules: SightRules = FROM_PREVIOUS) -> Floats:
         """(T, C, M) the probability that a marker is in view of a camera, by the body, and by the labels of the frames beside.
 
-        By default that of the frame before alone; see `foreseen` in `sights`. O(T C M).
+        By default that of the frame before alone; see `predict_visibility` in `sights`. O(T C M).
         """
-        return foreseen(self.expected, self.shown, np.isfinite(self.poses[:, 0]), rules)
+        return predict_visibility(self.expected, self.shown, np.isfinite(self.poses[:, 0]), rules)
 
     @property
     def clouds(self) -> Clouds:
@@ -100,6 +100,7 @@ class ViewsLabelling:
 
     def _points(self) -> tuple[Ints, Ints, Ints]:
         """Frame and marker of each point of the clouds, and its place in its frame."""
+        # Points of several cameras first: programs that take so many points of a frame get the exact ones.
         order = np.argsort(np.where(self.views >= 2, 0, np.where(self.views == 1, 1, 2)), axis=1, kind="stable")
         frame = np.repeat(np.arange(len(self.views)), (self.views > 0).sum(axis=1))
         place = np.concatenate([np.arange(n) for n in (self.views > 0).sum(axis=1)] or [np.empty(0)]).astype(np.int64)
@@ -111,6 +112,7 @@ class ViewsLabelling:
             kept = (self.views >= least_views) & (self.deviations <= most_deviation)
         vertical = np.array([0.0, 0.0, 1.0]) if self.rig.vertical is None else self.rig.vertical
         positions = np.where(kept[:, :, None], self.positions, np.nan)
+        # Blob files of most systems count from 1, and those without numbers are counted so.
         first = self.blobs.first_frame if self.blobs.first_frame > 0 else 1
         made = Recording(positions, self.body.labels, self.blobs.rate, vertical, first_frame=first, metadata={"units": "m"})
         return made.logged("labelled in the images", self.body.title)

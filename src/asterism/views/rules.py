@@ -17,8 +17,8 @@ class ViewsRules:
 
     noise         px, standard deviation of a blob's x and y
     strays        blobs of an image that show no marker, as many as are thought usual
-    doubt         m, what a capsule hides by less counts as visible; above 0: in doubt a marker is visible, as the paper has it. Below 0
-                  agrees best with bodies other than the model's, and gives as many right labels (a row of the benchmark)
+    occlusion_tolerance  m: occlusions shallower than this do not hide. Above 0 as the paper has it; below 0 agrees best with bodies
+                  other than the model's, and gives as many right labels
     softness      m, how fast the probability falls around that
     hidden, shown  probability of a blob of a marker that the body hides, and of one that it does not
     clearance     m, how far markers are above the surface of the body
@@ -65,7 +65,7 @@ class ViewsRules:
 
     noise: float = 0.8
     strays: float = 2.0
-    doubt: float = -0.003
+    occlusion_tolerance: float = -0.003
     softness: float = 0.004
     hidden: float = 0.1
     shown: float = 0.97
@@ -118,9 +118,17 @@ class ViewsRules:
 
     def observing(self, area: float) -> Observing:
         """The model of observation for images of this mean area (px2)."""
-        doubt = self.doubt if self.occlusion else float("inf")
+        occlusion_tolerance = self.occlusion_tolerance if self.occlusion else float("inf")
         return Observing(
-            self.noise, max(self.strays, 0.2) / area, doubt, self.softness, self.hidden, self.shown, self.clearance, 40.0, False
+            self.noise,
+            max(self.strays, 0.2) / area,
+            occlusion_tolerance,
+            self.softness,
+            self.hidden,
+            self.shown,
+            self.clearance,
+            40.0,
+            False,
         )
 
 

@@ -55,10 +55,12 @@ def scene_of(blobs: Blobs, rig: Rig) -> ViewsScene:
     for camera in rig:
         if not camera.posed:
             raise AsterismError(f"camera {camera.name} has no pose; calibrate the rig.")
+    # Without a size in the rig, the blobs tell how far the image reaches at least.
     sizes = [_size(camera, blobs.xy[blobs.camera_of == c]) for c, camera in enumerate(rig)]
     xy = np.empty(blobs.xy.shape)
     for c, camera in enumerate(rig):
         own = blobs.camera_of == c
+        # A pixel without a ray is put far outside, where no marker is expected.
         xy[own] = np.nan_to_num(camera.undistort(blobs.xy[own]), nan=1e3) * np.array(camera.focal)
     return ViewsScene(
         rig, blobs, xy, camera_arrays(rig, sizes), float(np.mean([width * height for width, height in sizes])), np.asarray(rig.vertical)
@@ -77,6 +79,7 @@ def camera_arrays(rig: Rig, sizes: list[tuple[float, float]]) -> PinholeArrays:
     """The rig for the kernels; sizes (C,) px, width and height of the images."""
     limits = []
     for camera, (width, height) in zip(rig, sizes, strict=True):
+        # A lens bends the borders, so the limits are those of the whole outline and not of the corners.
         along, across = np.linspace(-0.5, width - 0.5, 17), np.linspace(-0.5, height - 0.5, 17)
         border = [(x, y) for x in along for y in (-0.5, height - 0.5)] + [(x, y) for y in across for x in (-0.5, width - 0.5)]
         flat = camera.undistort(np.array(border))

@@ -29,21 +29,23 @@ class SightRules:
     usual: float = 0.37
 
 
-BEFORE = SightRules()
-AROUND = SightRules(body=0.88, before=3.13, after=3.13, usual=0.18)
+FROM_PREVIOUS = SightRules()
+FROM_BOTH_SIDES = SightRules(body=0.88, before=3.13, after=3.13, usual=0.18)
 
 
-def foreseen(expected: Floats, shown: NDArray[np.bool_], there: NDArray[np.bool_], rules: SightRules = BEFORE) -> Floats:
+def predict_visibility(expected: Floats, shown: NDArray[np.bool_], there: NDArray[np.bool_], rules: SightRules = FROM_PREVIOUS) -> Floats:
     """(T, C, M) the probability that a marker is in view of a camera: by the body in the frame, and by the labels of the frames beside.
 
     The frame's own labels take no part but in the body's pose. expected (T, C, M): by the body; shown (T, C, M): whether the camera has a
     blob with the marker's label; there (T,): whether the body was found, else the frame says nothing of those beside it, and nothing is
     in view. O(T C M).
     """
+    # A prediction of exactly 0 or 1 has no log odds, and no model is that sure.
     certain = np.clip(expected, 1e-3, 1.0 - 1e-3)
     odds = rules.body * np.log(certain / (1.0 - certain)) + rules.usual
+    # Frames without the body say nothing about those beside them.
     sights = np.where(there[:, None, None], np.where(shown, 1.0, -1.0), 0.0)
     odds[1:] += rules.before * sights[:-1]
     odds[:-1] += rules.after * sights[1:]
-    told: Floats = np.where(there[:, None, None], 1.0 / (1.0 + np.exp(-odds)), 0.0)
-    return told
+    probability: Floats = np.where(there[:, None, None], 1.0 / (1.0 + np.exp(-odds)), 0.0)
+    return probability

@@ -35,6 +35,7 @@ def place_by_centroids(rig: Rig, centroids: Floats, body_centroid: Floats) -> Fl
         raise AsterismError("a place needs blobs in two cameras at least; one image does not say how far away a body is.")
     e: Floats = np.concatenate(rows)
     b: Floats = np.concatenate(right)
+    # Rays that are nearly parallel meet anywhere along them.
     normal: Floats = e.T @ e
     if np.linalg.cond(normal) > 1e10:
         raise AsterismError("all cameras look along one line; a place needs cameras beside each other.")
@@ -47,6 +48,7 @@ def middle_of_rays(scene: ViewsScene, xy: Floats, offsets: Ints) -> Floats:
     centroids = np.full((len(scene.rig), 2), np.nan)
     for c, camera in enumerate(scene.rig):
         if cameras_with_blobs(offsets)[c]:
+            # The median of the blobs, since strays shift a mean.
             flat = np.median(xy[offsets[c] : offsets[c + 1]], axis=0) / np.array(camera.focal)
             centroids[c] = camera.project((np.append(flat, 1.0) - camera.translation) @ camera.rotation)
     return place_by_centroids(scene.rig, centroids, np.zeros(3))
@@ -66,6 +68,7 @@ def starts(
     angles = body.start_angles
     centre = arrays.places.mean(axis=0) * scale
     poses = np.zeros((headings * len(angles), HINGES + angles.shape[1]))
+    # Every heading with every usual pose: a fit finds neither by itself.
     rotations = np.empty((len(poses), 3, 3))
     for n in range(len(poses)):
         turn = 2 * np.pi * (n % headings) / headings
@@ -82,11 +85,14 @@ def _size_by_spread(scene: ViewsScene, body: ArticulatedBody, xy: Floats, offset
     own = np.diff(np.quantile(body.arrays.places[:, 2], [0.2, 0.8]))[0]
     ratios = []
     for c, camera in enumerate(scene.rig):
+        # Near blobs of one image hide how high the body reaches, so four are needed.
         seen = xy[offsets[c] : offsets[c + 1]]
         depth = float(camera.rotation[2] @ middle + camera.translation[2])
         if len(seen) >= 4 and depth > 0.1:
+            # How many pixels a metre along the vertical is at the body's distance.
             up = (camera.rotation @ scene.vertical)[:2] * np.array(camera.focal) / depth
             length = float(np.linalg.norm(up))
             if length > 1e-6:
                 ratios.append(float(np.diff(np.quantile(seen @ (up / length), [0.2, 0.8]))[0]) / (length * own))
+    # A person is rarely beyond these sizes; a wrong start outside of them would not be left again.
     return float(np.clip(np.median(ratios), 0.6, 1.6)) if ratios else 1.0

@@ -69,7 +69,7 @@ class _Api:
             # Reading the body waits for the network; the work itself runs in a thread, so that other requests go on.
             try:
                 given = await _json_of(request) if request.method == "POST" else {}
-                found = await run_in_threadpool(answer, request, given)
+                content = await run_in_threadpool(answer, request, given)
             except _Refused as problem:
                 return JSONResponse({"error": problem.sentence}, problem.status)
             # 409: the page asks for the state anew and shows what has changed.
@@ -79,7 +79,7 @@ class _Api:
                 return JSONResponse({"error": str(problem)}, 400)
             except OSError as problem:
                 return JSONResponse({"error": f"{problem.filename or 'a file'}: {(problem.strerror or str(problem)).lower()}."}, 500)
-            return found if isinstance(found, Response) else JSONResponse(found)
+            return content if isinstance(content, Response) else JSONResponse(content)
 
         return endpoint
 

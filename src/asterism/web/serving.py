@@ -28,10 +28,10 @@ class Place:
     browser: bool = True
 
 
-def serve(session: CorrectionSession, place: Place, say: Callable[[str], None], ready: Callable[[str], None] | None = None) -> None:
+def serve(session: CorrectionSession, place: Place, say: Callable[[str], None]) -> None:
     """Serve the page of a sitting until it is interrupted.
 
-    say: told sentences for the person, the page's address among them; ready: told the address once the server answers.
+    say: told sentences for the person, the page's address among them.
     Raises AsterismError where the port is taken, the address is not of this machine, or the extra `web` is not installed.
     """
     try:
@@ -64,8 +64,6 @@ def serve(session: CorrectionSession, place: Place, say: Callable[[str], None], 
         thread = session.start()
         say(f"The page is at {address}")
         say("Stop with Ctrl-C. Every answer is kept in a log at once.")
-        if ready is not None:
-            ready(address)
         # In a thread: some browsers return only when they are closed.
         if place.browser:
             threading.Thread(target=_open, args=(address, say), daemon=True).start()
@@ -81,8 +79,8 @@ def serve(session: CorrectionSession, place: Place, say: Callable[[str], None], 
 def _bound(place: Place) -> socket.socket:
     """A socket that is bound."""
     try:
-        found = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)[0]
-        listening = socket.socket(found[0], found[1])
+        resolved = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)[0]
+        listening = socket.socket(resolved[0], resolved[1])
     except (OSError, OverflowError) as problem:
         raise AsterismError(f"--host {place.host} is no address of this machine; leave it out, or give one of its own.") from problem
     try:
@@ -91,7 +89,7 @@ def _bound(place: Place) -> socket.socket:
             listening.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
         else:
             listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.bind(found[4])
+        listening.bind(resolved[4])
         listening.listen(128)
     except OSError as problem:
         listening.close()

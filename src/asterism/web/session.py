@@ -302,10 +302,10 @@ def _targets(files: Sequence[Path], output: Path | None) -> list[Path]:
 def _stamp(path: Path) -> tuple[int, int]:
     """Size and time of the last change of a file; zeros where it is gone."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return 0, 0
-    return found.st_size, found.st_mtime_ns
+    return status.st_size, status.st_mtime_ns
 
 
 def _hash_of_file(path: Path) -> str:

@@ -111,6 +111,7 @@ class Board:
     def points(self) -> Floats:
         """(K, 3) m, in the board's axes: x along the rows, y down the columns as printed, z = 0."""
         if self.kind == "asymmetric circles":
+            # Every other row is shifted by half a step, which is what the spacing counts.
             places = [((2 * j + i % 2) * self.spacing, i * self.spacing) for i in range(self.rows) for j in range(self.columns)]
         elif self.kind == "charuco":
             places = [((j + 1) * self.spacing, (i + 1) * self.spacing) for i in range(self.rows - 1) for j in range(self.columns - 1)]
@@ -124,7 +125,11 @@ class Board:
 
 
 def size_of(text: str) -> tuple[int, int]:
-    """Columns and rows from a text such as 9x6. Raises AsterismError for anything else."""
+    """Columns and rows from a text such as 9x6. Raises AsterismError for anything else.
+
+    >>> size_of("9x6")
+    (9, 6)
+    """
     match = re.fullmatch(r"\s*(\d{1,3})\s*[xX×,]\s*(\d{1,3})\s*", text)
     if not match:
         raise AsterismError(f"board size {text!r} is not columns x rows, such as 9x6.")
@@ -155,6 +160,7 @@ class Finder:
             if dictionary.bytesList.shape[0] < board.columns * board.rows // 2:
                 raise AsterismError(f"{board.dictionary} has too few markers for a board of {board.columns} x {board.rows} squares.")
             # an even number of rows: OpenCV before 4.6, and what was printed with it, began with a marker instead of a dark square
+            # Both prints are tried, and the one that the image shows is found.
             for before in (False, True) if board.rows % 2 == 0 else (False,):
                 printed = cv2.aruco.CharucoBoard((board.columns, board.rows), board.spacing, board.marker, dictionary)
                 printed.setLegacyPattern(before)
@@ -162,6 +168,7 @@ class Finder:
 
     def find(self, image: Any) -> tuple[Ints, Floats]:
         """Which points of the board (n,) are where (n, 2) px in a grey image (H, W) uint8; both empty where it is not in sight."""
+        # OpenCV's detectors look for dark on light.
         grey = 255 - image if self.board.inverted else image
         if self.board.kind == "charuco":
             return self._find_charuco(grey)
@@ -175,6 +182,7 @@ class Finder:
                 break
         else:
             return np.empty(0, dtype=np.int64), np.empty((0, 2))
+        # A corner found twice is taken once: sightings hold one image per point.
         numbers, first = np.unique(np.asarray(ids).ravel(), return_index=True)
         return numbers.astype(np.int64), self._refined(grey, numbers, np.asarray(corners, dtype=np.float32).reshape(-1, 2)[first])
 
@@ -185,6 +193,7 @@ class Finder:
         """
         import cv2
 
+        # Between a corner and the nearest marker lies half of what the marker leaves free of its square.
         clear = 0.5 * (1.0 - self.board.marker / self.board.spacing)
         places = self.board.points[numbers, :2]
         apart = np.linalg.norm(places[:, None] - places, axis=2)
@@ -195,6 +204,7 @@ class Finder:
         half = int(np.clip(clear * float(pixels[neighbours].min()), _LEAST_WINDOW, _MOST_WINDOW))
         refined = cv2.cornerSubPix(grey, corners.reshape(-1, 1, 2).copy(), (half, half), (-1, -1), _END).reshape(-1, 2)
         moved = np.asarray(refined, dtype=np.float64) - corners
+        # The coarse corners are off by the same amount almost everywhere, by the version of OpenCV.
         usual = np.median(moved, axis=0)
         blurred = np.linalg.norm(moved - usual, axis=1) > _UNLIKE_PX
         moved[blurred] = usual
@@ -213,6 +223,7 @@ class Finder:
         narrowest = min(float(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min()) for axis in (0, 1))
         half = int(np.clip(_INNER_WINDOW * narrowest, _LEAST_WINDOW, _MOST_WINDOW))
         found = np.asarray(cv2.cornerSubPix(grey, corners, (half, half), (-1, -1), _END), dtype=np.float64).reshape(-1, 2)
+        # OpenCV begins at either end of the board; the colour of the first square says at which.
         return found if self.board.turns_alike or _first_is_dark(grey, grid) else np.ascontiguousarray(found[::-1])
 
     def _find_circles(self, grey: Any) -> Floats:
@@ -227,6 +238,7 @@ def _first_is_dark(grey: Any, grid: Floats) -> bool:
     """Whether the square inside the first four corners of a grid (rows, columns, 2) px is a dark one: by all squares between corners."""
     middles = 0.25 * (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:])
     x, y = np.clip(np.round(middles).astype(int).reshape(-1, 2).T, 0, np.array(grey.shape)[::-1, None] - 1)
+    # All squares vote, since glare or a finger may hide the first one.
     like_first = np.indices(middles.shape[:2]).sum(axis=0).ravel() % 2 == 0
     shades = grey[y, x].astype(np.float64)
     return bool(shades[like_first].mean() < shades[~like_first].mean())

@@ -136,6 +136,7 @@ def calibrate_board(
     single_rms = float(np.sqrt(np.mean([start.intrinsics[c].rms ** 2 for c in start.group])))
     adjusted = _adjusted(start, {c: [] if c in lenses else list(_LENS) for c in start.group})
     together = adjusted.result.rms
+    # Views that were not taken at one moment contradict each other, and free lenses would bend to please them.
     if len(start.group) >= 2 and not checks.in_step(together, single_rms):
         adjusted = _adjusted(start, {c: [] for c in start.group})
     return _calibration(start, adjusted, lenses, (together, single_rms), origin)
@@ -167,6 +168,7 @@ def _start(views: BoardViews, intrinsics: dict[int, Intrinsics]) -> _Start:
     links = links_between([intrinsics[c].frames for c in order])
     group = [order[i] for i in links.groups[0]]
     points = views.board.points
+    # Turned about its middle by half a turn, such a board shows the same points.
     middle = 0.5 * (points[0] + points[-1]) if views.board.turns_alike else None
     placed = first_rig({i: intrinsics[c] for i, c in enumerate(order)}, links, middle)
     cameras = {order[i]: camera for i, camera in placed.items()}
@@ -183,9 +185,11 @@ def _calibration(
     views, result, sightings = start.views, adjusted.result, adjusted.sightings
     single = tuple(start.intrinsics[c] for c in start.group)
     freed = zip(result.free[:, 6], result.sigma[:, 6], single, strict=True)
+    # Many views of a board at rest count as many in the covariance and teach as much as one.
     focal_std = tuple(one.repeated * float(sigma if free else one.focal_std) for free, sigma, one in freed)
     rig = _in_world(Rig(result.cameras), views, adjusted, origin)
     rejected = [(int(views.frames[t]), views.cameras[c]) for t, c in adjusted.rejected]
+    # Views that a camera alone could not explain were never part of the adjustment; they are rejected all the same.
     rejected += [(int(views.frames[t]), views.cameras[c]) for c in start.group for t in start.intrinsics[c].rejected]
     bend = bend_of(views.board.points, sightings, result)
     excluded = [c for c in range(len(views.cameras)) if c not in start.group]
@@ -198,6 +202,7 @@ def _calibration(
         *checks.check_lenses(rig, single, focal_std, _covered(rig, sightings)),
     )
     lacks = ("the pose of every camera",) if len(rig) == 1 else ("which way is up",) if rig.vertical is None else ()
+    # The rig's file carries what speaks against the rig, not what was wrong with files and cameras outside it.
     about = [str(finding) for finding in found[len(views.findings) + len(excluded) :]]
     metadata = {
         "format": "Asterism rig",
@@ -276,10 +281,12 @@ def _adjusted(start: _Start, lens: dict[int, list[str]]) -> _Adjusted:
     place = {c: i for i, c in enumerate(group)}
     good = np.zeros((len(views.frames), len(views.cameras)), dtype=bool)
     for c in group:
+        # Begin from the views that fit each camera alone.
         good[start.intrinsics[c].frames, c] = True
     cameras = [start.cameras[c] for c in group]
     free = np.concatenate([free_parameters(1, "pose", *lens[c]) for c in group])
     rejected: list[tuple[int, int]] = []
+    # An outlying view draws the others off, so what is outlying is asked again once it is gone.
     for _ in range(_ROUNDS):
         kept = views.seen.select(good[views.seen.frame, views.seen.camera])
         local = Sightings(kept.frame, np.array([place[c] for c in kept.camera], dtype=np.int64), kept.point, kept.xy)
@@ -295,6 +302,7 @@ def _adjusted(start: _Start, lens: dict[int, list[str]]) -> _Adjusted:
             t, c = int(frames[at // len(cameras)]), group[at % len(cameras)]
             still = good.copy()
             still[t, c] = False
+            # A camera keeps its last view, be it bad: without any it would have no pose to be judged by.
             if still[:, c].any():
                 good = still
                 rejected.append((t, c))
@@ -304,6 +312,7 @@ def _adjusted(start: _Start, lens: dict[int, list[str]]) -> _Adjusted:
 def _outlying(result: Adjustment, sightings: Sightings, frames: int, cameras: int) -> Ints:
     """The views, frame * cameras + camera, whose error is far above the median."""
     cell = sightings.frame * cameras + sightings.camera
+    # A point behind a camera has no residual; a thousand pixels make its view outlying for certain.
     square = np.where(np.isfinite(result.residuals[:, 0]), np.square(result.residuals).sum(axis=1), 1e6)
     number = np.bincount(cell, minlength=frames * cameras)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -331,12 +340,14 @@ def _in_world(rig: Rig, views: BoardViews, adjusted: _Adjusted, origin: int | No
             raise AsterismError(f"camera {rig.names[0]} is alone, a rig of one camera has no world; leave out the origin.")
         return Rig((replace(rig.cameras[0], rotation=np.eye(3), translation=np.zeros(3), posed=False),))
     if origin is None:
+        # Without a floor the first camera's axes are as good a world as any, and everyone can find them again.
         first = rig.cameras[0]
         return rig.moved(first.rotation, first.translation)
     at = np.nonzero(views.frames[adjusted.used] == origin)[0]
     if not len(at):
         raise AsterismError(f"no camera saw the board at frame {origin}, which is to be the origin; name one of those where it was seen.")
     turned, placed = adjusted.result.rotations[at[0]], adjusted.result.translations[at[0]]
+    # A board's z points into the paper, its y down the columns: half a turn about x brings the print up.
     world_from_board = np.diag([1.0, -1.0, -1.0])
     rig = rig.moved(world_from_board @ turned.T, -world_from_board @ turned.T @ placed)
     return replace(rig, vertical=np.array([0.0, 0.0, 1.0]))

@@ -90,10 +90,12 @@ def check_known_lenses(views: BoardViews, lenses: dict[int, Camera], calibrated:
         if c not in calibrated or calibrated[c].different < RULES.different_views:
             continue
         name, known = views.cameras[c], calibrated[c]
+        # What these views themselves say of the lens is the only witness that the old lens has.
         free = calibrate_intrinsics(name, views.sizes[c], views.board.points, views.seen.select(views.seen.camera == c))
         if free is None:
             continue
         was, now, spread = known.camera.focal[0], free.camera.focal[0], free.repeated * free.focal_std
+        # Only what goes beyond the uncertainty of the new one speaks against the old one.
         difference = abs(now - was) - RULES.certain * spread
         if difference > RULES.focal[0] * was or known.rms > RULES.out_of_step * max(free.rms, RULES.least_noise):
             yield Finding(
@@ -142,6 +144,7 @@ def check_links(rig: Rig, shared: Ints, kept: CameraLinks, board: Board) -> Iter
     for start, end in kept.tree:
         names, together, fit = f"cameras {rig.names[start]} and {rig.names[end]}", int(shared[start, end]), int(kept.shared[start, end])
         where = f"{rig.names[start]}, {rig.names[end]}"
+        # The views that were kept agree by construction; it is those that had to go that tell of a wrong link.
         if fit < RULES.agreeing * together:
             yield Finding(
                 "board-link-inconsistent",
@@ -197,6 +200,7 @@ def check_lenses(rig: Rig, intrinsics: Sequence[Intrinsics], focal_std: Sequence
     """What makes the lenses of this rig uncertain."""
     for camera, one, std, share_seen in zip(rig, intrinsics, focal_std, covered, strict=True):
         name = camera.name
+        # A known lens has no standard deviation, and needs no coverage.
         if std > 0 and share_seen < RULES.covered:
             yield Finding(
                 "board-image-uncovered",
@@ -214,6 +218,7 @@ def check_lenses(rig: Rig, intrinsics: Sequence[Intrinsics], focal_std: Sequence
                 f"the focal length of camera {name} is only known to {100 * share:.1f} %.",
                 "Show it the board tilted, near and far.",
             )
+        # Sensors have square pixels; a board printed 1 % longer along one side looks like pixels that are not.
         oblong = abs(camera.focal[1] / camera.focal[0] - 1.0)
         if 0 < RULES.certain * share < oblong and oblong > RULES.oblong:
             yield Finding(

@@ -37,6 +37,7 @@ def links_between(frames: Sequence[Ints]) -> CameraLinks:
     left = set(range(count))
     groups: list[tuple[int, ...]] = []
     while left:
+        # Grow a group from one camera until no camera outside shares a view with it.
         reached = {min(left)}
         while True:
             more = {j for i in reached for j in left - reached if shared[i, j]}
@@ -45,11 +46,14 @@ def links_between(frames: Sequence[Ints]) -> CameraLinks:
             reached |= more
         left -= reached
         groups.append(tuple(sorted(reached)))
+    # Only the first group becomes a rig, so it must be the one that loses least; ties go by order, so that results repeat.
     groups.sort(key=lambda group: (-len(group), -sum(len(frames[c]) for c in group), group))
+    # The root should have many views with the others: every pose is chained from it.
     strength = [sum(shared[c, other] for other in groups[0] if other != c) for c in groups[0]]
     inside = [groups[0][int(np.argmax(strength))]]
     tree: list[tuple[int, int]] = []
     while len(inside) < len(groups[0]):
+        # The strongest link from inside to outside, as in Prim's algorithm; negated numbers let the lower camera win a tie.
         _, start, end = max((shared[i, j], -i, -j) for i in inside for j in groups[0] if j not in inside)
         tree.append((-start, -end))
         inside.append(-end)
@@ -75,6 +79,7 @@ def first_rig(intrinsics: dict[int, Intrinsics], links: CameraLinks, middle: Flo
 def _relative(one: Intrinsics, other: Intrinsics, middle: Floats | None) -> tuple[Floats, Floats]:
     """The pose other from one, (3, 3) and (3,) m: of the shared views' poses the one to which the others are nearest in the median."""
     _, mine, theirs = np.intersect1d(one.frames, other.frames, return_indices=True)
+    # Views with small errors only: all pairs of views are compared, which costs the square of their number.
     order = np.argsort(one.errors[mine] + other.errors[theirs], kind="stable")[:_MOST_COMPARED]
     mine, theirs = mine[order], theirs[order]
     ways = [(other.rotations[theirs], other.translations[theirs])]
@@ -85,6 +90,7 @@ def _relative(one: Intrinsics, other: Intrinsics, middle: Floats | None) -> tupl
     # candidates k against both ways w of each view n: their angle, and their distance as a share of that to the board
     cosines = 0.5 * (np.einsum("kij,wnij->kwn", turns.reshape(-1, 3, 3), turns) - 1.0)
     far = np.linalg.norm(shifts.reshape(-1, 1, 1, 3) - shifts, axis=3) / reach
+    # The median view, not the mean: boards seen at a grazing angle give poses that are far off, and would spoil a mean.
     disagreement = np.median((np.arccos(np.clip(cosines, -1.0, 1.0)) + far).min(axis=1), axis=1)
     best = int(np.argmin(disagreement))
     return turns.reshape(-1, 3, 3)[best], shifts.reshape(-1, 3)[best]
@@ -109,6 +115,7 @@ def numbered_alike(
     point = seen.point.copy()
     for c, camera in cameras.items():
         own = intrinsics[c]
+        # The board's own x axis in the world tells from which end this camera numbered it.
         along = (camera.rotation.T @ own.rotations)[:, :, 0]
         other = (along * ends[np.searchsorted(frames, own.frames), :, 0]).sum(axis=1) < 0
         turned, placed = _upside_down(own.rotations, own.translations, middle)
@@ -128,6 +135,7 @@ def first_boards(intrinsics: dict[int, Intrinsics], cameras: dict[int, Camera], 
     best = np.full(len(frames), np.inf)
     for c, camera in cameras.items():
         _, mine, at = np.intersect1d(intrinsics[c].frames, frames, return_indices=True)
+        # Of all cameras that saw the board in a frame, the one with the least error has the best pose of it.
         better = intrinsics[c].errors[mine] < best[at]
         mine, at = mine[better], at[better]
         best[at] = intrinsics[c].errors[mine]

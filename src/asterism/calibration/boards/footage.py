@@ -61,6 +61,7 @@ class Footage:
                     continue
                 yield frame, image
             return
+        # Frames are read in order: seeking in compressed video is slow, and in some files inexact.
         film, read = cv2.VideoCapture(str(self.video)), 0
         try:
             for frame in self.frames.tolist():
@@ -109,6 +110,7 @@ def footage_of(paths: Sequence[str | Path]) -> list[Footage]:
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise AsterismError(f"two cameras would be called {twice}; give their folders or videos names of their own.")
+    # By the numbers in names, so that cam10 comes after cam2; every tuple has a number first, so that all compare.
     return sorted(found, key=lambda one: [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", one.name) if p])
 
 
@@ -116,6 +118,7 @@ def _collect(path: Path, images: list[tuple[Path, str | None]], videos: list[Pat
     if path.is_dir():
         inside = sorted(path.iterdir())
         own = [file for file in inside if file.suffix.casefold() in _IMAGES]
+        # Several names before the numbers mean several cameras in one folder, as in left01.jpg, right01.jpg.
         prefixes = {_parts(file)[0] for file in own if _parts(file)[1] is not None}
         images += [(file, None if len(prefixes) > 1 else path.resolve().name) for file in own]
         videos += [file for file in inside if file.suffix.casefold() in _VIDEOS]
@@ -153,16 +156,17 @@ def _image_cameras(images: list[tuple[Path, str | None]]) -> list[Footage]:
     for path, folder in images:
         prefix, number = _parts(path)
         own = cameras.setdefault(folder or prefix or "camera", [])
+        # Images without a number get negative ones, which no image of another camera shares.
         own.append((number if number is not None else UNNUMBERED - len(own), path))
-    made = []
+    listed = []
     for name, own in cameras.items():
         own.sort()
         frames = [frame for frame, _ in own]
         twice = next((path for i, (frame, path) in enumerate(own) if i and frame == frames[i - 1]), None)
         if twice is not None:
             raise AsterismError(f"{twice}: camera {name} has two images with this number; keep one of them.")
-        made.append(Footage(name, tuple(path for _, path in own), None, np.array(frames, dtype=np.int64)))
-    return made
+        listed.append(Footage(name, tuple(path for _, path in own), None, np.array(frames, dtype=np.int64)))
+    return listed
 
 
 def _video(path: Path) -> Footage:

@@ -75,12 +75,15 @@ def calibrate_intrinsics(
     starts = np.searchsorted(seen.frame, np.append(frames, frames[-1] + 1 if len(frames) else 0))
     objects = [points[seen.point[a:b]].astype(np.float32) for a, b in pairwise(starts.tolist())]
     images = [seen.xy[a:b].astype(np.float32) for a, b in pairwise(starts.tolist())]
+    # A board at rest gives many views that teach one thing; they must not count as evidence many times.
     good, new = np.ones(len(frames), dtype=bool), _shows_new(points, objects, images, size)
+    # Leaving a view out changes the lens by which all others are judged, so begin again until none is left to go.
     while (good & new).sum() >= (LEAST_VIEWS if lens is None else 1):
         calibrated = _lens(name, size, objects, images, good) if lens is None else (_without_pose(lens), 0.0)
         if calibrated is None:
             return None
         camera, focal_std = calibrated
+        # All views get a pose, those too that the lens was not made from.
         poses = [_pose(camera, objects[i], images[i]) for i in range(len(frames))]
         errors = np.array([np.inf if pose is None else pose[2] for pose in poses])
         usual = float(np.median(errors[good & np.isfinite(errors)])) if np.isfinite(errors[good]).any() else 0.0
@@ -107,6 +110,7 @@ def _lens(
 
     used = np.nonzero(good)[0]
     used = used[_most_different([images[i] for i in used], size)]
+    # Few views let a third radial coefficient bend the lens where no view is.
     flags = 0 if len(used) >= 2 * LEAST_VIEWS else cv2.CALIB_FIX_K3
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # with more, OpenCV 5 adds up in another order each time, and so do the last digits
@@ -139,10 +143,12 @@ def _shows_new(points: Floats, objects: Sequence[Single], images: Sequence[Singl
     ends = np.empty((len(images), 8))
     for i, (places, image) in enumerate(zip(objects, images, strict=True)):
         plane, _ = cv2.findHomography(places[:, :2], image)
+        # Corners of the whole board stand for the view, whichever points it shows.
         ends[i] = np.nan if plane is None else cv2.perspectiveTransform(corners, plane).ravel()
     new: NDArray[np.bool_] = np.isfinite(ends[:, 0])
     for i in range(1, len(ends)):
         before = ends[:i][new[:i]]
+        # Compared with the views that were new, not with the last one: a slow pan shows new things now and then.
         new[i] &= bool(np.abs(before - ends[i]).max(axis=1).min(initial=np.inf) > _STILL * max(size))
     return new
 
@@ -155,6 +161,7 @@ def _most_different(images: Sequence[Single], size: tuple[int, int]) -> Ints:
     if len(images) <= MOST_VIEWS:
         return np.arange(len(images))
     features = np.array([[*image.mean(axis=0), *image.std(axis=0), np.cov(image.T)[0, 1] / max(size)] for image in images])
+    # Place, size and skew count alike, whatever their units.
     features = (features - features.mean(axis=0)) / np.maximum(features.std(axis=0), 1e-9)
     taken = [int(np.argmin((features**2).sum(axis=1)))]
     apart = ((features - features[taken[0]]) ** 2).sum(axis=1)
@@ -171,6 +178,7 @@ def _pose(camera: Camera, points: Single, image: Single) -> tuple[Floats, Floats
     flat = camera.undistort(image)
     if not np.isfinite(flat).all():
         return None
+    # A plane seen from afar has two poses that nearly agree; both are refined, and the better one is taken.
     found, turns, shifts, _ = cv2.solvePnPGeneric(
         points.astype(np.float64), np.ascontiguousarray(flat), np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_IPPE
     )

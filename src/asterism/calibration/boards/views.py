@@ -112,10 +112,12 @@ def _find_in(camera: Footage, number: int, finder: Finder, every: int, report: C
         size = (int(image.shape[1]), int(image.shape[0]))
         frames.setdefault(size, []).append(frame)
         point, xy = finder.find(image)
+        # Points in a line fit a board turned about that line at any angle: such a view has no pose.
         if len(point) >= LEAST_POINTS and np.linalg.matrix_rank(places[point] - places[point].mean(axis=0), tol=1e-9) == 2:
             own = frame if frame >= 0 else frame - _UNNUMBERED_STEP * number
             rows.setdefault(size, []).extend((own, number, int(p), float(x), float(y)) for p, (x, y) in zip(point, xy, strict=True))
         report(count)
+    # A camera has one lens, and a lens is calibrated for one size of image: the one of most images.
     usual = max(frames, key=lambda size: len(frames[size]), default=(0, 0))
     findings = [
         Finding(

@@ -33,17 +33,17 @@ def adjust_rig(blobs: Blobs, rig: Rig, moved: list[int], cameras: list[int], noi
     order = sorted(cameras)
     own = blobs_of(blobs, order)
     part = Rig(tuple(rig[c] for c in order), rig.vertical)
-    made = reconstruct(own, part, ReconstructionSettings(noise=noise, min_cameras=min(3, len(order))))
+    reconstructed = reconstruct(own, part, ReconstructionSettings(noise=noise, min_cameras=min(3, len(order))))
     errors, off, sigma = np.full(len(rig), np.nan), np.full(len(rig), np.nan), np.zeros(len(rig))
-    if not len(made.rays):
+    if not len(reconstructed.rays):
         return RigFit(rig, errors, off, 0, sigma)
-    off[order] = [camera.systematic for camera in fit_of_cameras(made, part)]
-    point, camera = np.nonzero(made.rays >= 0)
-    sightings = Sightings.of(point, camera, np.zeros(len(point), dtype=np.int64), made.blobs.xy[made.rays[point, camera]])
+    off[order] = [camera.systematic for camera in fit_of_cameras(reconstructed, part)]
+    point, camera = np.nonzero(reconstructed.rays >= 0)
+    sightings = Sightings.of(point, camera, np.zeros(len(point), dtype=np.int64), reconstructed.blobs.xy[reconstructed.rays[point, camera]])
     free = free_parameters(len(order), "pose")
     free[[i for i, c in enumerate(order) if c not in moved]] = False
     free |= free_parameters(len(order), "focal") & np.array([c in zoomed for c in order])[:, None]
-    points = made.clouds.xyz
+    points = reconstructed.clouds.xyz
     turned = np.tile(np.eye(3), (len(points), 1, 1))
     with_sigma = len(zoomed) > 0
     settings = AdjustSettings(scale=3.0 * noise, covariance=with_sigma)

@@ -21,7 +21,7 @@ class RefineRules:
     reach, bin    how far the images of a moved camera are searched, and how finely, in widths of the image
     least_shown   share of its points that a camera must show again with its new pose
 
-    Checked on the simulated rigs with moved cameras of tests/test_refine.py and benchmarks/cameras/refine.py.
+    Checked on the simulated rigs with moved cameras of tests/test_refine.py.
     """
 
     frames: int = 80

@@ -39,9 +39,9 @@ def estimate_noise(blobs: Blobs, rig: Rig, cameras: list[int]) -> float:
     spread = [float(np.linalg.norm(places[list(group)] - places[list(group)].mean(axis=0))) for group in groups]
     least = np.inf
     for n in np.argsort(spread, kind="stable")[: RULES.noise_groups]:
-        made = reconstruct_by(few, rig, list(groups[n]), None)
-        if made.noise_known:
-            least = min(least, float(np.median(made.noise)))
+        reconstructed = reconstruct_by(few, rig, list(groups[n]), None)
+        if reconstructed.noise_known:
+            least = min(least, float(np.median(reconstructed.noise)))
         if least < RULES.usual_noise and len(cameras) > 3:
             break
     if least > RULES.most_noise:

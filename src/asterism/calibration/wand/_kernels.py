@@ -96,8 +96,10 @@ def find_lines(xy, offsets, share, depth_ratio, slack, bend, shortest, symmetric
     aim = math.log(share / (1.0 - share))
     for cell in range(len(detections)):
         detections[cell, :] = -1
+        # A second choice nearly as good leaves it open.
         certain[cell] = False
         first, last = offsets[cell], offsets[cell + 1]
+        # Triples of many blobs are too many, and one of them is in line by chance.
         if last - first < 3 or last - first > MOST_BLOBS:
             continue
         best, second = 2.0, 2.0
@@ -106,6 +108,7 @@ def find_lines(xy, offsets, share, depth_ratio, slack, bend, shortest, symmetric
             for j in range(i + 1, last):
                 dx, dy = xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1]
                 length = math.sqrt(dx * dx + dy * dy)
+                # So short a wand is not seen well enough to tell its ends.
                 if length < shortest:
                     continue
                 for k in range(first, last):
@@ -113,17 +116,22 @@ def find_lines(xy, offsets, share, depth_ratio, slack, bend, shortest, symmetric
                         continue
                     px, py = xy[k, 0] - xy[i, 0], xy[k, 1] - xy[i, 1]
                     along = (px * dx + py * dy) / (length * length)
+                    # The inner marker lies between the ends, however the wand is seen.
                     if along <= 0.0 or along >= 1.0:
                         continue
+                    # Noise, and the lens, which bends a long line more.
                     off = abs(px * dy - py * dx) / length / (slack + bend * length)
                     if off > 1.0:
                         continue
+                    # In log odds of the share, perspective only adds the log of the ends' ratio of depths.
                     seen = math.log(along / (1.0 - along))
+                    # Either end may be the first marker.
                     for turned in range(2):
                         tilt = abs((-seen if turned else seen) - aim) / limit
                         if tilt > 1.0:
                             continue
                         score = off + tilt
+                        # The other order of the same blobs is no rival where the order does not matter.
                         same = symmetric and k == middle and i == one_end and j == other_end
                         if score < best:
                             best, second = score, second if same else best
@@ -142,6 +150,7 @@ def _pixel(lens, rotation, translation, x, y, z):
     u = (rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + translation[0]) / depth
     v = (rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + translation[1]) / depth
     a, b, ux, uy, vx, vy = distorted(lens, u, v)
+    # Beyond the fold of the lens model no pixel is meant.
     if not (ux * vy - uy * vx > 0.0 and ux + vy > 0.0):
         return np.nan, np.nan
     return lens[FX] * a + lens[CX], lens[FY] * b + lens[CY]
@@ -163,14 +172,17 @@ def _fit_line(lengths, points, there, start, direction):
     mean /= n
     start /= n
     direction[:] = 0.0
+    # One marker has no direction: any one serves.
     if len(lengths) == 1:
         direction[0] = 1.0
         return True
     for k in range(len(lengths)):
         if there[k]:
             for j in range(3):
+                # The first moment about the middle is the least-squares direction, since the distances along it are known.
                 direction[j] += (lengths[k] - mean) * (points[k, j] - start[j])
     size = math.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
+    # One marker, or all in one place.
     if n < 2 or not size > 1e-12:
         return False
     for j in range(3):
@@ -185,6 +197,7 @@ def _nearest_blob(xy, first, last, u, v, gate, taken, markers):
     nearest, best = gate * gate, -1
     for b in range(first, last):
         square = (xy[b, 0] - u) ** 2 + (xy[b, 1] - v) ** 2
+        # Nearest first, then the walk along what is taken: few blobs are near.
         if square < nearest:
             free = True
             for other in range(markers):
@@ -203,6 +216,7 @@ def _support(t, images, cameras, lengths, work):
         for k in range(len(lengths)):
             observations[c, k] = -1
         first, last = images.offsets[t * many + c], images.offsets[t * many + c + 1]
+        # What is not posed yet cannot agree or disagree.
         if not cameras.posed[c] or first == last:
             continue
         gate = cameras.gate[c]
@@ -215,6 +229,7 @@ def _support(t, images, cameras, lengths, work):
                 continue
             observations[c, k], nearest = _nearest_blob(images.xy, first, last, u, v, gate, observations[c], k)
             if observations[c, k] >= 0:
+                # A blob at the gate's edge counts nearly nothing, so that the gate is no cliff.
                 total += 1.0 - nearest / (gate * gate)
     return total
 
@@ -225,6 +240,7 @@ def _improve(t, images, cameras, lengths, places, work):
     if not _fit_line(lengths, work.points, work.there, work.start, work.direction):
         return False
     score = _support(t, images, cameras, lengths, work)
+    # More blobs on the wand, or as many lying nearer.
     if not score > places.support[t]:
         return False
     places.support[t] = score
@@ -235,13 +251,18 @@ def _improve(t, images, cameras, lengths, places, work):
 
 @kernel
 def _propose(t, images, cameras, lengths, symmetric, places, work):
-    """The best of the wands that pairs of cameras propose."""
+    """The best of the wands that pairs of cameras propose.
+
+    Bounds: rows 0 and 1 of `work.origin` and `work.ray` are written for two different cameras only, so they have two rows.
+    """
     many, markers = len(cameras.posed), len(lengths)
     possible = 0
     for c in range(many):
         if cameras.posed[c]:
+            # No camera can support more markers than it has blobs.
             possible += min(images.offsets[t * many + c + 1] - images.offsets[t * many + c], markers)
     for a in range(many):
+        # Only cameras in which a wand was found propose; the others are asked afterwards.
         if not cameras.posed[a] or images.detections[t, a, 0] < 0:
             continue
         for b in range(a + 1, many):
@@ -256,13 +277,17 @@ def _propose(t, images, cameras, lengths, symmetric, places, work):
                         work.origin, work.ray, 0, 2, PARALLEL, work.normal, work.right, work.points[k]
                     )
                 _improve(t, images, cameras, lengths, places, work)
+            # So good a proposal is not worth the other pairs.
             if places.support[t] > NEARLY_ALL * possible:
                 return
 
 
 @kernel
 def _lay_again(t, images, cameras, lengths, places, work):
-    """Lay the wand through all blobs on it; whether more lie on it then."""
+    """Lay the wand through all blobs on it; whether more lie on it then.
+
+    Bounds: n counts cameras, and `work.origin` and `work.ray` have a row for each.
+    """
     for k in range(len(lengths)):
         n = 0
         for c in range(len(cameras.posed)):
@@ -270,6 +295,7 @@ def _lay_again(t, images, cameras, lengths, places, work):
             if blob >= 0 and math.isfinite(images.rays[blob, 0]):
                 work.origin[n], work.ray[n] = cameras.origin[c], images.rays[blob]
                 n += 1
+        # One ray is no point.
         work.there[k] = n >= 2 and nearest_to_rays(work.origin, work.ray, 0, n, PARALLEL, work.normal, work.right, work.points[k])
     return _improve(t, images, cameras, lengths, places, work)
 
@@ -294,6 +320,7 @@ def locate_wand(images, cameras, lengths, symmetric, places):
         places.start[t], places.direction[t], places.support[t] = np.nan, np.nan, 0.0
         places.observations[t] = -1
         _propose(t, images, cameras, lengths, symmetric, places, work)
+        # With all its blobs the wand lies better, and may reach more blobs; after two times that is over.
         for _ in range(2):
             if places.support[t] == 0.0 or not _lay_again(t, images, cameras, lengths, places, work):
                 break

@@ -95,6 +95,7 @@ class _WandProblem:
 
     def needs_k3(self, cameras: Sequence[Camera]) -> bool:
         """Whether a third radial coefficient explains more than noise would let it explain, on a part of the frames."""
+        # Every n-th frame: a lens shows in few frames already, and the question is asked of two adjustments.
         some = self.sightings.frame % max(1, len(self.placements[0]) // RULES.k3_frames) == 0
         part, rows = self.sightings.select(some).compact()
         at = self.placements[0][rows], self.placements[1][rows]
@@ -103,6 +104,7 @@ class _WandProblem:
             problem.fit(cameras, groups, tolerance=1e-5, steps=10, covariance=False).cost for groups in (_GROUPS, (*_GROUPS, "k3"))
         )
         n = len(cameras)
+        # Noise alone lowers twice the cost by about one per camera, with a variance of two each: four standard deviations more is no noise.
         return bool(2.0 * (without - with_it) / self.noise**2 > n + 4.0 * np.sqrt(2.0 * n))
 
 
@@ -123,11 +125,13 @@ def adjust_cameras(recording: WandRecording, cameras: Sequence[Camera | None], n
     rotations, translations = (part[used] for part in poses.placements())
     lenses = [recording.lenses[c] for c in posed]
     problem = _WandProblem(recording.wand, sightings, (rotations, translations), lenses, noise, relative[posed])
+    # First with all blobs and a robust loss: it tells which of them do not fit, and how noisy the rest is.
     result = problem.fit(own, _GROUPS, tolerance=1e-5, covariance=False)
     each = problem.relative[sightings.camera]
     own, noise = list(result.cameras), max(robust_noise(result.residuals / each[:, None]), 1e-3)
     good = np.linalg.norm(result.residuals, axis=1) < RULES.narrow * noise * each
     sightings, rows = _determined(sightings.select(good), len(recording.wand)).compact()
+    # Then with those that fit, whose residuals are noise, so that the covariance means something.
     problem = replace(problem, sightings=sightings, placements=(result.rotations[rows], result.translations[rows]), noise=noise)
     result = problem.fit(own, (*_GROUPS, "k3") if problem.needs_k3(own) else _GROUPS, tolerance=1e-7)
     return FinalAdjustment(result, sightings, used[rows], offered)
@@ -140,6 +144,7 @@ def _refined(
     found, relative = list(cameras), np.ones(len(cameras))
     poses = recording.locate(cameras, max(RULES.wide * widest_image(cameras), RULES.reach * noise))
     settings = AdjustSettings(loss="cauchy", scale=max(2.0 * noise, 0.2), tolerance=1e-4, steps=20, covariance=False)
+    # The Cauchy loss hardly minds outliers; they are many as long as nothing has been left out.
     adjusted = adjust_subset(recording, poses, cameras, _GROUPS, RULES.subset_frames, settings)
     if adjusted is not None:
         result, seen = adjusted
@@ -179,6 +184,7 @@ def inner_marker_position(recording: WandRecording, frames: Ints, cameras: dict[
     if len(wand) < 3:
         return float("nan")
     if wand.symmetric:
+        # From a symmetric wand's images nobody knows which end is which, so rays cannot be laid on its line.
         share, given = inner_marker_shares(recording.blobs, wand)
         return share * float(wand.lengths[2]) if abs(share - given) > DIAGNOSIS.perspective else float("nan")
     start, along = positions[:, 0], positions[:, 2] - positions[:, 0]
@@ -190,7 +196,9 @@ def inner_marker_position(recording: WandRecording, frames: Ints, cameras: dict[
         ray, line = camera.rays(recording.images(frames[rows], c)[:, 1]), along[rows]
         to = camera.position - start[rows]
         across = (ray * line).sum(axis=1)
+        # Where ray and wand come nearest to each other, measured along the wand.
         place = ((to * line).sum(axis=1) - across * (to * ray).sum(axis=1)) / (1.0 - across**2)
+        # A ray almost along the wand meets it nowhere for certain.
         places.append(place[np.isfinite(place) & (across**2 < 0.9)])
     every = np.concatenate(places)
     return float(np.median(every)) if len(every) else float("nan")
@@ -200,6 +208,7 @@ def _determined(sightings: Sightings, markers: int) -> Sightings:
     """Those of frames that two cameras see, with more coordinates than a wand has freedoms."""
     frames = int(sightings.frame.max(initial=-1)) + 1
     count = np.bincount(sightings.frame, minlength=frames)
+    # Frame and camera as one number, so that a camera with three markers counts once; no rig has 1,024 cameras.
     cameras = np.bincount(np.unique(sightings.frame * 1024 + sightings.camera) // 1024, minlength=frames)
     points = np.bincount(np.unique(sightings.frame * 8 + sightings.point) // 8, minlength=frames)
     good = (cameras >= 2) & (2 * count > (3 if markers == 1 else 5)) & (points >= min(2, markers))

@@ -50,27 +50,31 @@ def calibrate_wand(
     """
     report: Progress = progress or (lambda fraction, doing: None)
     recording, static_lights = _detected(blobs, wand_of(lengths), lenses_and_sizes(blobs, sizes, known), distance, report)
+    # Cameras with times of their own are brought to common moments before they are compared in any way.
     frames, recording = len(recording), recording.on_common_clock()
     report(0.1, "posing cameras")
     start = initialise_cameras(recording, progress)
     if start is None:
         raise AsterismError(diagnose_no_start(recording))
     report(0.6, "comparing clocks")
+    # Roughly posed cameras are good enough to tell which of them is late, and late ones would bend the final adjustment.
     recording, cameras, lags = synchronise(recording, start.cameras)
     report(0.7, "adjusting")
     final = adjust_cameras(recording, cameras, start.noise)
     report(0.9, "measuring the wand")
-    made = _calibration(recording, cameras, lags, final, frames, static_lights)
+    calibration = _calibration(recording, cameras, lags, final, frames, static_lights)
+    # A single marker has no length, so the rig's size comes from the two cameras' distance.
     if len(recording.wand) == 1 and distance is not None:
-        here = np.linalg.norm(made.rig[distance[0]].position - made.rig[distance[1]].position)
+        here = np.linalg.norm(calibration.rig[distance[0]].position - calibration.rig[distance[1]].position)
         scale = distance[2] / float(here)
-        made = made.moved(made.rig.moved(np.eye(3), np.zeros(3), scale), np.eye(3), np.zeros(3), scale)
-    turn, shift = default_world(made.rig, made.positions)
-    made = made.moved(made.rig.moved(turn, shift), turn, shift)
+        calibration = calibration.moved(calibration.rig.moved(np.eye(3), np.zeros(3), scale), np.eye(3), np.zeros(3), scale)
+    # Findings speak of up and below: they are looked for when the rig stands level.
+    turn, shift = default_world(calibration.rig, calibration.positions)
+    calibration = calibration.moved(calibration.rig.moved(turn, shift), turn, shift)
     posed = np.array([c for c, camera in enumerate(cameras) if camera is not None])
-    made = replace(made, findings=check_calibration(made, lags.select(posed), scaled=distance is not None))
+    calibration = replace(calibration, findings=check_calibration(calibration, lags.select(posed), scaled=distance is not None))
     report(1.0, "done")
-    return replace(made, rig=replace(made.rig, metadata=_metadata(made)))
+    return replace(calibration, rig=replace(calibration.rig, metadata=_metadata(calibration)))
 
 
 def _detected(
@@ -114,17 +118,17 @@ def _calibration(
     )  # fmt: skip
 
 
-def _metadata(made: WandCalibration) -> dict[str, object]:
-    finite = made.lengths[np.isfinite(made.lengths)]
+def _metadata(calibration: WandCalibration) -> dict[str, object]:
+    finite = calibration.lengths[np.isfinite(calibration.lengths)]
     return {
         "calibrated_by": "wand",
-        "wand_m": [float(length) for length in made.wand.lengths],
-        "frames": made.frames,
-        "frames_used": len(made.used),
-        "reprojection_rms_px": round(made.rms, 4),
-        "noise_px": round(made.noise, 4),
+        "wand_m": [float(length) for length in calibration.wand.lengths],
+        "frames": calibration.frames,
+        "frames_used": len(calibration.used),
+        "reprojection_rms_px": round(calibration.rms, 4),
+        "noise_px": round(calibration.noise, 4),
         "wand_length_mean_m": round(float(finite.mean()), 6) if len(finite) else None,
         "wand_length_std_m": round(float(finite.std()), 6) if len(finite) else None,
-        "usable": made.usable,
+        "usable": calibration.usable,
         "world": "level by the cameras' own sense of up, origin below the middle of the waved volume",
     }

@@ -21,10 +21,10 @@ CELLS = (6, 8)
 
 @dataclass(frozen=True)
 class CheckRules:
-    """From where on something is worth saying (the first number of a pair), and from where on the rig should not be used (the second).
+    """Limits of the checks. Each pair: warn from; refuse from.
 
     rms              px, reprojection error in images of `usual_width` px or less; in wider ones in proportion
-    worse            a camera is named whose error is so many times that of all
+    worse            a camera is named from so many times the error of all
     length_spread    robust spread of the measured wand, as a share of its length
     length_error     median of the measured wand, as a share of its length
     inner_error      of the inner marker's position, as a share of the wand's length, and at least `inner_least` m
@@ -34,16 +34,16 @@ class CheckRules:
     rejected         share of the wand's images, of all cameras or of one, that contradict the others
     rejected_part    share of one camera's images of the wand in a tenth of the recording that contradict the others: most, nearly all
     unusual          so many times the median camera's share is unusual
-    turn             rad by which a camera's residuals change at one moment; the second numbers are for rigs of two, three, and more
-                     cameras: fewer show less of a turn, and suffer more
+    turn             rad by which a camera's residuals change at one moment; refuse from, for rigs of two, three, and more cameras. Few
+                     cameras show less of a turn and suffer more
     echo             a camera that was moved makes the others seem to be moved, by up to this share of it
-    drift            frames between the last third of the recording and the first, from which on the rig should not be used
+    drift            frames between the first and the last third of the recording: refuse from
     frames           that were used
     line, plane      spread of the wand's positions along the second and third axis, as a share of the first: less is a line, a plane
     reach            the spread along the first axis counts up to this share of the distance to the cameras
     turned           mean square of the wand's direction along its rarest axis
     covered          share of one image in which the wand was seen, and of the median camera's
-    up               upward part of a camera's line of sight (share of one) from which on it looks up
+    up               a camera looks up from this upward part of its line of sight, a share of one
 
     Checked on the simulated and real wands of tests/test_wand.py and benchmarks/cameras/wand.py.
     """
@@ -76,33 +76,33 @@ class CheckRules:
 RULES = CheckRules()
 
 
-def coverage(made: WandCalibration) -> Floats:
+def coverage(calibration: WandCalibration) -> Floats:
     """(C, rows, columns) how many markers of the wand each part of each image saw."""
-    counts = np.zeros((len(made.rig), *CELLS))
-    for c, camera in enumerate(made.rig):
+    counts = np.zeros((len(calibration.rig), *CELLS))
+    for c, camera in enumerate(calibration.rig):
         width, height = camera.size or (1, 1)
-        xy = made.sightings.xy[made.sightings.camera == c]
+        xy = calibration.sightings.xy[calibration.sightings.camera == c]
         row = np.clip((xy[:, 1] / height * CELLS[0]).astype(np.int64), 0, CELLS[0] - 1)
         column = np.clip((xy[:, 0] / width * CELLS[1]).astype(np.int64), 0, CELLS[1] - 1)
         np.add.at(counts[c], (row, column), 1)
     return counts
 
 
-def check_calibration(made: WandCalibration, lags: CameraLags, *, scaled: bool) -> tuple[Finding, ...]:
+def check_calibration(calibration: WandCalibration, lags: CameraLags, *, scaled: bool) -> tuple[Finding, ...]:
     """What to know about a calibration, most severe first. lags: of each camera; scaled: whether a distance gave the scale."""
     found = [
-        *_excluded(made),
-        *_residuals(made),
-        *_lengths(made),
-        *_used(made),
-        *_moved(made),
-        *_rejected(made),
-        *_lags(made, lags),
-        *_undetermined(made),
-        *_waved(made),
-        *_covered(made),
-        *_looking_up(made),
-        *_single_marker(made, scaled),
+        *_excluded(calibration),
+        *_residuals(calibration),
+        *_lengths(calibration),
+        *_used(calibration),
+        *_moved(calibration),
+        *_rejected(calibration),
+        *_lags(calibration, lags),
+        *_undetermined(calibration),
+        *_waved(calibration),
+        *_covered(calibration),
+        *_looking_up(calibration),
+        *_single_marker(calibration, scaled),
     ]
     return tuple(sorted(found, key=lambda finding: -finding.severity))
 
@@ -111,24 +111,25 @@ def _grade(severe: bool | np.bool_) -> Severity:
     return Severity.ERROR if severe else Severity.WARNING
 
 
-def _excluded(made: WandCalibration) -> Iterator[Finding]:
-    for name, (reason, mend) in made.excluded.items():
+def _excluded(calibration: WandCalibration) -> Iterator[Finding]:
+    for name, (reason, mend) in calibration.excluded.items():
         yield Finding("wand-camera-excluded", Severity.WARNING, name, f"camera {name} is not in the rig: {reason}.", mend)
 
 
-def _residuals(made: WandCalibration) -> Iterator[Finding]:
-    large = max(1.0, widest_image(made.rig) / RULES.usual_width)
+def _residuals(calibration: WandCalibration) -> Iterator[Finding]:
+    # Errors in pixels grow with the number of pixels that the same lens spreads its image over.
+    large = max(1.0, widest_image(calibration.rig) / RULES.usual_width)
     poor, bad = (large * limit for limit in RULES.rms)
-    if made.rms > poor:
+    if calibration.rms > poor:
         yield Finding(
             "wand-large-error",
-            _grade(made.rms > bad),
+            _grade(calibration.rms > bad),
             "",
-            f"the reprojection error is {made.rms:.2f} px; good wand calibrations stay below {poor:.1f}.",
+            f"the reprojection error is {calibration.rms:.2f} px; good wand calibrations stay below {poor:.1f}.",
             "Look for blurred or saturated markers, cameras that moved, or cameras out of step.",
         )
-    for camera in made.rig:
-        if camera.error > max(poor, RULES.worse * made.rms):
+    for camera in calibration.rig:
+        if camera.error > max(poor, RULES.worse * calibration.rms):
             yield Finding(
                 "wand-camera-large-error",
                 _grade(camera.error > bad),
@@ -138,12 +139,13 @@ def _residuals(made: WandCalibration) -> Iterator[Finding]:
             )
 
 
-def _lengths(made: WandCalibration) -> Iterator[Finding]:
+def _lengths(calibration: WandCalibration) -> Iterator[Finding]:
     """Whether the wand, measured marker by marker, has the lengths that were given."""
-    whole = made.wand.lengths[-1]
-    lengths = made.lengths[np.isfinite(made.lengths)]
+    whole = calibration.wand.lengths[-1]
+    lengths = calibration.lengths[np.isfinite(calibration.lengths)]
     if whole > 0.0 and len(lengths) > 20:
         middle = float(np.median(lengths))
+        # By the median: a few frames in which a marker was mistaken must not make a good wand look bad.
         spread = float(1.4826 * np.median(np.abs(lengths - middle))) / whole
         if spread > RULES.length_spread[0]:
             yield Finding(
@@ -162,43 +164,45 @@ def _lengths(made: WandCalibration) -> Iterator[Finding]:
                 f"the wand measures {1000 * middle:.1f} mm where {1000 * whole:.1f} mm were given.",
                 "Measure the wand, and give its lengths anew.",
             )
-    inner = abs(made.inner_marker_m - made.wand.lengths[1]) if np.isfinite(made.inner_marker_m) else 0.0
+    inner = abs(calibration.inner_marker_m - calibration.wand.lengths[1]) if np.isfinite(calibration.inner_marker_m) else 0.0
     if inner > max(RULES.inner_least, RULES.inner_error[0] * whole):
         yield Finding(
             "wand-inner-marker-wrong",
             _grade(inner > RULES.inner_error[1] * whole),
             "",
-            f"the wand's inner marker sits {1000 * made.inner_marker_m:.1f} mm from the first one, not the "
-            f"{1000 * made.wand.lengths[1]:.1f} mm given.",
+            f"the wand's inner marker sits {1000 * calibration.inner_marker_m:.1f} mm from the first one, not the "
+            f"{1000 * calibration.wand.lengths[1]:.1f} mm given.",
             "Measure the wand, and give its lengths anew.",
         )
 
 
-def _used(made: WandCalibration) -> Iterator[Finding]:
-    if made.mean_rejected_share > RULES.rejected[0]:
+def _used(calibration: WandCalibration) -> Iterator[Finding]:
+    if calibration.mean_rejected_share > RULES.rejected[0]:
         yield Finding(
             "wand-images-rejected",
-            _grade(made.mean_rejected_share > RULES.rejected[1]),
+            _grade(calibration.mean_rejected_share > RULES.rejected[1]),
             "",
-            f"{100 * made.mean_rejected_share:.0f} % of the wand's images contradict the others and were left out.",
+            f"{100 * calibration.mean_rejected_share:.0f} % of the wand's images contradict the others and were left out.",
             "Check the wand's lengths, and that the cameras are in step and were not moved.",
         )
-    if len(made.used) < RULES.frames[0]:
+    if len(calibration.used) < RULES.frames[0]:
         yield Finding(
             "wand-few-frames",
-            _grade(len(made.used) < RULES.frames[1]),
+            _grade(len(calibration.used) < RULES.frames[1]),
             "",
-            f"only {len(made.used)} frames could be used.",
+            f"only {len(calibration.used)} frames could be used.",
             "Wave the wand for at least half a minute.",
         )
 
 
-def _moved(made: WandCalibration) -> Iterator[Finding]:
+def _moved(calibration: WandCalibration) -> Iterator[Finding]:
     """Cameras whose residuals change at one moment."""
-    steps, moments = residual_steps(made.sightings, made.residuals, len(made.rig))
-    turns = steps / [camera.focal[0] for camera in made.rig]
-    bad_turn = RULES.turn[1][min(len(made.rig), 4) - 2]
-    for camera, step, turn, moment in zip(made.rig, steps, turns, moments, strict=True):
+    steps, moments = residual_steps(calibration.sightings, calibration.residuals, len(calibration.rig))
+    turns = steps / [camera.focal[0] for camera in calibration.rig]
+    # With few cameras the others follow a bumped one, so that less of the bump is left to see.
+    bad_turn = RULES.turn[1][min(len(calibration.rig), 4) - 2]
+    for camera, step, turn, moment in zip(calibration.rig, steps, turns, moments, strict=True):
+        # A bump of one camera shows as an echo in those that shared its points; only the loudest are named.
         if turn > max(RULES.turn[0], RULES.echo * turns.max()):
             yield Finding(
                 "wand-camera-moved",
@@ -209,13 +213,14 @@ def _moved(made: WandCalibration) -> Iterator[Finding]:
             )
 
 
-def _rejected(made: WandCalibration) -> Iterator[Finding]:
+def _rejected(calibration: WandCalibration) -> Iterator[Finding]:
     """Cameras whose images contradict the others, all over the recording or in a part of it."""
-    usual, usual_part = RULES.unusual * float(np.median(made.rejected_share)), RULES.unusual * _middle(made.rejected_parts)
+    usual, usual_part = RULES.unusual * float(np.median(calibration.rejected_share)), RULES.unusual * _middle(calibration.rejected_parts)
     most, nearly_all = RULES.rejected_part
-    for camera, share, parts in zip(made.rig, made.rejected_share, made.rejected_parts, strict=True):
+    for camera, share, parts in zip(calibration.rig, calibration.rejected_share, calibration.rejected_parts, strict=True):
         bad = np.nonzero(parts > np.maximum(most, usual_part))[0]
         if share > max(RULES.rejected[0], usual) or len(bad):
+            # Bad parts in one stretch tell when it happened, which helps to find the cause.
             in_one = 0 < len(bad) < PARTS and np.ptp(bad) == len(bad) - 1
             begins, ends = (100 * edge // PARTS for edge in (bad.min(initial=PARTS), bad.max(initial=-1) + 1))
             when = f", most of it between {begins} and {ends} % of the recording" if in_one else ""
@@ -234,8 +239,8 @@ def _middle(parts: Floats) -> Floats:
     return np.array([np.median(part[np.isfinite(part)]) if np.isfinite(part).any() else 0.0 for part in parts.T])
 
 
-def _lags(made: WandCalibration, lags: CameraLags) -> Iterator[Finding]:
-    for camera, whole, part, drift in zip(made.rig, lags.lag_frames, lags.fraction, lags.drift, strict=True):
+def _lags(calibration: WandCalibration, lags: CameraLags) -> Iterator[Finding]:
+    for camera, whole, part, drift in zip(calibration.rig, lags.lag_frames, lags.fraction, lags.drift, strict=True):
         if drift != 0.0:
             yield Finding(
                 "wand-camera-drifts",
@@ -268,12 +273,13 @@ def _lags(made: WandCalibration, lags: CameraLags) -> Iterator[Finding]:
             )
 
 
-def _undetermined(made: WandCalibration) -> Iterator[Finding]:
+def _undetermined(calibration: WandCalibration) -> Iterator[Finding]:
     """Parameters that this waving does not determine, by their standard deviations."""
-    middle = np.nanmedian(made.positions.reshape(-1, 3), axis=0)
-    for c, camera in enumerate(made.rig):
-        focal = float(made.sigma[c, 6]) / camera.focal[0]
-        position = float(made.position_sigma[c])
+    # How far off a camera's place may be depends on how far away it stands.
+    middle = np.nanmedian(calibration.positions.reshape(-1, 3), axis=0)
+    for c, camera in enumerate(calibration.rig):
+        focal = float(calibration.sigma[c, 6]) / camera.focal[0]
+        position = float(calibration.position_sigma[c])
         distance = max(float(np.linalg.norm(camera.position - middle)), 1e-9)
         if focal > RULES.focal[0]:
             known = "is not determined" if focal > RULES.focal[1] else f"is only known to {100 * focal:.1f} %"
@@ -294,13 +300,14 @@ def _undetermined(made: WandCalibration) -> Iterator[Finding]:
                 f"the position of camera {camera.name} {known} by this wand.",
                 "Wave it all over what the camera sees.",
             )
-        yield from _principal_point(made, c)
+        yield from _principal_point(calibration, c)
 
 
-def _principal_point(made: WandCalibration, c: int) -> Iterator[Finding]:
-    camera = made.rig.cameras[c]
+def _principal_point(calibration: WandCalibration, c: int) -> Iterator[Finding]:
+    camera = calibration.rig.cameras[c]
     width = (camera.size or (1280, 1024))[0]
     off = np.array(camera.centre) - 0.5 * (np.array(camera.size or camera.centre) - 1.0)
+    # Lenses sit nearly over their sensors' middles: a principal point far off mostly means another image size.
     if np.linalg.norm(off) > RULES.centre[1] * width:
         yield Finding(
             "wand-centre-far",
@@ -310,25 +317,25 @@ def _principal_point(made: WandCalibration, c: int) -> Iterator[Finding]:
             f"{abs(off[1]):.0f} px {'below' if off[1] > 0 else 'above'} the image's middle.",
             "Check the image size.",
         )
-    if np.nanmax(made.sigma[c, 8:10]) > RULES.centre[0] * width:
+    if np.nanmax(calibration.sigma[c, 8:10]) > RULES.centre[0] * width:
         yield Finding(
             "wand-centre-uncertain",
             Severity.WARNING,
             camera.name,
             f"the principal point of camera {camera.name} is not determined by this wand (within "
-            f"{np.nanmax(made.sigma[c, 8:10]):.0f} px); the middle of the image is assumed.",
+            f"{np.nanmax(calibration.sigma[c, 8:10]):.0f} px); the middle of the image is assumed.",
             "Wave it up to the image's borders.",
         )
 
 
-def _waved(made: WandCalibration) -> Iterator[Finding]:
+def _waved(calibration: WandCalibration) -> Iterator[Finding]:
     """Whether the wand was waved through a volume and turned, by its positions and directions."""
-    points = made.positions.reshape(-1, 3)
+    points = calibration.positions.reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 10:
         return
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(points.T)), 0.0))
-    wide = min(float(spread[2]), RULES.reach * _distance(made))
+    wide = min(float(spread[2]), RULES.reach * _distance(calibration))
     if spread[1] < RULES.line * wide:
         yield Finding(
             "wand-waved-in-line",
@@ -345,7 +352,7 @@ def _waved(made: WandCalibration) -> Iterator[Finding]:
             "the wand was waved in a plane only.",
             "Wave it through the whole volume, up and down too.",
         )
-    seen = float(np.median([(cells > 0).mean() for cells in coverage(made)]))
+    seen = float(np.median([(cells > 0).mean() for cells in coverage(calibration)]))
     if seen < RULES.covered[1]:
         yield Finding(
             "wand-small-volume",
@@ -355,8 +362,8 @@ def _waved(made: WandCalibration) -> Iterator[Finding]:
             f"{100 * seen:.0f} % of an image; points elsewhere can be off by more than is said here.",
             "Wave it through the whole volume.",
         )
-    if len(made.wand) > 1:
-        along = made.positions[:, -1] - made.positions[:, 0]
+    if len(calibration.wand) > 1:
+        along = calibration.positions[:, -1] - calibration.positions[:, 0]
         along = along[np.isfinite(along).all(axis=1)]
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         if len(along) > 10 and np.linalg.eigvalsh(along.T @ along / len(along))[0] < RULES.turned:
@@ -365,17 +372,19 @@ def _waved(made: WandCalibration) -> Iterator[Finding]:
             )
 
 
-def _distance(made: WandCalibration) -> float:
+def _distance(calibration: WandCalibration) -> float:
     """m, from the cameras to what they saw of the wand, the median."""
-    seen = made.sightings
-    points = made.positions[np.searchsorted(made.used, seen.frame), seen.point]
-    eyes = np.stack([camera.position for camera in made.rig])
+    seen = calibration.sightings
+    points = calibration.positions[np.searchsorted(calibration.used, seen.frame), seen.point]
+    eyes = np.stack([camera.position for camera in calibration.rig])
     return float(np.nanmedian(np.linalg.norm(points - eyes[seen.camera], axis=1)))
 
 
-def _covered(made: WandCalibration) -> Iterator[Finding]:
-    if made.static_lights.any():
-        each = ", ".join(f"{count} in camera {camera.name}" for camera, count in zip(made.rig, made.static_lights, strict=True) if count)
+def _covered(calibration: WandCalibration) -> Iterator[Finding]:
+    if calibration.static_lights.any():
+        each = ", ".join(
+            f"{count} in camera {camera.name}" for camera, count in zip(calibration.rig, calibration.static_lights, strict=True) if count
+        )
         yield Finding(
             "wand-static-lights",
             Severity.NOTE,
@@ -383,7 +392,7 @@ def _covered(made: WandCalibration) -> Iterator[Finding]:
             f"what never moved was left out: {each}.",
             "Cover reflections before recording, or mask them.",
         )
-    for camera, cells in zip(made.rig, coverage(made), strict=True):
+    for camera, cells in zip(calibration.rig, coverage(calibration), strict=True):
         share = float((cells > 0).mean())
         if share < RULES.covered[0]:
             yield Finding(
@@ -408,10 +417,10 @@ def _least_covered(cells: Floats) -> str:
     return min(sides, key=lambda side: float((sides[side] > 0).mean()))
 
 
-def _looking_up(made: WandCalibration) -> Iterator[Finding]:
+def _looking_up(calibration: WandCalibration) -> Iterator[Finding]:
     """Whether the cameras hang below what they look at, by their own sense of up: so they seem to where y is counted from the bottom."""
-    up = default_world(made.rig, made.positions)[0][2]
-    if all(float(camera.rotation[2] @ up) > RULES.up for camera in made.rig):
+    up = default_world(calibration.rig, calibration.positions)[0][2]
+    if all(float(camera.rotation[2] @ up) > RULES.up for camera in calibration.rig):
         yield Finding(
             "wand-looks-up",
             Severity.WARNING,
@@ -421,10 +430,10 @@ def _looking_up(made: WandCalibration) -> Iterator[Finding]:
         )
 
 
-def _single_marker(made: WandCalibration, scaled: bool) -> Iterator[Finding]:
-    if len(made.wand) > 1:
+def _single_marker(calibration: WandCalibration, scaled: bool) -> Iterator[Finding]:
+    if len(calibration.wand) > 1:
         return
-    if len(made.rig) == 2:
+    if len(calibration.rig) == 2:
         yield Finding(
             "wand-one-marker-two-cameras",
             Severity.ERROR,

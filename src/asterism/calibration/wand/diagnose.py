@@ -46,6 +46,7 @@ def check_detections(recording: WandRecording, static_lights: Ints) -> None:
     enough = int((np.asarray(blobs.counts) >= len(wand)).sum())
     if images >= max(2 * TWO_VIEW.least_frames, RULES.least_showing[len(wand) - 1] * enough):
         return
+    # What stood still was left out before; if hardly anything remains, this is the wrong recording rather than a wrong wand.
     if static_lights.sum() >= len(wand) and enough < 2 * TWO_VIEW.least_frames:
         raise AsterismError("nearly all that the cameras see never moves; give the recording in which the wand was waved.")
     reason = diagnose_detection(blobs, wand) or ": is it the right recording, and has the wand that many markers?"
@@ -56,6 +57,7 @@ def check_detections(recording: WandRecording, static_lights: Ints) -> None:
 def diagnose_detection(blobs: Blobs, wand: Wand) -> str:
     """The end of a sentence: what most images show, where that is not the wand as it was given; else empty."""
     share, given = inner_marker_shares(blobs, wand)
+    # The inner marker is asked about first: wrong lengths are the commonest mistake, and explain wrong counts as well.
     if abs(share - given) > RULES.perspective:
         return (
             f"; in most, the inner of three markers sits at {share:.2f} of the length, by the wand's lengths it should at {given:.2f}: "

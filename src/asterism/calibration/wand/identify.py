@@ -64,6 +64,14 @@ def wand_of(lengths: ArrayLike) -> Wand:
     """A wand from the positions of its markers along it, m, in any order.
 
     Raises AsterismError where they cannot be those of a wand: millimetres, four markers, two at one place.
+
+    >>> wand_of([0.6, 0.0, 0.2]).lengths.tolist()
+    [0.0, 0.2, 0.6]
+    >>> wand_of([0.0, 0.3, 0.6]).symmetric
+    True
+    >>> wand_of([0, 200, 600])
+    Traceback (most recent call last):
+    asterism.errors.AsterismError: a wand of 600 m is no wand: the lengths look like millimetres; give metres: 0 0.2 0.6.
     """
     along = np.asarray(lengths, dtype=np.float64).ravel()
     given = " ".join(f"{length:g}" for length in along)
@@ -105,9 +113,11 @@ def identify(blobs: Blobs, wand: Wand) -> Ints:
         )  # fmt: skip
         detections[~certain] = -1
     else:
+        # One or two dots have no shape that would tell them from strays, so only images without strays count.
         exact = np.nonzero(np.diff(blobs.offsets) == markers)[0]
         detections[exact] = blobs.offsets[exact, None] + np.arange(markers)
         if markers == 2:
             apart = np.linalg.norm(blobs.xy[detections[exact, 1]] - blobs.xy[detections[exact, 0]], axis=1)
+            # Two markers this near each other are seen end on: which is which, and where the wand points, stay open.
             detections[exact[apart < SEARCH.shortest]] = -1
     return detections.reshape(frames, cameras, markers)

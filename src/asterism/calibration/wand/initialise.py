@@ -78,6 +78,7 @@ def initialise_cameras(recording: WandRecording, progress: Progress | None = Non
     recording = recording.select(frames)
     shared = recording.shared_frames
     first = [(int(shared[a, b]), a, b) for a in range(cameras) for b in range(a + 1, cameras) if shared[a, b] >= TWO_VIEW.least_frames]
+    # Pairs that share many frames come first: the more a pair sees together, the better its two focal lengths are determined.
     tried = [initial_pair(recording, a, b) for _, a, b in sorted(first, key=lambda s: (-s[0], s[1:]))[: RULES.pairs[0]]]
     pairs = sorted((pair for pair in tried if pair is not None), key=lambda pair: pair.focal_uncertainty)
     best: InitialCameras | None = None
@@ -85,6 +86,7 @@ def initialise_cameras(recording: WandRecording, progress: Progress | None = Non
         start = _extend(recording, pair, progress if n == 0 else None)
         if best is None or start.rank > best.rank:
             best = start
+        # A camera that shares no frame with any other can never be posed; it must not keep the search going.
         everyone = all(start.cameras[c] is not None for c in np.nonzero(shared.sum(axis=0) > 0)[0])
         if start.inlier_share > RULES.enough_share and start.noise < RULES.enough_noise and everyone:
             break
@@ -96,10 +98,12 @@ def _extend(recording: WandRecording, pair: Pair, progress: Progress | None) -> 
     sizes = recording.sizes
     cameras: list[Camera | None] = [pair.cameras.get(c) for c in range(len(sizes))]
     width = max(size[0] for size in sizes)
+    # Lenses are still rough here, so blobs far from where they should be may yet be right: the gate narrows as the lenses improve.
     noise, gate = pair.error, RULES.coarse * width
     added = True
     while added:
         posed = [c for c, camera in enumerate(cameras) if camera is not None]
+        # Twice: the first round's better lenses let through blobs that its gate kept out.
         for _ in range(2):
             poses = recording.locate(cameras, gate)
             settings = AdjustSettings(loss="cauchy", scale=2.0, tolerance=1e-4, steps=20, covariance=False)
@@ -121,6 +125,7 @@ def _extend(recording: WandRecording, pair: Pair, progress: Progress | None) -> 
                 added = added or cameras[c] is not None
         added = added or _add_neighbour(recording, cameras)
     posed_now = np.array([camera is not None for camera in cameras])
+    # Only images that a second posed camera can confirm count: a single one agrees with anything.
     offered = (recording.detections >= 0) & posed_now[None, :, None]
     offered &= (recording.shows_wand[:, posed_now].sum(axis=1) >= 2)[:, None, None]
     inliers = float((poses.observations >= 0)[offered].sum() / max(offered.sum(), 1))
@@ -141,14 +146,17 @@ def _add_neighbour(recording: WandRecording, cameras: list[Camera | None]) -> bo
     ]
     for _, c, p in sorted(beside, key=lambda s: (-s[0], s[1:])):
         neighbour = cameras[p]
+        # A camera that overlaps with two posed ones is left to `resect_camera`, whose points in space are better determined.
         several = int((seen[:, c] & (seen[:, posed].sum(axis=1) >= 2)).sum()) >= TWO_VIEW.least_frames
         if neighbour is None or several:
             continue
+        # The neighbour's lens is known by now. With it fixed, the pair cannot trade one focal length for the other.
         lenses = list(recording.lenses)
         lenses[p] = replace(neighbour, rotation=np.eye(3), translation=np.zeros(3))
         pair = initial_pair(replace(recording, lenses=tuple(lenses)), p, c)
         if pair is not None and pair.error < RULES.joint * recording.sizes[c][0]:
             found = pair.cameras[c]
+            # From the pair's own world, which is the neighbour's camera, to the rig's.
             rotation, translation = found.rotation @ neighbour.rotation, found.rotation @ neighbour.translation + found.translation
             cameras[c] = replace(found, rotation=rotation, translation=translation)
             return True
@@ -196,6 +204,7 @@ def resect_camera(recording: WandRecording, poses: WandPoses, camera: int) -> Ca
     frames = evenly(frames, RULES.resection_frames)
     world, xy = poses.markers(wand, frames), recording.images(frames, camera)
     if wand.symmetric:
+        # Which end is which is open, but the middle is the same from both ends.
         middle = slice(1, 2) if len(wand) == 3 else slice(None)
         world, xy = world[:, middle].mean(axis=1, keepdims=True), xy[:, middle].mean(axis=1, keepdims=True)
     name, size, lens = recording.blobs.cameras[camera], recording.sizes[camera], recording.lenses[camera]
@@ -207,6 +216,7 @@ def resect(points: Floats, xy: Floats, name: str, size: tuple[int, int], known: 
     """A camera from points (n, 3) m and their images (n, 2) px by RANSAC over several focal lengths, and the share that fits it."""
     best, fit, share = None, -1.0, 0.0
     gate = RULES.coarse * size[0]
+    # An unknown focal length is tried in steps of 22 %, near enough for the adjustment that follows to find the rest.
     for focal in [1.0] if known is not None else 0.5 * size[0] * 1.22 ** np.arange(11):
         camera = known or initial_camera(name, size, float(focal))
         flat = camera.undistort(xy)
@@ -223,6 +233,7 @@ def resect(points: Floats, xy: Floats, name: str, size: tuple[int, int], known: 
         posed = replace(camera, rotation=cv2.Rodrigues(turn)[0], translation=shift.ravel(), posed=True)
         off = np.linalg.norm(posed.project(points) - xy, axis=1)
         near = off < gate
+        # A count of inliers alone would favour a long focal length, which brings all points near the axis; closeness counts too.
         score = float(np.where(near, 1.0 - np.square(off / gate), 0.0).sum())
         if score > fit:
             best, fit, share = posed, score, float(near.mean())

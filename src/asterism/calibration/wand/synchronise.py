@@ -83,16 +83,19 @@ def synchronise(recording: WandRecording, cameras: Sequence[Camera | None]) -> t
     posed = np.array([c for c, camera in enumerate(found) if camera is not None])
     fraction, drift = np.zeros(len(found)), np.zeros(len(found))
     whole_frames = recording
+    # A late camera bends the poses that its lag is measured by, so lags come out short at first: shift, adjust, measure again.
     for _ in range(RULES.rounds):
         step = _lag_step(recording, found, posed, np.where(fraction[posed] != 0.0, RULES.remaining, RULES.least))
         if step is None:
             break
         if not step.lags.any():
+            # Only where no constant lag is left can a change of the lag be told from one.
             drift[posed] = step.drift
             break
         found = step.cameras
         fraction[posed] += step.lags
         whole = np.rint(fraction).astype(np.int64)
+        # Whole frames are shifted without a trace; what is left is interpolated from the unshifted images once, never twice.
         if whole.any():
             lag_frames, fraction = lag_frames + whole, np.zeros(len(found))
             whole_frames = whole_frames.shifted(whole)
@@ -134,6 +137,7 @@ def _lag_step(recording: WandRecording, cameras: Sequence[Camera | None], posed:
             for part in (3 * seen.frame < len(recording), 3 * seen.frame >= 2 * len(recording))
         )
         drift = _significant(last[0] - first[0], np.hypot(first[1], last[1]), RULES.least_drift)
+        # Lags count from the median camera, so one that drifts makes the others seem to run the other way.
         drift[np.abs(drift) < RULES.echo * np.abs(drift).max()] = 0.0
     return _LagStep(found, lags, drift)
 
@@ -149,6 +153,7 @@ def _coarse_lags(recording: WandRecording, cameras: Sequence[Camera | None]) -> 
     lag_frames = np.zeros(len(cameras), dtype=np.int64)
     others = [camera for camera in cameras if camera is not None and camera.size is not None]
     poses = recording.locate(cameras, RULES.reach * widest_image(others))
+    # Cameras of one room mostly have one kind of lens, and the guess need only be near.
     focal = float(np.median([camera.focal[0] / (camera.size or (1280, 0))[0] for camera in others]))
     for c, size in enumerate(recording.sizes):
         frames = np.nonzero(recording.shows_wand[:, c])[0]
@@ -156,6 +161,7 @@ def _coarse_lags(recording: WandRecording, cameras: Sequence[Camera | None]) -> 
             continue
         best = (RULES.least_share, 0)
         for lag in range(-RULES.farthest, RULES.farthest + 1, RULES.stride):
+            # This camera's frame t shows what the others saw in frame t + lag.
             at = frames[(frames + lag >= 0) & (frames + lag < len(recording))]
             at = at[np.isfinite(poses.starts[at + lag, 0])]
             if len(at) < TWO_VIEW.least_frames:
@@ -163,6 +169,7 @@ def _coarse_lags(recording: WandRecording, cameras: Sequence[Camera | None]) -> 
             at = evenly(at, RULES.resection_frames)
             world, xy = poses.markers(wand, at + lag), recording.images(at, c)
             if wand.symmetric:
+                # Either end may come first; the middle is the middle.
                 world, xy = world.mean(axis=1, keepdims=True), xy.mean(axis=1, keepdims=True)
             guess = recording.lenses[c] or initial_camera(blobs.cameras[c], size, focal * size[0])
             share = resect(world.reshape(-1, 3), xy.reshape(-1, 2), blobs.cameras[c], size, guess)[1]
@@ -189,6 +196,7 @@ def estimate_lags(cameras: Sequence[Camera], wand: Wand, sightings: Sightings, s
     """
     velocity = image_velocities(_without_flips(sightings, directions) if wand.symmetric else sightings)
     moving = np.isfinite(velocity[:, 0]) & np.isfinite(starts[sightings.frame, 0])
+    # A lag shows only where markers move in the image, and some hundred frames determine it.
     moving &= np.isin(sightings.frame, evenly(np.unique(sightings.frame[moving]), RULES.frames))
     seen, frames = sightings.select(moving).compact()
     if len(seen) < LagRules().least_sightings:
@@ -200,6 +208,7 @@ def estimate_lags(cameras: Sequence[Camera], wand: Wand, sightings: Sightings, s
 def _without_flips(sightings: Sightings, directions: Floats) -> Sightings:
     """The same with markers named so that a symmetric wand does not turn around from frame to frame."""
     back = (directions[1:] * directions[:-1]).sum(axis=1) < 0.0
+    # Each turn exchanges the ends from there on, so an odd number of them means exchanged.
     turned = np.concatenate([[0], np.cumsum(back)])[sightings.frame] % 2 == 1
     return replace(sightings, point=np.where(turned, sightings.point.max(initial=0) - sightings.point, sightings.point))
 
@@ -213,6 +222,7 @@ def _linearised(cameras: Sequence[Camera], wand: Wand, seen: Sightings, starts: 
         own = seen.camera == c
         residuals[own] = seen.xy[own] - camera.project(world[own])
         for axis, step in enumerate(1e-4 * np.eye(3)):
+            # Central differences: a tenth of a millimetre is small against the room and large against rounding.
             by_point[own, :, axis] = (camera.project(world[own] + step) - camera.project(world[own] - step)) / 2e-4
     turned = np.cross(np.eye(3)[None], along[:, None])
     return residuals, np.concatenate([by_point, np.einsum("nij,nkj->nik", by_point, turned)], axis=2)

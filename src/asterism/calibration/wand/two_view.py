@@ -114,6 +114,7 @@ def priors(cameras: Sequence[Camera], known: Sequence[Camera | None], noise: flo
         width, height = camera.size or (1280, 1024)
         if lens is None:
             centre = (0.5 * (width - 1), 0.5 * (height - 1))
+            # The focal length at hand is only where the search is; a spread of ten times its length lets it go anywhere.
             expected[c, 6:] = camera.focal[0], 1.0, *centre, 0.0, 0.0, 0.0, 0.0, 0.0
         else:
             radial = (*lens.radial, 0.0, 0.0, 0.0)[:3]
@@ -131,6 +132,7 @@ def initial_pair(recording: WandRecording, a: int, b: int) -> Pair | None:
     lenses = [recording.lenses[a], recording.lenses[b]]
     epipolar = _fundamental(xy, recording.wand, RULES.epipolar_gate * max(recording.sizes[a]))
     tried: list[tuple[float, int, Adjustment, Bools]] = []
+    # A wrong focal length bends the whole pair, and the adjustment does not find out of it: begin from several, and compare.
     for guess in RULES.focal_guesses:
         pair = [
             recording.lenses[c] or initial_camera(recording.blobs.cameras[c], recording.sizes[c], guess * recording.sizes[c][0])
@@ -142,12 +144,15 @@ def initial_pair(recording: WandRecording, a: int, b: int) -> Pair | None:
             if fitted is not None:
                 tried.append((_median_error(fitted), len(tried), fitted, turned))
         if lenses[0] is not None and lenses[1] is not None:
+            # Two known lenses leave nothing to guess.
             break
     best: Pair | None = None
+    # A few coarse steps rank the starts; only the best are worth the rest.
     for _, _, fitted, turned in sorted(tried, key=lambda one: one[:2])[: RULES.refined]:
         full = _fit_pair(xy, list(fitted.cameras), lenses, recording.wand, turned, RULES.fine_steps)
         if full is None or (best is not None and _median_error(full) >= best.error):
             continue
+        # Pairs whose lenses are well determined by themselves make the better beginning of a rig.
         uncertainty = float((full.sigma[:, 6] / [camera.focal[0] for camera in full.cameras]).max())
         best = Pair({a: full.cameras[0], b: full.cameras[1]}, _median_error(full), uncertainty)
     return best
@@ -156,6 +161,7 @@ def initial_pair(recording: WandRecording, a: int, b: int) -> Pair | None:
 def _poses(xy: Floats, pair: Sequence[Camera], wand: Wand, epipolar: tuple[Floats, Bools] | None) -> list[tuple[Floats, Floats, Bools]]:
     """Poses of the second camera to begin with: rotation, translation (m), and in which frames (n,) its markers come in reverse order."""
     poses = []
+    # An inner marker off the middle shows by perspective which end is nearer, in each image alone.
     if len(wand) == 3 and not wand.symmetric:
         poses.append(_pose_by_depths(xy, pair, wand))
     if epipolar is not None:
@@ -175,6 +181,7 @@ def _fit_pair(
     xy = xy.copy()
     xy[turned, 1] = xy[turned, 1, ::-1]
     sightings = Sightings.from_array(xy)
+    # Markers by themselves give the first placement of the wand; from then on it is rigid.
     points = triangulate(cameras, sightings, len(xy), len(wand))
     rotations, translations = _placed(wand, points)
     good: Bools = np.asarray(np.isfinite(translations).all(axis=1))
@@ -183,6 +190,7 @@ def _fit_pair(
     sightings, kept = sightings.select(good[sightings.frame]).compact()
     free = free_parameters(2, "pose", "focal", "k1")
     prior = priors(cameras, known, RULES.noise)
+    # A pair alone hardly determines its focal lengths: kept near the guess, they cannot run away to a telescope's.
     prior[1][:, 6] = np.minimum(prior[1][:, 6], RULES.focal_spread * np.array([camera.focal[0] for camera in cameras]) / RULES.noise)
     settings = AdjustSettings(loss="cauchy", scale=RULES.loss_noises, tolerance=1e-4, steps=steps, covariance=steps == RULES.fine_steps)
     return adjust(cameras, wand.template, sightings, rotations[kept], translations[kept], free=free, prior=prior, settings=settings)
@@ -206,6 +214,7 @@ def _pose_by_depths(xy: Floats, pair: Sequence[Camera], wand: Wand) -> tuple[Flo
     for c, camera in enumerate(pair):
         flat = camera.undistort(xy[:, c])
         ray = np.concatenate([flat, np.ones((*flat.shape[:2], 1))], axis=2)
+        # The three rays lie in one plane, so the inner one divides the angle; with the known lengths that gives the ratio of depths.
         near, far = np.cross(ray[:, 0], ray[:, 1]), np.cross(ray[:, 2], ray[:, 1])
         ratio = -(1.0 - share) * (near * far).sum(axis=1) / np.maximum(share * (far * far).sum(axis=1), 1e-15)
         ratio = np.clip(ratio, 1.0 / RULES.depth_ratio, RULES.depth_ratio)
@@ -220,6 +229,7 @@ def _pose_by_depths(xy: Floats, pair: Sequence[Camera], wand: Wand) -> tuple[Flo
     for _ in range(RULES.depth_rounds):
         rotation, translation = fit_rigid(one, other, weight)
         miss = np.linalg.norm(other - one @ rotation.T - translation, axis=1)
+        # Depths from one image are wrong by a lot now and then; weights by the miss let the bulk decide.
         weight = 1.0 / (1.0 + np.square(miss / max(float(np.median(miss)), 1e-9)))
     return rotation, translation, np.zeros(len(xy), dtype=bool)
 
@@ -235,8 +245,10 @@ def _fundamental(xy: Floats, wand: Wand, gate: float) -> tuple[Floats, Bools] | 
         points = xy.transpose(1, 0, 2, 3).reshape(2, -1, 2)
         matrix = _ransac(points[0], points[1], gate)
         return None if matrix is None else (matrix, turned)
+    # The middle is the same whichever end comes first. With two markers the mean is a little off by perspective: a wider gate.
     middle = xy[:, :, 1] if len(wand) == 3 else xy.mean(axis=2)
     matrix = _ransac(middle[:, 0], middle[:, 1], RULES.middle_gate * gate)
+    # The first round sorts most frames by a rough matrix, the second all of them by a good one.
     for _ in range(2):
         if matrix is None:
             return None
@@ -274,6 +286,7 @@ def _pose_by_epipolar_geometry(
     essential = pair[1].matrix.T @ matrix @ pair[0].matrix
     _, rotation, translation, _ = cv2.recoverPose(essential, flat[0][good], flat[1][good], np.eye(3))
     translation = translation.ravel()
+    # Epipolar geometry knows directions only; the wand's length gives the metres.
     if len(wand) > 1:
         cameras = [pair[0], replace(pair[1], rotation=rotation, translation=translation)]
         points = triangulate(cameras, Sightings.from_array(ordered), len(xy), len(wand))

@@ -73,8 +73,10 @@ def default_world(rig: Rig, positions: Floats) -> tuple[Floats, Floats]:
     into it. A guess of what is up, good to a few degrees where
     cameras are hung level.
     """
+    # An image's y axis points down, and tilts of cameras round a room cancel in the sum.
     up = -np.sum([camera.rotation[1] for camera in rig], axis=0)
     if np.linalg.norm(up) < RULES.level * len(rig):
+        # Cameras hung on their sides or heads in equal numbers leave no common up.
         up = -rig[0].rotation[1]
     z = up / np.linalg.norm(up)
     x = rig[0].rotation[0] - (rig[0].rotation[0] @ z) * z
@@ -90,9 +92,14 @@ def world_from_points(origin: ArrayLike, x: ArrayLike, y: ArrayLike) -> Similari
     """The world whose origin and x axis are two points, and whose xy plane holds the third on the side of +y; all (3,) m.
 
     Raises AsterismError where they lie in a line.
+
+    >>> rotation, translation, scale = world_from_points(origin=[1, 0, 0], x=[1, 2, 0], y=[0, 0, 0])
+    >>> (scale * rotation @ [1, 2, 0] + translation).round(6).tolist()  # the second point: two metres along the new x
+    [2.0, 0.0, 0.0]
     """
     o, a, b = (np.asarray(point, dtype=np.float64) for point in (origin, x, y))
     along, normal = a - o, np.cross(a - o, b - o)
+    # The cross product is twice the triangle's area: small against its sides, the direction of z is noise.
     if np.linalg.norm(normal) < 1e-3 * max(np.linalg.norm(along), np.linalg.norm(b - o)) ** 2:
         raise AsterismError("the three points of the world frame lie in a line (or two are one); choose three that span the floor.")
     z = normal / np.linalg.norm(normal)
@@ -128,6 +135,7 @@ def world_from_l_frame(rig: Rig, still: Blobs, markers: ArrayLike, *, scaled: bo
             f"those seen are {', '.join(f'{gap:.3f}' for gap in np.sort(seen[np.triu_indices(len(points), 1)])[:12])} m."
         )
     miss, chosen = ranked[0]
+    # Better no world than one that may be turned by a quarter.
     if len(ranked) > 1 and ranked[1][0] < max(2.0 * miss, RULES.alike * gaps.max()):
         raise AsterismError("the L-frame looks alike from two sides; give it arms of different lengths.")
     found = points[list(chosen)]
@@ -161,6 +169,7 @@ def world_from_floor_wand(rig: Rig, lying: Blobs, lengths: ArrayLike) -> Similar
     off = np.median(np.abs((points - middle) @ vt[2]))
     if off > RULES.off_plane or sizes[2] > RULES.uneven * sizes[1]:
         raise AsterismError(f"the wand did not lie in one plane (off by {1000 * off:.0f} mm and more); lay it still, on a flat floor.")
+    # A plane has two sides, and cameras hang above the floor.
     z = vt[2] if np.median([(camera.position - middle) @ vt[2] for camera in rig]) > 0.0 else -vt[2]
     _check_floor(rig, middle, z)
     origin, end = np.median(rests[0], axis=0)
@@ -175,6 +184,7 @@ def _rests(starts: Floats, ends: Floats, symmetric: bool) -> list[Floats]:
     """
     rests: list[list[Floats]] = []
     for now in np.stack([starts, ends], axis=1):
+        # Compared with the rest's first frame, not with the last one: a slow slide must not pass for lying still.
         for way in [now, now[::-1]] if symmetric else [now]:
             if rests and np.linalg.norm(way - rests[-1][0], axis=1).max() < RULES.at_rest:
                 rests[-1].append(way)
@@ -202,9 +212,11 @@ def still_points(rig: Rig, blobs: Blobs) -> Floats:
                 good = near < RULES.gate * width
                 votes += good
                 miss += np.where(good, near, 0.0)
+        # Two cameras always agree about a crossing of rays; what a third one confirms comes first.
         proposals += [(int(vote), float(sum_), point) for vote, sum_, point in zip(votes, miss, points, strict=True) if vote >= 2]
     kept: list[Floats] = []
     taken = {name: np.zeros(len(xy), dtype=bool) for name, xy in places.items()}
+    # Most confirmed first, and each image of a marker once: what is left of ghosts finds its images taken.
     for _, _, point in sorted(proposals, key=lambda proposal: (-proposal[0], proposal[1])):
         own = {}
         for name, xy in places.items():
@@ -235,6 +247,7 @@ def _still(blobs: Blobs, camera: int, radius: float) -> Floats:
     places: list[Floats] = []
     left = np.ones(len(xy), dtype=bool)
     while left.any():
+        # Any blob may begin a heap: what never moves makes one heap from any of its own.
         seed = xy[np.argmax(left)]
         heap = left & (np.linalg.norm(xy - seed, axis=1) < 3.0 * radius)
         left &= ~heap
@@ -249,6 +262,7 @@ def _crossings(a: Floats, rays_a: Floats, b: Floats, rays_b: Floats) -> Floats:
     between = b - a
     across = (one * other).sum(axis=1)
     along_a, along_b = one @ between, other @ between
+    # Parallel rays have no nearest point; the floor keeps them finite, and the gate below drops them.
     under = np.maximum(1.0 - across**2, 1e-9)
     s, t = (along_a - across * along_b) / under, (across * along_a - along_b) / under
     first, second = a + s[:, None] * one, b + t[:, None] * other
@@ -267,6 +281,7 @@ def _matches(wanted: Floats, seen: Floats, scaled: bool) -> list[tuple[float, tu
             own, target = seen[np.ix_(chosen, chosen)], wanted[:k, :k]
             factor = 1.0 if scaled else target.sum() / max(own.sum(), 1e-12)
             miss = float(np.abs(factor * own - target).max())
+            # A choice that fails with few markers fails with all: leave the branch.
             if miss > RULES.longest_miss * size:
                 return
             if k == len(wanted):

@@ -25,6 +25,7 @@ def _seen(lens, rotation, translation, point, pixel, slope):
     for i in range(3):
         dx, dy = (rotation[0, i] - x * rotation[2, i]) / z, (rotation[1, i] - y * rotation[2, i]) / z
         slope[0, i], slope[1, i] = lens[FX] * (ux * dx + uy * dy), lens[FY] * (vx * dx + vy * dy)
+    # Beyond the fold of the lens model no pixel belongs to the point.
     return ux * vy - uy * vx > 0.0 and ux + vy > 0.0
 
 
@@ -38,6 +39,7 @@ def pixel_jacobians(lens, rotation, translation, points, out):
     """
     pixel, slope = np.empty(2), np.empty((2, 3))
     for i in range(len(points)):
+        # Beforehand, for what the camera cannot see.
         out[i] = np.nan
         if _seen(lens, rotation, translation, points[i], pixel, slope):
             out[i] = slope
@@ -65,6 +67,7 @@ def one_at_a_time(lens_a, rotation_a, translation_a, lens_b, rotation_b, transla
             for side in range(2):
                 aim = truth.copy()
                 aim[moved] += shift if side == 0 else -shift
+                # From the true place, which is near: the search stays in its own valley.
                 place = points[i].copy()
                 for _ in range(STEPS):
                     seen = _seen(lens_a, rotation_a, translation_a, place, pixels[:2], jacobians[:2])
@@ -72,6 +75,7 @@ def one_at_a_time(lens_a, rotation_a, translation_a, lens_b, rotation_b, transla
                         place[:] = np.nan
                         break
                     normal, right = jacobians.T @ jacobians, jacobians.T @ (aim - pixels)
+                    # Rays that are nearly parallel determine no place.
                     if abs(np.linalg.det(normal)) < 1e-12 * max(np.trace(normal), 1e-300) ** 3:
                         place[:] = np.nan
                         break

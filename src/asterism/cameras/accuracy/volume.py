@@ -37,6 +37,11 @@ class Volume:
         """From "6x4x2.5": width, depth and height in metres on the floor around the origin; or from "-3:3,-2:2,0:2.5" along x, y, z.
 
         vertical  the axis that points up, for the first way. Raises AsterismError for any other text, and where the vertical is oblique.
+
+        >>> Volume.parse("6x4x2.5").low.tolist()
+        [-3.0, -2.0, 0.0]
+        >>> Volume.parse("-3:3,-2:2,0:2.5").size.tolist()
+        [6.0, 4.0, 2.5]
         """
         spans = re.fullmatch(r"\s*([^:,]+):([^:,]+),([^:,]+):([^:,]+),([^:,]+):([^:,]+)\s*", text)
         sides = re.fullmatch(r"\s*([^x×]+)[x×]([^x×]+)[x×]([^x×]+)\s*", text)
@@ -71,11 +76,11 @@ class Volume:
 
     def axes(self, step: float) -> tuple[Floats, Floats, Floats]:
         """Coordinates along x, y and z, about `step` m apart, from the middle of the first cell to that of the last."""
-        made = []
+        coordinates = []
         for low, size in zip(self.low, self.size, strict=True):
             count = max(1, round(size / step))
-            made.append(low + size * (np.arange(count) + 0.5) / count)
-        return made[0], made[1], made[2]
+            coordinates.append(low + size * (np.arange(count) + 0.5) / count)
+        return coordinates[0], coordinates[1], coordinates[2]
 
     def places(self, step: float) -> Floats:
         """(N, 3) m, the middles of cells of about `step` m; x changes slowest, z fastest."""

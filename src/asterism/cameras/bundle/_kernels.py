@@ -82,6 +82,7 @@ def project_with_derivatives(lens, rotation, translation, point, pixel, by_camer
     ay = rotation[1, 0] * point[0] + rotation[1, 1] * point[1] + rotation[1, 2] * point[2]
     az = rotation[2, 0] * point[0] + rotation[2, 1] * point[1] + rotation[2, 2] * point[2]
     z = az + translation[2]
+    # No image behind the camera, nor in its centre.
     if not z > 1e-6:
         return False
     x, y = (ax + translation[0]) / z, (ay + translation[1]) / z
@@ -100,6 +101,7 @@ def project_with_derivatives(lens, rotation, translation, point, pixel, by_camer
         by_camera[i, 3], by_camera[i, 4], by_camera[i, 5] = cx, cy, cz
         for j in range(3):
             by_point[i, j] = cx * rotation[0, j] + cy * rotation[1, j] + cz * rotation[2, j]
+    # The radial coefficients act on powers of the distance from the axis, over OpenCV's denominator.
     square = x * x + y * y
     under = 1.0 + square * (lens[DENOMINATOR] + square * (lens[DENOMINATOR + 1] + square * lens[DENOMINATOR + 2]))
     by_camera[0, FOCAL], by_camera[1, FOCAL] = u, v * fy / fx
@@ -118,6 +120,7 @@ def project_with_derivatives(lens, rotation, translation, point, pixel, by_camer
 @kernel(inline=True)
 def _loss(kind, scale, size):
     """Cost and weight of a residual of this size, both px: Huber, or Cauchy which forgets what is far off."""
+    # Huber's loss is convex, so that a start far off is led back; Cauchy's forgets what is wrong for good.
     if kind == HUBER:
         if size <= scale:
             return 0.5 * size * size, 1.0
@@ -143,6 +146,7 @@ def residuals_and_cost(cameras, objects, sightings, loss, residuals, weights):
         wz = turned[t, 2, 0] * template[k, 0] + turned[t, 2, 1] * template[k, 1] + turned[t, 2, 2] * template[k, 2] + placed[t, 2]
         r, shift, lens = cameras.rotation[c], cameras.translation[c], cameras.lens[c]
         z = r[2, 0] * wx + r[2, 1] * wy + r[2, 2] * wz + shift[2]
+        # A high cost, not none: else the cameras would be turned away from what does not fit.
         if not z > 1e-6:
             residuals[i, 0] = residuals[i, 1] = np.nan
             weights[i] = 0.0
@@ -153,6 +157,7 @@ def residuals_and_cost(cameras, objects, sightings, loss, residuals, weights):
         u, v, _, _, _, _ = distorted(lens, x, y)
         residuals[i, 0] = xy[i, 0] - lens[FX] * u - lens[CX]
         residuals[i, 1] = xy[i, 1] - lens[FY] * v - lens[CY]
+        # Each camera by its own noise, before the loss decides what is an outlier.
         size = math.sqrt(residuals[i, 0] ** 2 + residuals[i, 1] ** 2) / loss.relative[c]
         share, weight = _loss(loss.kind, loss.scale, size)
         weights[i] = weight / loss.relative[c] ** 2
@@ -179,9 +184,12 @@ def _add_sighting(columns, axes, weight, r0, r1, by_camera, by_object, local, wa
 
     IN  columns (PARAMETERS,) of its camera; axes (D,); weight; r0, r1 weighted residual; by_camera (2, PARAMETERS), by_object (2, 6)
     OUT local (2, PARAMETERS), wanted (PARAMETERS,): working memory; block, gradient, v, g, w: added to in place
+
+    Bounds: `free` counts parameters of one camera, PARAMETERS at most.
     """
     free = 0
     for p in range(PARAMETERS):
+        # Fixed parameters have no column; the free ones are gathered so that the loops below are dense.
         if columns[p] >= 0:
             wanted[free] = p
             local[0, free], local[1, free] = by_camera[0, p], by_camera[1, p]
@@ -196,6 +204,7 @@ def _add_sighting(columns, axes, weight, r0, r1, by_camera, by_object, local, wa
         o0, o1 = by_object[0, axes[d]], by_object[1, axes[d]]
         g[d] += o0 * r0 + o1 * r1
         o0, o1 = weight * o0, weight * o1
+        # The lower triangle is enough for Cholesky's factor.
         for e in range(d + 1):
             v[d, e] += o0 * by_object[0, axes[e]] + o1 * by_object[1, axes[e]]
         line = w[d]
@@ -208,6 +217,7 @@ def _eliminate(v, g, w, damping):
     """An object's matrix v (D, D), damped, to its Cholesky factor F; g (D,) to F^-1 g and w (D, n_free) to F^-1 w, all in place."""
     dof, unknowns = w.shape
     for d in range(dof):
+        # The addend keeps an object that is hardly seen from having no inverse.
         v[d, d] = v[d, d] * (1.0 + damping) + 1e-12
     for d in range(dof):
         for e in range(d):
@@ -221,6 +231,7 @@ def _eliminate(v, g, w, damping):
         entry = v[d, d]
         for k in range(d):
             entry -= v[d, k] * v[d, k]
+        # Rounding may take what is left below zero.
         v[d, d] = math.sqrt(max(entry, 1e-12))
         g[d] /= v[d, d]
         for a in range(unknowns):
@@ -243,6 +254,7 @@ def linearise(cameras, objects, sightings, residuals, weights, columns, axes, da
         turn = objects.turned[t]
         v, g, w = out.factors[t], out.shifted[t], out.reduced[t]
         for i in range(sightings.starts[t], sightings.starts[t + 1]):
+            # Behind its camera, see `residuals_and_cost`.
             if weights[i] == 0.0:
                 continue
             c, model = sightings.camera[i], objects.template[sightings.point[i]]
@@ -256,6 +268,7 @@ def linearise(cameras, objects, sightings, residuals, weights, columns, axes, da
             weight = weights[i]
             r0, r1 = weight * residuals[i, 0], weight * residuals[i, 1]
             _add_sighting(columns[c], axes, weight, r0, r1, by_camera, by_object, local, wanted, out.blocks[c], out.gradient, v, g, w)
+        # With its frame's object out of the way, only the cameras are left to solve for together.
         _eliminate(v, g, w, damping)
     for c in range(len(out.blocks)):
         for p in range(PARAMETERS):
@@ -274,6 +287,7 @@ def move_objects(turned, placed, factors, remaining, axes):
     step = np.zeros(6)
     for t in range(len(placed)):
         step[:] = 0.0
+        # Back substitution: F is triangular.
         for d in range(dof - 1, -1, -1):
             entry = remaining[t, d]
             for e in range(d + 1, dof):

@@ -40,8 +40,9 @@ class AdjustSettings:
     steps           at most
     covariance      whether the covariance of the parameters is computed
     damping         Levenberg and Marquardt's, a share of the diagonal: where it begins
-    raised, lowered its factors after a step that fails, and after one that succeeds
-    hopeless        damping at which the search ends
+    damping_up      factor after a step that fails
+    damping_down    factor after a step that succeeds
+    max_damping     damping at which the search ends
     """
 
     loss: Literal["huber", "cauchy"] = "huber"
@@ -51,9 +52,9 @@ class AdjustSettings:
     steps: int = 60
     covariance: bool = True
     damping: float = 1e-3
-    raised: float = 5.0
-    lowered: float = 0.15
-    hopeless: float = 1e10
+    damping_up: float = 5.0
+    damping_down: float = 0.15
+    max_damping: float = 1e10
 
 
 @dataclass(frozen=True)
@@ -105,12 +106,15 @@ class Adjustment:
         rigid = np.zeros((3 * count, 6))
         for c, camera in enumerate(self.cameras):
             rows, first = slice(3 * c, 3 * c + 3), c * len(PARAMETERS)
+            # A camera's place is -R^T t: how it moves with a turn of the camera, and with a shift.
             by_parameter[rows, first : first + 3] = -camera.rotation.T @ cross_matrix(camera.translation)
             by_parameter[rows, first + 3 : first + 6] = -camera.rotation.T
             rigid[rows] = np.hstack([-cross_matrix(camera.position), np.eye(3)])
+        # Single points leave the size open, so that a larger world explains part of the spread, too.
         if self.no_scale:
             places = np.stack([camera.position for camera in self.cameras])
             rigid = np.column_stack([rigid, (places - places.mean(axis=0)).ravel()])
+        # What the world's own turn and shift explain is nobody's uncertainty.
         left = np.eye(3 * count) - rigid @ np.linalg.pinv(rigid)
         steps = left @ by_parameter[:, self.free.ravel()]
         variance = np.einsum("ij,jk,ik->i", steps, self.covariance, steps)
@@ -167,9 +171,11 @@ def adjust(
         raise AsterismError("a bundle adjustment was given no sightings.")
     if sightings.frame[-1] >= len(rotations) or len(rotations) != len(translations):
         raise AsterismError(f"sightings name frame {int(sightings.frame[-1])}, but only {len(rotations)} placements were given.")
+    # A wand has no turn about its own line: freedoms that nothing shows are taken out before the equations are set up.
     model, turn_back, axes = _principal_axes(np.asarray(template, dtype=np.float64).reshape(-1, 3))
     wanted: Bools = free_parameters(len(cameras), "pose", "focal") if free is None else np.array(free, dtype=bool)
     state = _AdjustmentState.of(cameras, rotations @ turn_back, translations)
+    # Images say nothing of where the world begins, and equations with that freedom have no solution.
     _hold_the_world(wanted, state, single=len(axes) == 3)
     problem = _BundleProblem(model, sightings, wanted, axes, settings, prior)
     state, cost, done, converged = _descend(problem, state)
@@ -177,6 +183,7 @@ def adjust(
     noise = problem.noise(residuals, weights)
     spread: Floats = np.empty((0, 0))
     if settings.covariance and problem.unknowns:
+        # The pseudo-inverse, since a parameter that nothing determines must not spoil those of the others.
         spread = np.asarray(noise**2 * np.linalg.pinv(problem.normal(state, residuals, weights, 0.0).matrix, hermitian=True))
     errors = [rms(residuals[sightings.camera == c]) for c in range(len(cameras))]
     return Adjustment(
@@ -223,6 +230,7 @@ class _AdjustmentState:
         for c, part in enumerate(step):
             rotate_by(self.rotation[c], part[0], part[1], part[2], False)
         self.translation += step[:, 3:6]
+        # The parameters are one focal length and the ratio of the two, which a prior can keep at square pixels.
         aspect = self.lens[:, 1] / self.lens[:, 0] + step[:, 7]
         self.lens[:, 0] += step[:, 6]
         self.lens[:, 1] = aspect * self.lens[:, 0]
@@ -231,6 +239,7 @@ class _AdjustmentState:
         self.lens[:, 4:6] += step[:, 13:15]
 
     def cameras(self, before: Sequence[Camera], errors: Sequence[float]) -> tuple[Camera, ...]:
+        # Many small turns leave a matrix that is a rotation to rounding only.
         turned = nearest_orthogonal(self.rotation)
         return tuple(
             replace(
@@ -270,6 +279,7 @@ class _BundleProblem:
         self.relative = np.ones(len(wanted)) if given is None else np.asarray(given, dtype=np.float64)
         self.unknowns = int(wanted.sum())
         self.free = [np.nonzero(own)[0] for own in wanted]
+        # The column of each free parameter in the equations, -1 where it is fixed.
         self.columns = np.where(wanted, np.cumsum(wanted.ravel()).reshape(wanted.shape) - 1, -1)
         self.expected = None if prior is None else prior[0]
         self.stiffness: Floats = np.zeros(wanted.shape) if prior is None else 1.0 / np.square(prior[1])
@@ -298,6 +308,7 @@ class _BundleProblem:
 
     def noise(self, residuals: Floats, weights: Floats) -> float:
         """px, of one coordinate of a camera of relative noise 1, from weighted residuals and the redundancy."""
+        # Two coordinates for each sighting, as far as it counts, less what was fitted to them.
         redundancy = 2.0 * (weights * self.relative[self.seen.camera] ** 2).sum() - self.wanted.sum()
         redundancy = redundancy - len(self.axes) * len(np.unique(self.seen.frame))
         return float(np.sqrt(np.nansum(weights * np.square(residuals).sum(axis=1)) / max(redundancy, 1.0)))
@@ -354,21 +365,21 @@ def _descend(problem: _BundleProblem, state: _AdjustmentState) -> tuple[_Adjustm
     damping, tolerance = settings.damping, settings.tolerance
     best = _AdjustmentTrial.at(problem, state, np.zeros(problem.wanted.shape))
     done = 0
-    while done < settings.steps and damping < settings.hopeless:
+    while done < settings.steps and damping < settings.max_damping:
         done += 1
         trial = _step(problem, best, damping)
         if trial is None:
-            damping *= settings.raised
+            damping *= settings.damping_up
             continue
         if not trial.cost <= best.cost:
             if trial.cost - best.cost <= tolerance * best.cost:
                 return best.state, best.cost, done, True
-            damping *= settings.raised
+            damping *= settings.damping_up
             continue
         gain, best = best.cost - trial.cost, trial
         if gain <= tolerance * best.cost:
             return best.state, best.cost, done, True
-        damping = max(damping * settings.lowered, 1e-12)
+        damping = max(damping * settings.damping_down, 1e-12)
     return best.state, best.cost, done, False
 
 

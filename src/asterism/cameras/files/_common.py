@@ -35,6 +35,7 @@ OPENCV_FROM_UPRIGHT = np.diag([1.0, -1.0, -1.0])
 def numbers(where: str, what: str, values: Any, count: int | None = None) -> Floats:
     """Finite numbers from a text with blanks or any nested list, flat. Raises AsterismError, naming the place, for anything else."""
     try:
+        #
         found = np.array(values.split() if isinstance(values, str) else values, dtype=np.float64).ravel()
     except (TypeError, ValueError):
         found = np.array([np.nan])
@@ -68,6 +69,7 @@ def rotation_of(where: str, values: Any) -> Floats:
         raise AsterismError(
             f"{where}: its rotation matrix is not a rotation: its rows are not of length 1 and at right angles; export it again."
         )
+    # A mirrored matrix is as orthogonal as a rotation, and would turn right hands into left ones.
     if np.linalg.det(nearest) < 0:
         raise AsterismError(f"{where}: its rotation mirrors the room, its axes are left-handed; export it again with right-handed axes.")
     return nearest

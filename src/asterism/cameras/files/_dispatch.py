@@ -29,7 +29,11 @@ _WRITERS: tuple[tuple[tuple[str, ...], Callable[[Path, Rig], list[str]]], ...] =
 
 
 def is_rig_file(path: str | Path) -> bool:
-    """Whether a name is that of a rig file, or of a folder with such names."""
+    """Whether a name is that of a rig file, or of a folder with such names.
+
+    >>> [is_rig_file(name) for name in ("lab.xcp", "lab.qca.txt", "walk.c3d")]
+    [True, True, False]
+    """
     path = Path(path)
     if path.is_dir():
         return any(is_rig_file(inside) for inside in path.iterdir() if inside.is_file())
@@ -46,6 +50,7 @@ def read_rig(*paths: str | Path) -> Rig:
     if not files:
         raise AsterismError("no rig file was named; name one.")
     kinds = {_kind(file) for file in files}
+    # Only OpenCV's and OpenPTV's rigs come in parts.
     if len(kinds) > 1 or (len(files) > 1 and kinds <= {"one"}):
         raise AsterismError(f"{', '.join(map(str, files[:4]))} are not parts of one rig; name one of them.")
     with guarded_reading(", ".join(map(str, files[:4])), _MEND):
@@ -64,6 +69,15 @@ def write_rig(rig: Rig, path: str | Path) -> list[str]:
 
     Returns what the format could not carry, one phrase each. Raises AsterismError where the name says no format, the format
     cannot carry a camera, or the file cannot be written.
+
+    >>> from asterism.cameras import Camera, Rig
+    >>> rig = Rig((Camera("c1", (640, 480), (500.0, 500.0), (319.5, 239.5)),), vertical=[0, 0, 1])
+    >>> write_rig(rig, "rig.toml")
+    []
+    >>> write_rig(rig, "rig.yml")
+    ['the vertical']
+    >>> read_rig("rig.toml")["c1"].focal
+    (500.0, 500.0)
     """
     path = Path(path)
     for endings, writer in _WRITERS:
@@ -109,6 +123,7 @@ def _files(path: Path) -> Sequence[Path]:
     if not path.is_dir():
         return [path]
     inside = sorted(file for file in path.iterdir() if file.is_file() and is_rig_file(file))
+    # Many small files are one rig; only without such does a single whole file have to be the one.
     parts = [file for file in inside if file.suffix.casefold() == ".ori"] or [file for file in inside if _holds_cameras(file)]
     if parts:
         return parts

@@ -44,6 +44,7 @@ def fitted_radial(
     best = (none, float(np.abs(target - source).max() * focal))
     if best[1] < 1e-9:
         return best
+    # Powers of a radius up to one keep sixteen of them comparable in size.
     scale = float(source.max()) ** 2
     powers = np.stack([(source**2 / scale) ** (i + 1) for i in range(max(max(shape) for shape in shapes))], axis=1)
     for above, below in shapes:
@@ -58,19 +59,23 @@ def fitted_radial(
             by_under = -source / bottom**2 * (1.0 + top @ k[:above])
             return focal * np.concatenate([top * (source / bottom)[:, None], under * by_under[:, None]], axis=1)
 
+        # Multiplied out by the denominator the fit is linear: exact for a polynomial, a start for a quotient.
         columns = np.concatenate([top * source[:, None], -under * target[:, None]], axis=1)
         k = np.linalg.lstsq(columns, target - source, rcond=None)[0]
         if below:
             start = k if (1.0 + under @ k[above:]).min() > _LEAST_DENOMINATOR else np.zeros(above + below)
             k = least_squares(missed, start, slopes, method="lm", max_nfev=200).x
+            # A denominator near zero throws points of the image to infinity.
             if (1.0 + under @ k[above:]).min() <= _LEAST_DENOMINATOR:
                 continue
         left = float(np.abs(missed(k)).max())
         real = [float(v) / scale ** (i + 1) for i, v in enumerate(k[:above])]
         denominator = [float(v) / scale ** (i + 1) for i, v in enumerate(k[above:])] or [0.0, 0.0, 0.0]
         radial: Radial = (tuple(real), (denominator[0], denominator[1], denominator[2]))
+        # A polynomial that turns back outside puts things beside the camera into its image.
         if left < best[1] and not (beyond and _comes_back(radial, float(source.max()), float(target.max()))):
             best = (radial, left)
+        # The fewest coefficients that are exact enough: more of them only fold over sooner.
         if best[1] < CLOSE_PX:
             break
     return best
@@ -127,6 +132,7 @@ def with_fisheye(where: str, camera: Camera, distortion: Floats) -> Camera:
     reach = corner_radius(size, camera.centre) / min(camera.focal)
     angle = np.linspace(0.0, _WIDEST, 4001)[1:]
     seen = angle * (1.0 + sum(k * angle ** (2 * i + 2) for i, k in enumerate(distortion)))
+    # Up to where the map stops rising; from there on it is no lens.
     inside = np.cumprod(np.diff(seen, prepend=0.0) > 0).astype(bool) & (seen < 1.02 * reach)
     if seen[inside].max(initial=0.0) < reach:
         raise AsterismError(

@@ -37,6 +37,7 @@ def values_of_yaml(text: str) -> dict[str, Any]:
     lines: list[tuple[int, str]] = []
     begun = False
     for number, line in enumerate(text.splitlines(), 1):
+        #
         if line.startswith("---"):
             if begun or lines:
                 raise ValueError(f"line {number}: a second document begins; one file is one calibration")
@@ -103,6 +104,7 @@ class _Blocks:
             if parts is None:
                 raise self._wrong("no `key: value` where one belongs")
             self.place += 1
+            # Of two equal keys the first one counts.
             found.setdefault(parts[0], self._after(parts[1], indent, depth))
         if self.place < len(self.lines) and _indent(self.lines[self.place][1]) > indent:
             raise self._wrong("a line stands further right than those above it")
@@ -114,6 +116,7 @@ class _Blocks:
             number, line = self.lines[self.place]
             rest = line[indent + 1 :]
             if rest.strip() and (_is_item(rest) or _key(rest)):
+                # What stands behind a dash is a block that begins in the middle of the line: blank the dash and read it as one.
                 self.lines[self.place] = (number, " " * (indent + 1) + rest)
                 found.append(self.block(indent, depth + 1))
             else:
@@ -123,12 +126,14 @@ class _Blocks:
 
     def _after(self, rest: str, indent: int, depth: int) -> Any:
         """The value behind a key or dash: the rest of the line, or the block below."""
+        # Tags such as !!opencv-matrix say what the keys below say again.
         rest = re.sub(r"^(?:\s*+!\S*+)++", "", rest).strip()
         if rest and not rest.startswith("#"):
             return self._flow(rest)
         if self.place == len(self.lines):
             return ""
         line = self.lines[self.place][1]
+        # YAML lets a list stand as far left as its key.
         below = _indent(line) > indent or (_indent(line) == indent and _is_item(line))
         return self.block(indent, depth + 1) if below else ""
 
@@ -141,6 +146,7 @@ class _Blocks:
             return _scalar(re.sub(r"\s#.*$", "", text)) if match is None else _quoted(match)
         first = self.place
         parts, depth = [text], _open(text)
+        # The data of a matrix go over many lines; brackets are counted instead of parsed until the last one closes.
         while depth > 0 and self.place < len(self.lines):
             part = self._take()
             parts.append(part)
@@ -171,6 +177,7 @@ def _in_brackets(text: str) -> Any:
         if mark in ("[", "{"):
             if len(opened) > DEEPEST:
                 raise ValueError(f"it is nested more than {DEEPEST} levels deep")
+            # A stack instead of recursion: nesting that a file chooses must not use ours up.
             opened.append(([] if mark == "[" else {}, key))
             key = None
         elif mark in ("]", "}"):
@@ -195,6 +202,7 @@ def _item(holder: Any, key: str | None, match: re.Match[str]) -> str | None:
         return None
     word = match["plain"].strip()
     if isinstance(holder, dict) and key is None:
+        # Within braces a key and its value may be one word, as in {a:1}.
         name, _, rest = word.partition(":")
         if not rest.strip():
             return name.strip()

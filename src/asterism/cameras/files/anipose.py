@@ -33,6 +33,7 @@ def rig_of_tables(path: Path, document: dict[str, Any]) -> Rig:
     it by more than 0.1 px, and for what is damaged.
     """
     tables = tables_of(document)
+    # Caliscope's older versions call a camera's number its port.
     caliscope = all("cam_id" in table or "port" in table for table in tables.values())
     cameras, ignored = [], []
     for key, table in tables.items():
@@ -46,6 +47,7 @@ def rig_of_tables(path: Path, document: dict[str, Any]) -> Rig:
     lacks += [f"a calibration of {', '.join(ignored)}: its makers ignored it"] if ignored else []
     if caliscope:
         return rig_of(path, CALISCOPE, cameras, metadata, lacks)
+    #
     cameras, unit = in_metres(cameras)
     return rig_of(path, ANIPOSE, cameras, metadata, [*lacks, *unit])
 
@@ -94,6 +96,7 @@ def write_caliscope(path: Path, rig: Rig) -> list[str]:
     lines: list[str] = []
     lefts: dict[str, float] = {}
     numbered = [camera.name[4:] if camera.name[4:].isdigit() and camera.name.startswith("cam_") else "" for camera in rig]
+    # Caliscope's names are numbers: cameras that we read from it get theirs back.
     own = all(numbered) and len({int(number) for number in numbered}) == len(rig)
     for i, given in enumerate(rig):
         camera, lefts[given.name] = with_shapes(str(path), given, OPENCV)

@@ -34,6 +34,7 @@ def _human36m(path: Path, content: dict[str, Any]) -> Rig:
     intrinsics, subjects = content["intrinsics"], content["extrinsics"]
     if not isinstance(intrinsics, dict) or not isinstance(subjects, dict) or not subjects:
         raise AsterismError(f"{path} is damaged: its intrinsics or extrinsics are empty; fetch it again.")
+    # The same cameras stood elsewhere for each subject, so one rig is one subject's.
     subject = next(iter(subjects))
     cameras = []
     if not isinstance(subjects[subject], dict) or not subjects[subject]:

@@ -47,6 +47,7 @@ def read_opencv(paths: Sequence[Path]) -> Rig:
     values: dict[str, Any] = {}
     contents = [(path, _values(path)) for path in paths]
     for _, content in contents:
+        # A value without a suffix belongs to its own file's camera and must not reach another's.
         values.update({key: value for key, value in content.items() if not _is_bare(key)})
     titles = _titles(values.get("names", []))
     marks = [match[1] for key, value in values.items() if (match := _MATRIX.fullmatch(key)) and np.shape(value) == (3, 3)]
@@ -58,15 +59,18 @@ def read_opencv(paths: Sequence[Path]) -> Rig:
             match = _MATRIX.fullmatch(key)
             if match and np.shape(value) == (3, 3):
                 own = content if match[1] == "" else values
+                # Files that we write ourselves number their cameras where names cannot be keys, and list the names.
                 number = int(match[1]) if match[1].isdigit() else -1
                 listed = titles[number] if 0 <= number < len(titles) else match[1]
                 cameras.append(within(path, lambda m=match[1], t=listed, v=value, p=path, o=own: _camera(p, m, t, v, o, lacks)))
     if not cameras:
         lists = any(isinstance(value, list) for _, content in contents for value in content.values())
+        # An image list has the same suffix, and is often given by mistake.
         what = "lists files" if lists else "holds no camera matrix"
         use = "; to calibrate from the images that it lists, give it to asterism calibrate board" if lists else "; export it again"
         raise AsterismError(f"{', '.join(map(str, paths))} {what} and no camera{use}.")
     cameras = _stereo(f"{paths[0]}, R and T", cameras, [content for _, content in contents])
+    #
     cameras, unit = in_metres(cameras)
     return rig_of(paths[0], KIND, cameras, {"files": [str(path) for path in paths]} if len(paths) > 1 else {}, [*lacks, *unit])
 
@@ -126,6 +130,7 @@ def _camera(path: Path, mark: str, title: str, matrix: Floats, values: dict[str,
     fisheye = _is_fisheye(where, values, mark)
     if distortion is None:
         lacks.append(f"the lens distortion of {name}")
+    # Four numbers are what a fisheye has, too; the file that does not say which is read as the commoner one, and the rig says so.
     elif fisheye is None and len(bends) == 4:
         lacks.append(f"the lens model of {name}: its four coefficients were taken as k1, k2, p1, p2, not as a fisheye's")
     camera = Camera.from_opencv(
@@ -160,6 +165,7 @@ def _one(values: dict[str, Any], pattern: re.Pattern[str], mark: str) -> Any:
 
 def _stereo(where: str, cameras: list[Camera], contents: list[dict[str, Any]]) -> list[Camera]:
     """A pair of which the first has no pose, and with one R and T between: the first camera is the world frame."""
+    # One R and T without a suffix belong to a pair and stand between its cameras.
     between = [content for content in contents if np.size(content.get("R", 0)) in (3, 9) and np.size(content.get("T", 0)) == 3]
     if len(cameras) != 2 or len(between) != 1 or cameras[0].posed:
         return cameras

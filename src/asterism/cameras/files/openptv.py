@@ -89,6 +89,7 @@ def read_openptv(paths: Sequence[Path]) -> Rig:
 
 
 def _setup(path: Path) -> Setup:
+    # OpenPTV's projects have .ori files beside the folder of parameters or in a folder of their own.
     folders = [path.parent / "parameters", path.parent.parent / "parameters", path.parent]
     folder = next((folder for folder in folders if (folder / "ptv.par").is_file()), None)
     if folder is None:
@@ -98,6 +99,7 @@ def _setup(path: Path) -> Setup:
     tail = numbers(f"{folder / 'ptv.par'}", "numbers after the file names", words[1 + 2 * count :])
     if count < 1 or len(tail) < 7:
         raise AsterismError(f"{folder / 'ptv.par'} is damaged: it breaks off before the pixel size; copy it again.")
+    # A file that ends with the pixel's size knows of no tank: nothing but air.
     glass = tail[8:12] if len(tail) >= 12 else np.array([1.0, 1.0, 1.0, 0.0])
     if min(*tail[5:7], *glass[:3]) <= 0 or glass[3] < 0:
         raise AsterismError(f"{folder / 'ptv.par'} is damaged: its pixels, indices or window are not positive; copy it again.")
@@ -145,6 +147,7 @@ def _on_sensor(orientation: Orientation, flat: Floats) -> Floats:
     x, y = flat[:, 0] + orientation.inner[0], flat[:, 1] + orientation.inner[1]
     square = x * x + y * y
     factor = 1.0 + square * (k1 + square * (k2 + square * k3))
+    # Brown's terms in OpenPTV's order, whose p1 and p2 are OpenCV's p2 and p1.
     u = x * factor + p1 * (square + 2 * x * x) + 2 * p2 * x * y
     v = y * factor + p2 * (square + 2 * y * y) + 2 * p1 * x * y
     return np.stack([scale * u - np.sin(shear) * v, np.cos(shear) * v], axis=1)
@@ -154,6 +157,7 @@ def _off_sensor(orientation: Orientation, seen: Floats) -> Floats:
     """The inverse of `_on_sensor`, by fixed-point steps."""
     flat = seen - orientation.inner[:2]
     with np.errstate(over="ignore", invalid="ignore"):
+        # Distortion is mild, so each step gains a digit or more; a lens that folds over gives NaN, which the fit then refuses.
         for _ in range(100):
             flat = flat + (seen - _on_sensor(orientation, flat))
     return flat
@@ -180,6 +184,7 @@ def _as_camera(path: Path, name: str, orientation: Orientation, setup: Setup) ->
         ),
     )
     distorts = bool(np.any(orientation.lens[:5]))
+    # Without these three the two lens models say the same in other units, and nothing need be fitted.
     if not setup.refracts and shear == 0 and not (distorts and np.any(orientation.inner[:2])):
         return camera, None
     pixels, points = _sample(path, orientation, setup)
@@ -204,6 +209,7 @@ def _sample(path: Path, orientation: Orientation, setup: Setup) -> tuple[Floats,
     starts = np.broadcast_to(orientation.place, rays.shape)
     if setup.refracts:
         starts, rays = _through_window(path, orientation, setup, starts, rays)
+    # Behind a window an equivalent camera is right at some depths only, so it is fitted where the measuring volume is.
     if setup.depth is not None and setup.refracts:
         points = [starts + rays * ((z - starts[:, 2]) / rays[:, 2])[:, None] for z in np.linspace(*setup.depth, layers)]
     else:
@@ -225,6 +231,7 @@ def _through_window(path: Path, orientation: Orientation, setup: Setup, starts: 
     ):
         along = rays @ normal
         starts = starts + rays * ((face - starts @ normal) / along)[:, None]
+        # Snell's law in vectors: the part along the face shrinks with the index, the rest follows from length one.
         sideways = (before / behind) * (rays - along[:, None] * normal)
         rays = sideways - normal * np.sqrt(1.0 - (sideways**2).sum(axis=1))[:, None]
     return starts, rays
@@ -248,6 +255,7 @@ def _equivalent(start: Camera, normal: Floats, pixels: Floats, points: Floats) -
     turned = replace(
         start, rotation=turn @ start.rotation, translation=turn @ start.translation, centre=(float(centre[0]), float(centre[1]))
     )
+    # Coefficients are searched for in units of what they do at the image's corner, so that all are about one.
     wide = float(np.tan(aside)) + corner_radius(start.size or (0, 0), (0, 0)) / start.focal[0]
     far = float(np.linalg.norm(start.position))
 
@@ -266,9 +274,11 @@ def _equivalent(start: Camera, normal: Floats, pixels: Floats, points: Floats) -
 
     def missed(p: Floats, base: Camera) -> Floats:
         wrong = camera(p, base).project(points) - pixels
+        # Where the trial lens has no image, a large but finite miss keeps the search going.
         return np.where(np.isfinite(wrong), wrong, 1e3).ravel()
 
     best, lefts = start, np.array([np.inf])
+    # The problem has a valley for each of the two; the deeper one is taken.
     for base in (turned, start):
         found = least_squares(missed, np.zeros(size), method="lm", x_scale="jac", max_nfev=1500, args=(base,)).x
         left = np.linalg.norm(missed(found, base).reshape(-1, 2), axis=1)
@@ -305,6 +315,7 @@ def write_openptv(path: Path, rig: Rig) -> list[str]:
     setup = [str(len(rig)), *listed, "1", "0", "1", str(width), str(height), str(_PIXEL_MM), str(_PIXEL_MM), "0", "1", "1", "1", "0"]
     folder = path.parent / "parameters"
     existing = [place for place, _ in files if place.exists() and place != path]
+    # Several files make one rig: none is written unless all can be.
     if (folder / "ptv.par").exists() or existing:
         taken = folder / "ptv.par" if (folder / "ptv.par").exists() else existing[0]
         raise AsterismError(f"{taken} exists and would be replaced; write to another folder.")
@@ -349,6 +360,7 @@ def _as_orientation(camera: Camera) -> tuple[Orientation, float]:
 
 def _ori_text(orientation: Orientation) -> str:
     axes = orientation.axes
+    # The file holds the rotation twice, as angles and as a matrix: both say the same.
     omega, phi = np.arctan2(-axes[1, 2], axes[2, 2]), np.arcsin(np.clip(axes[0, 2], -1, 1))
     kappa = np.arctan2(-axes[0, 1], axes[0, 0])
     rows = [orientation.place, (omega, phi, kappa), (), *axes, (), orientation.inner[:2], orientation.inner[2:], (), (0.0, 0.0, 1.0)]

@@ -23,6 +23,7 @@ def rig_of_table(path: Path, table: dict[str, Any]) -> Rig:
     version = table.get("version")
     if not isinstance(version, int) or version < 1:
         raise AsterismError(f"{path} is damaged: its format version is {version!r}; {_REMADE}.")
+    # A later format may mean other things by the same keys.
     if version > FORMAT_VERSION:
         raise AsterismError(f"{path} was written by a later Asterism (rig format {version}); update Asterism.")
     cameras = table.get("camera", [])
@@ -37,6 +38,7 @@ def rig_of_table(path: Path, table: dict[str, Any]) -> Rig:
             tuple(str(phrase) for phrase in lacks),
         )
     except AsterismError as problem:
+        #
         raise AsterismError(str(problem) if str(path) in str(problem) else f"{path}: {problem}") from None
     except (TypeError, ValueError) as problem:
         raise AsterismError(f"{path} is damaged ({problem}); {_REMADE}.") from problem

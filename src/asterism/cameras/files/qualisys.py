@@ -37,6 +37,7 @@ def read_qualisys(path: Path) -> Rig:
             continue
         cameras.append(within(path, lambda e=element, n=name: _camera(path, n, e)))
         residuals[name] = float(numbers(f"{path}, camera {name}", "avg-residual", element.get("avg-residual", "0"), 1)[0])
+        # Marker images are the sensor's; videos may show a part of it, and their pixels are then others.
         if _is_cropped(element.find("fov_video"), cameras[-1]):
             cropped.append(name)
         if element.get("viewrotation", "0") != "0":
@@ -71,6 +72,7 @@ def _camera(path: Path, name: str, element: ET.Element) -> Camera:
 
     if of_lens("skew") != 0:
         raise AsterismError(f"{where}: its sensor is skewed, which this camera model does not have.")
+    # QTM's camera axes point right, up and backwards; OpenCV's right, down and ahead.
     turn = OPENCV_FROM_UPRIGHT @ rotation_of(where, [of_pose(f"r{i}{j}") for i in (1, 2, 3) for j in (1, 2, 3)])
     low, high = [of_lens("sensorMinU"), of_lens("sensorMinV")], [of_lens("sensorMaxU"), of_lens("sensorMaxV")]
     return Camera(

@@ -34,6 +34,7 @@ def read_vicon(path: Path) -> Rig:
     root = xml_root(path, "Cameras")
     elements = list(root.iterfind("Camera"))
     users = [element.get("USERID", "") for element in elements]
+    # Operators know a camera by its user number; only where these are missing or doubled does the device's stand for it.
     by_user = len(set(users)) == len(users) and all(users)
     cameras, uncalibrated, moved, oblong, bent = [], [], [], [], []
     fits: dict[str, float] = {}
@@ -114,6 +115,7 @@ def _inward(where: str, frame: ET.Element, centre: Floats, corner: float) -> Flo
         raise AsterismError(f"{where}: the lens model {model[:40]} is not understood, only {_MODEL}; export without it.")
     found = numbers(where, "VICON_RADIAL2", values, 5)
     # moving the centre moves a pixel by at most so many times as much
+    #
     steepest = sum((2 * i + 3) * abs(k) * corner ** (2 * i + 2) for i, k in enumerate(found[2:]))
     if np.linalg.norm(found[:2] - centre) * steepest > TOLERABLE_PX:
         raise AsterismError(f"{where}: the centre of its lens is not its PRINCIPAL_POINT, which this camera model cannot have.")
@@ -128,6 +130,7 @@ def _turned(inward: Floats, focal: float, reach: float) -> tuple[Radial, float, 
     distorted = np.linspace(reach / _RADII, reach, _RADII)
     ideal = distorted * (1.0 + sum(k * distorted ** (2 * i + 2) for i, k in enumerate(inward)))
     slope = 1.0 + sum((2 * i + 3) * k * distorted ** (2 * i + 2) for i, k in enumerate(inward))
+    # Past this slope the given map comes to a fold, which no lens has: its makers fitted points further inside.
     bends = slope < _LEAST_SLOPE
     last = int(np.argmax(bends)) if bends.any() else _RADII
     radial, left = fitted_radial(ideal[:last] / focal, distorted[:last] / focal, focal, POLYNOMIALS + RATIONALS)
@@ -144,6 +147,7 @@ def write_vicon(path: Path, rig: Rig) -> list[str]:
 
     root = ET.Element("Cameras", {"SOURCE": "Asterism", "VERSION": "2.0"})
     lefts: dict[str, float] = {}
+    # Names that are numbers go where user numbers stand, which the reader takes for names.
     users = {camera.name: camera.name for camera in rig if camera.name.isdigit()}
     for i, camera in enumerate(rig):
         if not camera.posed or camera.size is None:
@@ -190,6 +194,7 @@ def _inward_of(camera: Camera) -> tuple[Floats, float]:
     flat, grid = flat[np.isfinite(flat[:, 0])], grid[np.isfinite(flat[:, 0])]
     focal = np.array(camera.focal)
     seen, ideal = (grid - camera.centre) / focal, flat
+    # Our lens leads from the ideal to the distorted image, theirs back: a fit over the image turns it round.
     square = (seen**2).sum(axis=1)
     scale = float(square.max(initial=1e-12))
     columns = np.stack([(seen * ((square / scale) ** (i + 1))[:, None]).ravel() for i in range(3)], axis=1)

@@ -21,6 +21,7 @@ def _quality(a, b, c, d, e, f):
     """What precision is worth, 0 to 1, of a point with information ((a, b, c), (b, d, e), (c, e, f)) 1/m2."""
     determinant, aa, _, _, dd, _, ff = cofactors(a, b, c, b, d, e, c, e, f)
     trace = a + d + f
+    # Cameras in line with the place leave one direction open: no precision at all.
     if not determinant > 1e-12 * trace * trace * trace:
         return 0.0
     worth = (WORST_DECADE - 0.5 * math.log10((aa + dd + ff) / determinant)) / DECADES
@@ -30,6 +31,7 @@ def _quality(a, b, c, d, e, f):
 @kernel(inline=True)
 def _side(count, information, more):
     """The worth, 0 to 2, of a place that so many cameras see from one side with information + more (6,) 1/m2."""
+    # One camera sees a place, and two make it a point.
     if count < 2:
         return 0.5 * count
     return 1.0 + _quality(
@@ -57,11 +59,13 @@ def worth_with(count, facing_count, facing_information, sees, information, faces
     for p in range(places):
         covered_so_far += COVERED[min(count[p], 3)]
         for d in range(facings):
+            # The rig without a candidate is worked out once, so that a candidate costs only what it changes.
             so_far[p, d] = _side(facing_count[p, d], facing_information[p, d], _NOTHING)
             worth_so_far += so_far[p, d]
     for k in range(len(out)):
         covered, sided = covered_so_far, worth_so_far
         for p in range(places):
+            # What it does not see it does not change.
             if sees[k, p]:
                 covered += COVERED[min(count[p] + 1, 3)] - COVERED[min(count[p], 3)]
                 for d in range(facings):

@@ -51,6 +51,7 @@ class Mounts:
         In a room that is lower they hang as high as that. Raises AsterismError where the room does not hold the volume, or ends below them.
         """
         wanted = max(HIGHEST, float(volume.high[2])) if heights is None else heights[1]
+        # Without a room, walls stand around the volume as far as people set up tripods.
         if room is None:
             aside = np.array([MARGIN, MARGIN, 0.0])
             room = Volume(volume.low - aside, np.array([*(volume.high + aside)[:2], max(wanted, volume.high[2] + 0.5)]))
@@ -73,6 +74,7 @@ class Mounts:
             x, y = float(np.clip(place[0], left, right)), float(np.clip(place[1], front, back))
             return np.array([x, y, self.heights[1]])
         width, depth, _ = self.room.size
+        # The walls are one closed line, on which a search may go round any number of times.
         along = place[0] % self.around_m
         height = float(np.clip(place[1], *self.heights))
         if along < width:
@@ -99,6 +101,7 @@ class Mounts:
         ahead = np.array([np.cos(angle), np.sin(angle)])
         with np.errstate(divide="ignore"):
             edge = np.where(ahead > 0, self.room.high[:2], self.room.low[:2])
+            # A direction along a wall never reaches that wall.
             reach = np.where(np.abs(ahead) < 1e-12, np.inf, (edge - centre[:2]) / ahead)
         x, y = centre[:2] + reach.min() * ahead
         width, depth, _ = self.room.size
@@ -113,6 +116,11 @@ def focal_length(width: int, *, fov: float | None = None, focal_mm: float | None
     """The focal length in pixels of images `width` px wide, from the horizontal angle of view (degrees), or focal length and pixel pitch.
 
     Raises AsterismError where neither or both are given, or a number is impossible.
+
+    >>> round(focal_length(1280, fov=65.0))
+    1005
+    >>> round(focal_length(1280, focal_mm=4.8, pixel_um=4.8))
+    1000
     """
     if (fov is None) == (focal_mm is None) or (focal_mm is None) != (pixel_um is None):
         raise AsterismError("a lens is its angle of view (--fov), or its focal length and the pixels' pitch (--focal-mm and --pixel-um).")

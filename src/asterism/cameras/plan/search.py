@@ -136,6 +136,7 @@ class _Hall:
         self.volume, self.mounts, self.size, self.focal, self.noise = volume, mounts, size, focal, noise
         self.centre = 0.5 * (volume.low + volume.high)
         # up to the faces of the box, where coverage ends first
+        #
         counts = np.maximum(2, np.rint(volume.size / np.cbrt(volume.size.prod() / places)).astype(np.int64))
         axes = [np.linspace(*ends) for ends in zip(volume.low, volume.high, counts, strict=True)]
         self.places = np.stack([part.ravel() for part in np.meshgrid(*axes, indexing="ij")], axis=1)
@@ -155,11 +156,13 @@ class _Hall:
         """What each of K cameras sees (K, P), tells (K, P, 6) 1/m2 and is faced by (K, P, D)."""
         seen = sees(rig, self.places)
         information_of = np.ascontiguousarray(information(rig, self.places)[..., _PAIRS[:, 0], _PAIRS[:, 1]]) / self.noise**2
+        # A camera that does not see a place tells nothing of it.
         information_of[~seen] = 0.0
         return seen, information_of, self._faces(np.stack([camera.position for camera in rig]))
 
     def _faces(self, eyes: Floats) -> NDArray[np.bool_]:
         toward = eyes[:, None] - self.places[None]
+        # A camera in the middle of a place is no mount; the floor only keeps the division whole.
         toward /= np.maximum(np.linalg.norm(toward, axis=2, keepdims=True), 1e-9)
         faced: NDArray[np.bool_] = toward @ self.facings.T > STEEPEST
         return faced
@@ -179,8 +182,10 @@ class _Hall:
         def worth(pose: Floats) -> float:
             one = self.rig(pose[None])
             seen, information_of, faces = self.views(one)
+            # Lamps sit on the cameras, so a camera that has another in its image is blinded by it, and the other way round.
             glaring = glare + int(sees(one, eyes).sum()) + int(sees(rig, one[0].position).sum())
             covered, sided = base[0] + seen[0] >= 3, base[1] + (seen[0, :, None] & faces[0]) >= 2
+            # What the ring gives must not be lost: a share below it costs more than any gain in exactness.
             missing = max(0.0, least[0] - float(covered.mean())) + max(0.0, least[1] - float(sided.mean()))
             alone = float(self._worth_with(base, seen, information_of, faces, only)[0])
             return alone - RULES.glare * glaring / pairs - RULES.lack * missing
@@ -217,10 +222,12 @@ class _Hall:
         """Greedy and exchange over a grid."""
         aims = self._aims()
         spacing = min(RULES.spacing, self.mounts.around_m / (2 * cameras))
+        # A large hall has more mounts than can be compared; a wider grid is refined by polishing later.
         while len(self.mounts.candidates(spacing)) * len(aims) > RULES.candidates:
             spacing *= RULES.wider
         places = self.mounts.candidates(spacing)
         eyes = np.array([self.mounts.position(place) for place in places])
+        # Every mount with every aim, so that a greedy choice can take any of them.
         mount = np.repeat(np.arange(len(places)), len(aims))
         poses = np.concatenate([places[mount], np.tile(aims, (len(places), 1))], axis=1)
         seen, information_of, _ = (
@@ -236,6 +243,7 @@ class _Hall:
             worth = self._worth_with(base, seen, information_of, faces, mount)
             glaring = lamps[:, mount[others]].sum(axis=1) + lamps[others][:, mount].sum(axis=0)
             worth -= RULES.glare * (glaring + lamps[np.ix_(others, mount[others])].sum()) / (cameras * (cameras - 1))
+            # Two cameras do not fit on one mount.
             worth[np.isin(mount, mount[others])] = -np.inf
             return int(np.argmax(worth)), float(worth.max())
 
@@ -243,6 +251,7 @@ class _Hall:
             chosen.append(best_beside(chosen)[0])
             progress((n + 1) / (cameras * (1 + RULES.sweeps)))
         reached = -np.inf
+        # Greedy cameras were chosen before the later ones were known: exchange each while that helps.
         for sweep in range(RULES.sweeps):
             before = reached
             for i in range(cameras):
@@ -269,9 +278,11 @@ class _Hall:
                 for which, sign in _MOVES:
                     while True:
                         trial = poses[i].copy()
+                        # One coordinate at a time: the objective has corners where a place goes out of sight, and no gradient there.
                         trial[which] += sign * stride
                         here = self.mounts.position(trial[:3])
                         apart = np.linalg.norm(eyes - here, axis=1).min()
+                        #
                         if apart < RULES.apart or np.linalg.norm(here - trial[3:]) < RULES.nearest_target:
                             break
                         found = worth(trial)

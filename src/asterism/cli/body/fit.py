@@ -51,12 +51,14 @@ def fit(options: BodyFitOptions) -> None:
     from asterism.views import fit_body, save_body
 
     output = options.output
+    # `label-views` knows a body model from a shipped one by its suffix
     if output.suffix.casefold() != ".toml":
         raise AsterismError(f"{output}: a body model is TOML; name it NAME.toml.")
     _console.check_outputs([output, options.json], [*options.standing, *options.moving], options.overwrite)
     wanted = None
     if options.markers is not None:
         wanted = MarkerSet.load(options.markers.split(",") if "," in options.markers else options.markers)
+    # all markers of the files: the fit chooses by their usual names
     standing = [formats.read(path, markers=None, vertical=options.vertical) for path in options.standing]
     moving = [formats.read(path, markers=None, vertical=options.vertical) for path in options.moving]
     body = fit_body(standing, moving, markers=wanted, title=output.stem, height=options.height)

@@ -74,6 +74,7 @@ def board(options: BoardOptions) -> None:
     chosen = _board(options)
     made = _calibrated(options, chosen)
     findings = list(made.findings)
+    # a rig that should not be used is not left where the next command finds it
     written = options.output is not None and (made.usable or options.force)
     if options.output is not None and written:
         from asterism.cameras.files import write_rig
@@ -103,6 +104,7 @@ def _calibrated(options: BoardOptions, chosen: Board) -> BoardCalibration:
     from asterism.calibration.boards import calibrate_board, find_board, footage_of
     from asterism.cameras.files import read_rig
 
+    # known lenses stay as they are: the board then tells poses only
     known = None if options.rig is None else read_rig(options.rig)
     with _console.progress("looking for the board") as progress:
         views = find_board(footage_of(options.paths), chosen, every=options.every, progress=progress)
@@ -114,11 +116,13 @@ def _board(options: BoardOptions) -> Board:
     """The board that the options describe. Raises AsterismError where they describe none or several."""
     from asterism.calibration.boards import Board, size_of
 
+    # the kinds exclude each other: a wrong one would be found nowhere, after minutes
     given = [option for option in (options.board, options.chessboard, options.charuco, options.circles) if option is not None]
     if len(given) != 1:
         raise AsterismError("say which board it is: one of --board FILE, --chessboard 9x6, --charuco 5x7, --circles 4x11.")
     if options.board is not None:
         return Board.from_toml(options.board)
+    # without a length the rig has no scale
     if options.square is None:
         raise AsterismError("give the side of a square in metres, such as --square 0.025: it sets the scale of the rig.")
     columns, rows = size_of(str(given[0]))

@@ -46,6 +46,7 @@ def refine(options: RefineOptions) -> None:
     from asterism.formats import read_blobs
 
     rig = read_rig(options.rig)
+    # in the order of the rig: a camera that saw nothing keeps its place
     seen = read_blobs(options.blobs, rig.names)
     with _console.progress("refining") as progress:
         made = refine_rig(seen, rig, frames=options.frames, progress=progress)
@@ -58,6 +59,7 @@ def refine(options: RefineOptions) -> None:
     _console.write_json(options.json, _as_json(made, options, len(seen)))
     if options.json != "-":
         _print(made)
+    # last, so that they stand below the table that they explain
     for finding in made.findings:
         _console.report(finding)
     raise typer.Exit(exit_status(made.findings))

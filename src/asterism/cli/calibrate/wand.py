@@ -86,6 +86,7 @@ def wand(options: WandOptions) -> None:
     options.check()
     made = _calibrated(options)
     wanted = options.output is not None
+    # a rig that should not be used is not left where the next command finds it
     written = wanted and (made.usable or options.force)
     if options.output is not None and written:
         from asterism.cameras.files import write_rig
@@ -100,6 +101,7 @@ def wand(options: WandOptions) -> None:
     _console.write_json(options.json, _as_json(made, options.blobs, options.output if written else None))
     if options.json != "-":
         _print(made)
+        # the usual wand is a guess, and the scale of all that follows
         if options.lengths is None:
             _console.result(f"note: the wand's markers were taken to be at {_USUAL_WAND} m; where yours are not, give --wand.")
     raise typer.Exit(report_findings(made.findings, written=written, wanted=wanted))
@@ -111,6 +113,7 @@ def _calibrated(options: WandOptions) -> WandCalibration:
     from asterism.cameras.files import read_rig
     from asterism.formats import read_blobs
 
+    # lenses that are known stay; only the cameras' places are found
     known = None if options.rig is None else read_rig(options.rig)
     seen = read_blobs(options.blobs, None if known is None else known.names)
     with _console.progress("calibrating") as progress:
@@ -130,8 +133,10 @@ def _in_world(made: WandCalibration, options: WandOptions) -> WandCalibration:
     from asterism.formats import read_blobs
 
     if options.floor is not None:
+        # in the order of the rig, those left out at the end, so that columns and cameras agree
         lying = read_blobs(options.floor, tuple([*made.rig.names, *made.excluded]))
         if options.l_frame is not None:
+            # one moved marker tells no scale, but the L-frame does
             scaled = len(made.wand) > 1 or options.distance is not None
             world = world_from_l_frame(made.rig, lying, _points(options.l_frame), scaled=scaled)
             source = f"the L-frame of {options.floor.name}"
@@ -143,6 +148,7 @@ def _in_world(made: WandCalibration, options: WandOptions) -> WandCalibration:
         source = f"the three points of {options.points.name}"
     else:
         return made
+    # the wand's places move with the cameras, so that the report shows one world
     return made.moved(in_world(made.rig, world, source), *world)
 
 
@@ -158,6 +164,7 @@ def _named_points(path: Path, rig: Rig) -> list[Any]:
         rows = list(csv.DictReader(stream))
     order = ["origin", "x", "y"]
     frame, camera, xy = [], [], []
+    # counted as an editor shows them, after the header
     for number, row in enumerate(rows, 2):
         try:
             name, seen_by, place = row["point"].strip(), row["camera"].strip(), (float(row["x"]), float(row["y"]))
@@ -165,6 +172,7 @@ def _named_points(path: Path, rig: Rig) -> list[Any]:
             raise AsterismError(f"{path}, line {number}: expected point,camera,x,y with numbers in px for x and y.") from None
         if name not in order:
             raise AsterismError(f"{path}, line {number}: a point is called {name}; call them origin, x and y.")
+        # cameras that were left out have no place from which a point could be seen
         if seen_by in rig.names:
             frame.append(order.index(name))
             camera.append(rig.names.index(seen_by))
@@ -189,6 +197,7 @@ def _points(given: str) -> list[list[float]]:
 def _sizes(given: list[str], cameras: tuple[str, ...]) -> dict[str, tuple[int, int]]:
     """Image sizes by camera: from `WxH` for all and `NAME=WxH` for one."""
     sizes: dict[str, tuple[int, int]] = {}
+    # sizes for all come first, so that one for a camera overrules them
     for word in sorted(given, key=lambda word: "=" in word):
         found = re.fullmatch(r"(?:(.+)=)?(\d+)[xX×](\d+)", word.strip())
         if not found:
@@ -215,6 +224,7 @@ def _as_json(made: WandCalibration, blobs: Path, output: Path | None) -> dict[st
     from asterism.calibration.wand import coverage
 
     lengths = made.lengths[np.isfinite(made.lengths)]
+    # of a single marker there is no length to compare
     measured = len(made.wand.lengths) > 1 and len(lengths) > 0
     cells = coverage(made)
     return {

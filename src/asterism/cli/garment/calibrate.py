@@ -65,6 +65,7 @@ def calibrate(options: CalibrateOptions) -> None:
         from asterism.cameras.files import write_rig
 
         findings += [format_loses(options.output, what) for what in write_rig(made.rig, options.output)]
+    # with the rig or not at all: the covariance of another calibration would mislead
     if options.covariance is not None and (made.usable or options.force):
         from asterism.garment.rig_covariance import RigCovariance
 
@@ -100,6 +101,7 @@ def _calibrated(options: CalibrateOptions) -> BoardCalibration:
 
     pattern = Pattern.load(options.target)
     known = None if options.rig is None else read_rig(options.rig)
+    # without the rig, which is what is to be found
     footage = colour_footage(options.images)
     with _console.progress("looking for the target") as progress:
         views = find_target(

@@ -62,7 +62,9 @@ def capture(options: CaptureOptions) -> None:
 
     rig, pattern = read_rig(options.rig), Pattern.load(options.garment)
     made, problems = _captured(options, rig, pattern)
+    # what is wrong with the files explains what is wrong with the capture
     findings = (*problems, *made.findings)
+    # before the page: what took hours is on the disk first
     made.trajectories.save(options.output)
     surfaces = _surfaces(options, made, pattern)
     summary = made.summary()
@@ -101,6 +103,7 @@ def _captured(options: CaptureOptions, rig: Rig, pattern: Pattern) -> tuple[Capt
     from asterism.garment.read import read_image
 
     footage = colour_footage(options.images, rig)
+    # a wrong garment file is told after seconds, not after hours
     check_first_images(footage, pattern, rig)
     with _console.progress("reading") as progress:
         made = capture_garment(
@@ -117,9 +120,11 @@ def _surfaces(options: CaptureOptions, made: Capture, pattern: Pattern) -> Path 
 
     options.surfaces.mkdir(parents=True, exist_ok=True)
     targets = [options.surfaces / f"{number:06d}.ply" for number in made.frames.tolist()]
+    # all are asked before the first is written
     for target in targets:
         _console.check_new(target, options.overwrite)
     for t, target in enumerate(targets):
+        # a frame without a point has no surface, and no file
         if made.points[t]:
             write_surface(target, surface(made.trajectories.points(t), pattern), pattern)
     return options.surfaces

@@ -45,6 +45,7 @@ def check(options: CheckOptions) -> None:
     for path in options.photos:
         try:
             checked.append((path, _check(path, pattern)))
+        # one photo that cannot be read costs this photo only
         except AsterismError as problem:
             _console.error(str(problem))
             failed.append(str(path))
@@ -72,6 +73,7 @@ def _check(path: Path, pattern: Any) -> PhotoCheck:
         import cv2
         import numpy as np
 
+        # read as bytes first: OpenCV opens no path with letters beyond ASCII on Windows
         data = np.frombuffer(read_bytes(path), dtype=np.uint8)
         image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
         if image is None:

@@ -73,8 +73,10 @@ def print(options: PrintOptions) -> None:
     files = [options.output, options.output.with_suffix(".toml"), options.output.with_suffix(".npz")]
     if options.output.suffix.lower() not in (".svg", ".pdf", ".png"):
         raise AsterismError(f"{options.output} is no print; end its name in .svg, .pdf or .png.")
+    # the garment file beside the print is the input: only the print is new
     if options.garment is not None and options.garment.with_suffix("") == options.output.with_suffix(""):
         files = files[:1]
+    # all or nothing: a print without its garment file cannot be read later
     for path in (*files, options.json):
         _console.check_new(path, options.overwrite)
     from asterism.garment.sheet import ink_findings, print_pattern
@@ -82,6 +84,7 @@ def print(options: PrintOptions) -> None:
     rules = _sheet_rules(options)
     pattern = _pattern(options)
     written = print_pattern(pattern, options.output, rules)
+    # colours that ink cannot hold apart are told before the print is paid
     findings = ink_findings(pattern.hsv)
     if options.json != "-":
         rows, cols = pattern.shape
@@ -106,11 +109,13 @@ def _pattern(options: PrintOptions) -> Pattern:
     """The pattern that is asked for, from a file or made."""
     from asterism.garment import DesignRules, Pattern, design_pattern
 
+    # three ways to say what the cloth is; each alone is complete
     rectangle = options.rows is not None or options.cols is not None
     if (options.garment is not None) + bool(options.pieces) + rectangle != 1 or (rectangle and None in (options.rows, options.cols)):
         raise AsterismError("give either --rows and --cols, or --piece, or --garment.")
     if options.garment is not None:
         return Pattern.load(options.garment)
+    # a target hangs far away and is flat, so that its circles are larger
     pitch = length(options.pitch, "--pitch") if options.pitch else 0.068 if options.target else 0.018
     diameter = (
         length(options.diameter, "--diameter") if options.diameter else 0.038 if options.target and not options.pitch else pitch / 1.8
@@ -125,6 +130,7 @@ def _pieces(given: Sequence[str]) -> dict[str, object]:
     """The shapes by name. Raises AsterismError where two pieces have one name."""
     shapes = [_piece(piece) for piece in given]
     names = [name for name, _ in shapes]
+    # pieces are found by their names later
     twice = [name for name in names if names.count(name) > 1]
     if twice:
         raise AsterismError(f"two pieces are called {twice[0]}; give each a name of its own.")
@@ -148,6 +154,7 @@ def _piece(given: str) -> tuple[str, object]:
 
     if not Path(shape).is_file():
         raise AsterismError(f"--piece {given}: there is no file {shape}; give rows x circles such as 60x40, or an image.")
+    # read as bytes first: OpenCV opens no path with letters beyond ASCII on Windows
     image = cv2.imdecode(np.fromfile(shape, dtype=np.uint8), cv2.IMREAD_GRAYSCALE) if Path(shape).stat().st_size else None
     if image is None:
         raise AsterismError(f"{shape} is not an image that can be read; give PNG, dark where the cloth is, a pixel for a circle.")
@@ -173,6 +180,7 @@ def _sheet_rules(options: PrintOptions) -> SheetRules:
 def length(given: str, option: str) -> float:
     """Metres of a length such as 18mm, 1.8 cm or 0.018. Raises AsterismError for anything else."""
     found = re.fullmatch(r"\s*(\d*\.?\d+)\s*(mm|cm|m|)\s*", given.lower())
+    # a length without a unit is in metres, as everywhere
     if found is None or float(found[1]) <= 0:
         raise AsterismError(f"{option} {given} is not a length; give for example {option} 18mm.")
     return float(found[1]) * _UNITS[found[2]]

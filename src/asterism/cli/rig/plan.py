@@ -76,9 +76,11 @@ def plan(options: RigPlanOptions) -> None:
     from asterism.cameras.plan import focal_length
 
     box, pixels = Volume.parse(options.volume), image_size(options.size, "--image-size")
+    # of three ways to say how wide a lens sees, one is enough
     focal = focal_length(pixels[0], fov=options.fov, focal_mm=options.focal_mm, pixel_um=options.pixel_um)
     proposal = _proposal(options, box, pixels, focal)
     write_rig(proposal.rig, options.output)
+    # the plain ring is what a laboratory would do without a plan
     ours, ring = (map_rig(rig, box, noise=options.noise) for rig in (proposal.rig, proposal.ring))
     if options.json != "-":
         _print(proposal, ours, ring, options.output)
@@ -96,6 +98,7 @@ def _proposal(options: RigPlanOptions, box: Volume, pixels: tuple[int, int], foc
     from asterism.cameras.plan import Mounts, plan_rig
 
     room = None if options.room is None else Volume.parse(options.room)
+    # where cameras may hang is decided by the room, not by the plan
     mounts = Mounts.around(box, room, _span(options.heights), ceiling=options.ceiling)
     with _console.progress("planning") as progress:
         return plan_rig(box, options.cameras, pixels, focal, mounts=mounts, noise=options.noise, progress=progress)

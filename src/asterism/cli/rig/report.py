@@ -66,6 +66,7 @@ def report(options: RigReportOptions) -> None:
     worth; from recordings, the accuracy against a wand and the repeatability of what stands still. A camera that sees nothing of the
     volume is named.
     """
+    # images without lengths measure nothing, and lengths without images neither
     if (options.blobs is None) != (options.wand is None):
         raise AsterismError("accuracy against a wand needs both what was seen of it, --blobs, and its lengths, --wand.")
     _console.check_new(options.output, options.overwrite)
@@ -74,6 +75,7 @@ def report(options: RigReportOptions) -> None:
     from asterism.report.rig import rig_report
 
     rig = _rig(options)
+    # the volume stands on the ground, so that it needs the vertical
     box = None if options.volume is None else Volume.parse(options.volume, "z" if rig.vertical is None else rig.vertical)
     with _console.progress("rig report") as progress:
         result = map_rig(rig, box, noise=options.noise, progress=progress)
@@ -88,6 +90,7 @@ def report(options: RigReportOptions) -> None:
         rig_report(options.output, rig, result, title=title, wand=wand, still=still, settings=settings)
     _console.write_json(options.json, {**_as_json(rig, result, findings), "rig": options.rig, **_measured_json(wand, still)})
     for finding in findings:
+        # a finding on the whole rig has no camera to name: it names the file
         _console.report(finding if finding.where else replace(finding, where=str(options.rig)))
     raise typer.Exit(exit_status(findings))
 
@@ -100,6 +103,7 @@ def _rig(options: RigReportOptions) -> Rig:
     if options.image_size is None:
         return rig
     size = size_of(options.image_size, "--image-size")
+    # what the file says of a camera stays
     return replace(rig, cameras=tuple(camera if camera.size else replace(camera, size=size) for camera in rig))
 
 
@@ -112,6 +116,7 @@ def _measured(options: RigReportOptions, rig: Rig) -> tuple[WandAccuracy | None,
     wand = still = None
     if options.blobs is not None and options.wand is not None:
         lengths = metres(options.wand, "--wand")
+        # measured by the rig as it is: nothing is calibrated on what judges it
         wand = wand_accuracy(measure_wand(rig, read_blobs(options.blobs), lengths), lengths)
     if options.still is not None:
         still = repeatability(measure_still(rig, read_blobs(options.still)))

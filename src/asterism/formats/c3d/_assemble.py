@@ -20,6 +20,7 @@ def assembled(file: C3DFile, parameters: Parameters, width: int, points: int, ra
     begin, size = min(file.header.parameters_at, start), file.layout.frames * width * kind.itemsize
     section, shift = raw[begin:start], 0
     tail, tail_shift = tail_of(file, size - (file.layout.stop - start))
+    # Changed parameters, or data of another length, move what comes behind.
     if parameters is not file.parameters or tail_shift:
         if begin == start:
             raise AsterismError(
@@ -28,8 +29,10 @@ def assembled(file: C3DFile, parameters: Parameters, width: int, points: int, ra
         section, shift = _fitted_section(file, parameters, tail_shift)
     head = bytearray(raw[:begin])
     processor = file.processor
+    # A wrong count that agrees with the data is left: the file stays as it was.
     if points != file.header.points and points != file.layout.points:
         head[2:4] = processor.bytes_of_unsigned(points)
+    # The header counts blocks of 512 bytes from 1.
     if shift:
         head[16:18] = processor.bytes_of_unsigned(start // BLOCK + 1 + shift)
     if rate is not None:
@@ -46,6 +49,7 @@ def tail_of(file: C3DFile, growth: int) -> tuple[bytes, int]:
     tail = bytes(file.raw[file.layout.stop :])
     if not growth:
         return tail, 0
+    # Padding behind the data carries nothing: it only has to end the last block.
     if not tail.strip(b"\0") and len(tail) <= BLOCK:
         return (bytes(-(file.layout.stop + growth) % BLOCK) if len(file.raw) % BLOCK == 0 else tail), 0
     pad = -growth % BLOCK
@@ -56,17 +60,21 @@ def _fitted_section(file: C3DFile, parameters: Parameters, tail_shift: int) -> t
     """The parameter section in whole blocks, and by how many blocks it has grown."""
     start = file.layout.start
     room = start - file.header.parameters_at
+    # A parameter that the data cut short must end before another can follow.
     parameters = parameters.repaired()
+    # Rounded up to whole blocks, as the format has it.
     blocks = -(-len(parameters.to_bytes()) // BLOCK)
     shift = max(0, blocks - room // BLOCK)
     changes: dict[tuple[str, str], Record | None] = {}
     for group in parameters.groups:
         block = parameters.count(group, "DATA_START")
+        # Only pointers at or behind the data move with them.
         if block is not None and block >= start // BLOCK + 1 and (shift or (tail_shift and block > start // BLOCK + 1)):
             moved = block + shift + (tail_shift if block > start // BLOCK + 1 else 0)
             changes[group, "DATA_START"] = with_number(parameters, group, "DATA_START", moved)
     parameters = parameters.replaced(changes)
     section = parameters.to_bytes()
     counted = section[2] + shift if section[2] else 0
+    # The count has one byte: longer sections are found by the header's pointer.
     section = section[:2] + bytes([min(counted, 255)]) + section[3:]
     return section.ljust(room + shift * BLOCK, b"\0"), shift

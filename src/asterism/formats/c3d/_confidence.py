@@ -43,6 +43,7 @@ class LabelSummary:
     @classmethod
     def of(cls, confidence: LabelConfidence, states: LabelStates) -> LabelSummary:
         """The summary of labels and their states."""
+        # Labels that were not given have no confidence to sum.
         total = np.where(states.labelled | states.likely, np.nan_to_num(confidence.values), 0.0).sum(axis=0)
         return cls(total, {name: state.sum(axis=0).astype(float) for name, state in vars(states).items()})
 
@@ -75,9 +76,11 @@ class Channels:
     def of(cls, file: C3DFile, names: tuple[str, ...], summary: LabelSummary) -> Channels:
         """Those for a file. Raises AsterismError as `with_confidence` does."""
         general = file.parameters.number("ANALOG", "GEN_SCALE")
+        # A general scale of zero would make every confidence 0.
         if general == 0.0:
             raise AsterismError(f"{file.path} scales all analog channels by zero (ANALOG:GEN_SCALE); correct it there.")
         kept = _kept_channels(file)
+        # All channels of a file have as many samples per frame: ours follow the others.
         samples = max(1, file.layout.analog // file.analog_channels if file.analog_channels else 1)
         if samples * (len(kept) + len(names)) > _MOST_SAMPLES:
             raise AsterismError(f"{file.path}: {len(kept) + len(names)} analog channels are more than a C3D file can hold at this rate.")
@@ -91,6 +94,7 @@ class Channels:
 
     def words(self, file: C3DFile, analog: Words, values: Floats) -> Words:
         """The analog words of some frames; analog: theirs in the file (frames, words); values (frames, M) of the confidence."""
+        # One value per frame, repeated for each sample: confidence has no finer time.
         new = np.repeat(_encoded(file, values)[:, None], self.samples, axis=1)
         if file.analog_channels:
             new = np.concatenate([analog.reshape(len(values), self.samples, -1)[:, :, self.kept], new], axis=2)
@@ -110,6 +114,7 @@ def with_confidence(file: C3DFile, confidence: LabelConfidence, states: LabelSta
     """
     channels, points = Channels.of(file, confidence.names, LabelSummary.of(confidence, states)), 4 * file.layout.points
     raw, words = assembled(file, channels.parameters, points + channels.width, file.layout.points, None)
+    # Some frames at a time: a long file is not in memory twice.
     for some in ranges(file.layout.frames):
         words[some, :points] = file.words[some, :points]
         words[some, points:] = channels.words(file, file.words[some, points:], confidence.values[some])
@@ -124,6 +129,7 @@ def confidence_of(file: C3DFile) -> LabelConfidence | None:
         return None
     labels = [text for key in numbered(file.parameters, "ANALOG", "LABELS") for text in file.parameters.strings("ANALOG", key)]
     samples = max(1, file.layout.analog // file.analog_channels)
+    # The first sample of each frame, the others being copies of it.
     values = np.clip(file.analog[::samples][: file.layout.frames, channels], 0.0, 1.0)
     return LabelConfidence(tuple(labels[channel].removesuffix(ENDING) for channel in channels), values)
 
@@ -132,6 +138,7 @@ def _own_channels(file: C3DFile) -> list[int]:
     """The channels that hold the confidence of labels, as the file says."""
     said = file.parameters.counts(LOG_GROUP, _CHANNELS)
     labels = sum(len(file.parameters.strings("ANALOG", key)) for key in numbered(file.parameters, "ANALOG", "LABELS"))
+    # Another program may have changed the channels since: then what is said of them counts for nothing.
     if len(said) != 2 or said[0] < 1 or said[0] - 1 + said[1] > min(file.analog_channels, labels):
         return []
     return list(range(said[0] - 1, said[0] - 1 + said[1]))
@@ -144,9 +151,11 @@ def _kept_channels(file: C3DFile) -> list[int]:
 
 def _encoded(file: C3DFile, values: Floats) -> Words:
     """(T, M) words of a confidence; 0 for one that is not known."""
+    # NaN would be a number of its own to most programs.
     known = np.nan_to_num(np.clip(values, 0.0, 1.0))
     if file.layout.real:
         return file.processor.words_of_floats(known)
+    # Rounded down: a confidence never reads higher than it is.
     return file.processor.words_of_integers(np.floor(known * _STEPS + 1e-9).astype(np.int16))
 
 
@@ -154,6 +163,7 @@ def _with_channels(file: C3DFile, kept: Sequence[int], names: Sequence[str], sam
     """The group ANALOG with the channels that are kept, and one for each label."""
     parameters, group = with_group(file.parameters, "ANALOG")
     processor, many = file.processor, len(kept) + len(names)
+    # Readers multiply by the general scale, which is divided out here.
     scale = (1.0 if file.layout.real else 1.0 / _STEPS) / general
     new: dict[str, list[bytes] | list[float]] = {
         "LABELS": [(name + ENDING).encode("utf-8") for name in names],
@@ -167,12 +177,15 @@ def _with_channels(file: C3DFile, kept: Sequence[int], names: Sequence[str], sam
     for name in _PER_CHANNEL:
         keys = numbered(file.parameters, "ANALOG", name)
         first = file.parameters.find("ANALOG", name)
+        # GAIN is optional, and a file without it stays so.
         if first is None and name == "GAIN":
             continue
         default: bytes | float = b"" if isinstance(new[name][0], bytes) else float(name == "SCALE")
         old = _values_of(file.parameters, keys, isinstance(default, bytes))
         listed = [old[channel] if channel < len(old) else default for channel in kept] + list(new[name])
+        # Old pages go first: fewer channels need fewer of them.
         changes.update({("ANALOG", key): None for key in keys})
+        # A parameter has 255 entries at most; more go on in LABELS2 and so on.
         for page, at in enumerate(range(0, many, MOST_STRINGS)):
             key = f"{name}{page + 1}" if page else name
             changes["ANALOG", key] = _record(key, group, listed[at : at + MOST_STRINGS], first, file)
@@ -199,6 +212,7 @@ def _record(name: str, group: int, values: Sequence[bytes | float], like: Record
         width = like.dimensions[0] if like is not None and len(like.dimensions) > 1 else 4
         return strings_record(name, group, texts, width, file.processor, like)
     numbers = [float(value) for value in values if not isinstance(value, bytes)]
+    # Other programs demand whole offsets as integers.
     whole = all(number == int(number) and abs(number) < 2**15 for number in numbers)
     kind = INTEGER if name.startswith(("OFFSET", "GAIN")) else FLOAT
     if like is not None and (like.kind != FLOAT or not whole):
@@ -217,7 +231,10 @@ def _with_summary(parameters: Parameters, names: Sequence[str], summary: LabelSu
     processor = parameters.processor
     columns = {"CONFIDENCE": summary.mean_confidence.tolist(), **{name.upper(): count.tolist() for name, count in summary.counts.items()}}
     changes: dict[tuple[str, str], Record | None] = {
-        (LOG_GROUP, key): None for name in ("LABELS", *columns) for key in numbered(parameters, LOG_GROUP, name)
+        # Old lists go, also those of a label that is no longer there.
+        (LOG_GROUP, key): None
+        for name in ("LABELS", *columns)
+        for key in numbered(parameters, LOG_GROUP, name)
     }
     for page, at in enumerate(range(0, len(names), MOST_STRINGS)):
         number = str(page + 1) if page else ""

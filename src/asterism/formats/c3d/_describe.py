@@ -30,6 +30,7 @@ def describe_c3d(path: Path) -> dict[str, Any]:
             "labels": parameters.strings("ANALOG", "LABELS")[: file.analog_channels],
         },
         "force_plates": parameters.count("FORCE_PLATFORM", "USED") or 0,
+        # Company, software and version often repeat each other.
         "manufacturer": " ".join(dict.fromkeys(part for part in maker if part)),
         "parameters": {group: len(names) for group, names in parameters.groups.items()},
     }

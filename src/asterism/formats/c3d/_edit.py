@@ -25,6 +25,7 @@ _EVENT_WIDTHS = {"CONTEXTS": 16, "LABELS": 32, "DESCRIPTIONS": 80, "SUBJECTS": 3
 def strings_record(name: str, group: int, strings: Sequence[bytes], width: int, processor: Processor, like: Record | None = None) -> Record:
     """A character parameter, padded with blanks to `width` or to the longest string. Raises AsterismError beyond 127 bytes."""
     width = max([width, *map(len, strings)])
+    # A file with wider labels keeps them; else the format's limit counts.
     if width > max(_WIDEST, like.dimensions[0] if like is not None and like.dimensions else 0):
         raise AsterismError(
             f"label {max(strings, key=len).decode('utf-8', 'replace')!r} is longer than the {_WIDEST} bytes of a C3D label; shorten it."
@@ -52,6 +53,7 @@ def with_number(parameters: Parameters, group: str, name: str, value: float) -> 
         raise KeyError(f"{group}:{name}")
     processor = parameters.processor
     first = processor.store(processor.words_of_floats([value])) if old.kind == FLOAT else processor.bytes_of_unsigned(int(value) & 0xFFFF)
+    # A byte parameter keeps its type, or programs that expect it stop.
     if old.kind == 1:
         first = bytes([int(value) & 0xFF])
     return make_parameter(name, old.group, old.kind, old.dimensions, first + old.data[len(first) :], processor=processor, like=old)
@@ -63,6 +65,7 @@ def label_parameters(file: C3DFile, labels: Sequence[bytes], descriptions: Seque
     group = parameters.group_id("POINT")
     if group is None:
         used = {record.group for record in parameters.records if record.is_group}
+        # Group numbers are free from 1 to 127.
         group = next(number for number in range(1, 128) if number not in used)
     changes: dict[tuple[str, str], Record | None] = {}
     if parameters.group_id("POINT") is None:
@@ -72,11 +75,13 @@ def label_parameters(file: C3DFile, labels: Sequence[bytes], descriptions: Seque
     else:
         changes["POINT", "USED"] = integers_record("USED", group, [len(labels)], (), processor)
     for name, texts in (("LABELS", labels), ("DESCRIPTIONS", descriptions)):
+        # A file without descriptions stays without.
         if name == "DESCRIPTIONS" and parameters.find("POINT", name) is None:
             continue
         old = numbered(parameters, "POINT", name)
         pages = [texts[at : at + MOST_STRINGS] for at in range(0, len(texts), MOST_STRINGS)]
         keys = [name, *(f"{name}{page + 1}" for page in range(1, len(pages)))]
+        # Old pages are removed: fewer labels may need fewer of them.
         changes.update({("POINT", key): None for key in old})
         for key, page in zip(keys, pages, strict=True):
             like = parameters.find("POINT", key)
@@ -95,12 +100,14 @@ def with_declared(parameters: Parameters, gone: Collection[str], renamed: Mappin
     changes: dict[tuple[str, str], Record | None] = {}
     for name in parameters.groups.get("POINT", ()):
         record = parameters.find("POINT", name)
+        # Only lists of labels of computed points concern them.
         if record is None or record.kind != CHARACTER or len(record.dimensions) != 2 or not name.startswith(COMPUTED_GROUPS):
             continue
         listed = parameters.raw_strings("POINT", name)
         kept = [renamed[text_of(raw)].encode("utf-8") if text_of(raw) in renamed else raw for raw in listed if text_of(raw) not in gone]
         if kept != listed:
             width, processor = record.dimensions[0], parameters.processor
+            # A list without an entry would be an array of size 0, which some readers refuse.
             changes["POINT", name] = strings_record(name, record.group, kept, width, processor, record) if kept else None
     return parameters.replaced(changes)
 
@@ -126,6 +133,7 @@ def with_log(parameters: Parameters, log: Sequence[ProcessingStep]) -> Parameter
 def log_record(log: Sequence[ProcessingStep], group: int, processor: Processor) -> Record:
     """A processing log as one text, cut into lines that a parameter can hold. Where it is too long, the oldest steps are left out."""
     log = tuple(log)
+    # What was done last says most of what the file holds now.
     while len(text := log_as_text(log).encode("ascii")) > _LOG_WIDTH * MOST_STRINGS:
         log = log[1:]
     lines = [text[at : at + _LOG_WIDTH] for at in range(0, len(text), _LOG_WIDTH)]
@@ -145,6 +153,7 @@ def with_group(parameters: Parameters, name: str) -> tuple[Parameters, int]:
         return parameters, group
     used = {record.group for record in parameters.records if record.is_group}
     group = next(number for number in range(1, 128) if number not in used)
+    # The new group comes first, so that its parameters can follow it.
     return replace(parameters, records=(make_group(name, group, processor=parameters.processor), *parameters.records)), group
 
 
@@ -162,6 +171,7 @@ def event_records(events: Sequence[Event], group: int, processor: Processor, sub
         }
         for name, strings in texts.items():
             records.append(strings_record(name + number, group, [s.encode("utf-8") for s in strings], _EVENT_WIDTHS[name], processor))
+        # Times are stored as minutes and seconds.
         minutes = [np.floor(event.time / 60) for event in some]
         times = [value for event, whole in zip(some, minutes, strict=True) for value in (whole, event.time - 60 * whole)]
         records.append(floats_record("TIMES" + number, group, times, (2, len(some)), processor))

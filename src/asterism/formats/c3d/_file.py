@@ -94,6 +94,7 @@ class C3DFile:
         """(frames, width) the data block as raw bit patterns."""
         count = self.layout.frames * self.layout.width
         read = self.processor.words32 if self.layout.real else self.processor.words16
+        # A copy is only made where the byte order asks for one.
         return read(self.raw, count, self.layout.start).reshape(self.layout.frames, self.layout.width)
 
     @cached_property
@@ -104,6 +105,7 @@ class C3DFile:
     @cached_property
     def scale(self) -> float:
         """The length of one integer step in the file's unit, positive."""
+        # A scale of 0 would put all points into the origin.
         for scale in (self.header.scale, self.parameters.number("POINT", "SCALE") or 0.0):
             if np.isfinite(scale) and scale != 0:
                 return abs(scale)
@@ -151,9 +153,11 @@ class C3DFile:
         with np.errstate(invalid="ignore", over="ignore"):
             stored = self.processor.floats(xyz) if self.layout.real else self.processor.integers(xyz)
             values = stored.astype(np.float64) * (1.0 if self.layout.real else self.scale)
+            # Compared this way round, NaN is missing, too.
             missing = ~(np.abs(values) < _NOWHERE).all(axis=2)
         if not self.residuals_are_unused:
             missing |= self.residuals_of(frames) < 0
+        # Many programs write zeros for missing points and leave the residual at 0.
         if self.zeros_are_missing:
             missing |= ~(xyz & self._not_sign).any(axis=2)
         values[missing] = np.nan
@@ -163,6 +167,7 @@ class C3DFile:
     def _not_sign(self) -> np.unsignedinteger[Any]:
         if not self.layout.real:
             return np.uint16(0xFFFF)
+        # The sign bit of a VAX float lies in its first half, which comes second.
         return np.uint32(0xFFFF7FFF) if self.processor.vax else np.uint32(0x7FFFFFFF)
 
     @cached_property
@@ -180,8 +185,10 @@ class C3DFile:
         else:
             samples = (words if unsigned else self.processor.integers(words)).astype(np.float64)
         record = self.parameters.find("ANALOG", "OFFSET")
+        # Offsets of unsigned samples are unsigned as well, and read as negative ones.
         if unsigned and record is not None and record.kind == 2:
             offsets = np.where(offsets < 0, offsets + 65536, offsets)
+        # Damaged scales may overflow; the samples are then infinite, and nothing else suffers.
         with np.errstate(all="ignore"):
             return (samples - offsets) * scales * (1.0 if general is None else general)
 
@@ -193,6 +200,7 @@ class C3DFile:
     def analog_channels(self) -> int:
         """Number of analog channels in the data block."""
         analog = self.layout.analog
+        # Of several counts the one that divides the samples is right.
         for channels in (self.parameters.count("ANALOG", "USED"), self._channels_by_header()):
             if channels and analog and analog % channels == 0:
                 return channels
@@ -219,6 +227,7 @@ class C3DFile:
         return self._per_point("DESCRIPTIONS")
 
     def _per_point(self, name: str) -> list[bytes]:
+        # Labels beyond 255 are in LABELS2, LABELS3 and so on.
         found = [raw for key in numbered(self.parameters, "POINT", name) for raw in self.parameters.raw_strings("POINT", key)]
         return [*found[: self.layout.points], *[b""] * (self.layout.points - len(found))]
 
@@ -234,6 +243,7 @@ class C3DFile:
     def first_frame(self) -> int:
         """The number of the first stored frame, 1 for the first of the trial."""
         start = self.parameters.counts("TRIAL", "ACTUAL_START_FIELD")
+        # The header's number has 16 bits only.
         return start[0] + 65536 * start[1] if len(start) >= 2 else self.header.first_frame
 
     @cached_property
@@ -261,6 +271,7 @@ def parse_c3d(raw: bytes | bytearray, path: str) -> C3DFile:
     """Parse a file's bytes; `path` names it in messages. Raises AsterismError where this is not a C3D file, or holds no data."""
     if not raw:
         raise AsterismError(f"{path} is empty; export or copy it again.")
+    # The second byte is the same in every C3D file.
     if len(raw) < BLOCK or raw[1] != KEY:
         why = f"it is only {len(raw)} bytes long" if len(raw) < BLOCK else "its second byte is not the C3D mark"
         raise AsterismError(f"{path} is not a C3D file ({why}); export or copy it again.")
@@ -268,14 +279,17 @@ def parse_c3d(raw: bytes | bytearray, path: str) -> C3DFile:
     parameters_at = max(raw[0] - 1, 1) * BLOCK
     if parameters_at + 4 > len(raw):
         raise AsterismError(f"{path} breaks off before its parameters; export or copy it again.")
+    # The byte order is stated in the fourth byte of the parameters.
     processor = PROCESSORS.get(raw[parameters_at + 3])
     if processor is None:
         processor = _likely_processor(raw)
         findings.append(header_conflict(f"processor type {raw[parameters_at + 3]} is unknown; {processor.name} is assumed"))
     header = header_of(raw, processor, parameters_at)
     data_at = _data_start(raw, processor, header, findings)
+    # Parameters end where the data begin, or where their own count says.
     stop = data_at if data_at > parameters_at else min(len(raw), parameters_at + BLOCK * max(raw[parameters_at + 2], 1))
     parameters = parse_parameters(bytes(raw[parameters_at:stop]), processor)
+    # The other pointer to the data, which vendors fill in more or less well.
     data_start = (parameters.count("POINT", "DATA_START") or 0) * BLOCK - BLOCK
     if not header.data_at and parameters_at < data_start <= len(raw):
         data_at = data_start
@@ -292,6 +306,7 @@ def parse_c3d(raw: bytes | bytearray, path: str) -> C3DFile:
 
 def _likely_processor(raw: bytes | bytearray) -> Processor:
     def sane(processor: Processor) -> bool:
+        # A frame rate is a sane number in one byte order only.
         rate = processor.float_at(raw, 20)
         return np.isfinite(rate) and 0.1 <= rate <= 1e5
 
@@ -321,6 +336,7 @@ def header_of(raw: bytes | bytearray, processor: Processor, parameters_at: int) 
 def _data_start(raw: bytes | bytearray, processor: Processor, header: Header, findings: list[Finding]) -> int:
     if BLOCK <= header.data_at <= len(raw) and header.data_at != header.parameters_at:
         return header.data_at
+    # The count of parameter blocks is the last resort.
     counted = header.parameters_at + BLOCK * raw[header.parameters_at + 2]
     if header.data_at:
         findings.append(
@@ -333,10 +349,13 @@ def _layout(path: str, size: int, start: int, header: Header, parameters: Parame
     room = size - start
     claims = list(_claims(header, parameters, start))
     fits = [(claim, room - (claim.stop - start)) for claim in claims]
+    # A layout that fills the file but for its last block is the true one.
     best = next((claim for claim, left in fits if 0 <= left < BLOCK and claim.frames), None)
     if best is None:
+        # Else the one that leaves least of the file unread.
         best = next((claim for claim, left in sorted(fits, key=lambda fit: fit[1]) if left >= 0 and claim.frames and claim.width), None)
     if best is None:
+        # None fits into the file: it was cut off, and holds as many frames as are whole.
         claim = next((c for c in claims if c.width and c.frames), claims[0])
         frames = room // (claim.width * (4 if claim.real else 2)) if claim.width else 0
         if claim.frames and claim.width and not frames:
@@ -351,6 +370,7 @@ def _layout(path: str, size: int, start: int, header: Header, parameters: Parame
         ("points", parameters.count("POINT", "USED"), best.points),
         ("frames", first.frames, best.frames),
     ):
+        # What was cut off contradicts every count; saying so once is enough.
         if declared is not None and declared != found and not any("breaks off:" in finding.sentence for finding in findings):
             findings.append(header_conflict(f"{declared} {noun} are declared, the data hold {found}"))
     return best
@@ -366,20 +386,24 @@ def _claims(header: Header, parameters: Parameters, start: int) -> Iterator[Layo
         if rates[0] and rates[1]:
             analog.append(channels * min(max(round(rates[0] / rates[1]), 0), 65535))
     begin, end = parameters.counts("TRIAL", "ACTUAL_START_FIELD"), parameters.counts("TRIAL", "ACTUAL_END_FIELD")
+    # Frames are counted in three places, with 16 bits in two of them.
     frames = [header.last_frame - header.first_frame + 1]
     if len(begin) >= 2 and len(end) >= 2:
         frames.append(end[0] + 65536 * end[1] - begin[0] - 65536 * begin[1] + 1)
     frames += [count for name in ("LONG_FRAMES", "FRAMES") if (count := parameters.count("POINT", name)) is not None]
+    # 65535 is what a 16-bit count shows of more frames: it comes last.
     frames = sorted(dict.fromkeys(count for count in frames if count > 0), key=lambda count: count == 65535) or [0]
     scale = parameters.number("POINT", "SCALE")
     signs = [header.scale] if np.isfinite(header.scale) and header.scale != 0 else []
     signs += [scale] if scale else []
+    # Without a sign both number formats are tried.
     reals = dict.fromkeys([sign < 0 for sign in signs] or [True, False])
     points = [header.points] + ([used] if used is not None else [])
     for real, count, samples, length in product(reals, dict.fromkeys(points), dict.fromkeys(analog), frames):
         yield Layout(start, length, count, samples, real)
 
 
+# Labels of header events are only there with this key.
 def _events_of_header(raw: bytes | bytearray, processor: Processor) -> Iterator[Event]:
     if processor.unsigned_at(raw, 298) != _LABEL_KEY:
         return
@@ -394,6 +418,7 @@ def _events_of_group(parameters: Parameters) -> Iterator[Event]:
     labels, contexts = ([s for key in numbered(parameters, "EVENT", name) for s in parameters.strings("EVENT", key)]
                         for name in ("LABELS", "CONTEXTS"))  # fmt: skip
     times = np.concatenate([parameters.values("EVENT", key) for key in numbered(parameters, "EVENT", "TIMES")])
+    # An odd number of values is a damaged list: its last one is dropped.
     times = times[: len(times) // 2 * 2].reshape(-1, 2)
     used = parameters.count("EVENT", "USED")
     for place, (minutes, seconds) in enumerate(times[: used if used is not None else len(times)]):

@@ -33,6 +33,7 @@ def fresh_c3d(recording: Recording, target: str, residual: Floats | None = None,
     frames, points = recording.positions.shape[:2]
     if points > _MOST:
         raise AsterismError(f"{target}: {points} points are more than the {_MOST} that a C3D file can hold; write fewer columns.")
+    # Frame numbers are 32 bits; where they do not fit, the file begins at 1.
     first = recording.first_frame if recording.first_frame >= 1 and recording.first_frame + frames - 1 < 2**31 else 1
     step = 1.0 if residual is None else _RESIDUAL_STEP
     try:
@@ -50,6 +51,7 @@ def fresh_c3d(recording: Recording, target: str, residual: Floats | None = None,
         data[:, :, :3] = positions * 1000.0
         if residual is not None and cameras is not None:
             data[:, :, 3] = _fourth_word(residual[some], cameras[some])
+        # The convention of the format: all zero, with a residual of -1.
         data[np.isnan(positions[:, :, 0])] = (0.0, 0.0, 0.0, -1.0)
         block[some] = PC.words_of_floats(data)
     return out
@@ -57,6 +59,7 @@ def fresh_c3d(recording: Recording, target: str, residual: Floats | None = None,
 
 def _fourth_word(residual: Floats, cameras: NDArray[np.bool_]) -> Floats:
     """High byte: a bit for each of the first seven cameras; low byte: the residual in steps of |POINT:SCALE| mm."""
+    # A larger residual is shown as the largest that a byte holds.
     steps = np.clip(np.round(np.nan_to_num(residual) * 1000.0 / _RESIDUAL_STEP), 0, 255)
     seven = cameras[:, :, :_MASKED_CAMERAS]
     word: Floats = steps + 256.0 * (seven @ 2.0 ** np.arange(seven.shape[2]))
@@ -69,6 +72,7 @@ def _header(recording: Recording, first: int, data_start: int, step: float) -> b
     words = np.zeros(BLOCK // 2, dtype=np.uint16)
     words[0] = 0x5002
     words[1] = points
+    # With more frames than 16 bits count, the header says how many it can.
     words[3:5] = (first, last) if last <= _MOST else (1, min(frames, _MOST))
     words[8] = data_start
     head = bytearray(PC.store(words))
@@ -79,6 +83,7 @@ def _header(recording: Recording, first: int, data_start: int, step: float) -> b
 
 def _section(recording: Recording, first: int, step: float) -> bytes:
     """The parameter section in whole blocks. It states where the data begin, so it is laid out twice."""
+    # Its own length moves the data, whose place it states: a first layout gives the length.
     blocks = -(-len(_chain(recording, first, 0, step)) // BLOCK)
     section = _chain(recording, first, blocks + 2, step)
     return (section[:2] + bytes([min(blocks, 255)]) + section[3:]).ljust(blocks * BLOCK, b"\0")
@@ -89,6 +94,7 @@ def _chain(recording: Recording, first: int, data_start: int, step: float) -> by
     last = first + frames - 1
     records = [_group("POINT", _POINT), _integer("USED", _POINT, points), _integer("FRAMES", _POINT, min(frames, _MOST))]
     records += [_integer("DATA_START", _POINT, data_start), _float("SCALE", _POINT, -step), _float("RATE", _POINT, recording.rate)]
+    # A float holds what the 16-bit count cannot.
     if frames > _MOST:
         records.append(_float("LONG_FRAMES", _POINT, frames))
     records += [_text("UNITS", _POINT, "mm"), *_screens(recording.vertical)]
@@ -123,6 +129,7 @@ def _screens(vertical: Floats) -> list[Record]:
     axis = int(np.abs(vertical).argmax())
     letter, sign = "xyz"[axis], "-" if vertical[axis] < 0 else "+"
     records = [_text("X_SCREEN", _POINT, _SCREENS[letter]), _text("Y_SCREEN", _POINT, sign + letter.upper())]
+    # A tilted vertical is no axis: it stands in full beside the nearest one.
     if np.abs(vertical[axis]) < 1.0:
         records.append(floats_record("VERTICAL", _POINT, list(vertical), (3,), PC))
     return records

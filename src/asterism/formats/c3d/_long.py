@@ -50,11 +50,13 @@ class LongRecording:
         positions = scaled(values, float(self.sampled.metadata["metres_per_unit"]))[:, self.columns]
         origin = np.where(np.isnan(positions[:, :, 0]), -1, self.columns)
         first = self.sampled.first_frame + start
+        # The source stays out: a range of frames must not be written as the whole file.
         return replace(self.sampled, positions=positions, origin=origin, first_frame=first, events=(), source=None, taken=())
 
     def shown(self) -> tuple[Ints, NDArray[np.bool_]]:
         """How many points each frame has (T,), and which columns have a point in some frame (M,)."""
         counts, some = np.empty(len(self), dtype=np.int64), np.zeros(len(self.columns), dtype=np.bool_)
+        # Range by range, since the whole does not fit into memory.
         for part in ranges(len(self)):
             visible = self.frames(part).visible
             counts[part] = visible.sum(axis=1)
@@ -63,6 +65,7 @@ class LongRecording:
 
     def one_frame(self, shown: NDArray[np.bool_]) -> Recording:
         """A recording of one frame that shows these columns (M,), with everything else that this one has."""
+        # Zeros stand for "there": only which columns are seen counts.
         positions = np.where(shown[None, :, None], 0.0, np.full((1, 1, 3), np.nan))
         return replace(self.sampled, positions=positions, origin=np.where(shown, self.columns, -1)[None, :])
 
@@ -95,6 +98,7 @@ def read_long(path: Path, vertical: ArrayLike | str | None, points: int) -> Long
         return None
     with guarded_reading(path):
         file = open_c3d(path)
+        # Something behind the data must be kept, which writing by ranges does not.
         behind = bytes(file.raw[file.layout.stop :])
         if file.layout.frames * file.layout.points <= points or len(behind) > BLOCK or behind.strip(b"\0"):
             return None
@@ -117,6 +121,7 @@ def write_long(path: Path, file: C3DFile, labelled: LabelledRanges) -> list[str]
     Returns what the file cannot hold. Raises AsterismError as `write_c3d` does; a file at `path` is replaced completely or not at all.
     """
     plan = planned(file, labelled.head, labelled.main, str(path))
+    # Parameters alone, as if the file had no data: those are written range by range.
     empty = replace(file, raw=file.raw[: file.layout.start], layout=replace(file.layout, frames=0))
     head, _ = assembled(empty, plan.parameters, 0, len(plan.slots), plan.rate)
     relabelled = _without_data(replace(empty, path=str(path)), head, len(plan.slots))
@@ -157,4 +162,5 @@ def _parts(
         analog = file.words[some, 4 * file.layout.points :]
         words[:, points:] = analog if channels is None else channels.words(relabelled, analog, confidence)
         yield words.tobytes()
+    # What follows the data moves with their new length.
     yield tail_of(file, file.layout.frames * (width - file.layout.width) * kind.itemsize)[0]

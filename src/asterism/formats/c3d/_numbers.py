@@ -42,19 +42,23 @@ class Processor:
         """Values of 32-bit patterns: float32, or float64 for VAX floats, whose range float32 does not hold."""
         if not self.vax:
             return words.view(np.float32)
+        # The two halves of a VAX float are exchanged.
         bits = (words << np.uint32(16)) | (words >> np.uint32(16))
         exponent = ((bits >> np.uint32(23)) & np.uint32(0xFF)).astype(np.int32)
         mantissa = ((bits & np.uint32(0x7FFFFF)) | np.uint32(0x800000)).astype(np.float64)
+        # An exponent of 0 is 0, whatever the mantissa says.
         values = np.where(exponent == 0, 0.0, np.ldexp(mantissa, exponent - 129 - 23))
         return np.where(bits >> np.uint32(31), -values, values)
 
     def words_of_floats(self, values: ArrayLike) -> Words:
+        # float32 is what the format holds; rounding happens once, here.
         """32-bit patterns of values, rounded to what 32 bits hold."""
         single = np.ascontiguousarray(values, dtype=np.float32)
         bits = single.view(np.uint32)
         if not self.vax:
             return bits.copy()
         exponent = (bits >> np.uint32(23)) & np.uint32(0xFF)
+        # The exponent is larger by two; 0 stays 0.
         bits = np.where(exponent == 0, np.uint32(0), bits + np.uint32(2 << 23))
         return (bits << np.uint32(16)) | (bits >> np.uint32(16))
 

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import prod
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,10 +54,12 @@ class Parameters:
         names: dict[int, str] = {}
         for record in self.records:
             if record.is_group:
+                # The first of two groups with one number names it, as in the vendors' readers.
                 names.setdefault(record.group, record.name.upper())
         index: dict[tuple[str, str], int] = {}
         for place, record in enumerate(self.records):
             if not record.is_group and record.group in names:
+                # Of repeated parameters the first counts.
                 index.setdefault((names[record.group], record.name.upper()), place)
         object.__setattr__(self, "_index", index)
 
@@ -115,6 +116,7 @@ class Parameters:
         record = self.find(group, name)
         values = self.values(group, name)
         if record is not None and record.kind == INTEGER:
+            # Sixteen bits without their sign count up to 65535, as newer files do.
             values = np.where(values < 0, values + 65536, values)
         return [int(value) for value in values if np.isfinite(value) and 0 <= value < 2**31 and value == int(value)]
 
@@ -130,6 +132,7 @@ class Parameters:
         """The section with parameters changed, added behind their group (a new group at the front) or, where None, removed."""
         records: list[Record] = list(self.records)
         key_of = {place: key for key, place in self._index.items()}
+        # From the back, so that earlier places stay right.
         for place in sorted((self._index[key] for key in changes if key in self._index), reverse=True):
             change = changes[key_of[place]]
             if change is None:
@@ -141,8 +144,10 @@ class Parameters:
                 if change.is_group:
                     records.insert(0, change)
                     continue
+                # A new parameter stands behind its group, where readers look for it.
                 after = next((i for i, r in enumerate(records) if r.is_group and r.group == change.group), -1)
                 records.insert(after + 1, change)
+        # A chain that ended by its link needs a zero record once something follows.
         ended_by_link = bool(self.records) and self.records[-1].last
         tail = b"\0\0" + self.tail[2:] if ended_by_link else self.tail
         return Parameters(self.head, tuple(records), tail, self.processor, self.findings)
@@ -163,6 +168,7 @@ class Parameters:
         return self.head + chain + self.tail.rstrip(b"\0").ljust(2, b"\0")
 
     def _linked(self, record: Record, last: bool) -> bytes:
+        # Records that nobody changed are carried bit by bit.
         if last == record.last:
             return record.raw
         at = 2 + abs(int.from_bytes(record.raw[:1], "little", signed=True))
@@ -175,6 +181,7 @@ def parse_parameters(section: bytes, processor: Processor) -> Parameters:
     findings: list[Finding] = []
     at = _HEADER
     while at + 2 <= len(section):
+        # A negative length marks a locked name.
         size = int.from_bytes(section[at : at + 1], "little", signed=True)
         if size == 0:
             break
@@ -197,7 +204,9 @@ def _record_at(section: bytes, at: int, size: int, processor: Processor) -> tupl
         return None, f"the parameter section breaks off at byte {at}"
     name = text_of(section[at + 2 : link])
     step = processor.unsigned_at(section, link)
+    # Groups have negative numbers; parameters the number of their group.
     if group <= 0:
+        # A link of 0 ends the chain, so that the length comes from the record itself.
         stop = link + step if step else min(len(section), link + 3 + section[link + 2] if link + 2 < len(section) else link + 2)
         if step in (1, 2) or stop > len(section):
             return None, f"the parameter section breaks off in group {name}"
@@ -210,15 +219,18 @@ def _record_at(section: bytes, at: int, size: int, processor: Processor) -> tupl
     count = prod(dimensions)
     begin, room = link + 4 + rank, len(section)
     needed = count * abs(kind)
+    # An unknown type cannot be measured: its link alone says where it ends.
     if kind not in (CHARACTER, BYTE, INTEGER, FLOAT) or len(dimensions) < rank or prod(dimensions[1:]) > _MOST_VALUES:
         if step < 4 or link + step > room:
             return None, f"the parameter section breaks off in parameter {name}"
         return Record(section[at : link + step], name, group, False, False), f"parameter {name} has an unknown type; it is left as it is"
     data = section[begin : begin + needed]
     own_end = min(room, begin + needed + 1 + (section[begin + needed] if begin + needed < room else 0))
+    # The data begin before the parameter ends: it is kept as far as it goes.
     if len(data) < needed:
         return Record(section[at:], name, group, False, False, kind, dimensions, data, cut=True), f"parameter {name} is cut by the data"
     stop = own_end if step == 0 else link + step
+    # A link that points into the record, or out of the section, ends the chain here.
     if stop > room or stop < begin + needed:
         return Record(section[at:own_end], name, group, False, True, kind, dimensions, data, cut=True), f"parameter {name} points nowhere"
     return Record(section[at:stop], name, group, False, step == 0, kind, dimensions, data), ""
@@ -226,6 +238,7 @@ def _record_at(section: bytes, at: int, size: int, processor: Processor) -> tupl
 
 def make_group(name: str, group: int, description: str = "", *, processor: Processor) -> Record:
     """A new group record."""
+    # Names have 127 bytes at most.
     text = name.encode("utf-8")[:127]
     note = description.encode("utf-8")[:255]
     link = processor.bytes_of_unsigned(3 + len(note))
@@ -239,6 +252,7 @@ def make_parameter(
     """A new parameter record; from `like` come the spelling and lock of the name, and the description."""
     text, size, note = name.encode("utf-8")[:127], len(name.encode("utf-8")[:127]), b"\0"
     if like is not None:
+        # The sign of the length is the lock of the name, which stays.
         old = int.from_bytes(like.raw[:1], "little", signed=True)
         text, size = like.raw[2 : 2 + abs(old)], old
         begin = 2 + abs(old) + 4 + len(like.dimensions) + len(like.data)
@@ -250,17 +264,9 @@ def make_parameter(
 
 def text_of(raw: bytes) -> str:
     """Characters of a file as text: UTF-8 where it is, else Latin-1; blanks and NUL padding taken off."""
+    # NUL pads as blanks do; what stands behind it is left from before.
     raw = raw.split(b"\0", 1)[0].strip()
     try:
         return raw.decode("utf-8")
     except UnicodeDecodeError:
         return raw.decode("latin-1").strip()
-
-
-def as_any(parameters: Parameters, group: str, name: str) -> Any:
-    """A parameter as plain values: a list of strings or of numbers, a single one alone."""
-    record = parameters.find(group, name)
-    if record is None:
-        return None
-    values = parameters.strings(group, name) if record.kind == CHARACTER else [v.item() for v in parameters.values(group, name)]
-    return values[0] if len(values) == 1 else values

@@ -32,6 +32,7 @@ def read_c3d(path: Path, markers: Any = None, vertical: ArrayLike | str | None =
     twice, or has impossible units. Source: the public C3D format specification.
     """
     file = open_c3d(path)
+    # Force files are C3D files, too: they are passed over, not damaged.
     if not file.layout.points:
         analog = f", only {file.analog_channels} analog channels" if file.analog_channels else ""
         raise NoMarkers(f"{path} holds no points{analog}; choose a recording with markers.")
@@ -74,6 +75,7 @@ def in_metres(file: C3DFile) -> tuple[Floats, float, str, list[Finding]]:
 def unit_of(file: C3DFile) -> tuple[float, str, list[Finding]]:
     """Metres per unit, the unit's name, and a finding where the unit is assumed; some 200 frames tell it."""
     some = file.coordinates_of(slice(None, None, max(1, file.layout.frames // 200)))
+    # Computed points have other sizes and units, and would mislead the guess.
     kinds = point_kinds(file.labels, None, declared_computed(file))
     captured = np.array([kind != COMPUTED for kind in kinds], dtype=bool)
     others = [file.parameters.text("POINT", name) for name in ("MODELED_MARKER_UNITS", "SCALAR_UNITS")]
@@ -81,6 +83,7 @@ def unit_of(file: C3DFile) -> tuple[float, str, list[Finding]]:
 
 
 def scaled(raw: Floats, scale: float) -> Floats:
+    # Dividing by 1000 is exact where multiplying by 0.001 is not.
     """Coordinates in a file's unit as metres, in place; divided where that is exact."""
     if scale < 1 and scale == 1 / round(1 / scale):
         raw /= round(1 / scale)
@@ -99,6 +102,7 @@ def kinds_of_points(file: C3DFile, positions: Floats) -> list[str]:
 
 def declared_computed(file: C3DFile) -> set[str]:
     """Labels that the file lists as angles, forces and the like, also in the groups that it defines (POINT:TYPE_GROUPS)."""
+    # Groups that a file defines itself are listed by name and type in turn.
     groups = dict.fromkeys([*COMPUTED_GROUPS, *(name.upper() for name in file.parameters.strings("POINT", "TYPE_GROUPS")[::2])])
     return {
         label
@@ -115,6 +119,7 @@ def declared_vertical(file: C3DFile) -> Floats | None:
 
     Qualisys writes -Z for a vertical that is +Z, so a minus counts only in files that Asterism wrote.
     """
+    # Our own files have the vertical in full, tilted or not.
     vector = file.parameters.values("POINT", "VERTICAL")
     if file.by_asterism and len(vector) == 3 and np.isfinite(vector).all() and vector.any():
         return as_vertical(vector)
@@ -126,6 +131,7 @@ def declared_vertical(file: C3DFile) -> Floats | None:
 
 def one_subject(file: C3DFile) -> str:
     """The one subject that SUBJECTS:NAMES names, else ""."""
+    # Of several subjects none is the recording's.
     names = [name for name in file.parameters.strings("SUBJECTS", "NAMES") if name]
     return names[0] if len(names) == 1 else ""
 

@@ -53,9 +53,11 @@ def write_c3d(path: Path, recording: Recording, confidence: LabelConfidence | No
     of_c3d = isinstance(recording.source, C3DFile)
     data = rewritten(recording.source, recording, str(path)) if of_c3d else fresh_c3d(recording, str(path))
     lost = []
+    # Computed points give way to a marker's label, which the person must know.
     if isinstance(recording.source, C3DFile):
         renamed = renamed_computed(parse_c3d(data, str(path)), recording.source)
         lost += [f"the label of the computed point {label}, which a marker has now; the point is {label}_computed" for label in renamed]
+    # Confidence comes last: the file is whole without it.
     if confidence is not None and states is not None:
         try:
             data = with_confidence(parse_c3d(data, str(path)), confidence, states)
@@ -101,12 +103,14 @@ class RewritePlan:
 
 def rewritten(file: C3DFile, recording: Recording, target: str) -> bytearray:
     """The bytes of `file`, with the columns of `recording` in place of those that it replaces."""
+    # Analog data belong to the frames that were read.
     if len(recording) != file.layout.frames:
         raise AsterismError(
             f"{target}: the recording has {len(recording)} frames, the file that it was read from {file.layout.frames}; "
             "cut recordings with `frames()`, which drops the file."
         )
     origin = recording.origin
+    # Without an origin every sample is new.
     if origin is None or origin.shape != recording.positions.shape[:2]:
         origin = np.full(recording.positions.shape[:2], -1, dtype=np.int64)
     points = file.layout.points
@@ -132,6 +136,7 @@ def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: st
         )
     renamed = _renamed_computed(file, seen, recording, slots)
     labels = _labels(file, seen, recording, slots, renamed, target)
+    # Columns that stay in their places with their labels leave the parameters untouched.
     same_columns = [slot.place for slot in slots] == list(range(file.layout.points)) and labels == file.raw_labels
     parameters = file.parameters
     if not same_columns:
@@ -140,6 +145,7 @@ def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: st
             for slot, label in zip(slots, labels, strict=True)
         ]
         parameters = parameters.replaced(label_parameters(file, labels, descriptions))
+        # Lists of angles and forces name points by their labels.
         gone = {text_of(raw) for raw in file.raw_labels} - {text_of(raw) for raw in labels}
         parameters = with_declared(parameters, gone, {text_of(file.raw_labels[place]): text_of(raw) for place, raw in renamed.items()})
     if recording.events != file.events:
@@ -147,6 +153,7 @@ def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: st
     if recording.log != log_of(file.parameters):
         parameters = with_log(parameters, recording.log)
     rate = recording.rate if recording.rate != file.rate else None
+    # The analog rate follows, since samples per frame stay.
     if rate is not None:
         parameters = _with_rate(parameters, rate / file.rate)
     return RewritePlan(slots, parameters, rate)
@@ -164,16 +171,20 @@ def _slots(seen: Sequence[str], recording: Recording, main: Sequence[int], point
         place_of[column] = place
         free.discard(place)
 
+    # A column goes first to the place of its samples if that has its label,
     for column, label in enumerate(recording.labels):
         if main[column] in free and seen[main[column]] == label:
             take(column, main[column])
+    # then to a place with its label,
     for column, label in enumerate(recording.labels):
         same = [place for place in by_label.get(label, ()) if place in free]
         if column not in place_of and same:
             take(column, same[0])
+    # then to the place of its samples, whatever the label,
     for column in range(len(recording.labels)):
         if column not in place_of and main[column] in free:
             take(column, main[column])
+    # and a column that came from nowhere to any place that is free.
     for column in range(len(recording.labels)):
         if column not in place_of and main[column] < 0 and free:
             take(column, min(free))
@@ -220,17 +231,20 @@ class Filling:
         points, frames = file.point_words[some], np.arange(len(before))
         for new, slot in enumerate(self.slots):
             column = np.s_[:, 4 * new : 4 * new + 4]
+            # Points that the recording does not replace keep their bits.
             if slot.column is None:
                 out[column] = points[:, slot.place]
                 continue
             new_positions = positions[:, slot.column]
             words = np.empty((len(frames), 4), dtype=points.dtype)
             done = np.zeros(len(frames), dtype=bool)
+            # A sample is copied from where it came from, else from the column's own place.
             sources = [origin[:, slot.column]] + ([np.full(len(frames), slot.place)] if slot.place is not None else [])
             for source in sources:
                 known = (source >= 0) & (source < file.layout.points)
                 source = np.where(known, source, 0)
                 old = before[frames, source]
+                # Bits are copied only where nothing changed, so that residual and cameras stay right.
                 same = ((old == new_positions) | (np.isnan(old) & np.isnan(new_positions))).all(axis=1) & known & ~done
                 words[same] = points[frames[same], source[same]]
                 done |= same
@@ -243,6 +257,7 @@ class Filling:
 
 def _missing_words(file: C3DFile) -> Words:
     """The four words with which this file says that a point is missing."""
+    # Files have their own way to say that a point is missing: the new ones must be said in it.
     some_missing = any(np.isnan(file.coordinates_of(some)).any() for some in ranges(file.layout.frames))
     if file.zeros_are_missing and some_missing and not file.residuals_are_unused:
         return np.zeros(4, dtype=file.point_words.dtype)
@@ -254,6 +269,7 @@ def _missing_words(file: C3DFile) -> Words:
 def _encoded(file: C3DFile, positions: Floats, scale: float, label: str, target: str) -> Words:
     """(N, 4) words of new samples, (N, 3) m."""
     raw = positions * round(1 / scale) if scale < 1 and scale == 1 / round(1 / scale) else positions / scale
+    # Where all residuals are negative, a 0 would stand out as the only measured point.
     residual = np.full((len(raw), 1), -1.0 if file.residuals_are_unused else 0.0)
     if file.layout.real:
         return file.processor.words_of_floats(np.concatenate([raw, residual], axis=1))
@@ -289,6 +305,7 @@ def _labels(
     file: C3DFile, seen: Sequence[str], recording: Recording, slots: Sequence[_Slot], renamed: Mapping[int, bytes], target: str
 ) -> list[bytes]:
     """The labels of the new file as bytes: old ones untouched, new ones with the file's subject prefix, unnamed ones unique."""
+    # The subject's prefix was taken off when reading, and belongs into the file.
     prefix = next((full[: -len(short)] for full, short in zip(file.labels, seen, strict=True) if full != short), "")
     kept = {seen[slot.place].casefold() for slot in slots if slot.column is None and slot.place is not None and slot.place not in renamed}
     wanted = {label.casefold() for label in recording.labels}
@@ -298,6 +315,7 @@ def _labels(
         if slot.place is not None and (slot.column is None or seen[slot.place] == label):
             labels.append(renamed.get(slot.place, file.raw_labels[slot.place]))
             continue
+        # A name without meaning is counted on until it is free.
         if is_unnamed(label):
             while label.casefold() in kept:
                 number += 1

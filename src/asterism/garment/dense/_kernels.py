@@ -29,6 +29,7 @@ def fuse_midpoints(origins, rays, starts, parallel, out):
             for j in range(i + 1, starts[g + 1]):
                 dot = rays[i, 0] * rays[j, 0] + rays[i, 1] * rays[j, 1] + rays[i, 2] * rays[j, 2]
                 square = 1.0 - dot * dot
+                # Rays nearly in line meet anywhere along them.
                 if not square > parallel * parallel:
                     continue
                 dx, dy, dz = origins[j, 0] - origins[i, 0], origins[j, 1] - origins[i, 1], origins[j, 2] - origins[i, 2]
@@ -63,6 +64,7 @@ def _linearise(rotation, translation, seen, weight, camera, used, first, last, x
         cx = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + t[0]
         cy = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + t[1]
         cz = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + t[2]
+        # Behind a camera: no step may go there.
         if not cz > least_depth:
             return math.inf
         u, v = cx / cz, cy / cz
@@ -93,6 +95,7 @@ def _descend(rotation, translation, seen, weight, camera, used, first, last, rul
         return math.inf
     for _ in range(int(rules[STEPS])):
         determinant, xx, xy, xz, yy, yz, zz = symmetric_inverse(h)
+        # The rays leave a direction open.
         if not determinant > 0.0:
             return math.inf
         sx, sy, sz = xx * b[0] + xy * b[1] + xz * b[2], xy * b[0] + yy * b[1] + yz * b[2], xz * b[0] + yz * b[1] + zz * b[2]
@@ -102,6 +105,7 @@ def _descend(rotation, translation, seen, weight, camera, used, first, last, rul
         cost = _linearise(rotation, translation, seen, weight, camera, used, first, last, point[0], point[1], point[2], nearest, h, b)
         if not math.isfinite(cost):
             return math.inf
+        # So short a step that the place is found.
         if sx * sx + sy * sy + sz * sz < rules[STILL] * rules[STILL]:
             break
     return cost
@@ -129,6 +133,7 @@ def refine_points(rotation, translation, seen, weight, camera, starts, chi2, rul
         cost = math.inf
         if count >= 2 and math.isfinite(points[g, 0]):
             cost = _descend(rotation, translation, seen, weight, camera, used, first, last, rules, points[g], h, b)
+        # The limit grows with the rays, so that many good ones do not fail by their number.
         while count > 2 and not cost <= chi2[min(2 * count - 3, len(chi2) - 1)]:
             least, worst = math.inf, -1
             for i in range(first, last):
@@ -137,10 +142,13 @@ def refine_points(rotation, translation, seen, weight, camera, starts, chi2, rul
                 used[i] = False
                 trial[:] = points[g]
                 left = _descend(rotation, translation, seen, weight, camera, used, first, last, rules, trial, h, b)
+                # Not the ray with the largest residual, but the one without which the others agree best: a bad ray draws the point to
+                # itself.
                 if left < least:
                     least, worst = left, i
                     best[:] = trial
                 used[i] = True
+            # None can be spared.
             if worst < 0:
                 break
             used[worst] = False

@@ -123,6 +123,7 @@ def dense_points(rig: Rig, circles: Sequence[UsedCircles], rules: DenseRules | N
     """
     rules = rules or DenseRules()
     rays = circle_rays(rig, circles, rules)
+    # A moment alone estimates its own factor, and its first fit is a better start for the second.
     if scale is None:
         scale, start = _scale_of(rig, rays, rules, _midpoints(rays, rules))
         return _fitted(rig, rays, rules, scale, start)
@@ -180,11 +181,14 @@ def circle_rays(rig: Rig, circles: Sequence[UsedCircles], rules: DenseRules) -> 
     for number, (camera, read) in enumerate(zip(rig, circles, strict=True)):
         ids = np.asarray(read.ids)
         known = np.flatnonzero((ids >= 0) & np.isfinite(read.centres[:, 0]) & np.isfinite(read.centres[:, 1]))
+        # An identity that an image shows twice is known at neither place.
         unique, first, count = np.unique(ids[known], return_index=True, return_counts=True)
         twice += [(number, int(i)) for i in unique[count > 1]]
         rows = known[first[count == 1]]
         flat = camera.undistort(read.centres[rows])
+        # Where the lens model has no ray the circle says nothing.
         rows, flat = rows[np.isfinite(flat[:, 0])], flat[np.isfinite(flat[:, 0])]
+        # Errors are those of pixels, and rays are fitted on the normalised plane, so the weights are carried over.
         jacobian = np.empty((len(rows), 4))
         pixel_jacobian(camera.lens, np.ascontiguousarray(flat), jacobian)
         weight = _information(np.asarray(read.covariance, dtype=np.float64)[rows], _model_variance(read, rules)[rows], jacobian)
@@ -194,6 +198,7 @@ def circle_rays(rig: Rig, circles: Sequence[UsedCircles], rules: DenseRules) -> 
     ids, camera_of, flat, weight, origins, ways = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(ids, kind="stable")
     unique, count = np.unique(ids, return_counts=True)
+    # One ray makes no point.
     order = order[np.repeat(count >= 2, count)]
     starts = np.concatenate([[0], np.cumsum(count[count >= 2])]).astype(np.int64)
     return CircleRays(
@@ -207,6 +212,7 @@ def _model_variance(read: UsedCircles, rules: DenseRules) -> Floats:
     """(n,) px2, what is added to the variance of each centre."""
     variance = np.full(len(read.ids), rules.least_sigma**2)
     axes = getattr(read, "axes", None)
+    # A circle seen flat is a few pixels high, and its centre is known worse than its edge pixels say.
     return variance if axes is None else variance + (rules.flat / np.maximum(2.0 * np.asarray(axes)[:, 1], 1.0) ** 2) ** 2
 
 
@@ -252,15 +258,18 @@ def _scale_of(rig: Rig, rays: CircleRays, rules: DenseRules, start: Floats) -> t
     a point is to be its mean square error.
     """
     count = np.diff(rays.starts)
+    # Too few degrees of freedom would turn chance into a factor.
     if (2 * count - 3).sum() < _LEAST_FREEDOM:
         return 1.0, start
     points, _, _, cost = _refined(rig, rays, replace(rules, outlier=0.0), 1.0, start)
+    # The median first, since wrong circles do not move it.
     ratio = cost / _medians()[np.minimum(2 * count - 3, 63)]
     ratio = ratio[np.isfinite(ratio)]
     if not len(ratio):
         return 1.0, points
     scale = max(float(np.sqrt(np.median(ratio))), rules.least_scale)
     group = np.repeat(np.arange(len(count)), count)
+    # Then the mean of those that fit: what is stated of a point is to be its mean square error.
     for _ in range(_SCALE_ROUNDS):
         _, used, _, cost = _refined(rig, rays, rules, scale, points)
         freedom = 2 * np.bincount(group[used], minlength=len(count)) - 3
@@ -282,6 +291,7 @@ def _fitted(rig: Rig, rays: CircleRays, rules: DenseRules, scale: float, start: 
     group = np.repeat(np.arange(len(points)), np.diff(rays.starts))
     cameras = np.bincount(group[used], minlength=len(points))
     left_out = np.flatnonzero(~used)
+    # The kernel keeps the upper triangle; full matrices go out.
     full = scale**2 * covariance[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
     return DensePoints(
         rays.ids[there], points[there], full[there], cameras[there], cost[there] / scale**2, scale, len(rays.ids), rays.duplicates,

@@ -62,6 +62,7 @@ class DenseTrajectories:
         """The points of one frame, for `garment.surface`; what they were made from is not known any more."""
         there = np.isfinite(self.positions[frame, :, 0])
         number, none = int(there.sum()), np.empty((0, 2), dtype=np.int64)
+        # What the points were made from was not kept: their misfits are unknown and their scale is in the covariance.
         return DensePoints(
             self.ids[there], self.positions[frame, there], self.covariances(frame)[there], self.cameras[frame, there].astype(np.int64),
             np.full(number, np.nan), 1.0, number, none, none, np.empty(0, dtype=np.int64),
@@ -118,6 +119,7 @@ def dense_trajectories(frames: Sequence[DensePoints], rate: float, vertical: Flo
     positions = np.full((len(frames), len(ids), 3), np.nan)
     covariance = np.full((len(frames), len(ids), 6), np.nan, dtype=np.float32)
     cameras = np.zeros((len(frames), len(ids)), dtype=np.uint8)
+    # Identities differ from frame to frame, so each frame goes into its own columns.
     for t, frame in enumerate(frames):
         at = np.searchsorted(ids, frame.ids)
         positions[t, at] = frame.positions

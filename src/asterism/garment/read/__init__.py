@@ -70,10 +70,12 @@ def read_image(image: NDArray[np.uint8], pattern: Pattern, rules: ReadRules | No
         raise AsterismError(f"an image of {size} {image.dtype} cannot be read; give (height, width, 3) uint8, as OpenCV loads it.")
     circles = find_circles(np.ascontiguousarray(image), rules)
     links, _ = link_circles(circles, pattern.diameter / pattern.pitch, rules)
+    # Three links: a chance neighbour makes one or two.
     linked = (links[:, :, 0] >= 0).sum(axis=1) >= 3
     classes = classify(circles.light, linked, pattern.hsv)
     found = identify(circles, links, classes.posterior, pattern, rules)
     axes = _axes(circles)
+    # A circle whose area is not that of its neighbours is covered in part, so its centre is off by a share of its size.
     off = rules.covered * axes[:, 0] * np.where(found.ids >= 0, found.apart, 0.0)
     colours = np.full(len(linked), -1) if classes.grey else classes.posterior.argmax(axis=1)
     return ReadCircles(
@@ -87,7 +89,7 @@ def read_image(image: NDArray[np.uint8], pattern: Pattern, rules: ReadRules | No
         found.windows,
         found.existing,
         classes.gains,
-        reading_findings(image, linked, classes.grey, found, pattern),
+        reading_findings(image, linked, classes.grey, found, pattern, rules.most_circles),
     )
 
 

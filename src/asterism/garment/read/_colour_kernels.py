@@ -21,12 +21,14 @@ def posteriors(points, centres, spreads, outliers, out):
     for k in range(q):
         xx, xy, yy = spreads[k, 0, 0], spreads[k, 0, 1], spreads[k, 1, 1]
         det = xx * yy - xy * xy
+        # What depends on the colour alone is worked out once, not for each point.
         shape[k, 0], shape[k, 1], shape[k, 2], shape[k, 3], shape[k, 4] = xx, 2.0 * xy, yy, det, np.sqrt(det)
     for i in range(len(points)):
         whole = 0.0
         for k in range(q):
             x, y = points[i, 0] - centres[k, 0], points[i, 1] - centres[k, 1]
             far = shape[k, 2] * x * x - shape[k, 1] * x * y + shape[k, 0] * y * y
+            # Outliers everywhere: a point far from all colours is then no colour's surely, instead of 0 / 0.
             value = np.exp(-0.5 * far / shape[k, 3]) / shape[k, 4] + outliers
             out[i, k] = value
             whole += value
@@ -52,6 +54,7 @@ def fit_mixture(points, least, outliers, rounds, centres, spreads, weights):
                 whole += weights[i, k]
                 x += weights[i, k] * points[i, 0]
                 y += weights[i, k] * points[i, 1]
+            # So few points do not tell a spread: the colour stays where it is expected.
             if whole < 3.0:
                 continue
             x, y = x / whole, y / whole
@@ -62,6 +65,7 @@ def fit_mixture(points, least, outliers, rounds, centres, spreads, weights):
                 xy += weights[i, k] * dx * dy
                 yy += weights[i, k] * dy * dy
             centres[k, 0], centres[k, 1] = x, y
+            # The least spread is added, not a limit: two points of one colour are not that colour alone.
             spreads[k, 0, 0], spreads[k, 1, 1] = xx / whole + least * least, yy / whole + least * least
             spreads[k, 0, 1] = xy / whole
             spreads[k, 1, 0] = spreads[k, 0, 1]
@@ -84,6 +88,7 @@ def balance(shares, wanted, rounds, gains):
             a += x / whole
             b += y / whole
             c += z / whole
+        # Each channel alone to its share, then all to a product of 1: together they settle within some rounds.
         gains[0] *= wanted[0] * len(shares) / max(a, 1e-6)
         gains[1] *= wanted[1] * len(shares) / max(b, 1e-6)
         gains[2] *= wanted[2] * len(shares) / max(c, 1e-6)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.geometry.shared_kernels import clamped_index
 
 _DOWN = np.array([0, 1, 0, -1])
 _RIGHT = np.array([1, 0, -1, 0])
@@ -18,10 +19,13 @@ def occupy(cells, at):
     OUT at (rows, cols) int32: the circle, -1 where none is, -2 where several are
 
     O(n + rows cols). Twin: tests/twins_garment_read.py
+
+    Bounds: cells are those of the sheet, -1 or from (0, 0) to (rows - 1, cols - 1).
     """
     at[:] = -1
     for i in range(len(cells)):
         if cells[i, 0] >= 0:
+            # Where two claim one cell, none of them is believed.
             at[cells[i, 0], cells[i, 1]] = i if at[cells[i, 0], cells[i, 1]] == -1 else -2
 
 
@@ -31,6 +35,7 @@ def there(at, fits, row, col):
     if row < 0 or col < 0 or row >= at.shape[0] or col >= at.shape[1]:
         return np.int64(-1)
     i = np.int64(at[row, col])
+    # A circle of another colour is probably at the wrong cell and says nothing of where others are.
     return i if i >= 0 and fits[i] else np.int64(-1)
 
 
@@ -71,6 +76,7 @@ def expect(centres, at, fits, row, col, near, out):
         sign, turned = 1.0 if d < 2 else -1.0, 1.0 if e < 2 else -1.0
         a, beyond, b, c = near[d, 0], near[d, 1], near[e, 0], near[d, 2]
         ahead = across = 0
+        # A straight row: the next circle is as far from its neighbour as that one from the one beyond.
         if a >= 0 and beyond >= 0:
             dx, dy = centres[beyond, 0] - centres[a, 0], centres[beyond, 1] - centres[a, 1]
             x += centres[a, 0] - dx
@@ -79,6 +85,7 @@ def expect(centres, at, fits, row, col, near, out):
             out[own] += sign * dx
             out[own + 1] += sign * dy
             ahead += 1
+        # The side of the square across the direction tells the other lattice vector.
         if a >= 0 and c >= 0:
             out[other] += turned * (centres[c, 0] - centres[a, 0])
             out[other + 1] += turned * (centres[c, 1] - centres[a, 1])
@@ -87,14 +94,17 @@ def expect(centres, at, fits, row, col, near, out):
             out[own] += sign * (centres[c, 0] - centres[b, 0])
             out[own + 1] += sign * (centres[c, 1] - centres[b, 1])
             ahead += 1
+        # A parallelogram: three corners tell the fourth.
         if a >= 0 and b >= 0 and c >= 0:
             x += centres[a, 0] + centres[b, 0] - centres[c, 0]
             y += centres[a, 1] + centres[b, 1] - centres[c, 1]
             ways += 1
+        # Directions 1 and 3 are columns: what lies ahead there is a column's vector.
         rows += across if d & 1 else ahead
         columns += ahead if d & 1 else across
     for d in range(2):
         a, b = near[d, 0], near[d + 2, 0]
+        # The middle between opposite neighbours is the surest place of all, so it counts as two ways.
         if a >= 0 and b >= 0:
             x += centres[a, 0] + centres[b, 0]
             y += centres[a, 1] + centres[b, 1]
@@ -103,6 +113,7 @@ def expect(centres, at, fits, row, col, near, out):
             out[3 + 2 * d] += 0.5 * (centres[a, 1] - centres[b, 1])
             rows += d == 0
             columns += d == 1
+    # Without both vectors no distance can be told in pitches.
     if ways == 0 or rows == 0 or columns == 0:
         return 0
     out[0], out[1] = x / ways, y / ways
@@ -117,6 +128,7 @@ def off_by(expected, x, y):
     IN expected (6,) of `expect`. O(1).
     """
     det = expected[2] * expected[5] - expected[3] * expected[4]
+    # Rows and columns turned over, or in line: no lattice that a camera in front of the print could see.
     if not det > 0.0:
         return np.inf
     dx, dy = x - expected[0], y - expected[1]
@@ -132,12 +144,21 @@ def bucket_circles(centres, side, heads, following):
     OUT heads (rows, columns) of buckets: the first circle in each, -1 for none; following (n,): the next one in its bucket, -1 for none
 
     O(n + buckets).
+
+    Bounds: centres are within the image (`measure`), and `heads` has a bucket for each of its pixels.
     """
     heads[:] = -1
+    # From the last to the first, so that each bucket's list is in rising order.
     for i in range(len(centres) - 1, -1, -1):
         row, col = int(centres[i, 1] / side), int(centres[i, 0] / side)
         following[i] = heads[row, col]
         heads[row, col] = i
+
+
+@kernel(inline=True)
+def buckets_within(middle, reach, side, count):
+    """Gives the first and the last of `count` buckets within reach of a place along one axis. IN middle, reach, side px. O(1)."""
+    return clamped_index((middle - reach) / side, 0, count), clamped_index((middle + reach) / side, -1, count - 1)
 
 
 @kernel
@@ -152,6 +173,8 @@ def grow(centres, likelihood, colours, heads, following, side, gate, cells, at, 
     WORK queue (n,) int32
 
     O(n circles in reach). Twin: tests/twins_garment_read.py
+
+    Bounds: a circle comes into the queue when it gets its cell, which it keeps, so once: n.
     """
     n = len(centres)
     expected, near = np.empty(6), np.empty((4, 3), np.int64)
@@ -163,17 +186,20 @@ def grow(centres, likelihood, colours, heads, following, side, gate, cells, at, 
     while first < last:
         i = queue[first]
         first += 1
+        # From a circle of another colour nothing goes on: it may be at the wrong cell.
         if not fits[i]:
             continue
         for d in range(4):
             row, col = cells[i, 0] + _DOWN[d], cells[i, 1] + _RIGHT[d]
             if row < 0 or col < 0 or row >= colours.shape[0] or col >= colours.shape[1]:
                 continue
+            # Off the cloth, taken, or not to be foreseen.
             if colours[row, col] < 0 or at[row, col] != -1 or expect(centres, at, fits, row, col, near, expected) == 0:
                 continue
+            # Twice the gate, because a rival that is nearly as near must be seen, too.
             reach = 2.0 * gate * max(abs(expected[2]) + abs(expected[4]), abs(expected[3]) + abs(expected[5]))
-            x0, x1 = max(int((expected[0] - reach) / side), 0), min(int((expected[0] + reach) / side), heads.shape[1] - 1)
-            y0, y1 = max(int((expected[1] - reach) / side), 0), min(int((expected[1] + reach) / side), heads.shape[0] - 1)
+            x0, x1 = buckets_within(expected[0], reach, side, heads.shape[1])
+            y0, y1 = buckets_within(expected[1], reach, side, heads.shape[0])
             best, nearest, next_best = -1, np.inf, np.inf
             for y in range(y0, y1 + 1):
                 for x in range(x0, x1 + 1):
@@ -185,10 +211,12 @@ def grow(centres, likelihood, colours, heads, following, side, gate, cells, at, 
                         elif far < next_best:
                             next_best = far
                         j = following[j]
+            # Where another circle is nearly as near, neither is taken: a wrong cell spoils all that grows from it.
             if best < 0 or nearest > gate or next_best < 2.0 * nearest or cells[best, 0] >= 0:
                 continue
             cells[best, 0], cells[best, 1] = row, col
             at[row, col] = best
+            # The colour decides whether the next ones may be expected from here.
             fits[best] = likelihood[best, colours[row, col]] > 0.0
             queue[last] = best
             last += 1
@@ -218,17 +246,19 @@ def rivals(centres, colours, heads, following, side, cells, at, fits, out):
     out[:] = 1.0
     for row in range(at.shape[0]):
         for col in range(at.shape[1]):
+            # Only an empty cell beside occupied ones may be the one that a circle really has.
             if at[row, col] != -1 or colours[row, col] < 0 or not _beside(at, row, col):
                 continue
             if expect(centres, at, fits, row, col, near, expected) == 0:
                 continue
             reach = max(abs(expected[2]) + abs(expected[4]), abs(expected[3]) + abs(expected[5]))
-            x0, x1 = max(int((expected[0] - reach) / side), 0), min(int((expected[0] + reach) / side), heads.shape[1] - 1)
-            y0, y1 = max(int((expected[1] - reach) / side), 0), min(int((expected[1] + reach) / side), heads.shape[0] - 1)
+            x0, x1 = buckets_within(expected[0], reach, side, heads.shape[1])
+            y0, y1 = buckets_within(expected[1], reach, side, heads.shape[0])
             for y in range(y0, y1 + 1):
                 for x in range(x0, x1 + 1):
                     j = heads[y, x]
                     while j >= 0:
                         if cells[j, 0] >= 0:
+                            # The nearest empty cell counts: one alternative is enough for doubt.
                             out[j] = min(out[j], off_by(expected, centres[j, 0], centres[j, 1]))
                         j = following[j]

@@ -23,6 +23,7 @@ def rings(links, out):
     """
     for i in range(len(links)):
         for d in range(4):
+            # The corner circle is beside a neighbour in one direction and beside the other neighbour in the other: two ways to it.
             e = (d + 1) % 4
             out[i, 2 * d] = links[i, d, 0]
             one, other = -1, -1
@@ -32,6 +33,7 @@ def rings(links, out):
             j = links[i, e, 0]
             if j >= 0:
                 other = links[j, (links[i, e, 1] + 1) % 4, 0]
+            # One way is enough where the other is broken; two that disagree tell of a fold.
             if one < 0:
                 one = other
             out[i, 2 * d + 1] = one if other < 0 or one == other else -1
@@ -50,6 +52,9 @@ def look_up(ring, read, q, classes, cell_of, colours, cells, turns):
 
     Returns how many blocks there are, and of how many the pattern has the identity in one of the four turns. O(n).
     Twin: tests/twins_garment_read.py
+
+    Bounds: a block with an identity has all eight neighbours on the sheet, so no cell beside it is off the sheet. A ring's code is below
+    q^8, as colours are below q.
     """
     rings_of_a_colour = len(cell_of) // q
     cols = colours.shape[1]
@@ -59,15 +64,18 @@ def look_up(ring, read, q, classes, cell_of, colours, cells, turns):
         complete, code = True, 0
         for place in range(7, -1, -1):
             j = ring[i, place]
+            # Without a branch: nearly all blocks are read to the end.
             complete = complete and j >= 0
             code = code * q + read[max(j, 0)]
         whole += complete
+        # A ring with a period looks the same after a turn, and no pattern has one.
         if not complete or classes[code] < 0:
             continue
         flat = np.int64(cell_of[read[i] * rings_of_a_colour + classes[code]])
         if flat < 0:
             continue
         row, col = flat // cols, flat % cols
+        # Class and identity do not tell the turn: the sheet's own ring does.
         for turn in range(4):
             same = True
             for place in range(8):
@@ -111,6 +119,7 @@ def groups(links, cells, turns, roots):
         roots[i] = i
     for i in range(n):
         for d in range(4):
+            # One block is right by chance too often; blocks that agree on where they are, hardly ever.
             if not _agree(i, d, links, cells, turns):
                 continue
             a, b = np.int64(i), np.int64(links[i, d, 0])
@@ -122,8 +131,10 @@ def groups(links, cells, turns, roots):
             while roots[b] != b:
                 roots[b] = roots[roots[b]]
                 b = roots[b]
+            # The smallest number is the root, so that the result does not depend on the order of the links.
             roots[max(a, b)] = min(a, b)
     for i in range(n):
+        # Every circle to its root, since the caller compares roots.
         while roots[i] != roots[roots[i]]:
             roots[i] = roots[roots[i]]
 
@@ -140,15 +151,19 @@ def spread(links, colours, likelihood, order, cells, turns, queue):
     WORK queue (n,) int32
 
     O(n). Twin: tests/twins_garment_read.py
+
+    Bounds: a circle comes into the queue with its turn, which it keeps, so once: n.
     """
     rows, cols = colours.shape
     first, last = 0, 0
+    # Best groups first: where two would give a circle different cells, the larger group has it.
     for k in range(len(order)):
         queue[last] = order[k]
         last += 1
     while first < last:
         i = queue[first]
         first += 1
+        # A circle whose colour speaks against its cell may be across a fold.
         if likelihood[i, colours[cells[i, 0], cells[i, 1]]] < 0.0:
             continue
         for d in range(4):
@@ -160,6 +175,7 @@ def spread(links, colours, likelihood, order, cells, turns, queue):
             if row < 0 or col < 0 or row >= rows or col >= cols or colours[row, col] < 0:
                 continue
             cells[j, 0], cells[j, 1] = row, col
+            # The neighbour's own direction back is known, and on the grid it is the opposite one.
             turns[j] = (grid + 2 - links[i, d, 1]) % 4
             queue[last] = j
             last += 1

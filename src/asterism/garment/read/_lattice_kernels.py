@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.geometry.shared_kernels import clamped_index
 
 _STEP = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 _ROUNDING = 1e-9
@@ -22,6 +23,9 @@ def candidates(centres, whiten, reach, side, found, offsets):
     OUT found (n, most) int32, ascending by distance, -1 after the last; offsets (n, most, 2) pitches
 
     O(n most buckets). Twin: tests/twins_garment_read.py
+
+    Bounds: of more than `most` circles within reach the nearest are kept. Buckets cover the box of all centres, and places beyond it are
+    clamped to it.
     """
     n, most = found.shape
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
@@ -30,12 +34,14 @@ def candidates(centres, whiten, reach, side, found, offsets):
         low_y, high_y = min(low_y, centres[i, 1]), max(high_y, centres[i, 1])
     if n == 0:
         return
+    # Buckets over the box of all centres: only those within reach are looked at.
     across, down = int((high_x - low_x) / side) + 1, int((high_y - low_y) / side) + 1
     starts = np.zeros(across * down + 1, np.int64)
     bucket = np.empty(n, np.int64)
     for i in range(n):
         bucket[i] = int((centres[i, 1] - low_y) / side) * across + int((centres[i, 0] - low_x) / side)
         starts[bucket[i] + 1] += 1
+    # Counting sort of the circles by bucket, row by row, so that a stretch of buckets is one range.
     starts = np.cumsum(starts)
     order, filled = np.empty(n, np.int64), starts.copy()
     for i in range(n):
@@ -45,11 +51,12 @@ def candidates(centres, whiten, reach, side, found, offsets):
     for i in range(n):
         a, b, c, d = whiten[i, 0, 0], whiten[i, 0, 1], whiten[i, 1, 0], whiten[i, 1, 1]
         whole = abs(a * d - b * c)
+        # The box around the circle's own ellipse of reach, which may lie aslant.
         wide, tall = reach * np.sqrt(b * b + d * d) / whole, reach * np.sqrt(a * a + c * c) / whole
-        x0 = max(int((centres[i, 0] - wide - low_x) / side), 0)
-        x1 = min(int((centres[i, 0] + wide - low_x) / side), across - 1)
-        y0 = max(int((centres[i, 1] - tall - low_y) / side), 0)
-        y1 = min(int((centres[i, 1] + tall - low_y) / side), down - 1)
+        x0 = clamped_index((centres[i, 0] - wide - low_x) / side, 0, across)
+        x1 = clamped_index((centres[i, 0] + wide - low_x) / side, 0, across - 1)
+        y0 = clamped_index((centres[i, 1] - tall - low_y) / side, 0, down)
+        y1 = clamped_index((centres[i, 1] + tall - low_y) / side, 0, down - 1)
         count = 0
         for row in range(y0, y1 + 1):
             for place in range(starts[row * across + x0], starts[row * across + x1 + 1]):
@@ -59,8 +66,10 @@ def candidates(centres, whiten, reach, side, found, offsets):
                 dx, dy = centres[j, 0] - centres[i, 0], centres[j, 1] - centres[i, 1]
                 px, py = a * dx + b * dy, c * dx + d * dy
                 far = px * px + py * py
+                # The farthest of a full list is known: what is farther needs no place.
                 if far > reach * reach or (count == most and far >= distances[most - 1]):
                     continue
+                # Insertion into a short sorted list; of a full one the last falls out.
                 k = min(count, most - 1)
                 while k > 0 and distances[k - 1] > far:
                     distances[k] = distances[k - 1]
@@ -83,6 +92,7 @@ def _score(offsets, count, px, py, qx, qy, fit, needed):
     det = px * qy - py * qx
     total = 0.0
     for k in range(count):
+        # A circle gives one at most, so that this pair can no longer win.
         if total + (count - k) < needed:
             break
         x, y = offsets[k, 0], offsets[k, 1]
@@ -90,12 +100,15 @@ def _score(offsets, count, px, py, qx, qy, fit, needed):
         na, nb = np.rint(a), np.rint(b)
         far = (a - na) ** 2 + (b - nb) ** 2
         near = max(abs(na), abs(nb))
+        # Two pitches and farther the lattice may have bent: it says nothing.
         if near > 1.0:
             continue
         if near == 0.0 or far > fit * fit:
+            # Within the next pitch every circle should be on the lattice.
             if abs(a) < 1.2 and abs(b) < 1.2:
                 total -= 0.5
             continue
+        # Circles across a corner are farther and bend more, so they count less.
         total += (1.0 if na * nb == 0.0 else 0.6) * (1.0 - 0.7 * far / (fit * fit))
     return total
 
@@ -109,6 +122,8 @@ def first_frames(found, offsets, whiten, side, square, fit, frames, scores):
     OUT frames (n, 2, 2) px, a vector in each column; scores (n,), -inf where there is none
 
     O(n most^3) at worst. Twin: tests/twins_garment_read.py
+
+    Bounds: `count` is the number of candidates, `most` at most.
     """
     n, most = found.shape
     length, stretch = np.empty(most), np.empty(most)
@@ -116,11 +131,13 @@ def first_frames(found, offsets, whiten, side, square, fit, frames, scores):
         count = 0
         while count < most and found[i, count] >= 0:
             length[count] = np.sqrt(offsets[i, count, 0] ** 2 + offsets[i, count, 1] ** 2)
+            # Neighbours are one pitch away; how much longer or shorter costs alike.
             stretch[count] = np.log(length[count]) ** 2
             count += 1
         best, bp, bq = -np.inf, -1, -1
         for k in range(count):
             px, py, lp = offsets[i, k, 0], offsets[i, k, 1], length[k]
+            # Half of the directions are enough: a vector and its opposite make the same lattice.
             if lp < side[0] or lp > side[1] or px < 0.0:
                 continue
             for m in range(count):
@@ -128,9 +145,12 @@ def first_frames(found, offsets, whiten, side, square, fit, frames, scores):
                 if m == k or lq < side[0] or lq > side[1]:
                     continue
                 det = px * qy - py * qx
+                # Clockwise and nearly at right angles, and of the turns of one lattice only that whose first vector points most to the
+                # right.
                 if det < square * lp * lq or (px < abs(py) and qy > abs(qx)):
                     continue
                 loss = 2.0 * (stretch[k] + stretch[m] + 1.0 - (det / (lp * lq)) ** 2)
+                # With what the best one has, so that the count ends early where it cannot be beaten.
                 score = _score(offsets[i], count, px, py, qx, qy, fit, best + loss - _ROUNDING) - loss
                 if score > best:
                     best, bp, bq = score, k, m
@@ -161,6 +181,7 @@ def link(centres, found, frames, fit, ahead, links):
     for i in range(n):
         ahead[i, 0], ahead[i, 1], ahead[i, 2], ahead[i, 3] = -1, -1, -1, -1
         det = frames[i, 0, 0] * frames[i, 1, 1] - frames[i, 0, 1] * frames[i, 1, 0]
+        # No lattice of its own, or NaN.
         if not det > 0.0:
             continue
         nearest[:] = fit * fit
@@ -173,6 +194,7 @@ def link(centres, found, frames, fit, ahead, links):
             b = (frames[i, 0, 0] * dy - frames[i, 1, 0] * dx) / det
             for direction in range(4):
                 far = (a - _STEP[direction, 0]) ** 2 + (b - _STEP[direction, 1]) ** 2
+                # The nearest of each direction: two circles may be within the fit where one is a blob of several.
                 if far < nearest[direction]:
                     nearest[direction] = far
                     ahead[i, direction] = j
@@ -183,6 +205,7 @@ def link(centres, found, frames, fit, ahead, links):
             if j < 0:
                 continue
             for back in range(4):
+                # Both must name each other: a link that only one of them sees is a skipped row or a fold.
                 if ahead[j, back] == i:
                     links[i, direction, 0], links[i, direction, 1] = j, back
 
@@ -214,9 +237,11 @@ def refine_frames(centres, found, links, frames, fit, out):
                 step = centres[j, axis] - centres[i, axis]
                 right[axis, 0] += sa * step
                 right[axis, 1] += sb * step
+            # The neighbour counts directions in its own frame; this many quarter turns lie between the two.
             turn = (back + 2 - direction) % 4
             for own in range(2):
                 there = (own + turn) % 4
+                # A neighbour's own vectors count less than the step to it, which was measured here; but they know beyond it.
                 weight = 0.2
                 if own == 0:
                     xx += weight
@@ -229,6 +254,7 @@ def refine_frames(centres, found, links, frames, fit, out):
             for axis in range(2):
                 out[i, axis, 0], out[i, axis, 1] = right[axis, 0] / xx, right[axis, 1] / yy
             continue
+        # Circles at a border have no links yet, so they borrow the lattice of one that has.
         out[i] = frames[i]
         nearest = fit
         for k in range(most):
@@ -239,6 +265,7 @@ def refine_frames(centres, found, links, frames, fit, out):
             for direction in range(4):
                 linked += links[j, direction, 0] >= 0
             det = frames[j, 0, 0] * frames[j, 1, 1] - frames[j, 0, 1] * frames[j, 1, 0]
+            # A lattice that hangs on one link alone is not lent on.
             if linked < 2 or not det > 0.0:
                 continue
             dx, dy = centres[i, 0] - centres[j, 0], centres[i, 1] - centres[j, 1]
@@ -246,6 +273,7 @@ def refine_frames(centres, found, links, frames, fit, out):
             b = (frames[j, 0, 0] * dy - frames[j, 1, 0] * dx) / det
             for direction in range(4):
                 far = np.sqrt((a - _STEP[direction, 0]) ** 2 + (b - _STEP[direction, 1]) ** 2)
+                # Of equals the nearest circle, and rounding must not choose another.
                 if far < nearest - _ROUNDING:
                     nearest = far
                     out[i] = frames[j]
@@ -253,7 +281,10 @@ def refine_frames(centres, found, links, frames, fit, out):
 
 @kernel(inline=True)
 def between(flat, width, x, y):
-    """Gives the value between four pixels, bilinear. IN flat (h w,) an image, row by row; its width; x, y px, inside. O(1)."""
+    """Gives the value between four pixels, bilinear. IN flat (h w,) an image, row by row; its width; x, y px, inside. O(1).
+
+    Bounds: x < w - 1 and y < h - 1, which centres of `measure` keep, and so all places on the way between two.
+    """
     left, above = int(x), int(y)
     a, b = x - left, y - above
     # Unsigned places: Numba then does not ask whether they count from the end.
@@ -276,11 +307,13 @@ def bump(flat, width, x, y, other_x, other_y, steps, rise):
     first, last = between(flat, width, x, y), between(flat, width, other_x, other_y)
     end = max(min(first, last), 1.0)
     needed = max(rise[0] * end, rise[1])
+    # It falls from the first circle to dark cloth, and may then rise only at the other end.
     lowest, fall, highest = first, 0.0, -1.0
     for k in range(1, steps + 1):
         value = between(flat, width, x + dx * k, y + dy * k)
         if highest < 0.0:
             lowest = min(lowest, value)
+            # It has risen by more than noise before the end: something coloured lies on the way.
             if value > lowest + needed and k < steps:
                 highest = value
         else:
@@ -307,8 +340,10 @@ def cut_skipping(grey, centres, whiten, side, rise, checked, links):
     for i in range(len(links)):
         for d in range(4):
             j, back = links[i, d, 0], links[i, d, 1]
+            # Each link once, from its first end; both ends are cut together.
             if j < i:
                 continue
+            # The image does not change between the rounds, so that a link once looked at is known.
             if checked[i, d] < 0 or checked[i, d] >> 1 != j:
                 dx, dy = centres[j, 0] - centres[i, 0], centres[j, 1] - centres[i, 1]
                 length = 0.0
@@ -316,6 +351,7 @@ def cut_skipping(grey, centres, whiten, side, rise, checked, links):
                     k = i if end == 0 else j
                     a, b = whiten[k, 0, 0] * dx + whiten[k, 0, 1] * dy, whiten[k, 1, 0] * dx + whiten[k, 1, 1] * dy
                     length += 0.5 * np.sqrt(a * a + b * b)
+                # By the ellipses at its ends first, which costs nothing.
                 cut = length < side[0] or length > side[1]
                 if not cut:
                     fall, needed, _ = bump(flat, width, centres[i, 0], centres[i, 1], centres[j, 0], centres[j, 1], steps, rise)

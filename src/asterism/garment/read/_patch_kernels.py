@@ -19,11 +19,14 @@ def gather(links, turns, root, members, place, taken):
     OUT  members (most,) int32; place (most, 3) int32 rows down and columns right of the root, and the root's direction of their direction 0
 
     A circle to which two ways lead to different places ends the search there. Returns how many. O(most). Twin: tests/twins_garment_read.py
+
+    Bounds: the search ends when `members` is full; it needs room for one.
     """
     members[0] = root
     place[0, 0], place[0, 1], place[0, 2] = 0, 0, 0
     taken[root] = root
     first, last = 0, 1
+    # Nearest first: what lies around the root is less likely across a fold.
     while first < last and last < len(members):
         i = members[first]
         down, right, turn = place[first]
@@ -32,9 +35,11 @@ def gather(links, turns, root, members, place, taken):
             j = links[i, d, 0]
             if j < 0 or turns[j] >= 0 or taken[j] == root or last == len(members):
                 continue
+            # In the root's directions, so that all members have places on one grid.
             way = (d + turn) % 4
             a, b = down + _DOWN[way], right + _RIGHT[way]
             free = True
+            # A place that is taken by another circle tells that one of the two ways went wrong.
             for k in range(last):
                 free = free and (place[k, 0] != a or place[k, 1] != b)
             if not free:
@@ -67,25 +72,31 @@ def locate(members, place, count, read, colours, misses, found):
 
     Returns the misses there and at the next best place, `misses` + 1 where there is none. O(4 rows cols count), many columns at a time;
     allocates a sheet. Twin: tests/twins_garment_read.py
+
+    Bounds: `sheet` has a margin as wide as the patch reaches from its root, in any of four turns.
     """
     rows, cols = colours.shape
     margin = 0
     for k in range(count):
         margin = max(margin, abs(place[k, 0]), abs(place[k, 1]))
+    # With a margin of cells that fit no colour, no step has to ask whether it is on the sheet.
     sheet = np.full((rows + 2 * margin, cols + 2 * margin), np.int8(-1))
     sheet[margin : margin + rows, margin : margin + cols] = colours
     wrong = np.empty(cols, np.uint16)
     best, second = misses + 1, misses + 1
+    # The camera may hold the cloth in any of four turns.
     for turn in range(4):
         for row in range(rows):
             wrong[:] = 0
             for k in range(count):
                 down, right = turned(place[k, 0], place[k, 1], turn)
+                # A whole row of the sheet at once: the patch's circle k at all columns of the root.
                 line, wanted = sheet[row + margin + down, margin + right : margin + right + cols], np.int8(read[members[k]])
                 for col in range(cols):
                     wrong[col] += np.uint16(line[col] != wanted)
             for col in range(cols):
                 number = np.int64(wrong[col])
+                # Only the best two matter: the second tells whether the best is the only one.
                 if number >= second or colours[row, col] < 0:
                     continue
                 if number < best:
@@ -107,8 +118,10 @@ def place_patches(links, read, colours, least, misses, cells, turns, placed, tak
 
     Returns how many got one. A patch has up to a quarter more circles than `least`; circles next to a root that failed are not tried again.
     O(patches rows cols). Twin: tests/twins_garment_read.py
+
+    Bounds: a circle that is placed has a cell and is in no later patch, so `placed` needs n.
     """
-    most = least + least // 4
+    most = max(least + least // 4, 1)
     members, place, found = np.empty(most, np.int32), np.empty((most, 3), np.int32), np.empty(3, np.int32)
     count = 0
     taken[:] = -1
@@ -117,11 +130,15 @@ def place_patches(links, read, colours, least, misses, cells, turns, placed, tak
         if turns[root] >= 0 or tried[root]:
             continue
         size = gather(links, turns, root, members, place, taken)
+        # Fewer colours fit somewhere by chance.
         if size < least:
             continue
+        # A small patch can spare no misread colour.
         allowed = min(misses, size - least)
         wrong, other = locate(members, place, size, read, colours, allowed, found)
+        # It fits nowhere, or at two places.
         if wrong > allowed or other <= allowed:
+            # Its neighbours would gather nearly the same circles and fail alike.
             for k in range(min(size, 9)):
                 tried[members[k]] = True
             continue
@@ -129,6 +146,7 @@ def place_patches(links, read, colours, least, misses, cells, turns, placed, tak
         for k in range(size):
             down, right = turned(place[k, 0], place[k, 1], turn)
             r, c = found[0] + down, found[1] + right
+            # The misread ones get no cell: their colour speaks against it.
             if r < 0 or c < 0 or r >= len(colours) or c >= colours.shape[1] or colours[r, c] != read[members[k]]:
                 continue
             cells[members[k], 0], cells[members[k], 1] = r, c

@@ -22,6 +22,9 @@ def evidence(at, fits, cells, own, radius, out):
         sums of those not to the left, right, above and below
 
     O(n radius^2). Twin: tests/twins_garment_read.py
+
+    Bounds: each place within reach comes into the queue once, because it is taken out of `near`: (2 radius + 3)^2. The border of `near`
+    holds no circle, so that no step leaves it.
     """
     # The circles within reach, with a border of none, so that no step has to be checked; a circle that was reached is taken out.
     width = 2 * radius + 3
@@ -40,6 +43,7 @@ def evidence(at, fits, cells, own, radius, out):
             for right in range(-radius, radius + 1):
                 c = col + right
                 near[start + right] = at[r, c] if 0 <= r < at.shape[0] and 0 <= c < at.shape[1] else -1
+        # The circle itself is taken out before it comes in a second time.
         near[middle], queue[0, 0], queue[0, 1] = -1, middle, i
         first, last = 0, 1
         total, east, south, west, north = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -49,6 +53,7 @@ def evidence(at, fits, cells, own, radius, out):
             first += 1
             value = own[k]
             total += value
+            # Those straight above and below count for both sides: only what is clearly across is left out.
             if right >= 0:
                 east += value
             if down >= 0:
@@ -57,6 +62,7 @@ def evidence(at, fits, cells, own, radius, out):
                 west += value
             if down <= 0:
                 north += value
+            # What does not fit is counted and ends the way: what lies behind it may be another piece of cloth.
             if not fits[k]:
                 continue
             for beside in (place + 1, place + width, place - 1, place - width):
@@ -86,6 +92,7 @@ def smoothness(centres, at, fits, cells, out):
         out[i, 0] = off_by(expected, x, y)
         for d in range(4):
             a, beyond, b, c = near[d, 0], near[d, 1], near[(d + 1) & 3, 0], near[d, 2]
+            # Every way begins at a neighbour.
             if a < 0:
                 continue
             if beyond >= 0:
@@ -95,6 +102,7 @@ def smoothness(centres, at, fits, cells, out):
                 expected[0] = centres[a, 0] + centres[b, 0] - centres[c, 0]
                 expected[1] = centres[a, 1] + centres[b, 1] - centres[c, 1]
                 out[i, 1] = max(out[i, 1], off_by(expected, x, y))
+                # A square closed by three others holds a circle better than any row: what was misplaced hardly closes one.
                 out[i, 2] += 1.0
 
 
@@ -119,6 +127,7 @@ def slants(centres, moments, at, fits, cells, out):
             if known[d]:
                 x, y = centres[j, 0] - centres[i, 0], centres[j, 1] - centres[i, 1]
                 ways[d, 0], ways[d, 1], ways[d, 2] = x, y, yy * x * x - 2.0 * xy * x * y + xx * y * y
+        # Where the surface falls away, as at the rim of a limb, the ways leave their right angle.
         for d in range(4):
             e = (d + 1) & 3
             if known[d] and known[e]:
@@ -148,6 +157,7 @@ def bumps(grey, centres, at, fits, cells, rise, out):
             if j < 0:
                 continue
             fall, _, end = bump(flat, width, centres[i, 0], centres[i, 1], centres[j, 0], centres[j, 1], steps, rise)
+            # As a share of the lower end, because the same bump is more beside a faint circle.
             out[i] = max(out[i], fall / end)
 
 
@@ -159,6 +169,8 @@ def usual_areas(area, cells, at, out):
     OUT out (n,) px2, NaN where there is none, and for circles without a cell
 
     O(n); allocates (8,). Twin: tests/twins_garment_read.py
+
+    Bounds: the nine cells about a circle without its own: 8.
     """
     around = np.empty(8)
     for i in range(len(cells)):
@@ -171,6 +183,7 @@ def usual_areas(area, cells, at, out):
                 j = at[r, c]
                 if j < 0 or (r == row and c == col):
                     continue
+                # Insertion into at most eight sorted values: their median is in the middle.
                 value, k = area[j], count
                 while k > 0 and around[k - 1] > value:
                     around[k] = around[k - 1]

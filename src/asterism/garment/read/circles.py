@@ -44,6 +44,7 @@ def find_circles(image: NDArray[np.uint8], rules: ReadRules) -> Circles:
     within a region until its parts have the shape of an ellipse. The centre is that of the pixels' coverage.
     """
     noise = image_noise(image)
+    # Noise has colours, too: noisy images are smoothed more, and their threshold is raised by what smoothing leaves.
     noisy = noise > rules.noisy
     left = noise * (_LEFT_OF_MORE if noisy else _LEFT)
     height, width = image.shape[:2]
@@ -65,6 +66,7 @@ def find_circles(image: NDArray[np.uint8], rules: ReadRules) -> Circles:
     measured = np.empty((count, 12))
     kernels.measure(image, _LINEAR, grey, held, regions[:count], noise, measured)
     covariance = _symmetric(measured[:, 2:5]) + rules.centre_floor**2 * np.eye(2)
+    # Lens, pixels and smoothing widen an ellipse, and are taken off again.
     moments = _symmetric(measured[:, 5:8]) - rules.blur_moment * np.eye(2)
     return Circles(measured[:, :2].copy(), covariance, _at_least(moments, rules.least_moment), measured[:, :8:-1].copy(), grey, noise)
 
@@ -75,6 +77,7 @@ def image_noise(image: NDArray[np.uint8]) -> float:
         return 0.5
     counts = np.empty(511, np.int64)
     kernels.count_bends(image, counts)
+    # Second differences of Gaussian noise have sqrt(6) times its deviation; 0.6745 turns a median into a deviation.
     below = np.searchsorted(np.cumsum(counts), 0.5 * counts.sum()) + 0.5
     return float(max(below / (0.6745 * np.sqrt(6.0)), 0.5))
 
@@ -85,6 +88,7 @@ def _symmetric(three: Floats) -> Floats:
 
 def _at_least(moments: Floats, least: float) -> Floats:
     """Symmetric matrices (n, 2, 2) with their eigenvalues raised to a least one."""
+    # The eigenvalues are raised and the axes kept, so that a thin ellipse stays one.
     values, angle = ellipse_axes(moments)
     cos, sin = np.cos(angle), np.sin(angle)
     long, short = np.maximum(values, least).T

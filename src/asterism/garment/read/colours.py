@@ -46,19 +46,25 @@ def classify(light: Floats, reliable: NDArray[np.bool_], hsv: Floats, least_chro
     """
     q = len(hsv)
     shares = light / np.maximum(light.sum(axis=1, keepdims=True), 1e-9)
+    # Circles on a lattice are of the garment; where they are too few, all circles have to do.
     chosen = reliable if reliable.sum() >= 4 * q else np.ones(len(light), dtype=bool)
     known = shares[chosen]
+    # Fewer circles than four a colour show no clusters.
     if len(known) < 4 * q:
         return ColourClasses(np.full((len(light), q), 1.0 / q), np.ones(3), np.nan, False)
     red, green, blue = known.T
+    # Shares of one hue mean a grey image, however bright it is.
     chroma = np.maximum(np.maximum(red, green), blue) - np.minimum(np.minimum(red, green), blue)
     if float(np.median(chroma)) < least_chroma or _is_one_line(known):
         return ColourClasses(np.full((len(light), q), 1.0 / q), np.ones(3), np.nan, True)
+    # Ink on dark cloth reflects a little of everything.
     bright = _CLOTH + (1 - _CLOTH) * linear_light(np.array([colorsys.hsv_to_rgb(*colour) for colour in hsv]))
     inks = bright / bright.sum(axis=1, keepdims=True)
     gains = np.ones(3)
+    # Lamps and white balance multiply the channels; colours in equal numbers tell by how much.
     kernels.balance(known, inks.mean(axis=0), _BALANCING, gains)
     balanced = shares * gains
+    # Two of the three shares: the third is what is left of 1.
     balanced = (balanced / np.maximum(balanced.sum(axis=1, keepdims=True), 1e-9))[:, [0, 2]]
     posterior, spread = _mixture(balanced, chosen, inks[:, [0, 2]])
     return ColourClasses(posterior, gains, spread, False)

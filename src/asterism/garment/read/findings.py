@@ -26,16 +26,17 @@ _SHARED = 0.05
 
 
 def reading_findings(
-    image: NDArray[np.uint8], linked: NDArray[np.bool_], grey: bool, found: Identified, pattern: Pattern
+    image: NDArray[np.uint8], linked: NDArray[np.bool_], grey: bool, found: Identified, pattern: Pattern, most: int
 ) -> tuple[Finding, ...]:
     """Findings of one image; docs/findings.md has the cause and the mend of each.
 
-    linked (n,) are the circles on a lattice; grey says that their colours do not differ.
+    linked (n,) are the circles on a lattice; grey says that their colours do not differ; most circles are looked for.
     """
-    return (*_light(image), *_circles(image, linked, grey), *_identities(linked, found, pattern))
+    return (*_light(image), *_crowd(len(linked), most), *_circles(image, linked, grey), *_identities(linked, found, pattern))
 
 
 def _light(image: NDArray[np.uint8]) -> Iterator[Finding]:
+    # Each eighth pixel is enough for a share.
     sample = image[::8, ::8]
     white = float(np.mean((sample[..., 0] >= 250) & (sample[..., 1] >= 250) & (sample[..., 2] >= 250)))
     if white > _WHITE:
@@ -43,10 +44,18 @@ def _light(image: NDArray[np.uint8]) -> Iterator[Finding]:
         yield Finding("garment-overexposed", Severity.WARNING, "", f"{white:.0%} of the image is white.", mend)
 
 
+def _crowd(circles: int, most: int) -> Iterator[Finding]:
+    if circles >= most:
+        sentence = f"{circles} coloured spots were found, which is as many as are read; those below them in the image were left out."
+        mend = "Light the cloth alone or come nearer; in Python, raise `ReadRules.most_circles`."
+        yield Finding("garment-many-circles", Severity.WARNING, "", sentence, mend)
+
+
 def _circles(image: NDArray[np.uint8], linked: NDArray[np.bool_], grey: bool) -> Iterator[Finding]:
     few = int(linked.sum()) < _FEW
     sample = image[::2, ::2] if few else image[:1, :1]
     if few and float(np.percentile(np.ptp(sample, axis=2), 99.9)) < _COLOURLESS and int(np.ptp(sample)) > _CONTRAST:
+        # A picture with contrast and no colours was taken in black and white, which hides the circles.
         grey = True
     elif few:
         mend = "Come nearer, so that circles have 5 px or more, light the cloth, and see that it is in focus and faces the camera."
@@ -59,9 +68,11 @@ def _circles(image: NDArray[np.uint8], linked: NDArray[np.bool_], grey: bool) ->
 
 
 def _identities(linked: NDArray[np.bool_], found: Identified, pattern: Pattern) -> Iterator[Finding]:
+    # Too few blocks tell chance from another garment.
     if found.windows < _WINDOWS:
         return
     chance, share = chance_share(pattern), found.existing / found.windows
+    # Both must hold: misread colours lower the share of blocks, but a few places are still found.
     if share < 0.5 * (1 + chance) and (found.grid[:, 0] >= 0).sum() < 0.2 * linked.sum():
         sentence = f"Of {found.windows} blocks read, {share:.0%} are in this pattern; by chance it would be {chance:.0%}."
         mend = "Give the garment file of this cloth. If it is the right one, mend light, focus or print."

@@ -33,7 +33,7 @@ class Identified:
 
     ids         (n,) int32, -1 where unknown
     grid        (n, 2) int32 row and column on the sheet, -1 where unknown: also of circles at a border, which have no identity
-    confidence  (n,) that the row and column are right, 0 where unknown: never above what was measured (`rules.shown`)
+    confidence  (n,) that the row and column are right, 0 where unknown: never above what was measured (`rules.validated_wrong`)
     apart       (n,) how far the logarithm of the area is from that of the neighbours
     windows     3 x 3 blocks that were read whole
     existing    of them, those that the pattern has
@@ -55,8 +55,9 @@ def identify(circles: Circles, links: NDArray[np.int32], posterior: Floats, patt
     A block of nine colours is some block of a suit's pattern by chance in one of ten cases, so none is believed alone. Blocks that are
     side by side in the image and on the grid form groups, whose cells are carried on along links. Linked circles that hold no such blocks,
     as between a seam and the rim of an arm, are placed where `rules.patch` of their colours fit, and nowhere else nearly as well. A map
-    needs `rules.alone` nats beyond the number of places and turns that it could have, or `rules.beside` where other maps are sure of most
-    circles. From there cells are carried on to circles that lie where rows and columns go on, with links or without.
+    needs `rules.map_evidence` nats beyond the number of places and turns that it could have; it needs `rules.map_evidence_supported` where
+    other maps are sure of most circles. From there cells are carried on to circles that lie where rows and columns go on, with links or
+    without.
 
     Then each circle is weighed: the colours around it, as log q nats each and a misread one as a loss, in all and on its weakest side,
     because what is across a fold does not speak for it; how far it is from where its neighbours expect it; whether another cell is
@@ -68,27 +69,34 @@ def identify(circles: Circles, links: NDArray[np.int32], posterior: Floats, patt
     n, q = posterior.shape
     ring = np.empty((n, 8), np.int32)
     kernels.rings(links, ring)
+    # Blocks first: nine colours without a doubt about neighbours, looked up under all four turns of the ring.
     read = posterior.argmax(axis=1)
     cells, turns = np.empty((n, 2), np.int32), np.empty(n, np.int32)
     windows, existing = kernels.look_up(ring, read, q, ring_classes(q), pattern.cell_of, pattern.colours, cells, turns)
+    # A colour may be misread, so no circle speaks against a place without bound.
     likelihood = np.log(q * ((1 - rules.misread) * posterior + rules.misread / q))
     _carry_on(links, read, likelihood, pattern, rules, cells, turns)
     own = _of_cells(likelihood, cells, turns >= 0, pattern)
     roots = np.empty(n, np.int32)
     kernels.groups(links, cells, turns, roots)
+    # Evidence beyond chance: a map could lie at any place of the sheet, under any of four turns.
     beyond = np.bincount(roots, own, n)[roots] - np.log(4.0 * max((pattern.colours >= 0).sum(), 1))
-    sure = (turns >= 0) & (beyond > rules.alone)
+    sure = (turns >= 0) & (beyond > rules.map_evidence)
+    # Where most of what is mapped is sure, the image shows this garment, and less evidence is needed for the rest.
     recognised = 2 * sure.sum() > (turns >= 0).sum()
-    cells[(turns < 0) | (beyond <= (rules.beside if recognised else rules.alone))] = -1
+    cells[(turns < 0) | (beyond <= (rules.map_evidence_supported if recognised else rules.map_evidence))] = -1
+    # Two circles at one cell: at most one is right, and nothing here tells which.
     twice = _twice(cells, pattern.shape)
     cells[twice] = -1
     odds = _odds(circles, likelihood, own, pattern, rules, cells)
     apart = _apart_from_neighbours(circles.moments, cells, pattern.shape)
     odds -= rules.unlike * apart
+    # A circle that is covered or has run into another one has its centre in the wrong place, however sure its cell is.
     given = (odds > rules.odds) & (apart < rules.alike)
     grid = np.where(given[:, None], cells, -1).astype(np.int32)
     ids = np.where(given, pattern.ids[cells[:, 0], cells[:, 1]], -1).astype(np.int32)
-    doubt = _at_most(*rules.shown) + np.exp(-np.clip(odds, 0.0, 30.0))
+    # No certainty beyond what was measured on images with known truth.
+    doubt = _at_most(rules.validated_count, rules.validated_wrong) + np.exp(-np.clip(odds, 0.0, 30.0))
     return Identified(ids, grid, np.where(given, 1.0 / (1.0 + doubt), 0.0), apart, windows, existing, int(twice.sum()))
 
 
@@ -106,10 +114,13 @@ def _carry_on(
     roots, queue = np.empty(n, np.int32), np.empty(n, np.int32)
     kernels.groups(links, cells, turns, roots)
     size = np.bincount(roots[turns >= 0], minlength=n)[roots]
+    # A block alone is in the pattern by chance once in ten times; blocks side by side that agree are not.
     turns[(turns >= 0) & (size < _BLOCKS)] = -1
     blocks = np.flatnonzero(turns >= 0)
+    # The largest groups are carried on first, so that their cells are not taken by smaller ones.
     order = blocks[np.argsort(-size[blocks], kind="stable")].astype(np.int32)
     kernels.spread(links, pattern.colours, likelihood, order, cells, turns, queue)
+    # Patches between a seam and a rim hold no whole blocks, so their colours are laid over the sheet.
     placed = np.empty(n, np.int32)
     count = place_patches(links, read, pattern.colours, rules.patch, rules.misses, cells, turns, placed, queue)
     kernels.spread(links, pattern.colours, likelihood, placed[:count], cells, turns, queue)
@@ -126,6 +137,7 @@ def _odds(circles: Circles, likelihood: Floats, own: Floats, pattern: Pattern, r
     """(n,) log odds that circles are at their cells, -inf where they have none or lie far off it; cells (n, 2) grow in place."""
     n, centres = len(cells), circles.centres
     at, fits = np.empty(pattern.shape, np.int32), own > 0
+    # Circles are sorted into buckets, so that the search for neighbours at a place does not grow with the image.
     growth.occupy(cells, at)
     height, width = circles.grey.shape
     heads, following = np.empty((int(height / _SIDE) + 1, int(width / _SIDE) + 1), np.int32), np.empty(n, np.int32)
@@ -133,6 +145,7 @@ def _odds(circles: Circles, likelihood: Floats, own: Floats, pattern: Pattern, r
     growth.grow(centres, likelihood, pattern.colours, heads, following, _SIDE, rules.gate, cells, at, fits, np.empty(n, np.int32))
     there = cells[:, 0] >= 0
     own = _of_cells(likelihood, cells, there, pattern)
+    # The pieces of evidence, each by its own kernel; cells are complete from here on.
     rival, bump, around, off = np.empty(n), np.empty(n), np.empty((n, 2)), np.empty((n, 3))
     growth.rivals(centres, pattern.colours, heads, following, _SIDE, cells, at, fits, rival)
     weigh.evidence(at, fits, cells, own, _RADIUS, around)
@@ -140,25 +153,24 @@ def _odds(circles: Circles, likelihood: Floats, own: Floats, pattern: Pattern, r
     weigh.bumps(circles.grey, centres, at, fits, cells, np.array(rules.bump), bump)
     slant = np.empty(n)
     weigh.slants(centres, circles.moments, at, fits, cells, slant)
-    told = np.column_stack(
-        [
-            np.ones(n),
-            np.clip(around[:, 1], -10, 14),
-            np.clip(around[:, 0], -10, 50) / 3,
-            np.log(np.clip(off[:, 0], 0.02, 2)),
-            np.log(np.clip(off[:, 1], 0.1, 3)),
-            rival,
-            off[:, 2],
-            np.clip(own, -5, 1.4),
-            np.clip(bump, 0, 0.5),
-        ]
-    )
+    predictors = {
+        "constant": np.ones(n),
+        "weakest side": np.clip(around[:, 1], -10, 14),
+        "around": np.clip(around[:, 0], -10, 50) / 3,
+        "mean offset": np.log(np.clip(off[:, 0], 0.02, 2)),
+        "largest offset": np.log(np.clip(off[:, 1], 0.1, 3)),
+        "rival distance": rival,
+        "squares": off[:, 2],
+        "own": np.clip(own, -5, 1.4),
+        "bump": np.clip(bump, 0, 0.5),
+    }
     squares, near = off[:, 2], np.isfinite(off[:, 0]) & (off[:, 1] < rules.astray)
+    # The fewer squares a circle closes, the more else it has to show.
     inner = squares > rules.end.squares
     end = (slant < rules.end.slant) & (bump < rules.end.bump) & (own > rules.end.own)
     corner = end & (slant < rules.corner.slant) & (bump < rules.corner.bump) & (rival > rules.corner.rival)
     held = inner | (end & (squares > rules.corner.squares)) | (corner & (squares > 0))
-    return np.where(there & near & held, told @ np.array(rules.weights), -np.inf)
+    return np.where(there & near & held, np.column_stack(list(predictors.values())) @ np.array(rules.weights), -np.inf)
 
 
 def _apart_from_neighbours(moments: Floats, cells: NDArray[np.int32], shape: tuple[int, int]) -> Floats:
@@ -170,6 +182,7 @@ def _apart_from_neighbours(moments: Floats, cells: NDArray[np.int32], shape: tup
     area, at, usual = np.sqrt(np.linalg.det(moments)), np.empty(shape, np.int32), np.empty(len(cells))
     growth.occupy(cells, at)
     weigh.usual_areas(area, cells, at, usual)
+    # Without neighbours of known area nothing is unusual.
     out = np.zeros(len(area))
     known = np.isfinite(usual)
     out[known] = np.abs(np.log(area[known] / usual[known]))
@@ -183,6 +196,7 @@ def _at_most(count: int, wrong: int) -> float:
 
 def _twice(cells: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.bool_]:
     """(n,) circles whose cell another circle has, too: at most one of them is right."""
+    # Circles without a cell share place 0 here and are masked again below.
     there = cells[:, 0] >= 0
     flat = np.where(there, cells[:, 0] * shape[1] + cells[:, 1], 0)
     count = np.bincount(flat[there], minlength=shape[0] * shape[1])

@@ -30,12 +30,15 @@ def link_circles(circles: Circles, diameter: float, rules: ReadRules) -> tuple[N
     frames, scores, links = np.full((n, 2, 2), np.nan), np.empty(n), np.full((n, 4, 2), -1, np.int32)
     if n == 0:
         return links, frames
+    # The ellipse undone: in these units the pitch is 1 and right angles are right again.
     whiten = 0.25 * diameter * _inverse_root(circles.moments)
+    # Buckets hold a few circles each, whatever their size in the image.
     side = max(4.0, 2.0 / diameter * 2.0 * float(np.sqrt(np.median(np.trace(circles.moments, axis1=1, axis2=2)))))
     kernels.candidates(circles.centres, whiten, rules.reach, side, found, offsets)
     kernels.first_frames(found, offsets, whiten, np.array(rules.side), rules.square, rules.fit, frames, scores)
     ends, rise = np.array(rules.length), np.array([rules.rise, rules.rise_noise * circles.noise])
     ahead, checked = np.empty((n, 4), np.int32), np.full((n, 4), -1, np.int32)
+    # Neighbours correct each other's vectors, and corrected vectors find more neighbours; two rounds reach the borders.
     for _ in range(_ROUNDS):
         kernels.link(circles.centres, found, frames, rules.fit, ahead, links)
         kernels.cut_skipping(circles.grey, circles.centres, whiten, ends, rise, checked, links)

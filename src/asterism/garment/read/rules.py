@@ -42,7 +42,7 @@ class ReadRules:
     least_height   how far a circle's highest pixel is above the threshold that bounds it
     noise_height   added to it for each unit of noise that smoothing leaves
     bound          threshold that bounds a circle, as a share of its highest value, at least
-    most_circles   in one image
+    most_circles   in one image; more are left out, which is said (`garment-many-circles`)
     centre_floor   px, standard deviation of a centre without noise: pixels are square
     blur_moment    px2, what lens, pixel and smoothing add to a circle's second moments
     least_moment   px2, of the shorter axis
@@ -54,9 +54,9 @@ class ReadRules:
     rise           share of a circle's colourfulness by which the gap to its neighbour may rise and fall in between
     rise_noise     the same, in standard deviations of the noise
     misread        share of colours that are misread at most, in the evidence
-    alone          nats, evidence that the whole map of a neighbourhood needs beyond chance
-    beside         the same where other maps that have `alone` hold more than half of the circles that have a cell: the image does show
-                   this garment then, and the place that a small patch really has is on the sheet
+    map_evidence   nats, evidence that the whole map of a neighbourhood needs beyond chance
+    map_evidence_supported  the same where other maps that have `map_evidence` hold more than half of the circles that have a cell: the
+                   image does show this garment then, and the place that a small patch really has is on the sheet
     patch          circles of a patch without whole blocks that have the colours of one place on the sheet, at least
     misses         colours of such a patch that may be others
     gate           pitches, by which a circle may be off where rows and columns go on
@@ -72,8 +72,8 @@ class ReadRules:
     alike          how far the logarithm of a circle's area may be from that of its neighbours
     covered        standard deviation of a centre, as a share of the longer semi-axis, by how far the logarithm of the area is from that of
                    the neighbours; so that points in space have the errors that they state (a rendered suit, session seed 11)
-    shown          (2,) identities measured on 216 images (generator seeds 9904 and 8801) that no rule was chosen on, and how many of them
-                   were wrong
+    validated_count, validated_wrong  identities measured on 216 images (generator seeds 9904 and 8801) that no rule was chosen on, and
+                   how many of them were wrong
     """
 
     least_colour: float = 18.0
@@ -98,8 +98,8 @@ class ReadRules:
     rise: float = 0.08
     rise_noise: float = 1.3
     misread: float = 0.01
-    alone: float = 16.0
-    beside: float = 10.0
+    map_evidence: float = 16.0
+    map_evidence_supported: float = 10.0
     patch: int = 15
     misses: int = 1
     gate: float = 0.3
@@ -112,4 +112,5 @@ class ReadRules:
     astray: float = 0.75
     alike: float = 0.65
     covered: float = 0.08
-    shown: tuple[int, int] = (254_185, 1)
+    validated_count: int = 254_185
+    validated_wrong: int = 1

@@ -27,6 +27,7 @@ def step_log_density(before, at, after, early, late, scale):
     for i in range(3):
         error = after[i] - at[i] - ratio * (at[i] - before[i])
         square += error * error
+    # A gap in the path lets the prediction drift with the square of the time that it bridges.
     usual = scale * 0.5 * late * (late + early)
     return -0.5 * (DEGREES_OF_FREEDOM + 3.0) * math.log(1.0 + square / (DEGREES_OF_FREEDOM * usual * usual))
 
@@ -45,9 +46,11 @@ def path_score(paths, times, scales, emission, switch, states):
         score += states[i] * emission[i]
         if i >= 1 and states[i] != states[i - 1]:
             score -= switch
+        # Two frames before are needed for a prediction: the first step that can be judged is the third sample.
         if i >= 2:
             early, late = times[i - 1] - times[i - 2], times[i] - times[i - 1]
             for who in range(2):
+                # An exchanged state swaps the two columns, which is what the exclusive or with the state does.
                 one, two, three = paths[i - 2, who ^ states[i - 2]], paths[i - 1, who ^ states[i - 1]], paths[i, who ^ states[i]]
                 score += step_log_density(one, two, three, early, late, scales[who])
     return score
@@ -81,7 +84,9 @@ def exchange_path(paths, times, scales, emission, switch, states):
                     step = 0.0
                     for who in range(2):
                         step += step_log_density(paths[i - 2, who ^ q], paths[i - 1, who ^ s], paths[i, who ^ r], early, late, scales[who])
+                    # The path that never leaves the first state is the hypothesis to beat: all labels right.
                     if q == 0 and s == 0 and r == 0:
+                        # The path without an exchange is counted beside, to be compared with.
                         never += step
                     step += score[2 * q + s] + r * emission[i] - (switch if s != r else 0.0)
                     if step > updated[2 * s + r]:
@@ -90,8 +95,10 @@ def exchange_path(paths, times, scales, emission, switch, states):
         score[:] = updated
     best = int(np.argmax(score))
     top = score[best]
+    # Only what beats "no exchange at all" counts, so that a tie keeps the labels as they are.
     if top <= never:
         return 0.0
+    # Walk the best path back: each entry of `origin` names the state two frames before.
     for i in range(n - 1, 1, -1):
         states[i] = best & 1
         best = 2 * origin[i, best] + (best >> 1)
@@ -109,6 +116,8 @@ def all_exchanges(positions, scales, emission, switch, pairs, gains):
     IN  positions (T, M, 3) m, NaN where missing; scales (M,) m; emission (P, T) nats; pairs (P, 2)
     OUT gains (P,) nats
     O(P T).
+
+    Bounds: a row for each frame that shows both: T.
     """
     frames = len(positions)
     paths, times, states = np.empty((frames, 2, 3)), np.empty(frames), np.empty(frames, dtype=np.int64)
@@ -117,9 +126,11 @@ def all_exchanges(positions, scales, emission, switch, pairs, gains):
         a, b = pairs[p]
         n = 0
         for t in range(frames):
+            # Gaps are bridged: only frames that show both can tell.
             if not (np.isnan(positions[t, a, 0]) or np.isnan(positions[t, b, 0])):
                 paths[n, 0], paths[n, 1], times[n], pair_emission[n] = positions[t, a], positions[t, b], t, emission[p, t]
                 n += 1
+        # With unequal scales an exchange would gain by moving the rougher path to the rougher marker.
         pair_scales[:] = max(scales[a], scales[b])
         gains[p] = exchange_path(paths[:n], times[:n], pair_scales, pair_emission[:n], switch, states[:n])
 
@@ -133,6 +144,8 @@ def exchange_gains(frames, body, settings, pairs, least, most, gains, own_scores
     OUT  gains (P, N), within -most and most, 0 where a marker is missing; own_scores (N, M) each point's score as the marker that it
          is labelled, given all others, NaN where missing
     O(N (M r^2 + r^3 + P)) and O(M r^2 + r^3) for each exchange computed exactly.
+
+    Bounds: a point for each marker that is there: M.
     """
     markers, latents = body.load.shape[1], body.load.shape[3]
     rows, trial = np.empty(markers, dtype=np.int64), np.empty(markers, dtype=np.int64)
@@ -147,12 +160,14 @@ def exchange_gains(frames, body, settings, pairs, least, most, gains, own_scores
                 n += 1
         gains[:, t] = 0.0
         own_scores[t] = np.nan
+        # Fewer than four points leave the pose open, so that any exchange would fit.
         if n < 4:
             continue
         workspace = make_body_workspace(n, markers, latents)
         k, _ = best_pose(body, points[:n], rows, settings, workspace)
         rescore(body, k, points[:n], rows, settings, workspace)
         scores = workspace.scores.copy()
+        # Scores are kept even where no pair is computed exactly: they tell misplaced markers.
         for m in range(markers):
             if rows[m] >= 0:
                 own_scores[t, m] = scores[m, rows[m]]
@@ -162,9 +177,12 @@ def exchange_gains(frames, body, settings, pairs, least, most, gains, own_scores
             a, b = pairs[p]
             if rows[a] < 0 or rows[b] < 0:
                 continue
+            # The cheap estimate by leave-one-out scores spares the exact evidence for pairs that cannot gain.
             estimate = scores[a, rows[b]] + scores[b, rows[a]] - max(scores[a, rows[a]], -most) - max(scores[b, rows[b]], -most)
             gain = -most
+            # Only a serious one is computed exactly.
             if estimate > -least:
+                # The evidence as labelled is needed once per frame, and only where some pair is a candidate.
                 if top == -np.inf:
                     top = evidence(body, k, points[:n], rows, settings, workspace)
                 trial[:] = rows

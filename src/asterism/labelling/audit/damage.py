@@ -79,12 +79,15 @@ class _ReferenceBody:
         """The evidence for some frames of a recording (T, M, 3) m, evenly spread."""
         frames, markers = positions.shape[:2]
         at = np.unique(np.linspace(0, frames - 1, min(frames, self.rules.max_frames)).round().astype(np.int64))
+        # Pairs with a marker that the others never wore get no evidence, which is 0 and not a loss.
         pairs = pairs_of(markers)
         known = np.nonzero(np.isin(pairs, self.markers).all(axis=1))[0]
         pairs_in_body = np.searchsorted(self.markers, pairs[known]).astype(np.int64)
         gains_in_body, scores_in_body = np.zeros((len(known), len(at))), np.full((len(at), len(self.markers)), np.nan)
+        # No point may count as an outlier: a wrong label must show its full loss.
         settings = replace(FrameLabellingSettings(), outlier_score=-1e3, tail_freedom=NO_TAIL).with_usual_score(0.0)
         some = np.ascontiguousarray(positions[np.ix_(at, self.markers)])
+        # Below twice the most that a frame counts, the exact value would be clipped anyway.
         least = 2.0 * self.rules.max_frame_nats
         exchange_gains(some, self.body, settings, pairs_in_body, least, FARTHEST, gains_in_body, scores_in_body)
         gains, scores = np.zeros((len(pairs), len(at))), np.full((len(at), markers), np.nan)
@@ -146,10 +149,12 @@ def audit(
     labels = tuple(dict.fromkeys(label for recording in recordings for label in recording.labels))
     frames = [_columns(recording, labels) for recording in recordings]
     people = names_of(given)[1]
+    # One person alone is compared with the rest of the recordings; several people with each other.
     several = people.max() > 0
     groups = people % rules.folds if several else np.arange(len(frames))
     runs: dict[int, list[ErrorRun]] = {}
     for number in np.unique(groups).tolist():
+        # The body must not have seen the person whom it judges.
         left_out = np.nonzero(groups == number)[0].tolist()
         others = np.nonzero(groups != number)[0].tolist()
         report(len(runs) / len(frames), "comparing bodies")
@@ -158,6 +163,7 @@ def audit(
         usual = {i: found.usual_gains() for i, found in evidence.items()}
         for i in left_out:
             report(len(runs) / len(frames), "comparing paths")
+            # Another recording of the same person tells an unusual body from an exchange.
             siblings = [usual[j] for j in usual if j != i and people[j] == people[i] and several]
             runs[i] = _find_runs(_Case(frames[i], recordings[i].rate, reference, evidence.get(i), siblings, rules))
     report(1.0, "done")
@@ -191,6 +197,7 @@ def _columns(recording: Recording, labels: tuple[str, ...]) -> Floats:
     positions = np.full((len(recording), len(labels), 3), np.nan)
     upright = rotate_z_up(recording.positions, recording.vertical)
     for m, label in enumerate(labels):
+        # A label that is there twice names no single path, so that neither column can be judged.
         if recording.labels.count(label) == 1:
             positions[:, m] = upright[:, recording.labels.index(label)]
     return positions
@@ -201,10 +208,12 @@ def _reference_body(frames: Sequence[Floats], people: Ints, rules: AuditRules, s
     if sum(len(f) for f in frames) < rules.min_frames:
         return None
     person_of = np.repeat(people, [len(f) for f in frames])
+    # Equal numbers of frames per person keep a long recording from making the body its own.
     rows = subsample(person_of, rules.max_per_person)
     positions, person_of = np.concatenate(frames)[rows], person_of[rows]
     shown = ~np.isnan(positions[:, :, 0])
     markers = np.nonzero(shown.mean(axis=0) > 1.0 / 3.0)[0]
+    # Frames with few markers would make the body of those that happen to be shown.
     usable = shown[:, markers].sum(axis=1) >= max(4, 0.5 * len(markers))
     if len(markers) < 4 or usable.sum() < rules.min_frames or not shown[usable][:, markers].any(axis=0).all():
         return None
@@ -245,6 +254,7 @@ def _find_runs(case: _Case) -> list[ErrorRun]:
     """All that is wrong with one recording."""
     positions, rate, rules, reference, evidence = case.positions, case.rate, case.rules, case.reference, case.evidence
     runs: list[ErrorRun] = []
+    # Slightly against an exchange, where the body says nothing: ties go to the labels as they are.
     emission = np.full((len(pairs_of(positions.shape[1])), len(positions)), -1e-3)
     if reference is not None and evidence is not None:
         runs, positions, evidence = _exchanged_throughout(case, reference, evidence)
@@ -253,12 +263,15 @@ def _find_runs(case: _Case) -> list[ErrorRun]:
         other_proportions = (usual > 0.0) & (usual < rules.always)
         if case.siblings:
             other_proportions &= np.mean(case.siblings, axis=0) >= 0.0
+        # Neighbouring frames repeat the same evidence: they count together as one per `correlation`.
         weight = min(1.0, len(positions) / len(evidence.frames) / (rules.correlation * rate))
         gains = np.clip(evidence.gains, -rules.max_frame_nats, rules.max_frame_nats)
         emission[:, evidence.frames] += weight * np.where(other_proportions, -1.0, 1.0)[:, None] * gains
+    # Whole-recording exchanges are undone first, so that the rest is judged on paths that are right.
     exchanged, corrected = exchanges(positions, emission, rules.switch, rules.min_gain)
     runs += exchanged
     runs += jumps(corrected, rate, rules.jump_distance, rules.jump_speed, rules.jump_errors, rules.longest_jump)
+    # Markers are judged where the exchanges put them, or every exchange would look misplaced, too.
     if reference is not None and evidence is not None:
         level = (reference.score(corrected) if exchanged else evidence).usual_scores()
         runs += [ErrorRun(0, len(positions) - 1, (int(m),), MISPLACED, -float(level[m])) for m in np.nonzero(level < rules.misplaced)[0]]
@@ -272,16 +285,19 @@ def _exchanged_throughout(case: _Case, reference: _ReferenceBody, evidence: _Bod
     pairs = pairs_of(positions.shape[1])
     for _ in range(positions.shape[1]):
         usual = evidence.usual_gains()
+        # A frame without evidence must not speak against an exchange of all the others.
         nearly_all = np.where(evidence.gains == 0.0, True, evidence.gains > 0.0).mean(axis=1) > 0.95
         best = int(np.argmax(np.where(nearly_all, usual, 0.0)))
         if not nearly_all[best] or usual[best] < rules.always:
             break
         a, b = pairs[best].tolist()
+        # Only where every recording of the person shows it, the body may differ instead of the labels.
         everywhere = all(level[best] > 0.0 for level in case.siblings)
         gain = float(usual[best]) * max(1.0, len(positions) / case.rate / rules.correlation)
         runs.append(ErrorRun(0, len(positions) - 1, (a, b), ALWAYS if everywhere else EXCHANGED, gain))
         positions = positions.copy()
         positions[:, [a, b]] = positions[:, [b, a]]
+        # Exchanging one pair changes what all others gain.
         evidence = reference.score(positions)
     return runs, positions, evidence
 

@@ -76,7 +76,9 @@ def joined(runs: Sequence[ErrorRun]) -> list[ErrorRun]:
     out: list[ErrorRun] = []
     for run in sorted(runs, key=lambda run: (run.first, run.last, run.markers)):
         for i, known in enumerate(out):
+            # Two runs of equal frames are one event: three markers in a circle are found as pairs.
             if run.kind == known.kind == EXCHANGED and (run.first, run.last) == (known.first, known.last):
+                # The same pair twice would be an exchange and its undoing; both are told.
                 if set(run.markers) == set(known.markers):
                     continue
                 if set(run.markers) & set(known.markers):

@@ -35,12 +35,15 @@ def mend_errors(
         order = _order(error, positions, frames, own)
         if order is None:
             continue
+        # Origins move along, so that the file is written with each sample in its own column.
         positions[frames, own], origin[frames, own] = positions[frames, own[order]], origin[frames, own[order]]
         mended.append(error)
+    # Jumps come after the exchanges: they are frames of the corrected columns.
     jumped = [error for error in errors if error.kind == JUMP]
     apart, apart_origin = np.full((len(positions), len(jumped), 3), np.nan), np.full((len(positions), len(jumped)), -1, dtype=np.int64)
     for i, error in enumerate(jumped):
         frames, column = slice(error.first_frame, error.last_frame + 1), place[error.markers[0]]
+        # The samples stay in the file as points without a name: nothing that was measured is lost.
         apart[frames, i], apart_origin[frames, i] = positions[frames, column], origin[frames, column]
         positions[frames, column], origin[frames, column] = np.nan, -1
     if not mended and not jumped:
@@ -58,16 +61,19 @@ def _order(error: LabelError, positions: Floats, frames: slice, own: Ints) -> In
     """Whose sample each of the columns `own` gets in these frames, as places in `own`; None where that is not known."""
     if error.kind not in (EXCHANGED, ALWAYS):
         return None
+    # Two exchanged labels have one other order only.
     if len(own) == 2:
         return np.array([1, 0])
     cost = np.zeros((len(own), len(own)))
     seen = False
+    # The frames just outside say whose path each sample continues.
     for inside, outside in ((frames.start, frames.start - 1), (frames.stop - 1, frames.stop)):
         if 0 <= outside < len(positions):
             apart = np.linalg.norm(positions[outside, own][:, None] - positions[inside, own][None], axis=2)
             seen |= bool(np.isfinite(apart).all())
             cost += np.nan_to_num(apart)
     order = linear_sum_assignment(cost)[1]
+    # The order as it stands mends nothing, and without an end that is seen it would be a guess.
     return np.asarray(order) if seen and (order != np.arange(len(own))).any() else None
 
 

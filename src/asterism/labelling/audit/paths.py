@@ -30,6 +30,7 @@ def scales_of(positions: Floats) -> Floats:
     for m in range(positions.shape[1]):
         known = error[~np.isnan(error[:, m]), m]
         if len(known):
+            # 2.03 is the upper quartile of the length of a second difference over its deviation per axis.
             scales[m] = max(LEAST_SCALE, float(np.quantile(known, 0.75)) / 2.03)
     return scales
 
@@ -49,12 +50,14 @@ def exchanges(positions: Floats, emission: Floats, switch: float, least: float) 
         return [], positions
     all_exchanges(positions, scales, emission, switch, pairs, gains)
     runs: list[ErrorRun] = []
+    # Each exchange is undone before the next is sought; the limit ends a pair that goes back and forth.
     for _ in range(8 * markers):
         best = int(np.argmax(gains))
         if gains[best] < least:
             break
         a, b = pairs[best]
         found = _runs(positions, scales, emission[best], switch, (int(a), int(b)))
+        # Whatever it yields, the pair is done until its paths change again.
         gains[best] = 0.0
         found = [run for run in found if run.gain >= least]
         if not found:
@@ -66,6 +69,7 @@ def exchanges(positions: Floats, emission: Floats, switch: float, least: float) 
             emission = emission.copy()
             emission[np.isin(pairs, (a, b)).any(axis=1), span] = 0.0
         runs += found
+        # Only pairs with one of the two markers have another path now.
         affected = np.nonzero(np.isin(pairs, (a, b)).any(axis=1))[0]
         updated = np.zeros(len(affected))
         all_exchanges(positions, scales, np.ascontiguousarray(emission[affected]), switch, pairs[affected], updated)
@@ -83,11 +87,13 @@ def _runs(positions: Floats, scales: Floats, emission: Floats, switch: float, pa
     states = np.zeros(len(seen), dtype=np.int64)
     exchange_path(*arguments, states)
     never = path_score(*arguments, np.zeros_like(states))
+    # Where the state goes up a run begins, where it goes down it ends.
     edges = np.diff(states, prepend=0, append=0)
     runs = []
     for start, stop in zip(np.nonzero(edges == 1)[0], np.nonzero(edges == -1)[0], strict=True):
         only_this = np.zeros_like(states)
         only_this[start:stop] = 1
+        # Each run by itself: a strong one must not carry a weak one over the limit.
         gain = path_score(*arguments, only_this) - never
         runs.append(ErrorRun(int(seen[start]), int(seen[stop - 1]), pair, EXCHANGED, float(gain)))
     return runs
@@ -101,6 +107,7 @@ def jumps(positions: Floats, rate: float, distance: float, speed: float, errors:
     wrong. The gain is the sum over both jumps, in nats of the marker's usual prediction error.
     """
     frames, markers = positions.shape[:2]
+    # A jump and its return need samples on both sides.
     if frames < 6:
         return []
     scales = scales_of(positions)
@@ -108,6 +115,7 @@ def jumps(positions: Floats, rate: float, distance: float, speed: float, errors:
     least = np.maximum(np.maximum(distance, speed / rate), errors * scales)
     broken = size > least
     shown = ~np.isnan(size)
+    # Half of the markers at once is a cut of the recording, not a wrong label.
     broken &= 2 * broken.sum(axis=1, keepdims=True) < np.maximum(shown.sum(axis=1, keepdims=True), 2)
     runs = []
     for m in range(markers):
@@ -115,8 +123,10 @@ def jumps(positions: Floats, rate: float, distance: float, speed: float, errors:
         edges = np.nonzero(broken[:, m])[0]
         taken = -1
         for one, other in pairwise(edges.tolist()):
+            # A frame that belongs to a run already cannot begin another.
             if one <= taken or other - one > longest * rate or not _comes_back(path, one, other):
                 continue
+            # By the heavy-tailed density: a few large jumps must not outweigh all other evidence.
             gain = sum(3.0 * np.log1p(size[t, m] ** 2 / (3.0 * scales[m] ** 2)) for t in (one, other))
             runs.append(ErrorRun(int(one) + 1, int(other), (m,), JUMP, float(gain)))
             taken = other
@@ -139,6 +149,7 @@ def _comes_back(path: NDArray[np.float64], one: int, other: int) -> bool:
 
     Both to less than a third of the smaller jump.
     """
+    # A few samples on each side give the speed; more would follow a turn of the body.
     back, off, ahead = path[max(0, one - 3) : one + 1], path[one + 1 : other + 1], path[other + 1 : other + 5]
     back, ahead = back[~np.isnan(back[:, 0])], ahead[~np.isnan(ahead[:, 0])]
     if len(back) == 0 or len(ahead) == 0 or np.isnan(off[[0, -1]]).any():
@@ -146,5 +157,6 @@ def _comes_back(path: NDArray[np.float64], one: int, other: int) -> bool:
     speeds = [np.diff(side, axis=0).mean(axis=0) for side in (back, ahead) if len(side) > 1]
     speed = np.mean(speeds, axis=0) if speeds else np.zeros(3)
     away, home = off[0] - back[-1] - speed, ahead[0] - off[-1] - speed
+    # A marker that moves on during the jump comes back to where its speed would have brought it.
     bridged = ahead[0] - back[-1] - speed * (other - one + 1)
     return bool(min(np.linalg.norm(away + home), np.linalg.norm(bridged)) < min(np.linalg.norm(away), np.linalg.norm(home)) / 3.0)

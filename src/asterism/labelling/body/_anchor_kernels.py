@@ -38,6 +38,7 @@ def _squared_distance(factor, displacement, most):
         for j in range(i, 9):
             total += factor[i, j] * displacement[j]
         distance += total * total
+        # It can only grow, and farther than the best key pose decides nothing.
         if distance > most:
             break
     return distance
@@ -55,6 +56,7 @@ def anchor_key_pose(model, a, points, anchor_points, workspace):
     for k in range(len(body.log_weight)):
         _place(points, anchor_points, body.mean[k], markers, displacement)
         peak = anchors.log_peak[k, a]
+        # With the distance at which it would be no better than the best so far.
         distance = _squared_distance(anchors.precision_factor[k, a], displacement, 2.0 * (peak - best_log))
         log_density = peak - 0.5 * distance
         if log_density > best_log:
@@ -74,6 +76,7 @@ def score_from_anchor(model, a, k, points, anchor_points, workspace):
     anchors, delta, aligned, scores, centre = model.anchors, workspace.displacement, workspace.aligned, workspace.scores, workspace.centre
     mean, gain = model.body.mean[k], anchors.gain[k, a]
     markers, n = len(mean), len(points)
+    # Three points place the body about the vertical; the gain says how it then differs from the mean.
     cos, sin, here, there = _place(points, anchor_points, mean, anchors.markers[a], delta)
     for c in range(n):
         x, y = points[c, 0] - here[0], points[c, 1] - here[1]
@@ -92,6 +95,7 @@ def score_from_anchor(model, a, k, points, anchor_points, workspace):
         reach2 = 2.0 * max(base, 0.0) * anchors.max_variance[k, a, m]
         for c in range(n):
             dx, dy, dz = aligned[c, 0] - mx, aligned[c, 1] - my, aligned[c, 2] - mz
+            # No quadratic form for points that are too far by any direction.
             if dx * dx + dy * dy + dz * dz > reach2:
                 scores[m, c] = -np.inf
                 continue
@@ -103,4 +107,5 @@ def score_from_anchor(model, a, k, points, anchor_points, workspace):
         m = anchors.markers[a, i]
         for c in range(n):
             scores[m, c] = -np.inf
+        # The anchor's own labels are given, so that nothing outweighs them.
         scores[m, anchor_points[i]] = 50.0

@@ -14,6 +14,8 @@ def assign_greedily(scores, first_ghost_cost, point_of):
     IN  scores (M, n) nats; first_ghost_cost nats that may be paid to leave no point over
     OUT point_of (M,), -1 for none
     O(M n + labels * entries above -first_ghost_cost).
+
+    Bounds: each pair of a marker and a point is an entry once: M n. A label takes a marker and a point: min(M, n).
     """
     markers, n = scores.shape
     point_of[:] = -1
@@ -22,6 +24,7 @@ def assign_greedily(scores, first_ghost_cost, point_of):
     entries = 0
     for m in range(markers):
         for c in range(n):
+            # What costs more than a ghost can never be worth a label.
             if scores[m, c] > -first_ghost_cost:
                 entry_marker[entries], entry_row[entries] = m, c
                 entries += 1
@@ -30,6 +33,7 @@ def assign_greedily(scores, first_ghost_cost, point_of):
     order = np.empty(min(markers, n), dtype=np.int64)
     credit = first_ghost_cost
     while True:
+        # Entries whose marker or point is given fall out, so that each round is shorter.
         best, chosen, kept = -first_ghost_cost, -1, 0
         for e in range(entries):
             m, c = entry_marker[e], entry_row[e]
@@ -40,11 +44,13 @@ def assign_greedily(scores, first_ghost_cost, point_of):
                 best, chosen = scores[m, c], kept
             kept += 1
         entries = kept
+        # From here on labels cost more than they are worth, unless they leave no ghost.
         if positive < 0 and (chosen < 0 or best <= 0.0):
             positive = given
         if chosen < 0:
             break
         if best <= 0.0:
+            # They may cost together what the first ghost costs.
             credit += best
             if credit <= 0.0:
                 break
@@ -53,6 +59,7 @@ def assign_greedily(scores, first_ghost_cost, point_of):
         taken[point_of[m]] = True
         order[given] = m
         given += 1
+    # Points are left all the same: then nothing was saved, and the costly labels are taken back.
     if given < n:
         for g in range(positive, given):
             point_of[order[g]] = -1
@@ -66,6 +73,7 @@ def assign_unambiguous(scores, gap, point_of):
     """
     markers, n = scores.shape
     best_marker, best_score, rival = np.full(n, -1, dtype=np.int64), np.zeros(n), np.zeros(n)
+    # The best and the second best marker of each point ...
     for c in range(n):
         for m in range(markers):
             if scores[m, c] > best_score[c]:
@@ -74,6 +82,7 @@ def assign_unambiguous(scores, gap, point_of):
                 best_marker[c] = m
             elif scores[m, c] > rival[c]:
                 rival[c] = scores[m, c]
+    # ... and of each marker its points: both must be clear.
     for m in range(markers):
         best, second, chosen = 0.0, 0.0, -1
         for c in range(n):

@@ -39,13 +39,16 @@ def nearest_changes(body, points, settings, workspace, labelling):
     trial, owner = np.empty(markers, dtype=np.int64), np.empty(n, dtype=np.int64)
     swap_cost = np.empty((markers, markers))
     top = -np.inf
+    # A better labelling found on the way is taken, and its own changes are looked at, so often at most.
     for _ in range(4):
         workspace.outlier[:] = False
         k, _ = best_pose(body, points, point_of, settings, workspace)
         top = rescore(body, k, points, point_of, settings, workspace)
         scores = workspace.scores.copy()
+        # Estimates for points that are held now, or they would speak for their present labels.
         score_held_points(body, k, point_of, -4.0 * settings.exact_margin, settings, workspace, scores)
         owner[:], swap_cost[:] = -1, np.nan
+        # To hide a marker makes the only ghost, which costs.
         no_ghost = count_labelled(point_of) == n
         for m in range(markers):
             margins[m], labelling.fits[m] = -np.inf, 0.0
@@ -57,6 +60,7 @@ def nearest_changes(body, points, settings, workspace, labelling):
         for m in range(markers):
             for c in range(n):
                 o = owner[c]
+                # Its own point, or one too far.
                 if o == m or scores[m, c] == -np.inf:
                     continue
                 cost = -scores[m, c]
@@ -67,8 +71,10 @@ def nearest_changes(body, points, settings, workspace, labelling):
                     swap = point_of[m] >= 0 and scores[o, point_of[m]] > -settings.exact_margin
                     if swap:
                         cost -= max(0.0, scores[o, point_of[m]])
+                    # The same swap was computed from the other marker's side.
                     if swap and cost < settings.exact_margin and not math.isnan(swap_cost[o, m]):
                         cost = swap_cost[o, m]
+                    # Estimates take one change at a time; only where they come near, both are computed together.
                     elif cost < settings.exact_margin:
                         copy_labels(point_of, trial)
                         trial[m] = c
@@ -78,6 +84,7 @@ def nearest_changes(body, points, settings, workspace, labelling):
                         cost = top - evidence(body, k, points, trial, settings, workspace)
                         workspace.outlier[m], workspace.outlier[o] = was, owner_was
                         labelling.counters[2] += 1
+                        # Better beyond rounding: taken, and all begins anew.
                         if cost < -1e-6:
                             copy_labels(trial, point_of)
                             better = True
@@ -107,11 +114,13 @@ def retry_doubtful(body, points, top, settings, workspace, labelling):
     workspace.outlier[:] = False
     k, _ = best_pose(body, points, point_of, settings, workspace)
     for m in range(len(point_of)):
+        # A sure label is not in the way of others.
         if point_of[m] < 0 or labelling.margins[m] >= settings.exact_margin:
             continue
         copy_labels(point_of, trial)
         trial[m] = -1
         labelling.counters[2] += 1
+        # Without the doubtful one, another marker may get the point, and this one what is left.
         if refine(body, k, points, trial, settings, workspace) > top + 1e-6:
             copy_labels(trial, point_of)
             return True
@@ -124,6 +133,7 @@ def frame_settings(settings, points, markers):
 
     Returns FrameSettings. O(1).
     """
+    # With many points, something lies near every place, and a label must be worth more than chance.
     log_surplus = math.log(1.0 + max(0, points - markers))
     return FrameSettings(
         reward=settings.reward - log_surplus,
@@ -159,6 +169,7 @@ def label_frame(model, points, workspace, labelling):
     margins[:] = -np.inf
     labelling.fits[:] = 0.0
     labelling.counters[:] = 0
+    # Two points leave the body's turn open.
     if len(points) < 3:
         return
     body, settings = model.body, frame_settings(model.settings, len(points), len(point_of))
@@ -175,8 +186,10 @@ def label_frame(model, points, workspace, labelling):
         labelled = count_labelled(point_of)
         if attempt == 3 or labelled == len(point_of) or labelled == len(points):
             break
+        # Nothing better is to be had.
         if not retry_doubtful(body, points, top, settings, workspace.body, labelling):
             break
+    # A labelling found on the way may come nearer than any single change.
     for h in range(count):
         for m in range(len(point_of)):
             if point_of[m] >= 0 and candidates.labellings[h, m] != point_of[m]:
@@ -197,6 +210,7 @@ def label_clouds(model, xyz, offsets, first, last, labelling):
     workspace = make_search_workspace(make_body_workspace(0, markers, latents), candidates, proposals)
     for t in range(first, last):
         points = xyz[offsets[t] : offsets[t + 1]]
+        # Frames often have as many points as the one before, and keep its memory.
         if len(points) != len(workspace.order):
             workspace = make_search_workspace(make_body_workspace(len(points), markers, latents), candidates, proposals)
         row = FrameLabelling(labelling.point_of[t], labelling.margins[t], labelling.counters[t], labelling.fits[t])

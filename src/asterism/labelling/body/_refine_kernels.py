@@ -37,17 +37,21 @@ def refine_until_known(body, k, points, point_of, known, count, settings, worksp
     only_unambiguous = True
     for step in range(MAX_ROUNDS):
         copy_labels(point_of, previous)
+        # Two points leave the body's turn open.
         if count_labelled(point_of) < 3:
             point_of[:] = -1
             return -np.inf, -1
+        # The key pose is chosen once some labels are clear: the first ones came from three points.
         if step == 1:
             k, _ = best_pose(body, points, point_of, settings, workspace)
         score = rescore(body, k, points, point_of, settings, workspace)
+        # Clear labels first: they narrow down where the others must be, and a wrong one would draw the body along.
         if only_unambiguous:
             assign_unambiguous(workspace.scores, settings.assign_margin, point_of)
             only_unambiguous = count_labelled(point_of) > count_labelled(previous) and step < MAX_ROUNDS // 2
         if not only_unambiguous:
             assign_greedily(workspace.scores, settings.first_ghost_cost, point_of)
+        # Settled: another round would change nothing.
         same = True
         for m in range(len(point_of)):
             if point_of[m] != previous[m]:
@@ -56,6 +60,7 @@ def refine_until_known(body, k, points, point_of, known, count, settings, worksp
         if same:
             return score, -1
         if not only_unambiguous:
+            # Refined before from the same labels, so that the rest of the way is known.
             row = index_of(known, count, point_of)
             if row >= 0:
                 return np.nan, row

@@ -32,6 +32,7 @@ def _cholesky(matrix):
                 for k in range(j, n):
                     matrix[j, k] -= weight * matrix[i, k]
             pivot = math.sqrt(matrix[j, j])
+            # A product of pivots, and a logarithm only where it becomes large: logarithms cost more than the factor.
             product *= pivot
             if product > 1e100:
                 log_det += 2.0 * math.log(product)
@@ -53,7 +54,8 @@ def log_tail(distance2, coordinates, freedom):
 
     Up to its expected value, one for each coordinate, as a normal distribution has it: minus half the distance. Beyond, the spread of the
     whole body may be larger than the training's, with the odds of a multivariate t distribution with `freedom` degrees of freedom: a body
-    in a posture that the training lacks deviates everywhere. Continuous, and so is its slope. O(1).
+    in a posture that the training lacks deviates everywhere. Continuous, and so is its slope.
+    IN  distance2 >= 0; coordinates, their number; freedom > 0. Returns nats. O(1).
     """
     if distance2 <= coordinates:
         return -0.5 * distance2
@@ -77,6 +79,7 @@ def evidence(body, k, points, point_of, settings, workspace):
     counted = 0
     for m in range(markers):
         counted += point_of[m] >= 0 and not workspace.outlier[m]
+    # The sum over all markers is at hand: where most are labelled, the few that are not are taken off it.
     most = 2 * counted > markers
     latent[:] = 0.0
     if most:
@@ -88,6 +91,7 @@ def evidence(body, k, points, point_of, settings, workspace):
             information[i * latents + i] = 1.0
     for m in range(markers):
         present = point_of[m] >= 0 and not workspace.outlier[m]
+        # Only those that differ from what the sum began with.
         if present != most:
             sign = 1.0 if present else -1.0
             for i in range(latents * latents):
@@ -98,11 +102,13 @@ def evidence(body, k, points, point_of, settings, workspace):
         if row < 0:
             continue
         labelled += 1
+        # An outlier costs a fixed score and leaves the body's posterior alone.
         if workspace.outlier[m]:
             score += settings.outlier_score
             continue
         for a in range(3):
             total = 0.0
+            # The whitening is triangular.
             for b in range(a + 1):
                 total += body.whiten[k, m, a, b] * (workspace.aligned[row, b] - body.mean[k, m, b])
             workspace.residual[m, a] = total
@@ -114,10 +120,12 @@ def evidence(body, k, points, point_of, settings, workspace):
                 + body.load[k, m, 2, i] * workspace.residual[m, 2]
             )
         score += body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward
+    # The first ghost costs, and no other one: a frame is with ghosts or without.
     if labelled < len(points):
         score -= settings.first_ghost_cost
     score -= 0.5 * _cholesky(factor)
     quadratic = 0.0
+    # Forward substitution alone: the score needs the squared length, which the way back would not change.
     for i in range(latents):
         latent[i] /= factor[i, i]
         quadratic += latent[i] * latent[i]
@@ -149,12 +157,14 @@ def predict_markers(body, k, workspace):
                 share = factor[j, i]
                 for c in range(3 * markers):
                     solved[i, c] -= share * solved[j, c]
+            # With the latents in the same basis, each solved row adds to all predictions at once.
             scale, weight = 1.0 / factor[i, i], workspace.latent[i]
             for c in range(3 * markers):
                 solved[i, c] *= scale
                 centre[c] += weight * solved[i, c]
             for m in range(markers):
                 x, y, z = solved[i, m], solved[i, markers + m], solved[i, 2 * markers + m]
+                # Six sums per marker: the covariance is symmetric.
                 variance[0, m] += x * x
                 variance[1, m] += x * y
                 variance[2, m] += x * z
@@ -176,13 +186,16 @@ def leave_one_out(m, counts, workspace):
     """
     markers, v, own = len(workspace.residual), workspace.variance, workspace.residual[m]
     x, y, z = workspace.centre[m], workspace.centre[markers + m], workspace.centre[2 * markers + m]
+    # To leave a point out is to take its information off: the same formula with the other sign.
     sign = -1.0 if counts else 1.0
     xx, xy, xz = 1.0 + sign * v[0, m], sign * v[1, m], sign * v[2, m]
     yy, yz, zz = 1.0 + sign * v[3, m], sign * v[4, m], 1.0 + sign * v[5, m]
     # the covariance is I + H for a marker without a point, and (I - H)^-1 for a labelled one
     det, c_xx, c_xy, c_xz, c_yy, c_yz, c_zz = cofactors(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+    # A marker that alone holds the body in place leaves nothing when it is left out.
     det = max(det, 1e-9)
     c_xx, c_xy, c_xz, c_yy, c_yz, c_zz = c_xx / det, c_xy / det, c_xz / det, c_yy / det, c_yz / det, c_zz / det
+    # No point of its own is in the posterior: the prediction is as it stands.
     if not counts:
         return 1.0 / det, (x, y, z), (c_xx, c_xy, c_xz, c_yy, c_yz, c_zz)
     # the mean is e - (I - H)^-1 (e - centre), e the residual of the marker's own point
@@ -221,6 +234,7 @@ def _score_at(point, place, whiten, precision, peak, others, settings):
     """
     dx, dy, dz = point[0] - place[0], point[1] - place[1], point[2] - place[2]
     near2 = dx * dx + dy * dy + dz * dz
+    # So far off no body would have the marker there, and the quadratic form is spared.
     if near2 > MAX_DISTANCE * MAX_DISTANCE:
         return -np.inf
     x = whiten[0, 0] * dx
@@ -229,6 +243,7 @@ def _score_at(point, place, whiten, precision, peak, others, settings):
     distance2, coordinates = others
     # a point adds to the deviation of the others, so that in a foreign posture it may lie farther off
     score = peak + log_tail(distance2 + _squared_distance(x, y, z, precision), coordinates + 3.0, settings.tail_freedom)
+    # A point near enough may still be the marker, badly seen.
     if score < settings.outlier_score and near2 < settings.outlier_radius * settings.outlier_radius:
         return settings.outlier_score
     return score
@@ -285,12 +300,15 @@ def score_held_points(body, k, point_of, least, settings, workspace, scores):
     IN     as `leave_one_out_scores`; only what scores above `least` nats is scored anew; outliers have drawn nothing
     IN/OUT scores (M, n) nats
     O(M + hidden n r).
+
+    Bounds: `entry` counts the six places of an upper triangle of 3 x 3.
     """
     markers = body.load.shape[1]
     solved, variance = workspace.solved, workspace.variance
     inverses, shifts, deviations = np.empty((markers, 6)), np.empty((markers, 3)), np.empty((markers, 2))
     cross, part, at, spread = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(6)
     for o in range(markers):
+        # What each labelled marker's own point has drawn is worked out once for all hidden markers.
         if point_of[o] >= 0 and not workspace.outlier[o]:
             deviations[o, 0], deviations[o, 1] = _without_marker(o, workspace, inverses[o], shifts[o])
     for m in range(markers):
@@ -298,8 +316,10 @@ def score_held_points(body, k, point_of, least, settings, workspace, scores):
             continue
         for o in range(markers):
             c = point_of[o]
+            # An outlier has drawn nothing; a low score does not matter.
             if c < 0 or workspace.outlier[o] or scores[m, c] <= least:
                 continue
+            # How the two markers' predictions move together, by the latents.
             cross[:] = 0.0
             for i in range(len(solved)):
                 for a in range(3):
@@ -314,6 +334,7 @@ def score_held_points(body, k, point_of, least, settings, workspace, scores):
                 at[a] -= cross[a, 0] * shifts[o, 0] + cross[a, 1] * shifts[o, 1] + cross[a, 2] * shifts[o, 2]
             for a in range(3):
                 for b in range(a, 3):
+                    # Without the other's point the prediction is wider.
                     spread[entry] = (1.0 if a == b else 0.0) + variance[entry, m]
                     spread[entry] += part[a, 0] * cross[b, 0] + part[a, 1] * cross[b, 1] + part[a, 2] * cross[b, 2]
                     entry += 1
@@ -334,6 +355,7 @@ def best_pose(body, points, point_of, settings, workspace):
     best, best_score = 0, -np.inf
     for k in range(len(body.log_weight)):
         score = evidence(body, k, points, point_of, settings, workspace)
+        # The first of equals, so that the order of key poses decides.
         if score > best_score:
             best, best_score = k, score
     return best, best_score
@@ -353,6 +375,7 @@ def rescore(body, k, points, point_of, settings, workspace):
     changed = False
     for m in range(len(point_of)):
         is_outlier = point_of[m] >= 0 and workspace.scores[m, point_of[m]] <= settings.outlier_score
+        # Outliers have drawn the body towards themselves: without them all others are scored anew.
         if is_outlier != workspace.outlier[m]:
             workspace.outlier[m] = is_outlier
             changed = True

@@ -104,6 +104,8 @@ def make_search_workspace(body, candidates, proposals):
     """Working arrays for frames of as many points as the BodyWorkspace `body` is made for; proposals of one anchor.
 
     Returns SearchWorkspace. O(n^2) memory.
+
+    Bounds: where an anchor has more labellings than `triples` has room for, its search returns -1 and it proposes nothing (`search`).
     """
     n = len(body.aligned)
     triples = max(64, n * n)
@@ -126,31 +128,38 @@ def propose(model, a, points, solutions, workspace):
 
     IN   model FrameModel; a anchor; points (n, 3) m; the first `solutions` of workspace.triples
     OUT  workspace.best_triple, best_score (nats), triple_pose. Returns how many triples were chosen. O(solutions K + P M n).
+
+    Bounds: the best of `best_triple`'s length are kept.
     """
     markers, n = model.body.load.shape[1], len(points)
     density = workspace.triple_density[:solutions]
     for s in range(solutions):
         k, log_density, distance = anchor_key_pose(model, a, points, workspace.triples[s], workspace.body)
         workspace.triple_pose[s], density[s] = k, log_density
+        # Three points that lie as no one's markers do.
         if distance > model.settings.max_anchor_distance2:
             density[s] = -np.inf
     best_triple, best_score = workspace.best_triple, workspace.best_score
     chosen, most = 0, len(best_triple)
+    # Likeliest triples first, and only so many: with more points than markers, chance makes likely ones.
     for _ in range(min(solutions, 2 * most + 2 * max(0, n - markers))):
         s = np.argmax(density)
         total = density[s]
         if total == -np.inf:
             break
+        # Taken: the next maximum is another triple.
         density[s] = -np.inf
         score_from_anchor(model, a, workspace.triple_pose[s], points, workspace.triples[s], workspace.body)
         for m in range(markers):
             top = 0.0
             for c in range(n):
                 top = max(top, workspace.body.scores[m, c])
+            # Limited, so that one marker at a lucky point does not outweigh a body that fits.
             total += min(top, MAX_MARKER_SCORE)
         place = chosen
         while place > 0 and best_score[place - 1] < total:
             place -= 1
+        # Insertion into the short list of the best.
         if place < most:
             for p in range(min(chosen, most - 1), place, -1):
                 best_score[p] = best_score[p - 1]
@@ -169,6 +178,8 @@ def find_labellings(model, points, workspace, counters):
     OUT  workspace.candidates; counters (4,), the first three of `FrameLabelling`, the last two added to
     Returns the number of labellings found and the place of the best one, -1 for none.
     O(anchors' search + labellings * (M r^2 + r^3 + M n)).
+
+    Bounds: an anchor is run only while there is room for all that it may propose, and a proposal leads to one labelling.
     """
     anchors, body, settings, candidates, trial = model.anchors, model.body, model.settings, workspace.candidates, workspace.trial
     markers, n = body.load.shape[1], len(points)
@@ -176,9 +187,11 @@ def find_labellings(model, points, workspace, counters):
     evaluations = np.zeros(2, dtype=np.int64)
     for a in range(len(anchors.markers)):
         labelled = count_labelled(candidates.labellings[best]) if best >= 0 else markers
+        # Many markers without a point may be hidden, or this labelling may be of a part of the body only.
         needs_more_anchors = extra_run < settings.extra_anchors and (labelled <= min(n, markers) - 2 or labelled <= 0.8 * markers)
         if best >= 0 and candidates.votes[best] >= candidates.votes_needed[best] and not needs_more_anchors:
             break
+        # Before the anchor, so that all it may propose has room; or the effort is spent.
         if n_proposals + settings.proposals_per_anchor > len(candidates.proposals) or evaluations[0] > settings.max_evaluations:
             break
         if best >= 0 and candidates.votes_needed[best] < settings.max_votes_needed:
@@ -191,11 +204,13 @@ def find_labellings(model, points, workspace, counters):
                 continue
             extra_run += hidden
         counters[1] += 1
+        # Minus one where the search gave up: then nothing may be concluded from this anchor.
         solutions = search(model.solvers, a, points, workspace.order, settings.max_evaluations, workspace.triples, evaluations)
         if solutions <= 0:
             continue
         chosen = propose(model, a, points, solutions, workspace)
         for p in range(chosen):
+            # Farther behind its anchor's best one than labels elsewhere can make up for.
             if workspace.best_score[p] < workspace.best_score[0] - MAX_PROPOSAL_GAP:
                 break
             triple = workspace.best_triple[p]
@@ -203,9 +218,11 @@ def find_labellings(model, points, workspace, counters):
             score_from_anchor(model, a, k, points, workspace.triples[triple], workspace.body)
             assign_greedily(workspace.body.scores, settings.first_ghost_cost, trial)
             labelled = count_labelled(trial)
+            # It finds much less than another proposal did.
             if labelled < max(most_labelled - 2, settings.min_found_share * min(n, markers)):
                 continue
             most_labelled = max(most_labelled, labelled)
+            # Known already, before or after refinement: its vote counts, and no work is done twice.
             proposal, final = index_of(candidates.proposals, n_proposals, trial), index_of(candidates.labellings, n_labellings, trial)
             if proposal >= 0:
                 final = candidates.labelling_of[proposal]
@@ -223,12 +240,14 @@ def find_labellings(model, points, workspace, counters):
                     candidates.scores[final] = score
                     usual = settings.usual_score * labelled - (settings.first_ghost_cost if labelled < n else 0.0)
                     candidates.votes_needed[final] = settings.max_votes_needed
+                    # A labelling that fits as usual needs fewer votes; one of everything needs none but its own.
                     if score >= usual and 10 * labelled >= 6 * min(n, markers):
                         candidates.votes_needed[final] = 1 if labelled == n and labelled == markers else settings.votes_needed
                     candidates.votes[final], candidates.last_vote[final] = 0, -1
                     n_labellings += 1
                 candidates.labelling_of[n_proposals] = final
                 n_proposals += 1
+            # One vote for each anchor, however many of its proposals lead there.
             if candidates.last_vote[final] < a:
                 candidates.last_vote[final] = a
                 candidates.votes[final] += 1
@@ -293,6 +312,8 @@ def add_twins(model, points, workspace, count, best, counters):
            `best` the best one of them, with a finite score
     IN/OUT workspace.candidates; where all of its room is taken, the worst one makes way; counters (4,), the third of which is added to
     Returns the number of labellings and the place of the best one. O(W K (M r^2 + r^3)), and one `refine` for each twin that comes near.
+
+    Bounds: a labelling found where all rows are taken is written over the worst row, so `count` stays within them.
     """
     body, settings, candidates, trial = model.body, model.settings, workspace.candidates, workspace.trial
     markers, n, room = body.load.shape[1], len(points), len(candidates.labellings)
@@ -310,11 +331,14 @@ def add_twins(model, points, workspace, count, best, counters):
         for w in range(len(model.twins) + (LAID if lays else 0)):
             twin_at(w, model.twins, body.mean[pose], found, aligned, workspace.body.scores, trial)
             labelled = count_labelled(trial)
+            # Too little of a labelling, or one that was found already.
             if labelled < 3 or index_of(candidates.labellings, count, trial) >= 0:
                 continue
             workspace.body.outlier[:] = False
+            # Another pose may fit the twin better: a body turned round bends the other way.
             k, score = best_pose(body, points, trial, settings, workspace.body)
             counters[2] += 1
+            # Even if each marker without a point earned what a good label does, it would stay behind.
             if score + MARKER_GAIN * (min(markers, n) - labelled) < top - MAX_TWIN_GAP:
                 continue
             score, known = refine_until_known(body, k, points, trial, candidates.labellings, count, settings, workspace.body)
@@ -322,6 +346,7 @@ def add_twins(model, points, workspace, count, best, counters):
                 continue
             place = count
             if count == room:
+                # The worst one makes way, and never the best.
                 place = 1 if best == 0 else 0
                 for h in range(room):
                     if h != best and candidates.scores[h] < candidates.scores[place]:
@@ -331,6 +356,7 @@ def add_twins(model, points, workspace, count, best, counters):
             candidates.scores[place] = score
             candidates.votes[place], candidates.last_vote[place] = candidates.votes[best], candidates.last_vote[best]
             candidates.votes_needed[place] = candidates.votes_needed[best]
+            # Better: its own twins come next.
             if score > top + 1e-6:
                 best, better = place, True
                 break

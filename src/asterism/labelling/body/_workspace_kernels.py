@@ -149,6 +149,7 @@ class BodyWorkspace(NamedTuple):
 @kernel
 def make_body_workspace(n, markers, latents):
     """Working arrays for frames of n points. Returns BodyWorkspace. O(M n + M r + r^2) memory."""
+    # One memory with two views: sums go over the flat one, the factor over the square one.
     information = np.empty((latents, latents))
     return BodyWorkspace(
         np.empty((n, 3)),
@@ -190,6 +191,7 @@ def index_of(table, count, point_of):
     Returns the row, -1 where it is in none. O(count M).
     """
     for h in range(count):
+        # A loop that ends at the first difference, since rows differ early.
         same = True
         for m in range(len(point_of)):
             if table[h, m] != point_of[m]:

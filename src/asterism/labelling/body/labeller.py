@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
 from asterism.labelling.body._frame_kernels import label_clouds
+from asterism.labelling.body._search_kernels import MAX_LABELLINGS
 from asterism.labelling.body._workspace_kernels import AnchorArrays, BodyArrays, FrameLabelling, FrameModel, FrameSettings
 from asterism.labelling.body.anchors import Anchors
 from asterism.labelling.body.model import BodyModel
@@ -71,6 +73,11 @@ class FrameLabellingSettings:
     assign_margin: float = 3.0
     exact_margin: float = 10.0
     tail_freedom: float = 8.0
+
+    def __post_init__(self) -> None:
+        # A frame keeps so many labellings, and an anchor is not run unless all that it may propose has room: above, none ever would.
+        if not 1 <= self.proposals_per_anchor <= MAX_LABELLINGS:
+            raise AsterismError(f"proposals_per_anchor is {self.proposals_per_anchor}; give 1 to {MAX_LABELLINGS}.")
 
     def with_usual_score(self, usual_score: float) -> FrameSettings:
         """As the kernels read them; `usual_score`: nats per label that nearly every correctly labelled frame reaches."""

@@ -81,6 +81,7 @@ def question_row(file: str, correction: Correction, item: ReviewItem) -> list[st
         f"{item.gain:.1f}",
         "",
     ]
+    # An apostrophe keeps a name such as =A1 from being run as a formula.
     return [f"'{cell}" if cell.startswith(_FORMULA) else cell for cell in cells]
 
 
@@ -103,12 +104,15 @@ def read_answers(path: Path) -> list[Answer]:
     absent = [name for name in ("file", "recording", "piece", "answer") if name not in header]
     if absent:
         raise AsterismError(f"{path} has no column {absent[0]}; fill in the table that `asterism review --csv` writes.")
+    # Columns are found by name: spreadsheets move them.
     at = {name: header.index(name) for name in header}
     answers = []
     for line, cells in enumerate(rows[1:], 2):
+        # A row may be short: spreadsheets drop empty cells at its end.
         row = {name: _unescaped(cells[place]) if place < len(cells) else "" for name, place in at.items()}
         if not row["answer"]:
             continue
+        # A spreadsheet may have turned the number into 1.2E+05, which names no piece.
         if not re.fullmatch(r"\d{1,18}", row["piece"]):
             raise AsterismError(f"{path}, line {line}: the column piece is {row['piece'][:40]!r}, which is no piece's number; restore it.")
         answers.append(Answer(line, row["file"], row["recording"], int(row["piece"]), row["answer"]))
@@ -124,6 +128,7 @@ def touches_of(answers: Sequence[Answer], correction: Correction) -> list[Touch]
     """
     mark, touches = recording_mark(correction), []
     for answer in answers:
+        # The table was written for other points, so that its numbers would name other pieces.
         if answer.recording != mark:
             raise AsterismError(
                 f"line {answer.line}: the answer belongs to another recording than {Path(answer.file).name} is now; "
@@ -141,13 +146,16 @@ def _touches_of_answer(answer: Answer, correction: Correction) -> list[Touch]:
     swap = _SWAP.fullmatch(answer.text)
     if swap:
         return [_swap(correction, place, int(swap[1]) - correction.recording.first_frame, swap[2].strip())]
+    # `A cut@12 B` splits into the answer before, the frame, and the answer behind.
     texts = _CUT.split(answer.text)
     frames = [int(frame) - correction.recording.first_frame for frame in texts[1::2]]
     first, last = int(correction.pieces.first[place]), int(correction.pieces.last[place])
+    # Frames at or before the first one would leave an empty part.
     if any(not first < frame <= last for frame in frames) or sorted(set(frames)) != frames:
         begin = correction.recording.first_frame
         raise AsterismError(f"{answer.text[:60]!r} does not cut frames {first + begin} to {last + begin} in their order.")
     touches = [Touch("cut", (_point(correction, place, frame),)) for frame in frames]
+    # A part without an answer stays open: cutting alone is an answer.
     for frame, text in zip([first, *frames], texts[0::2], strict=True):
         if text.strip():
             kind, marker = _said(text.strip(), correction, place)
@@ -157,6 +165,7 @@ def _touches_of_answer(answer: Answer, correction: Correction) -> list[Touch]:
 
 def _said(text: str, correction: Correction, place: int) -> tuple[str, str | None]:
     """The kind of an answer on one piece or part of one, and its marker."""
+    # A marker may be called Ghost: the set's own names come before the words.
     if text in correction.names:
         return "name", text
     if text.lower() == "ghost":
@@ -184,6 +193,7 @@ def _swap(correction: Correction, place: int, frame: int, name: str) -> Touch:
         raise AsterismError(f"the piece is not there in frame {frame + correction.recording.first_frame}; give a frame of its own.")
     begin, end = clouds.offsets[frame : frame + 2]
     columns, labels = clouds.columns[begin:end], correction.recording.labels
+    # The name of a point in the file comes first: a person reads it in their own program.
     there = [int(pieces.of_point[begin + n]) for n in range(end - begin) if columns[n] >= 0 and labels[columns[n]] == name]
     if not there:
         marker = correction.names.index(_marker_of(name, correction))
@@ -205,6 +215,7 @@ def _rows(path: Path) -> list[list[str]]:
         data = path.read_bytes()
     except OSError as problem:
         raise AsterismError(f"{path} cannot be read ({problem.strerror}); check its name and folder.") from problem
+    # Excel saves UTF-16 as "Unicode text".
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         text = data.decode("utf-16", errors="replace")
     else:
@@ -213,6 +224,7 @@ def _rows(path: Path) -> list[list[str]]:
         except UnicodeDecodeError:
             text = data.decode("latin-1")
     first = text.lstrip("\r\n").split("\n", 1)[0]
+    # The header has a separator for each column, so that the commonest one is it.
     delimiter = max(";\t,", key=first.count)
     try:
         return list(csv.reader(io.StringIO(text.replace("\0", ""), newline=""), delimiter=delimiter))

@@ -194,6 +194,7 @@ class Correction:
             if item.points[0] == points[0]:
                 known |= {self.names.index(name): share for name, share in item.alternatives}
                 none = item.confidence if item.marker is None else 0.0
+        # The rest of the chance is shared by what the body says of the other markers.
         for marker in known:
             chance[marker] = 0.0
         if known:
@@ -216,6 +217,7 @@ class Correction:
         pieces: their ids in the change. Raises AsterismError where one is not in it.
         """
         changed = {part.piece: part for part in change.pieces}
+        # An id may be of an earlier state: a person may have answered on an old page.
         strangers = [piece for piece in pieces if piece not in changed]
         if strangers or not pieces:
             raise AsterismError(
@@ -231,9 +233,11 @@ class Correction:
 
     def touch(self, *touches: Touch) -> CorrectionChange:
         """Take touches as they are written in a log, one or several at once. Raises AsterismError as `apply` does."""
+        # Solved first, then written: what cannot be taken must not be in the log.
         solved = self._solve([*self._done, *touches])
         self._write(*(touch.to_plain() for touch in touches))
         self._done += touches
+        # A new answer ends what could be taken again.
         self._undone.clear()
         return self._become(solved, touches)
 
@@ -261,11 +265,13 @@ class Correction:
         """Take what a log holds, and write to it from now on. Raises AsterismError where an entry does not fit the recording."""
         done: list[Touch] = []
         undone: list[Touch] = []
+        # The header is line 1 of the file.
         for number, entry in enumerate(log.entries, 2):
             try:
                 _replay(entry, done, undone)
             except (KeyError, TypeError, ValueError, IndexError, OverflowError) as problem:
                 raise AsterismError(f"{log.path}, line {number} is damaged; move the log away, and correct anew.") from problem
+        # An entry that is well formed may still name a point that this recording lacks.
         try:
             solved = self._solve(done)
         except AsterismError as problem:
@@ -287,6 +293,7 @@ class Correction:
         """A recording under these labels, with what was said counted in its processing log."""
         if not self._done:
             return labelled
+        # Counts of each kind, in the order in which they first came.
         kinds = [touch.kind for touch in self._done]
         counts = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
         return labelled.logged("corrected", "a person", touches=len(self._done), **counts)
@@ -304,9 +311,11 @@ class Correction:
 
     def _solve(self, touches: Sequence[Touch]) -> _Solved:
         """The recording labelled with these touches held; from the first labelling on, whatever was solved between."""
+        # Points are found again by place, since pieces are numbered anew by each solving.
         cuts = np.array([found_again(point, self.clouds) for touch in touches for point in touch.cuts], dtype=np.int64)
         tracklets = cut_before(self._relabelling.tracklets, self.clouds, cuts)
         said = np.full(len(tracklets), FREE, dtype=np.int64)
+        # In their order: a later answer wins over an earlier one that contradicts it.
         for touch in touches:
             for point, marker in touch.labels:
                 self._say(said, tracklets, int(tracklets.of_point[found_again(point, self.clouds)]), marker)
@@ -320,6 +329,7 @@ class Correction:
             said[piece] = NULL
             return
         place = self._place_of(marker)
+        # A marker is in one place at a time, so that others of that name at the same time lose it.
         together = (tracklets.first <= tracklets.last[piece]) & (tracklets.last >= tracklets.first[piece])
         said[together & (said == place)] = FREE
         said[piece] = place
@@ -385,9 +395,11 @@ class Correction:
         """Pieces, by their places, get other markers from frame first to last, and are cut there."""
         pieces, cuts, labels = self.pieces, [], []
         for place, marker in markers:
+            # A piece that is there for part of the frames is exchanged for that part only.
             begin, end = max(first, int(pieces.first[place])), min(last, int(pieces.last[place]))
             if begin > end:
                 continue
+            # Cut where the exchange begins and ends, so that the rest keeps its label.
             if begin > pieces.first[place]:
                 cuts.append(self._point(place, begin))
             if end < pieces.last[place]:
@@ -408,6 +420,7 @@ class Correction:
     def _differences(self, before: _Solved, after: _Solved) -> tuple[PieceChange, ...]:
         """The pieces, or parts of them, whose labels differ."""
         count = len(before.pieces)
+        # Pieces may have been cut or joined between: each pair of old and new piece is compared once.
         pair, first_point, of_point = np.unique(
             after.pieces.of_point * count + before.pieces.of_point, return_index=True, return_inverse=True
         )
@@ -417,6 +430,7 @@ class Correction:
         np.maximum.at(last, of_point, frames)
         changed = (_labels_of(before.pieces)[then] != _labels_of(after.pieces)[now]).nonzero()[0]
         found = []
+        # In the order in which a person meets them in time.
         for part in changed[np.argsort(first_point[changed], kind="stable")]:
             found.append(
                 PieceChange(
@@ -443,6 +457,7 @@ def _labels_of(pieces: Pieces) -> Ints:
 
 def _replay(entry: Mapping[str, Any], done: list[Touch], undone: list[Touch]) -> None:
     """Take one entry of a log."""
+    # Saving is kept in the log for the record; it changes no label.
     if entry["kind"] == SAVED:
         return
     if entry["kind"] == UNDO:

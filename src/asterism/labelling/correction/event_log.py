@@ -25,6 +25,7 @@ UNDO, REDO, SAVED = "undo", "redo", "saved"
 
 def hash_of_points(clouds: Clouds) -> str:
     """A hash of a recording's points and rate: 64 hexadecimal digits."""
+    # The rate is part of who a recording is: labels depend on it.
     digest = hashlib.sha256(f"{clouds.rate!r}".encode())
     digest.update(np.ascontiguousarray(clouds.offsets, dtype="<i8").tobytes())
     digest.update(np.ascontiguousarray(clouds.xyz, dtype="<f8").tobytes())
@@ -41,6 +42,7 @@ def hash_of_model(model: MarkerModel) -> str:
     """A hash of what a model labels by: 64 hexadecimal digits."""
     state = model.state
     digest = hashlib.sha256(json.dumps([state.marker_set.names, state.usual_score, state.least_confidence], sort_keys=True).encode())
+    # Only what decides labels counts: a model that is saved again stays the same one.
     arrays = {"markers": state.markers, "triples": state.anchors.triples, **state.body.to_arrays()}
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
@@ -76,6 +78,7 @@ class CorrectionLog:
                 f"{path}: the log of corrections cannot be written ({problem.strerror}); put it into another folder with --log-folder."
             ) from problem
         try:
+            # Locked before it is read: another program may be writing its last line.
             _lock(self._file, path)
             self._length = self._read(header)
         except BaseException:
@@ -90,12 +93,15 @@ class CorrectionLog:
         now = datetime.now(UTC).isoformat(timespec="seconds")
         lines = b"".join(json.dumps({**entry, "at": now}, separators=(",", ":")).encode() + b"\n" for entry in entries)
         try:
+            # The file may hold half a line of an entry that failed before.
             os.lseek(self._file, self._length, os.SEEK_SET)
             written = 0
             while written < len(lines):
                 written += os.write(self._file, lines[written:])
+            # A person's work must survive the power being cut.
             os.fsync(self._file)
         except OSError as problem:
+            # Nothing of a failed write stays, or the next program would call the log damaged.
             os.ftruncate(self._file, self._length)
             raise AsterismError(
                 f"{self.path}: the correction cannot be written ({problem.strerror}) and was not taken; make space, and try again."
@@ -119,12 +125,14 @@ class CorrectionLog:
         for number, line in enumerate(lines[1:], 2):
             entry = _entry(line)
             if entry is None:
+                # A line that is not whole and has others behind it was not cut off by a crash.
                 if any(later.strip(b"\0 \r\n") for later in lines[number:]):
                     raise AsterismError(f"{self.path}, line {number} is damaged; delete it, or delete the log and correct anew.")
                 self.dropped = bool(line)
                 break
             self.entries.append(entry)
             length += len(line) + 1
+        # What was cut off is removed, so that the next entry begins on a line of its own.
         if length != len(content):
             os.ftruncate(self._file, length)
             os.fsync(self._file)
@@ -171,6 +179,7 @@ def _begin(path: Path, header: Mapping[str, Any]) -> None:
             os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+    # The new name itself must be on the disk, which only POSIX lets a program ask for.
     if os.name == "posix":
         folder = os.open(path.parent, os.O_RDONLY)
         try:
@@ -189,6 +198,7 @@ def _lock(file: int, path: Path) -> None:
         else:
             import msvcrt
 
+            # Windows locks bytes, not files: one far behind the end stands for the whole.
             os.lseek(file, 1 << 30, os.SEEK_SET)
             msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
             os.lseek(file, 0, os.SEEK_SET)

@@ -46,6 +46,7 @@ class Pieces:
 
     def place_of(self, piece: int) -> int:
         """The place of a piece in this table. Raises AsterismError where there is no piece with this id."""
+        # Ids are places of points: one that begins no piece is of an earlier state.
         if not 0 <= piece < len(self.of_point) or self.id[self.of_point[piece]] != piece:
             raise AsterismError(f"there is no piece {piece}; it may have been part of a cut that was taken back.")
         return int(self.of_point[piece])
@@ -58,6 +59,7 @@ def table_of_pieces(
     count, points = len(tracklets), len(clouds.xyz)
     number = np.full(count, points, dtype=np.int64)
     np.minimum.at(number, tracklets.of_point, np.arange(points))
+    # The camera system's own numbers are what a person knows a track by.
     numbers = clouds.columns if clouds.tracks is None else clouds.tracks
     marker_of, confidence = labels_of_points(labelling, clouds)
     markers = len(labelling.names)
@@ -67,6 +69,7 @@ def table_of_pieces(
     weight = np.bincount(key, weights=confidence[given], minlength=count * markers).reshape(count, markers)
     samples, labelled = np.bincount(tracklets.of_point, minlength=count), votes.sum(axis=1)
     best = votes.argmax(axis=1) if markers else np.zeros(count, dtype=np.int64)
+    # More than half: a piece with two labels has none that a person could confirm.
     marker = np.where(2 * labelled > samples, best, NULL)
     mean = weight[np.arange(count), best] / np.maximum(labelled, 1) if markers else np.zeros(count)
     return Pieces(
@@ -85,6 +88,7 @@ def table_of_pieces(
 def by_first_points(tracklets: Tracklets) -> Tracklets:
     """The tracklets, numbered by the places of their first points in the clouds, which are in the order of frames."""
     _, first_point, of_point = np.unique(tracklets.of_point, return_index=True, return_inverse=True)
+    # First points are in the order of frames, so that the table reads like the recording.
     order = np.argsort(first_point)
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
@@ -101,6 +105,7 @@ def cut_before(tracklets: Tracklets, clouds: Clouds, points: Ints) -> Tracklets:
     order = np.argsort(tracklets.of_point, kind="stable")  # in each tracklet by frames
     part = np.cumsum(begins[order])
     of_sorted = tracklets.of_point[order]
+    # A part begins with a new tracklet, or where a cut lies before a point.
     new = np.ones(len(order), dtype=np.bool_)
     new[1:] = (of_sorted[1:] != of_sorted[:-1]) | (part[1:] != part[:-1])
     number = np.cumsum(new) - 1
@@ -136,10 +141,12 @@ def found_again(point: PointInFrame, clouds: Clouds) -> int:
     """
     if 0 <= point.frame < len(clouds) and clouds.counts[point.frame]:
         begin, end = clouds.offsets[point.frame : point.frame + 2]
+        # By place, not by number: a file that was written again orders its points anew.
         distance = np.linalg.norm(clouds.xyz[begin:end] - np.array(point.position), axis=1)
         numbers = clouds.columns if clouds.tracks is None else clouds.tracks
         near = np.nonzero(distance <= SAME_PLACE)[0]
         if len(near):
+            # Of points in one place, such as doubled ones, the track tells which was meant.
             same = near[numbers[begin + near] == point.track]
             chosen = same if len(same) else near
             return int(begin + chosen[np.argmin(distance[chosen])])

@@ -65,18 +65,22 @@ def readiness(labelling: Labelling, clouds: Clouds, items: Sequence[ReviewItem],
 
     Where a recording does not fit its model, every point that could be a marker and has no label counts as missing.
     """
+    # No frame can show more markers than the set has, nor more than its points.
     visible = int(np.minimum(clouds.counts, len(labelling.names)).sum())
     error = min(1.0, sum(item.gain for item in items) / max(visible, 1))
     look_at = len(to_look_at(items, rules))
     verdict = labelling.verdict
     if verdict is not None and not verdict.fits:
+        # A recording that does not fit hides its errors: points without a label count as missing.
         unanswered = sum(item.samples for item in items if item.marker is None)
         error = max(error, min(unanswered, visible - int((labelling.indices >= 0).sum())) / max(visible, 1))
+    # Nothing was labelled, so that there are no labels whose errors could be counted.
     if verdict is not None and verdict.kind == OTHER_BODY and not (labelling.indices >= 0).any():
         return Readiness(DO_NOT_USE, "Do not use: this is no body that the model knows, and no label was given.", look_at, error)
     if error > rules.max_error:
         sentence = f"Do not use: {100 * error:.0f} % of the labels are expected to be wrong or missing."
         return Readiness(DO_NOT_USE, sentence, look_at, error)
+    # Two halves that may be exchanged as a whole show no error in any single label.
     exchangeable = () if verdict is None else verdict.exchangeable
     if exchangeable:
         names = "; ".join(f"{', '.join(group[:-1])} and {group[-1]}" for group in exchangeable)

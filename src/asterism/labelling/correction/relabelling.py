@@ -54,6 +54,7 @@ class Relabelling:
     def __init__(self, labeller: RecordingLabeller, clouds: Clouds, labelling: Labelling, bodies: LabelledBodies | None) -> None:
         """labelling: the first one; bodies: what the models alone say, None where they said it of stretches only."""
         self.clouds, self.first = clouds, labelling
+        # The one body's own tracklets are there already: labelling it again would only cost time.
         if bodies is not None and bodies.tracklets is not None:
             self._bodies = [_RelabelledBody.of(bodies.tracklets, np.arange(len(clouds.xyz)), 0)]
         else:
@@ -75,6 +76,7 @@ class Relabelling:
         nothing.
         """
         again = [self._again(body, tracklets, said) for body in self._bodies]
+        # Labels of the file or of stretches must stay where nothing was said.
         labelling = again[0] if self._is_whole else self._laid_over(again)
         return self._with_said(labelling, said[tracklets.of_point])
 
@@ -83,6 +85,7 @@ class Relabelling:
         chances = np.zeros(len(labelling.names))
         for body in self._bodies:
             places = np.searchsorted(body.points, points)
+            # A piece whose points are not all of this body has no chance in it.
             if places[-1] < len(body.points) and (body.points[np.minimum(places, len(body.points) - 1)] == points).all():
                 chances[body.markers] = marker_chances(body.before, self._of_body(body, labelling), places)
         return chances
@@ -106,6 +109,7 @@ class Relabelling:
         changed = np.zeros(indices.shape, dtype=np.bool_)
         for body, labelling in zip(self._bodies, again, strict=True):
             before = body.before.labelling
+            # What did not change keeps the first label, wherever that came from.
             differs = (labelling.indices != before.indices) | (labelling.confidence != before.confidence)
             frames, markers = np.nonzero(differs)
             at = frames, body.start + markers
@@ -132,6 +136,7 @@ class Relabelling:
 
     def _of_body(self, body: _RelabelledBody, labelling: Labelling) -> Labelling:
         """A labelling of all bodies as one of a body and its points alone."""
+        # With one body and all points the labelling is already its own.
         if len(body.points) == len(self.clouds.xyz) and len(labelling.names) == len(body.column):
             return labelling
         indices = np.full((len(self.clouds), len(body.column)), NULL, dtype=np.int64)
@@ -139,6 +144,7 @@ class Relabelling:
         point = self.clouds.offsets[frames] + labelling.indices[frames, body.start + markers]
         place = np.searchsorted(body.points, point)
         known = place < len(body.points)
+        # Points of other bodies lie between this one's: only exact hits are its own.
         known[known] = body.points[place[known]] == point[known]
         indices[frames[known], markers[known]] = place[known] - body.before.clouds.offsets[frames[known]]
         return Labelling(indices, labelling.confidence[:, body.markers], body.before.body.names)
@@ -149,12 +155,14 @@ class Relabelling:
         They cannot where the marker is not learned, or where the point was another body's.
         """
         marker, confidence = labels_of_points(labelling, self.clouds)
+        # What a person said holds with certainty, also where the model would not have said it.
         missed = (said != FREE) & ((marker != said) | ((said != NULL) & (confidence < 1.0)))
         points = np.nonzero(missed)[0]
         if not len(points):
             return labelling
         indices, certain = labelling.indices.copy(), labelling.confidence.copy()
         frames = self.clouds.frame_of[points]
+        # The point's former label goes first: two markers must not share it.
         before = marker[points] != NULL
         indices[frames[before], marker[points][before]], certain[frames[before], marker[points][before]] = NULL, 0.0
         named = said[points] != NULL
@@ -167,6 +175,7 @@ class Relabelling:
         of_point = np.full(len(self.clouds.xyz), NULL, dtype=np.int64)
         first, last = list[Ints](), list[Ints]()
         parts = [(body.points, body.before.long.tracklets) for body in self._bodies]
+        # Points of no body are kept as pieces, or a person could not name them.
         rest = np.ones(len(of_point), dtype=np.bool_)
         for points, _ in parts:
             rest[points] = False
@@ -199,7 +208,8 @@ def _bodies(labeller: RecordingLabeller, clouds: Clouds, labellings: Sequence[La
 
 
 def _labelled_alone(labeller: RecordingLabeller, model: TrainedModel, clouds: Clouds) -> LabelledTracklets:
-    return label_tracklets(model.in_recording(), clouds, model.state.body_rules, labeller.settings.workers)
+    settings = labeller.settings
+    return label_tracklets(model.in_recording(), clouds, settings.recording, settings.subject, model.state.body_rules, settings.workers)
 
 
 def _body_of_points(clouds: Clouds, labellings: Sequence[Labelling]) -> Ints:
@@ -214,10 +224,12 @@ def _body_of_points(clouds: Clouds, labellings: Sequence[Labelling]) -> Ints:
     frames = clouds.frame_of
     for number, labelling in enumerate(labellings):
         marker, _ = labels_of_points(labelling, clouds)
+        # By votes of points: a single wrong label must not move a tracklet to another body.
         votes[:, number] = np.bincount(tracklets.of_point, weights=marker != NULL, minlength=len(tracklets))
         own = np.bincount(frames, weights=marker != NULL, minlength=len(clouds))
         centre = np.stack([np.bincount(frames, weights=(marker != NULL) * x, minlength=len(clouds)) for x in clouds.xyz.T], axis=1)
         away = np.linalg.norm(clouds.xyz - (centre / np.maximum(own, 1.0)[:, None])[frames], axis=1)
+        # A body that a frame does not show is no neighbour there.
         away = np.where(own[frames] > 0, away, np.inf)
         nearest = np.full(len(tracklets), np.inf)
         np.minimum.at(nearest, tracklets.of_point, away)

@@ -30,12 +30,14 @@ def _length(points, a, b):
 
 @kernel(inline=True)
 def _cosine(ux, uy, uz, vx, vy, vz):
+    # One root for both lengths.
     norm = math.sqrt((ux * ux + uy * uy + uz * uz) * (vx * vx + vy * vy + vz * vz))
     return (ux * vx + uy * vy + uz * vz) / norm if norm != 0.0 else 1.0
 
 
 @kernel(inline=True)
 def _angle(cosine):
+    # Rounding may take a cosine beyond 1, where the angle would be NaN.
     if cosine >= 1.0:
         return 0.0
     if cosine <= -1.0:
@@ -52,6 +54,7 @@ def feature_value(kind, points, a, b, c, d):
     motion where the kind reads it. O(1).
     Thesis table 4.1; `motion_kernels.motion_feature`. Twin: `feature` in tests/twins.py
     """
+    # Two kernels, because one with all kinds would be too large to be inlined into the searches.
     if kind > LAST_INLINED:
         return later_feature(kind, points, a, b, c)
     value = feature_or_cosine(kind, points, a, b, c, d)
@@ -118,6 +121,7 @@ def feature_ranges(frames, groups, n_groups, kinds, slots, low, high):
         a, b, c, d = slots[f, 0], slots[f, 1], slots[f, 2], slots[f, 3]
         for t in range(len(frames)):
             value = feature_value(kinds[f], frames[t], a, b, c, d)
+            # NaN is neither less nor greater, so missing points widen no range.
             if value < low[f, groups[t]]:
                 low[f, groups[t]] = value
             if value > high[f, groups[t]]:
@@ -172,6 +176,7 @@ def mark_rejections(frames, labels, kinds, slots, low, high, out):
     x, y, z, values = np.empty((markers, LANES)), np.empty((markers, LANES)), np.empty((markers, LANES)), np.empty(LANES)
     for word in range(out.shape[1]):
         first = LANES * word
+        # The last word may be part empty; its lanes repeat the last frame and are not read.
         here = min(LANES, len(frames) - first)
         for n in range(LANES):
             frame = first + min(n, here - 1)
@@ -190,10 +195,12 @@ def mark_rejections(frames, labels, kinds, slots, low, high, out):
             near, far = low[f], high[f]
             if kind in (G1, G6, G7):
                 # No angle is below 0 or above pi.
+                # A cosine falls with its angle, so that the limits change places.
                 near = math.cos(min(max(high[f], 0.0), math.pi)) if high[f] < math.pi else -np.inf
                 far = math.cos(min(max(low[f], 0.0), math.pi)) if low[f] > 0.0 else np.inf
                 for n in range(here):
                     rejected = values[n] < near - _ROUNDING or values[n] > far + _ROUNDING
+                    # So near to a limit rounding decides, and the angle itself must.
                     if not rejected and not near + _ROUNDING < values[n] < far - _ROUNDING:
                         angle = _angle(values[n])
                         rejected = angle < low[f] or angle > high[f]
@@ -221,6 +228,7 @@ def count_rejected(frames, choice, labels, kinds, slots, low, high):
             )
             if value < low[f] or value > high[f]:
                 total += 1
+                # One that rejects is enough.
                 break
     return total
 

@@ -77,6 +77,7 @@ def estimate_motion(xyz, frame, track, order, away, reach, rate, out):
     Velocity and acceleration are those of the least-squares parabola at its middle. O(P reach). Twin: `motion` in tests/twins.py
     """
     out[:] = np.nan
+    # Sums of the parabola's powers, the same for every point.
     squares, fourths, count = 0.0, 0.0, 2.0 * reach + 1.0
     for k in range(-reach, reach + 1):
         squares += k * k
@@ -85,15 +86,18 @@ def estimate_motion(xyz, frame, track, order, away, reach, rate, out):
     for i in range(len(order) + 1):
         if i > first and i < len(order):
             one, other = order[i - 1], order[i]
+            # As long as the track goes on without a gap.
             if track[other] >= 0 and track[one] == track[other] and frame[other] == frame[one] + 1:
                 continue
         for j in range(first, i):
             here = order[j]
             for axis in range(3):
                 out[here, axis] = xyz[here, axis]
+                # Both neighbours, so that features are the same when time runs backwards.
                 if j - away >= first and j + away < i:
                     out[here, BEFORE + axis] = xyz[order[j - away], axis]
                     out[here, AFTER + axis] = xyz[order[j + away], axis]
+                # The whole stretch of the parabola must be there.
                 if j - reach >= first and j + reach < i:
                     slope, bend, middle = 0.0, 0.0, xyz[here, axis]
                     for k in range(-reach, reach + 1):

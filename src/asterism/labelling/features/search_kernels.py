@@ -92,10 +92,13 @@ def search_frame(solvers, s, points, n, budget, workspace):
     IN  solvers, s, points (>= n, 3), budget as in `search`; workspace TreeWorkspace with its distance, order and counters
     OUT workspace.found, workspace.counters
     Returns the same as `search`, O(n ** depth) at worst like it. Twin: `labellings` in tests/twins.py
+
+    Bounds: where `found` is full, it returns -1, so that nothing is concluded from a part of the labellings. Depths are 0 to D - 1.
     """
     distance, order, path, tried, used, found, counters = workspace
     first = solvers.first_depth[s]
     depths = solvers.first_depth[s + 1] - first
+    # Every marker of a solver must be in sight, or it says nothing.
     if n < depths:
         return 0
     known = len(distance) > 0
@@ -103,21 +106,25 @@ def search_frame(solvers, s, points, n, budget, workspace):
     used[:n] = False
     depth, solutions, evaluations = 0, 0, counters[0]
     while depth >= 0:
+        # The row that this depth had before is free again.
         if tried[depth] > 0:
             used[path[depth]] = False
         accepted = False
         begin, end = solvers.first_feature[first + depth], solvers.first_feature[first + depth + 1]
+        # Depth first: the first row that all classifiers of this depth accept.
         while tried[depth] < n and not accepted:
             row = order[tried[depth]]
             tried[depth] += 1
             if used[row]:
                 continue
+            # Before the classifiers, which read this depth's row from the path.
             path[depth] = row
             accepted = True
             for f in range(begin, end):
                 evaluations += 1
                 kind = solvers.kinds[f]
                 a, b = path[solvers.slots[f, 0]], path[solvers.slots[f, 1]]
+                # The three commonest kinds are written out, because a call costs as much as they do.
                 if known and kind == G2:
                     value = distance[a, b]
                 elif kind == G4:
@@ -131,6 +138,7 @@ def search_frame(solvers, s, points, n, budget, workspace):
                 if value < solvers.low[f] or value > solvers.high[f]:
                     accepted = False
                     break
+        # Counted, not timed: every machine gives up at the same place.
         if evaluations > budget:
             counters[0] = evaluations
             return -1
@@ -143,6 +151,7 @@ def search_frame(solvers, s, points, n, budget, workspace):
         if depth == depths - 1:
             if solutions == 0:
                 counters[1] = evaluations
+            # Some of the labellings would conclude what all of them might not.
             if solutions == len(found):
                 counters[0] = evaluations
                 return -1

@@ -28,7 +28,8 @@ from asterism.labelling.live.body import LiveBody, LiveRules
 from asterism.labelling.live.tracks import TrackEvidence
 from asterism.labelling.live.verdict import LiveVerdict, LiveVerdictRules
 from asterism.labelling.training.calibration import Calibration
-from asterism.labelling.whole.turned import TwinRules, compare_with_twins, twin_limits
+from asterism.labelling.whole.settings import TwinRules
+from asterism.labelling.whole.turned import compare_with_twins, twin_limits
 from asterism.labelling.whole.verdict import RigidDistances
 from asterism.recording import NULL, Floats, Ints, as_vertical
 from asterism.tracking.linking import LinkRules

@@ -14,6 +14,7 @@ def popcount(word):
     IN  word uint64
     Returns int. O(1).
     """
+    # Sums of neighbouring bits, then of pairs, nibbles and bytes.
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
     word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
     word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
@@ -28,6 +29,8 @@ def set_first_bits(mask, depth, n):
     OUT mask[depth]
     O(n / 64).
     """
+    # A shift by 64 is undefined, so that full words are set as a whole.
     for w in range((n + 63) // 64):
+        # A shift by 64 is not defined, so a full word is written as such.
         left = n - 64 * w
         mask[depth, w] = ~np.uint64(0) if left >= 64 else (np.uint64(1) << np.uint64(left)) - np.uint64(1)

@@ -19,6 +19,8 @@ def choose_covering(table, wrong, weight, most, chosen, gains):
         most, how many to choose
     OUT chosen (>= most,) rows of table in order; gains (>= most,) weight of the samples that each adds in its round
     Returns how many were chosen, and how many of these the first round took. O(most F W). Twin: `choose_covering` in tests/twins_partial.py
+
+    Bounds: it ends at `most`; a classifier is taken once, so fewer where there are fewer.
     """
     features, words = table.shape
     left = wrong.copy()
@@ -27,18 +29,23 @@ def choose_covering(table, wrong, weight, most, chosen, gains):
     while count < most:
         best, best_gain = -1, 0
         for f in range(features):
+            # Each classifier once.
             if taken[f]:
                 continue
             gain = 0
             for w in range(words):
+                # Only what is not rejected yet counts.
                 gain += weight[w] * popcount(table[f, w] & left[w])
+            # Strictly more: of equals the first stays, whatever the order of summation.
             if gain > best_gain:
                 best, best_gain = f, gain
         if best < 0:
             if first_round < 0:
                 first_round = count
+            # A round that adds nothing ends the choice, or the rounds would go on for ever.
             if fresh:
                 break
+            # A second round, so that each sample is rejected twice: one classifier may fail on a new person.
             left[:] = wrong
             fresh = True
             continue
@@ -46,6 +53,7 @@ def choose_covering(table, wrong, weight, most, chosen, gains):
         taken[best] = True
         chosen[count], gains[count] = best, best_gain
         count += 1
+        # What this classifier rejects needs no other one in this round.
         for w in range(words):
             left[w] &= ~table[best, w]
     return count, first_round if first_round >= 0 else count
@@ -70,22 +78,28 @@ def order_tests(table, reads, markers, start, order, rank, first_feature):
         open_marker[m] = True
     missing = np.zeros(features, dtype=np.int64)
     for f in range(features):
+        # From all markers that a classifier reads, so that it is computable when the last of them is placed.
         for m in range(all_markers):
             missing[f] += reads[f, m]
     left = np.empty(words, dtype=np.uint64)
     count = 0
     for depth in range(len(markers)):
+        # The first marker is given; each later one is the one that is checked best.
         best, best_share = start, -1
+        # The first marker is given.
         if depth > 0:
             for m in range(all_markers):
                 if open_marker[m]:
                     share = _share_rejected(table, reads, placed, missing, m)
+                    # Where most wrong points are rejected at once, the fewest branches live on.
                     if share > best_share:
                         best, best_share = m, share
         order[depth] = best
         open_marker[best] = False
         first_feature[depth] = count
+        # A classifier becomes computable with the last of its markers.
         for f in range(features):
+            # A classifier becomes computable when nothing is missing any more.
             missing[f] -= reads[f, best]
         count = _rank_tests(table, reads, placed, missing, best, left, rank, count)
     first_feature[len(markers)] = count
@@ -104,12 +118,16 @@ def _share_rejected(table, reads, placed, missing, m):
     return share
 
 
+# Only classifiers that this marker completes say anything about it now.
 @kernel
 def _rank_tests(table, reads, placed, missing, marker, left, rank, count):
     """Append the classifiers that a marker makes computable to `rank`, those that reject most of what is left first.
 
     IN  left (R,) uint64 is memory. OUT placed (F,) bool; rank from `count` on. Returns the new count. O(F^2 R).
+
+    Bounds: a classifier is placed once, so `rank` needs F.
     """
+    # All wrong points are still there at this depth.
     left[:] = ~np.uint64(0)
     while True:
         chosen, most = -1, -1
@@ -119,6 +137,7 @@ def _rank_tests(table, reads, placed, missing, marker, left, rank, count):
             gain = 0
             for w in range(len(left)):
                 gain += popcount(table[f, marker, w] & left[w])
+            # First what rejects most of what the classifiers before let through.
             if gain > most:
                 chosen, most = f, gain
         if chosen < 0:
@@ -126,5 +145,6 @@ def _rank_tests(table, reads, placed, missing, marker, left, rank, count):
         placed[chosen] = True
         rank[count] = chosen
         count += 1
+        # The next one is chosen for what the ones before it let through.
         for w in range(len(left)):
             left[w] &= ~table[chosen, marker, w]

@@ -17,6 +17,8 @@ def count_labels(cells, markers, points, hidden, number, counts):
         hidden (M, K) bool; number (K,) how many markers are hidden
     OUT counts (H, 4) int: by number of hidden markers the frames, markers in sight without a label, labels, right labels
     O(K M). Twin: `matrix` in tests/twins.py
+
+    Bounds: a word has 64 bits, so at most 64 markers (`MOST_IN_A_WORD`); H is one more than the most that `number` has.
     """
     m_count = len(cells)
     row, place = np.empty(m_count, dtype=np.uint64), np.full(m_count, -1, dtype=np.int64)
@@ -29,10 +31,12 @@ def count_labels(cells, markers, points, hidden, number, counts):
             row[m] = np.uint64(cells[m, k])
             if place[m] >= 0:
                 row[m] |= np.uint64(points[place[m], k])
+            # A point handed in for two markers is safe for neither.
             twice |= once & row[m]
             once |= row[m]
         missed = given = right = 0
         for m in range(m_count):
+            # Exactly one bit, and in no other row.
             single = row[m] != 0 and row[m] & (row[m] - np.uint64(1)) == 0 and row[m] & twice == 0
             given += single
             right += single and row[m] == np.uint64(1) << np.uint64(m)

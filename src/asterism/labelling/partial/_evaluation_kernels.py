@@ -58,12 +58,15 @@ def _load_evaluation(validation, e, kinds, points, marker_of, workspace):
     IN  validation ValidationFrames; kinds, the pair features that the search needs
     OUT points (M, 3 or WIDTH); marker_of (M,) the marker of each point; workspace SearchWorkspace
     Returns the number of points. O(M^2 kinds)
+
+    Bounds: a point for each marker in sight: M.
     """
     frame = validation.frames[validation.chosen[e]]
     n = 0
     for m in range(len(frame)):
         if _in_sight(validation, e, m):
             points[n] = frame[m]
+            # A hidden marker takes the motion of its neighbours' tracks with it.
             if validation.motion_unknown[e, m]:
                 points[n, 3:] = np.nan
             marker_of[n] = m
@@ -95,6 +98,7 @@ def evaluate_solver(solvers, pairs, s, validation, limits, workspace, first_id, 
     counts.abstentions[:] = 0
     for e in range(len(validation.chosen)):
         n = _load_evaluation(validation, e, pairs.kinds, points, marker_of, workspace)
+        # A solver that lacks a marker may keep silent: that is no abstention.
         all_in_sight = True
         for k in range(depths):
             all_in_sight = all_in_sight and _in_sight(validation, e, solvers.markers[first + k])
@@ -108,9 +112,12 @@ def evaluate_solver(solvers, pairs, s, validation, limits, workspace, first_id, 
             elif marker_of[workspace.order[workspace.agreed[k]]] == m:
                 counts.hits[m] += 1
             else:
+                # A solver that answers so seldom is useless, however right it is.
                 counts.failures[m] += 1
+            # A solver that is hardly ever sure is not worth the rest of the frames.
             abstains = counts.abstentions[m] > 50 and counts.abstentions[m] > 4 * counts.hits[m]
             out_of_reach = out_of_reach and (counts.failures[m] > limits.max_failures or abstains)
+        # No marker of it can reach the target any more.
         if out_of_reach:
             return e + 1
     return len(validation.chosen)
@@ -136,4 +143,5 @@ def handed_in_points(solvers, pairs, validation, budget, workspace, first_id, ou
             solutions = search_by_pairs(solvers, pairs, s, n, first_id + e, budget, workspace)
             for i in range(solutions):
                 for k in range(solvers.first_depth[s + 1] - first):
+                    # Points are named by their marker: the truth of a hand-in is a bit.
                     out[e, first + k] |= np.uint64(1) << np.uint64(marker_of[workspace.order[workspace.found[i, k]]])

@@ -51,6 +51,7 @@ def label_by_full_solver(solvers, lowest_first, xyz, offsets, budget, indices, f
     O(frames times a search), no allocation per frame. Section 5.2. Twin: `label_by_full_solver` in tests/twins_partial.py
     """
     depths = solvers.first_depth[1]
+    # Memory for the largest frame, once for all.
     most = 0
     for t in range(len(offsets) - 1):
         most = max(most, offsets[t + 1] - offsets[t])
@@ -63,6 +64,8 @@ def label_by_full_solver(solvers, lowest_first, xyz, offsets, budget, indices, f
     for t in range(len(offsets) - 1):
         points, n = xyz[offsets[t] : offsets[t + 1]], offsets[t + 1] - offsets[t]
         sort_highest_first(points, n, order)
+        # A tree that begins at a low marker finds it among the first points then.
+        # Which end goes first is the thesis' comparison; the labellings found are the same.
         if lowest_first:
             order[:n] = order[:n][::-1].copy()
         point_distances(points, n, distance)

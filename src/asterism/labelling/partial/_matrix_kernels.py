@@ -75,15 +75,18 @@ def check_marker(strong, m, place, points, slack, min_tests):
     for f in range(strong.first[m], strong.first[m + 1]):
         a, b, c, d = place[strong.slots[f, 0]], place[strong.slots[f, 1]], place[strong.slots[f, 2]], place[strong.slots[f, 3]]
         used = strong.points[f]
+        # A classifier whose points are not all placed says nothing (section 4.4.2).
         if a < 0 or b < 0 or (used > 2 and c < 0) or (used > 3 and d < 0):
             continue
         evaluations += 1
         kind = strong.kinds[f]
         value = feature_or_cosine(kind, points, a, b, c, d) if kind <= LAST_INLINED else later_feature(kind, points, a, b, c)
+        # NaN is unequal to itself: an unknown value is no test that was passed.
         known += value == value
         low, high = strong.low[f], strong.high[f]
         if value < low or value > high:
             level = 1
+            # A near miss still forbids other markers to take the point.
             room = slack * (high - low)
             if value < low - room or value > high + room:
                 return 0, evaluations
@@ -105,7 +108,9 @@ def complete_labels(strong, points, n, place, taken, levels, rules):
     for _ in range(rules.rounds):
         for m in range(markers):
             for c in range(n):
+                # Tried as if it were placed, and taken back: the check reads all placed markers.
                 levels[m, c] = 0
+                # Tried in place, because the classifiers read the other markers' places, too.
                 if place[m] < 0 and not taken[c]:
                     place[m] = c
                     levels[m, c], made = check_marker(strong, m, place, points, rules.slack, rules.min_tests)
@@ -120,13 +125,16 @@ def complete_labels(strong, points, n, place, taken, levels, rules):
                 near += levels[m, c] > 0
                 if levels[m, c] == 2:
                     only = c
+            # Two possible points, or one that only nearly fits, leave a choice.
             if near != 1 or only < 0:
                 continue
             rivals = 0
             for other in range(markers):
                 rivals += levels[other, only] > 0
+            # The point must be possible for no other marker that lacks one.
             if rivals == 1:
                 place[m], taken[only], changed = only, True, True
+        # A label given in one round may make another clear in the next.
         if not changed:
             break
     return evaluations
@@ -157,6 +165,7 @@ def label_by_matrix(solvers, pairs, trusted, strong, rules, xyz, offsets, out):
     for s in range(count):
         deepest = max(deepest, solvers.first_depth[s + 1] - solvers.first_depth[s])
         for k in range(solvers.first_depth[s], solvers.first_depth[s + 1]):
+            # Votes are shares of the solvers that may vote on a marker.
             able[solvers.markers[k]] += trusted[k]
     workspace = make_search_workspace(markers, most, deepest, xyz.shape[1], len(pairs.kinds))
     matrix, handed_in = np.empty((markers, most), dtype=np.int64), np.empty(most, dtype=np.bool_)
@@ -165,6 +174,7 @@ def label_by_matrix(solvers, pairs, trusted, strong, rules, xyz, offsets, out):
     completing = len(strong.first) > 1
     for t in range(frames):
         n = offsets[t + 1] - offsets[t]
+        # Distances and motion once per frame, for all solvers.
         load_frame(xyz[offsets[t] : offsets[t + 1]], n, pairs.kinds, workspace)
         matrix[:, :n] = 0
         evaluations[t] = 0
@@ -175,6 +185,7 @@ def label_by_matrix(solvers, pairs, trusted, strong, rules, xyz, offsets, out):
         place[:] = -1
         taken[:n] = False
         _choose_by_votes(matrix, n, able, (completing, rules.outvote), place, taken, single, votes[t])
+        # The strong classifier decides last, over labels that the votes have given.
         if completing:
             evaluations[t] += complete_labels(strong, workspace.points, n, place, taken, levels, rules)
             evaluations[t] += _accept_single(strong, workspace.points, rules, single, place, taken)
@@ -196,6 +207,7 @@ def add_proposals(solvers, s, trusted, solutions, how, workspace, handed_in, mat
     depths = solvers.first_depth[s + 1] - first
     agreed_points(workspace.found, solutions, depths, workspace.agreed)
     for k in range(depths):
+        # A solver proposes only markers with which it was weighed in the choice.
         if not trusted[first + k]:
             continue
         m = solvers.markers[first + k]
@@ -206,6 +218,7 @@ def add_proposals(solvers, s, trusted, solutions, how, workspace, handed_in, mat
         handed_in[:n] = False
         for i in range(solutions):
             c = workspace.found[i, k]
+            # However many labellings give a point, it is one vote.
             matrix[m, c] += not handed_in[c]
             handed_in[c] = True
 
@@ -230,7 +243,9 @@ def _choose_by_votes(matrix, n, able, how, place, taken, single, votes):
         votes[m] = most_votes / able[m]
         for other in range(len(place)):
             rivals += matrix[other, best]
+        # The winner's own votes were counted in its column and in its row.
         rivals -= 2 * most_votes
+        # A single solver may be wrong alone: the strong classifier decides on it last.
         if rivals == 0 and most_votes == 1 and able[m] > 1 and completing:
             single[m] = best
         elif rivals == 0 or (completing and most_votes > outvote * rivals):
@@ -242,11 +257,13 @@ def _accept_single(strong, points, rules, single, place, taken):
     """Give markers without a point the one that a single solver proposed, where the strong classifier accepts. Returns the evaluations."""
     evaluations = 0
     for m in range(len(place)):
+        # What was completed in the meantime stays.
         if place[m] < 0 and single[m] >= 0 and not taken[single[m]]:
             place[m] = single[m]
             level, made = check_marker(strong, m, place, points, rules.slack, rules.min_tests)
             evaluations += made
             taken[single[m]] = level == 2
+            # A point that the others reject is given back.
             if level < 2:
                 place[m] = -1
     return evaluations
@@ -277,8 +294,10 @@ def count_confusions(strong, frames, chosen, known, taken_for, shown):
                     continue
                 for m in range(markers):
                     place[m] = m if known[k, m] and not np.isnan(points[m, 0]) else -1
+                # First the move: b takes a's point, and a has none.
                 place[a], place[b] = -1, a
                 possible = check_marker(strong, b, place, points, 0.0, 1)[0] == 2
+                # Then the swap, which is only possible where b has a point, too.
                 if not possible and not np.isnan(points[b, 0]):
                     place[a] = b
                     possible = (

@@ -88,11 +88,13 @@ def load_frame(points, n, kinds, workspace):
     OUT workspace.points, order (highest first), distance, motion
     O(n^2 K).
     """
+    # Solvers begin at markers that are often the highest: their points are then tried first.
     sort_highest_first(points, n, workspace.order)
     for i in range(n):
         for axis in range(workspace.points.shape[1]):
             workspace.points[i, axis] = points[workspace.order[i], axis]
     point_distances(workspace.points, n, workspace.distance)
+    # Motion of pairs, as distances, once for all solvers.
     for k in range(len(kinds)):
         for i in range(n):
             for j in range(n):
@@ -110,30 +112,39 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
     OUT workspace.found (rows of workspace.points) by depth; workspace.counters, both from 0
     Returns the number of labellings found, or -1 where the budget or the memory for labellings did not suffice.
     O(n ** depth) at worst. Twin: `labellings` in tests/twins.py
+
+    Bounds: where `found` is full, the search returns -1 and the solver proposes nothing, so nothing is concluded from a part of its
+    labellings. A depth has a row of `mask` and `path`.
     """
     first = solvers.first_depth[s]
     depths = solvers.first_depth[s + 1] - first
     workspace.counters[0] = 0
+    # Each marker needs a point of its own.
     if n < depths:
         return 0
     words = (n + 63) // 64
     points, path, mask = workspace.points, workspace.path, workspace.mask
+    # The first marker may have any point.
     set_first_bits(mask, 0, n)
     depth, solutions, evaluations = 0, 0, 0
     while depth >= 0:
         row = -1
         for w in range(words):
             if mask[depth, w] != 0:
+                # The lowest bit that is set is the next point to try.
                 lowest = mask[depth, w] & (~mask[depth, w] + np.uint64(1))
                 mask[depth, w] ^= lowest
                 row = 64 * w + popcount(lowest - np.uint64(1))
                 break
+        # All points of this depth were tried: back to the one before.
         if row < 0:
             depth -= 1
             continue
         path[depth] = row
         accepted = True
+        # Rare kinds stand last, so that the loop over the others stays small enough to be inlined.
         later = end = solvers.first_feature[first + depth + 1]
+        # Kinds that the kernel has not inlined come last and are evaluated by a call.
         for f in range(solvers.first_feature[first + depth], end):
             if solvers.kinds[f] > LAST_INLINED:
                 later = f
@@ -153,6 +164,7 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
         if accepted and later < end:
             accepted, made = later_accepted(solvers, later, end, points, path)
             evaluations += made
+        # Silence by budget is the same on every machine, unlike a limit in seconds.
         if evaluations > budget:
             workspace.counters[0] = evaluations
             return -1
@@ -161,6 +173,7 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
         if depth == depths - 1:
             if solutions == 0:
                 workspace.counters[1] = evaluations
+            # More labellings than there is memory for are as good as none.
             if solutions == len(workspace.found):
                 workspace.counters[0] = evaluations
                 return -1
@@ -170,9 +183,12 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
             continue
         depth += 1
         b = solvers.markers[first + depth]
+        # What the markers before allow is left: an intersection of bits, sixty-four points at once.
         set_first_bits(mask, depth, n)
+        # Every marker placed so far narrows the points of the next one.
         for e in range(depth):
             a, i = solvers.markers[first + e], path[e]
+            # The stamp tells whether another solver has worked this out for the frame already.
             if workspace.stamp[a, b, i] != frame_id:
                 workspace.stamp[a, b, i] = frame_id
                 evaluations += find_allowed_points(pairs, a, b, i, n, workspace)
@@ -182,6 +198,7 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
             for w in range(words):
                 mask[depth, w] &= workspace.rows[a, b, i, w]
                 living |= mask[depth, w]
+            # No point is left: the branch dies before a feature is computed.
             if living == 0:
                 break
     workspace.counters[0] = evaluations
@@ -216,7 +233,9 @@ def find_allowed_points(pairs, a, b, i, n, workspace):
     for w in range((n + 63) // 64):
         bits = np.uint64(0)
         for j in range(64 * w, min(n, 64 * w + 64)):
+            # Distance and height are looked up, not computed: all solvers share them.
             d, h = workspace.distance[i, j], height - workspace.points[j, 2]
+            # Without a branch, so that the loop runs in vector registers; a point is never two markers.
             fits = (d >= near) & (d <= far) & (h >= below) & (h <= above) & (i != j)
             bits |= np.uint64(fits) << np.uint64(j - 64 * w)
         workspace.rows[a, b, i, w] = bits
@@ -235,7 +254,9 @@ def exclude_by_motion(pairs, a, b, i, n, workspace):
     for k in range(len(pairs.kinds)):
         low, high = pairs.low[k, a, b], pairs.high[k, a, b]
         for j in range(n):
+            # Only points that distance and height allow are asked for their motion.
             bit = np.uint64(1) << np.uint64(j & 63)
+            # Only what distance and height have left.
             if workspace.rows[a, b, i, j >> 6] & bit != 0:
                 evaluations += 1
                 value = workspace.motion[k, i, j]

@@ -153,10 +153,12 @@ def capturability(
     names, markers = recordings[0].labels, frames.shape[1]
     if markers < 4:
         raise AsterismError(f"{markers} markers are too few to say which of them can be told apart; give at least four.")
+    # Taught and tested on the same people: the question is about the markers, not about new people.
     teach, test = _halves(frames, groups, rules.frames)
     report(0.0, "full solver")
     hit_rates = _whole_hit_rates(np.concatenate([teach[0], test[0]]), np.concatenate([teach[1], test[1]]), names, seed)
     report(0.1, "confusions")
+    # No solver has more markers than there are.
     settings = replace(rules.search, max_markers=min(rules.search.max_markers, markers))
     search = SolverSearch(*teach, settings=settings, seed=seed)
     confusion = _confusion(search, test[0], np.random.default_rng(seed))
@@ -164,6 +166,7 @@ def capturability(
     chosen = choose_ensemble(search, found, lambda fraction, doing: None)
     report(0.55, "hidden markers")
     by_target = _by_target(search, found, test[0], names, rules, seed)
+    # Fewer than three visible markers cannot be labelled.
     by_occlusions = []
     for hidden in range(min(rules.max_hidden, markers - 3) + 1):
         clouds, truth = simulate_occlusions(Recording(test[0], names, 1.0), hidden, 0, seed)
@@ -172,6 +175,7 @@ def capturability(
         right = (given == truth) & there
         per_marker: Floats = right.sum(axis=0) / np.maximum(there.sum(axis=0), 1)
         by_occlusions.append((hidden, float(right.sum() / max(there.sum(), 1)), per_marker))
+    # What is lost most with many hidden, and confused most, is what a change could help.
     hardest = np.argsort(by_occlusions[-1][2] + np.diagonal(confusion), kind="stable")[: rules.hardest]
     changes = _changes(chosen, search, (teach, test), names, hardest, seed, rules, lambda share, doing: report(0.6 + 0.4 * share, doing))
     printed = fit_printed(*teach, names, seed)
@@ -190,6 +194,7 @@ def _by_target(
         model = choose_ensemble(search.with_targets(target), found, lambda fraction, doing: None)
         for hidden in range(1, min(rules.max_hidden, len(names) - 3) + 1):
             clouds, truth = simulate_occlusions(Recording(frames, names, 1.0), hidden, 0, seed)
+            # "agreed" is the thesis' matrix without our completion, which would hide the effect of the target.
             indices = label_by_matrix(clouds, model, rules="agreed").indices
             given, there = indices != NULL, truth != NULL
             wrong, missed = (given & (indices != truth)).sum(), (~given & there).sum()
@@ -200,6 +205,7 @@ def _by_target(
 def _halves(frames: Floats, groups: Ints, most: int) -> tuple[Half, Half]:
     """Even and odd blocks of ten frames, `most` of them together."""
     odd = (np.arange(len(frames)) // 10) % 2 == 1
+    # A recording shorter than a block has no odd ones.
     if odd.all() or not odd.any():
         odd = np.arange(len(frames)) % 2 == 1
     if len(frames) == 1:
@@ -207,6 +213,7 @@ def _halves(frames: Floats, groups: Ints, most: int) -> tuple[Half, Half]:
     halves = []
     for half in (~odd, odd):
         rows = np.nonzero(half)[0]
+        # Evenly spread, so that no trial decides for all.
         rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), most // 2)).round().astype(np.int64)]
         halves.append((np.ascontiguousarray(frames[rows]), groups[rows]))
     return halves[0], halves[1]
@@ -217,6 +224,7 @@ def _whole_hit_rates(frames: Floats, groups: Ints, names: Sequence[str], seed: i
     complete = ~np.isnan(frames[:, :, 0]).any(axis=1)
     if not complete.any():
         raise AsterismError("no frame shows all markers, so they cannot be compared; give recordings with fewer gaps, or fewer markers.")
+    # More markers need more classifiers for the same rate.
     rules = FullSolverRules(weak_classifiers=max(40, 3 * len(names)), widen=0.25)
     solver = FullSolver.fit_frames(frames, groups, names, rules=rules, seed=seed)
     clouds, truth = simulate_occlusions(Recording(frames[complete], tuple(names), 1.0), 0, 0, seed)
@@ -227,9 +235,11 @@ def _whole_hit_rates(frames: Floats, groups: Ints, names: Sequence[str], seed: i
 def _confusion(search: SolverSearch, frames: Floats, rng: np.random.Generator) -> Floats:
     n = search.n_markers
     taken_for, shown = np.zeros((n, n), dtype=np.int64), np.zeros(n, dtype=np.int64)
+    # A third of the labels known is where ambiguity shows: with more, all is clear.
     known = np.argsort(rng.random((len(frames), n)), axis=1) < max(2, n // 3)
     count_confusions(classifiers_by_marker(search.weak, search.table), frames, np.arange(len(frames)), known, taken_for, shown)
     for marker in np.nonzero(shown == 0)[0]:
+        # A marker that was never shown is confused with none.
         taken_for[marker, marker] = 1
     confusion: Floats = taken_for / taken_for.sum(axis=1, keepdims=True)
     return confusion
@@ -244,6 +254,7 @@ def _rebuilt(search: SolverSearch, subsets: Sequence[MarkerSubset]) -> PartialSo
 
 def _hit_rate(model: PartialSolvers, frames: Floats, hidden: NDArray[np.bool_], judged: NDArray[np.bool_]) -> float:
     """Share of the judged markers in sight that get their label; hidden (N, M) bool."""
+    # Truth counts the points in sight: a hidden marker has none.
     there = ~np.isnan(frames[:, :, 0]) & ~hidden
     truth = np.where(there, np.cumsum(there, axis=1) - 1, NULL)
     given = label_by_matrix(Clouds.from_points([frame[seen] for frame, seen in zip(frames, there, strict=True)], 1.0), model).indices
@@ -271,9 +282,11 @@ def _changes(
         progress(0.3 * marker / n, "markers dropped")
         gone, others = hidden.copy(), everyone.copy()
         gone[:, marker], others[marker] = True, False
+        # Judged by the others on both sides, since the marker itself is no longer asked for.
         alone = _hit_rate(chosen, test[0], hidden, others)
         changes.append(MarkerSetChange("drop", names[marker], "without it", alone, _hit_rate(chosen, test[0], gone, others)))
 
+    # Changes are tried on few frames: a full search for each would take hours.
     few = slice(None, None, max(1, len(teach[0]) // rules.change_frames))
     settings = replace(rules.search, validation_frames=rules.change_frames)
     subsets = [tuple(np.sort(own).tolist()) for own in np.split(chosen.solvers.markers, chosen.solvers.first_depth[1:-1])]
@@ -284,6 +297,7 @@ def _changes(
         altered = _rebuilt(SolverSearch(changed, teach[1][few], settings=settings, seed=seed), [*subsets, *more])
         return _hit_rate(altered, tested, np.pad(hidden, ((0, 0), (0, extra))), np.pad(everyone, (0, extra)))
 
+    # Without a change, but by the same shortened search: only like may be compared with like.
     before = found(lambda frames: frames)
     near = _neighbours(search)
     for number, marker in enumerate(hardest.tolist()):
@@ -294,6 +308,7 @@ def _changes(
             MarkerSetChange("move", names[marker], text, before, found(partial(_moved, marker=marker, other=one, step=rules.step)))
         )
         text = f"a new marker between {names[marker]}, {names[one]} and {names[two]}"
+        # The new marker takes part in solvers beside the one that it is to help.
         joined = [tuple(sorted({*subset[1:], n})) for subset in subsets] + [(*subset, n) for subset in subsets if marker in subset]
         added = partial(_added, triple=(marker, one, two), step=rules.step)
         changes.append(MarkerSetChange("add", names[marker], text, before, found(added, joined)))
@@ -310,6 +325,7 @@ def _moved(frames: Floats, marker: int, other: int, step: float) -> Floats:
 def _added(frames: Floats, triple: tuple[int, int, int], step: float) -> Floats:
     a, b, c = (frames[:, marker] for marker in triple)
     side = np.cross(b - a, c - a)
+    # Points in a line have no side; the new marker then stands among them.
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
     return np.concatenate([frames, ((a + b + c) / 3 + step * side)[:, None]], axis=1)
 
@@ -322,6 +338,7 @@ def _neighbours(search: SolverSearch) -> NDArray[np.int64]:
     count = np.maximum(seen.sum(axis=0), 1)
     mean = np.where(seen, distance, 0.0).sum(axis=0) / count
     spread = np.sqrt(np.where(seen, (distance - mean) ** 2, 0.0).sum(axis=0) / count)
+    # No marker is its own neighbour.
     np.fill_diagonal(spread, np.inf)
     return np.argsort(spread, axis=1, kind="stable")[:, :-1]
 
@@ -334,6 +351,7 @@ def _verdict(
     changes: list[MarkerSetChange],
 ) -> str:
     worst, mean = int(hit_rates.argmin()), float(hit_rates.mean())
+    # Limits of the words, chosen by hand: 1 % is what a person corrects without complaint.
     if mean >= 0.99:
         opening = f"These {len(names)} markers can be labelled"
     elif mean >= 0.8:
@@ -348,6 +366,7 @@ def _verdict(
         words.append(f"With {hidden} hidden, {100 * rate:.1f} % of the others are; {names[weak]} suffers most ({100 * own[weak]:.1f} %).")
     apart = confusion - np.diag(np.diagonal(confusion))
     row, column = divmod(int(apart.argmax()), len(names))
+    # Half a percent is below what the sample can tell.
     if apart[row, column] >= 0.005:
         words.append(f"{names[row]} is the one most easily taken for another: {names[column]}.")
     else:

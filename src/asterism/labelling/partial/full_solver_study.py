@@ -56,6 +56,7 @@ def boosting_table(solver: FullSolver, frames: Floats, most: int = 9, wrong: int
     rows, weak, before = [], solver.strong.weak, 0.0
     for count in range(1, min(most, len(weak)) + 1):
         accuracy = _first(solver, count).accuracy(frames, wrong, seed)
+        # Each classifier is credited with what none before it rejects.
         rows.append(ChosenClassifier(describe(int(weak.kinds[count - 1]), weak.slots[count - 1], solver.names), accuracy - before))
         before = accuracy
     return rows
@@ -72,6 +73,7 @@ def solver_sizes(solver: FullSolver, frames: Floats, wrong: int = 20_000, seed: 
     few, rng = complete[:: max(1, len(complete) // FEWEST_FRAMES)], np.random.default_rng(seed)
     found = []
     for count in SIZES:
+        # Boosting may have taken fewer than were asked for.
         if count > len(solver.strong.weak):
             break
         strong = _first(solver, count)
@@ -89,6 +91,7 @@ def _first(solver: FullSolver, count: int) -> StrongClassifier:
 def _evaluations(strong: StrongClassifier, frames: Floats, start: int, rng: np.random.Generator) -> float:
     """Mean evaluations until the first feasible labelling; the search takes points by height, whatever their order."""
     markers = np.arange(strong.n_markers)
+    # The tree is built anew for each size, as a solver of this size would have been.
     tree = build_search_tree(strong.weak, replacement_table(frames, strong.weak, rng), markers, start)
     count, m = frames.shape[:2]
     offsets = np.arange(0, count * m + 1, m, dtype=np.int64)
@@ -97,4 +100,5 @@ def _evaluations(strong: StrongClassifier, frames: Floats, start: int, rng: np.r
     label_by_full_solver(
         pack_solvers([tree]), False, np.ascontiguousarray(frames[:, :, :3]).reshape(-1, 3), offsets, BUDGET, given, first, total
     )
+    # Without a labelling the whole search is what it cost.
     return float(np.where(first < 0, total, first).mean())

@@ -76,9 +76,11 @@ class PartialSolvers:
         The lower end of the exact 95 % interval: after n trials without a miss 0.05 ** (1 / n), about 1 - 3 / n (the rule of three).
         """
         right = np.nan_to_num(self.hit_rates) * self.trials
+        # The exact interval, since rates near 1 make the normal one run over.
         shown = np.where(right > 0, betaincinv(np.maximum(right, 1.0), self.trials - right + 1.0, 0.05), 0.0)
         best = np.zeros(len(self.targets))
         owner = np.repeat(np.arange(len(self)), np.diff(self.solvers.first_depth))
+        # Of several solvers that may propose a marker, the best one is what a person can rely on.
         np.maximum.at(best, self.solvers.markers[self.trusted], shown[owner, self.solvers.markers][self.trusted])
         return best
 
@@ -107,12 +109,14 @@ class PartialSolvers:
             strong = StrongClassifierArrays(*(_typed(arrays[f"whole_{name}"], name) for name in StrongClassifierArrays._fields))
             hit_rates, targets = (np.asarray(arrays[name], dtype=np.float64) for name in ("hit_rates", "targets"))
             covered, trusted = (np.asarray(arrays[name], dtype=np.bool_) for name in ("covered", "trusted"))
+            # Older models kept no trials.
             trials = np.asarray(arrays.get("trials", np.zeros(hit_rates.shape)), dtype=np.int64)
         except (KeyError, ValueError, TypeError) as problem:
             raise AsterismError(f"the partial solvers cannot be read ({problem}); train the model again.") from problem
         sizes = hit_rates.shape == (len(solvers.first_depth) - 1, len(targets)) and targets.ndim == 1
         sizes = sizes and trials.shape == hit_rates.shape and bool((trials >= 0).all())
         sizes = sizes and covered.shape == targets.shape and trusted.shape == solvers.markers.shape
+        # The kernels do not check what they index, so that a damaged file must end here.
         if not sizes or not _walkable(solvers, len(targets)) or not _testable(strong, len(targets)):
             raise AsterismError("the partial solvers do not fit together; the model is damaged, train it again.")
         return cls(solvers, hit_rates, trials, targets, covered, trusted, strong)
@@ -139,6 +143,7 @@ def _walkable(solvers: SolverArrays, markers: int) -> bool:
         return False
     if not _rising(first, len(first) - 1, depths, 1) or not _rising(solvers.first_feature, depths, len(solvers.kinds), 0):
         return False
+    # A slot may point at its own depth or an earlier one.
     place = np.arange(depths) - np.repeat(first[:-1], np.diff(first))
     reach = np.repeat(place, np.diff(solvers.first_feature))
     known = (solvers.markers >= 0) & (solvers.markers < markers)
@@ -162,7 +167,9 @@ def classifiers_by_marker(weak: WeakClassifiers, table: Bits) -> StrongClassifie
     reads = markers_read(weak.kinds, weak.slots, table.shape[1])
     rows = []
     for marker in range(table.shape[1]):
+        # Only classifiers that read the marker can judge it.
         own = np.nonzero(reads[:, marker])[0]
+        # Those that reject most come first: most wrong points end at the first one.
         rows.append(own[np.argsort(-share[own, marker].astype(np.int64), kind="stable")[: VotingRules().max_classifiers]])
     chosen = np.concatenate(rows)
     points = np.array([feature.points for feature in FEATURES], dtype=np.int64)[weak.kinds[chosen]]
@@ -228,6 +235,7 @@ def label_by_matrix(clouds: Clouds, ensemble: PartialSolvers, budget: int | None
     xyz = feature_points(clouds, ensemble.reads_motion)
     frames, markers = len(clouds), len(ensemble.targets)
     votes = Votes(np.empty((frames, markers), dtype=np.int64), np.empty((frames, markers)), np.empty(frames, dtype=np.int64))
+    # Without a strong classifier the printed rules decide alone.
     strong = ensemble.strong if rules == "completed" else no_classifiers()
     solvers, pairs = factor_pair_rules(ensemble.solvers, markers)
     r, slack = VotingRules(), near_miss_slack(ensemble.targets)

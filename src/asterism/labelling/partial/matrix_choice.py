@@ -42,12 +42,14 @@ class Matrix:
         """
         counts = np.zeros((len(self.hidden) + 1, 4), dtype=np.int64)
         count_labels(self.cells, markers, self.cells[:0] if points is None else points, self.hidden, self.number, counts)
+        # Numbers of hidden markers that no frame has would divide by zero.
         numbers = np.nonzero(counts[1:, 0])[0] + 1
         if not len(numbers):
             return 0.0
         frames, missed, given, right = counts[numbers].T
         occlusions = missed / (missed + numbers * frames)
         assignments = (given - right) / np.maximum(given, 1)
+        # One hidden marker is the commonest case, and weighs most.
         weights = 1.0 / numbers**2.0
         return float(weights @ occlusions / weights.sum() + self.wrong_cost * assignments.mean())
 
@@ -83,6 +85,7 @@ def choose_solvers(
         best = best_addition(matrix, markers, points, gains)
         if best < 0:
             break
+        # What is not confirmed would take labels from others: the solver must do without it.
         if confirm is not None and points[best][denied := ~confirm(best)].any():
             points[best][denied] = 0
             continue
@@ -101,6 +104,7 @@ def best_addition(matrix: Matrix, markers: Sequence[Ints], points: Sequence[Poin
     now = matrix.cost()
     best, most = -1, 0.0
     for s in np.argsort(-gains, kind="stable"):
+        # Gains only fall as solvers are added: beyond this one none can be better.
         if gains[s] <= most:
             break
         gains[s] = now - matrix.cost(markers[s], points[s])

@@ -94,6 +94,7 @@ def pack_solvers(solvers: Sequence[Solver]) -> SolverArrays:
 def unpack_solvers(arrays: SolverArrays) -> list[Solver]:
     """The solvers of flat arrays, one by one."""
     solvers = []
+    # Each solver has its depths, and each depth its classifiers.
     for begin, end in zip(arrays.first_depth[:-1], arrays.first_depth[1:], strict=True):
         first = arrays.first_feature[begin : end + 1]
         rows = slice(first[0], first[-1])
@@ -113,16 +114,19 @@ def factor_pair_rules(arrays: SolverArrays, n_markers: int) -> tuple[SolverArray
     moving = np.array([feature.moving and feature.points == 2 for feature in FEATURES])[arrays.kinds]
     used = np.unique(arrays.kinds[moving])
     low, high = np.full((len(used), *shape), -np.inf), np.full((len(used), *shape), np.inf)
+    # Intervals that accept everything, narrowed by each classifier below.
     rules = PairRules(np.full(shape, -np.inf), np.full(shape, np.inf), np.full(shape, -np.inf), np.full(shape, np.inf), used, low, high)
     depth_of = np.repeat(np.arange(len(arrays.markers)), np.diff(arrays.first_feature))
     start = np.repeat(arrays.first_depth[:-1], np.diff(arrays.first_depth))[depth_of]
     a, b = arrays.markers[start + arrays.slots[:, 0]], arrays.markers[start + arrays.slots[:, 1]]
     far, above = arrays.kinds == G2, arrays.kinds == G4
+    # A distance holds both ways round,
     for one, other in ((a, b), (b, a)):
         np.maximum.at(rules.near, (one[far], other[far]), arrays.low[far])
         np.minimum.at(rules.far, (one[far], other[far]), arrays.high[far])
     np.maximum.at(rules.below, (a[above], b[above]), arrays.low[above])
     np.minimum.at(rules.above, (a[above], b[above]), arrays.high[above])
+    # and a height difference changes its sign.
     np.maximum.at(rules.below, (b[above], a[above]), -arrays.high[above])
     np.minimum.at(rules.above, (b[above], a[above]), -arrays.low[above])
     place = np.searchsorted(used, arrays.kinds)
@@ -130,9 +134,11 @@ def factor_pair_rules(arrays: SolverArrays, n_markers: int) -> tuple[SolverArray
     for one, other, low_end, high_end in ((a, b, arrays.low, arrays.high), (b, a, *_exchanged(antisymmetric, arrays.low, arrays.high))):
         np.maximum.at(rules.low, (place[moving], one[moving], other[moving]), low_end[moving])
         np.minimum.at(rules.high, (place[moving], one[moving], other[moving]), high_end[moving])
+    # What became a rule for pairs is no classifier of a solver any more.
     rest = ~(far | above | moving)
     first = np.concatenate([[0], np.cumsum(rest)])[arrays.first_feature]
     low, high = angles_to_cosines(arrays.kinds, arrays.low, arrays.high)
+    # At each depth the kinds that the kernel has inlined come first.
     inlined_first = np.lexsort((arrays.kinds[rest] > LAST_INLINED, depth_of[rest]))
     kept = np.nonzero(rest)[0][inlined_first]
     own = (arrays.kinds[kept], arrays.slots[kept], low[kept], high[kept])
@@ -147,6 +153,7 @@ def _exchanged(antisymmetric: NDArray[np.bool_], low: Floats, high: Floats) -> t
 def angles_to_cosines(kinds: Ints, low: Floats, high: Floats) -> tuple[Floats, Floats]:
     """Intervals, those of angles (rad) as those of their cosines. An end that reaches 0 or pi is open."""
     angle = np.isin(kinds, (G1, G6, G7))
+    # The cosine falls as the angle rises, so that the ends change places.
     near = np.where(angle, np.where(high >= np.pi, -np.inf, np.cos(np.clip(high, 0.0, np.pi))), low)
     far = np.where(angle, np.where(low <= 0.0, np.inf, np.cos(np.clip(low, 0.0, np.pi))), high)
     return near, far
@@ -156,11 +163,13 @@ def replacement_table(frames: Floats, weak: WeakClassifiers, rng: np.random.Gene
     """(F, M, words) bits: whether a classifier rejects when one marker alone is given another marker's point. For `build_search_tree`."""
     n = frames.shape[1]
     visible = ~np.isnan(frames[:, :, 0])
+    # Frames without a gap test every classifier.
     complete = np.nonzero(visible.all(axis=1))[0]
     source = complete if len(complete) else np.nonzero(visible.any(axis=1))[0]
     size = n * words * 64
     marker = np.repeat(np.arange(n), words * 64)
     labels = np.tile(np.arange(n), (size, 1))
+    # A marker gets another one's point: never its own, whatever was drawn.
     labels[np.arange(size), marker] = (marker + rng.integers(1, max(2, n), size=size)) % n
     table = np.zeros((len(weak), n * words), dtype=np.uint64)
     mark_rejections(np.ascontiguousarray(frames[rng.choice(source, size=size)]), labels, weak.kinds, weak.slots, weak.low, weak.high, table)
@@ -175,6 +184,7 @@ def build_search_tree(weak: WeakClassifiers, table: Bits, markers: Ints, start: 
     depth_of = np.zeros(table.shape[1], dtype=np.int64)
     depth_of[order] = np.arange(len(order))
     ordered = weak.take(rank)
+    # Slots beyond a feature's points are never read, but must be valid.
     unused = np.arange(4) >= np.array([feature.points for feature in FEATURES])[ordered.kinds][:, None]
     return Solver(order, WeakClassifiers(ordered.kinds, np.where(unused, 0, depth_of[ordered.slots]), ordered.low, ordered.high), first)
 
@@ -187,6 +197,7 @@ def stack_frames(recordings: Sequence[Recording], subjects: Sequence[str] | None
     """
     if not recordings or not sum(map(len, recordings)):
         raise AsterismError("there are no frames to learn from; give at least one labelled recording.")
+    # Columns are markers here: other columns would be other markers.
     for recording in recordings:
         if recording.labels != recordings[0].labels:
             name = recording.metadata.get("file", "a recording")
@@ -240,6 +251,7 @@ class FullSolver:
         Raises AsterismError as `fit` does, and for a marker that no frame shows.
         """
         rules = rules or FullSolverRules()
+        # Two markers have one distance, the same both ways round.
         if frames.shape[1] < 3:
             raise AsterismError(
                 f"{frames.shape[1]} markers cannot be told apart by distances and heights; a marker set needs at least three."
@@ -253,12 +265,14 @@ class FullSolver:
         table = replacement_table(frames, weak, rng)
         wrong = WrongLabellings.draw(frames, weak, rng)
         sample = np.ascontiguousarray(frames[np.sort(rng.permutation(len(frames))[: rules.sample_frames])])
+        # Wrong labellings that a search finds are harder than any drawn ones: they are added, and boosting begins anew.
         for _ in range(rules.rounds):
             rows, gains, _ = wrong.boost(np.arange(len(weak)), markers, rules.weak_classifiers)
             solver = _fastest_tree(weak.take(rows), table[rows], markers, sample)
             accepted, labels = _wrong_accepted(solver, sample)
             if not len(accepted):
                 break
+            # Few were found: each counts as many of the drawn ones.
             weight = np.full(-(-len(labels) // 64), rules.accepted_weight * len(markers), dtype=np.int64)
             wrong = wrong.joined(WrongLabellings.from_labellings(sample[accepted], labels, weak, weight))
         strong = StrongClassifier(weak.take(rows), gains.astype(np.float64), len(markers))
@@ -284,6 +298,7 @@ class FullSolver:
             total,
         )
         solved = first >= 0
+        # Frames without a labelling say nothing of the cost to the first one.
         self.evaluations = float(first[solved].mean()) if solved.any() else float("nan")
         self.evaluations_in_all = float(total.mean()) if len(total) else float("nan")
         return Labelling(indices, np.where(indices == NULL, 0.0, self.hit_rates), self.names)
@@ -298,6 +313,7 @@ def _weak_classifiers(frames: Floats, groups: Ints, rules: FullSolverRules, rng:
     markers, widen = np.arange(frames.shape[1]), rules.widen
     ranges = FeatureRanges.measure(frames, groups, rules.features, rng)
     weak = ranges.classifiers("range")
+    # The widening is chosen for the classifiers that boosting takes, not for the whole pool.
     if rules.rule == "widened" and widen is None:
         wrong = WrongLabellings.draw(frames, weak, rng)
         rows, _, _ = wrong.boost(classifiers_over(weak, len(markers), markers), markers, rules.weak_classifiers)
@@ -319,12 +335,15 @@ def _label_frames(solver: Solver, frames: Floats, given: Ints) -> tuple[Ints, In
 
 def _fastest_tree(weak: WeakClassifiers, table: Bits, markers: Ints, sample: Floats) -> Solver:
     """The tree, among those from every first marker, with the fewest evaluations until the right labelling and in total, added up."""
+    # Some two hundred frames rank the trees well enough.
     few = sample[:: max(1, len(sample) // 200)]
     given = np.empty((len(few), len(markers)), dtype=np.int64)
     best, fewest = None, float("inf")
+    # The first marker decides the cost: few candidates at the top leave few branches.
     for start, lowest_first in product(markers, (False, True)):
         solver = replace(build_search_tree(weak, table, markers, start), lowest_first=lowest_first)
         _, first, total = _label_frames(solver, few, given)
+        # Both until the first labelling and to the end: a search that proves there is no other goes on.
         cost = float(np.where(first < 0, total, first).mean() + total.mean())
         if cost < fewest:
             best, fewest = solver, cost
@@ -338,12 +357,14 @@ def _wrong_accepted(solver: Solver, sample: Floats) -> tuple[Ints, Ints]:
     found, counters = np.empty((64, depths), dtype=np.int64), np.zeros(2, dtype=np.int64)
     passed, labels = [], []
     for number, points in enumerate(sample):
+        # With a gap the right labelling is not complete, and any other would count as wrong.
         if np.isnan(points[:, :3]).any():
             continue
         counters[0] = 0
         solutions = search(arrays, 0, points, np.argsort(-points[:, 2], kind="stable"), BUDGET, found, counters)
         by_marker = np.empty((max(solutions, 0), depths), dtype=np.int64)
         by_marker[:, solver.markers] = found[: max(solutions, 0)]
+        # The rows are in the markers' order, so that counting up is the truth.
         wrong = by_marker[(by_marker != np.arange(depths)).any(axis=1)]
         passed.append(np.full(len(wrong), number))
         labels.append(wrong)

@@ -185,18 +185,22 @@ class SolverSearch:
         if features is None:
             features = FEATURES if self.n_markers <= MANY_MARKERS else FEATURES_OF_MANY
         weak = FeatureRanges.measure(self.frames, groups, features, self.rng).classifiers("widened", s.widen)
+        # An interval that accepts everything rejects nothing.
         self.weak = weak.take(np.isfinite(weak.low))
         self.reads = markers_read(self.weak.kinds, self.weak.slots, self.n_markers)
         self.point_counts = self.reads.sum(axis=1)
         self.moving = np.array([feature.moving for feature in REGISTRY])[self.weak.kinds]
         self.table = replacement_table(self.frames, self.weak, self.rng)
         self.wrong = WrongLabellings.draw(self.frames, self.weak, self.rng, 2048)
+        # The rule of three: so many trials without a miss show the target.
         needed = np.round(3.0 / np.maximum(1.0 - self.targets.max(), 1e-9))
         self.validation_frames = int(min(s.validation_frames, max(FEWEST_VALIDATION_FRAMES, needed)))
+        # Frames are drawn once, so that all solvers are compared on the same ones.
         self.chosen_frames = self.rng.integers(len(self.frames), size=max(s.evaluation_frames, self.validation_frames))
         self.hidden = random_occlusions(len(self.chosen_frames), self.n_markers, s.max_hidden, self.rng)
         self.motion_unknown = self.hidden
         if self.frames.shape[2] > 3:
+            # Beside gaps tracks end, and with them what is known of the motion.
             share = np.minimum(s.motion_loss * self.hidden.sum(axis=1), s.max_motion_loss)
             self.motion_unknown = self.rng.random(self.hidden.shape) < share[:, None]
         n, pair_motions = self.n_markers, len(np.unique(self.weak.kinds[self.moving & (self.point_counts == 2)]))
@@ -213,16 +217,19 @@ class SolverSearch:
     def build_solver(self, markers: MarkerSubset) -> Solver | None:
         """The solver of a subset: boosted classifiers in a search tree. None where no classifier reads its markers alone."""
         own = np.array(markers, dtype=np.int64)
+        # A classifier belongs to a subset when all its markers do.
         rows = np.nonzero(self.reads[:, own].sum(axis=1) == self.point_counts)[0]
         if not len(rows):
             return None
         most = self.settings.max_classifiers
+        # Pairs cost next to nothing, since solvers share them: boosting fills what is left.
         if len(rows) > most:
             pairs = self.point_counts[rows] == 2
             left = most - int((pairs & ~self.moving[rows]).sum())
             rows = np.concatenate([rows[pairs], self.wrong.boost(rows[~pairs], own, max(1, left))[0]])
         table = self.table[rows]
         bits = np.unpackbits(np.ascontiguousarray(table[:, own]).view(np.uint8), axis=2).sum(axis=(0, 2))
+        # The marker whose exchange most classifiers notice is the best first one.
         return build_search_tree(self.weak.take(rows), table, own, int(own[np.argmax(bits)]))
 
     def evaluate(self, markers: Iterable[int], validate: bool = False) -> EvaluatedSolver | None:
@@ -240,6 +247,7 @@ class SolverSearch:
         if validate:
             return self.evaluate_on(solver, self.validation_frames)
         result = self.evaluate_on(solver, self.settings.screening_frames)
+        # Most subsets fail on few frames, which spares the many.
         if self._reaches(result, np.minimum(self.targets, self.settings.screening_target)).any():
             result = self.evaluate_on(solver, self.settings.evaluation_frames)
         self.evaluated[subset] = result
@@ -248,6 +256,7 @@ class SolverSearch:
     def evaluate_on(self, solver: Solver, count: int) -> EvaluatedSolver:
         """Rates of a solver on the first `count` of the chosen frames."""
         counts = ProposalCounts(*(np.zeros(self.n_markers, dtype=np.int64) for _ in ProposalCounts._fields))
+        # A solver that has missed so often can no longer reach the target.
         max_failures = max(2 if count > self.settings.screening_frames else 8, int((1 - self.targets.min()) * count * 2))
         arrays, pairs = factor_pair_rules(pack_solvers([solver]), self.n_markers)
         first_id = self._new_frame_ids(count)
@@ -290,11 +299,13 @@ class SolverSearch:
 
     def _reaches(self, evaluated: EvaluatedSolver, rates: Floats) -> NDArray[np.bool_]:
         hit_rates = np.nan_to_num(evaluated.hit_rates, nan=-1.0)
+        # A high rate on few proposals may be luck.
         return (hit_rates >= rates) & (evaluated.response_rates >= self.settings.min_response_rate)
 
 
 def random_occlusions(count: int, n_markers: int, most: int, rng: np.random.Generator, least: int = 0) -> NDArray[np.bool_]:
     """(count, n_markers) markers to hide in each of `count` frames: `least` to `most` of them, each number equally often, at random."""
+    # Each number of hidden markers is equally frequent.
     number = least + np.arange(count) % (min(most, max(n_markers - 1, 0)) + 1 - least)
     ranks = np.argsort(np.argsort(rng.random((count, n_markers)), axis=1), axis=1)
     hidden: NDArray[np.bool_] = ranks < number[:, None]
@@ -350,7 +361,9 @@ def bottom_up(search: SolverSearch, progress: Progress) -> list[EvaluatedSolver]
     found: list[EvaluatedSolver] = []
     largest = min(search.settings.max_markers, search.n_markers)
     for size in range(2, largest + 1):
+        # Each subset once, whatever the order in which its markers came.
         grown = sorted({tuple(sorted((*subset, m))) for subset in level for m in range(search.n_markers) if m not in subset})
+        # Neighbours that keep their distances make the best solvers.
         grown = _most_rigid(search, grown, 4 * search.settings.beam_width)
         waiting: list[EvaluatedSolver] = []
         for number, subset in enumerate(grown):
@@ -359,6 +372,7 @@ def bottom_up(search: SolverSearch, progress: Progress) -> list[EvaluatedSolver]
             evaluated = search.evaluate(subset)
             if evaluated is None:
                 continue
+            # A solver that reaches the goal grows no further: a larger one would only cost more.
             (found if search.reaches_goal(evaluated) else waiting).append(evaluated)
         if not waiting:
             break
@@ -385,6 +399,7 @@ def top_down(search: SolverSearch, progress: Progress) -> list[EvaluatedSolver]:
             children = [tuple(m for m in markers if m != out) for out in markers]
             parents.append((parent, children))
             wanted.update(children)
+        # Children of several parents are tried once.
         tried = set(_most_rigid(search, sorted(wanted), 2 * search.settings.beam_width))
         survivors: dict[MarkerSubset, EvaluatedSolver] = {}
         for number, (parent, children) in enumerate(parents):
@@ -392,6 +407,7 @@ def top_down(search: SolverSearch, progress: Progress) -> list[EvaluatedSolver]:
                 progress(1.0 - size / search.n_markers + number / len(parents) / search.n_markers, f"solvers of {size - 1} markers")
             able = _that_reach(search, [child for child in children if child in tried])
             survivors.update(able)
+            # The smallest that reaches a target is what the search is after.
             if not able:
                 found.append(parent)
         following = [survivors[key] for key in sorted(survivors)]
@@ -429,6 +445,7 @@ def evolve(search: SolverSearch, progress: Progress) -> set[MarkerSubset]:
     """
     rng, n, size = search.rng, search.n_markers, search.settings.beam_width
     generations = search.settings.generations
+    # Six markers on average: smaller solvers fail, larger ones cost.
     genes = rng.random((size, n)) < np.minimum(6.0 / n, 0.8)
     population = {subset for row in genes if len(subset := _subset_of(row)) > 2}
     for generation in range(generations):
@@ -472,6 +489,7 @@ def _rank_key(search: SolverSearch, subset: MarkerSubset) -> tuple[float, int, f
     """Sorts the fittest subset first."""
     evaluated = search.evaluate(subset)
     if evaluated is None:
+        # Nothing can be built of it: it ranks last.
         return (1.0, len(subset), 0.0, subset)
     shortfall = np.maximum(search.targets - evaluated.hit_rates, 0.0)
     return (float(np.nanmin(shortfall)), len(subset), -float(evaluated.response_rates.max()), subset)
@@ -487,10 +505,12 @@ def _most_rigid(search: SolverSearch, subsets: list[MarkerSubset], limit: int) -
         a, b = np.nonzero(search.reads[row])[0]
         narrowest[a, b] = narrowest[b, a] = min(narrowest[a, b], width[row])
     np.fill_diagonal(narrowest, 0.0)
+    # Pairs without an interval count as far from rigid, not as impossible.
     narrowest[np.isinf(narrowest)] = 10.0
     markers = np.array(subsets)
     cost = sum(narrowest[markers[:, [i]], markers].sum(axis=1) for i in range(markers.shape[1]))
     kept: set[int] = set()
+    # An equal share for each marker, so that loose ones get solvers, too.
     per_marker = max(1, limit // search.n_markers)
     order = np.argsort(cost, kind="stable")
     for marker in range(search.n_markers):
@@ -503,6 +523,7 @@ def _best_per_marker(search: SolverSearch, candidates: list[EvaluatedSolver], li
     if len(candidates) <= limit:
         return candidates
     hit_rates = np.nan_to_num(np.array([c.hit_rates for c in candidates]), nan=-1.0)
+    # The response rate decides among equals.
     rates = hit_rates + 1e-3 * np.array([c.response_rates for c in candidates])
     kept: set[int] = set()
     per_marker = max(1, limit // search.n_markers)
@@ -518,11 +539,13 @@ def choose_ensemble(search: SolverSearch, found: list[EvaluatedSolver], progress
     is taken. For a marker that no solver reaches the target of, the best known solvers are taken, and the marker is not `covered`.
     """
     n = search.n_markers
+    # The points of a solver must fit the bits of a word.
     if search.settings.for_printed_matrix and n <= MOST_IN_A_WORD:
         chosen = _choose_for_matrix(search, sorted(_all_that_reach(search, found), key=_smallest_first), progress)
     else:
         chosen = _choose_for_coverage(search, sorted(found, key=_smallest_first), progress)
     covered = np.any(np.array([reaches for _, reaches in chosen], dtype=np.bool_).reshape(-1, n), axis=0)
+    # A marker without a solver would never be labelled: the best known ones stand in.
     for marker in np.nonzero(~covered)[0]:
         able = [e for _, e in sorted(search.evaluated.items()) if e.hit_rates[marker] > 0]
         best = sorted(able, key=lambda e: (-e.hit_rates[marker], len(e.solver.markers)))[: search.settings.substitutes]
@@ -565,9 +588,11 @@ def _choose_for_matrix(search: SolverSearch, found: list[EvaluatedSolver], progr
     choice, and would take other solvers' labels away.
     """
     s = search.settings
+    # Few patterns first: thousands of candidates on all of them would take gigabytes.
     matrix, points = _handed_in(search, found, max(1, s.coverage_patterns // 4))
     kept: list[int] = []
     for _ in range(FIRST_CHOICES):
+        # Again from those left: what few patterns tell is partly luck.
         kept += choose_solvers(matrix.emptied(), [e.solver.markers for e in found], points, s.max_solvers, without=kept)
     del points
     candidates = [found[i] for i in sorted(kept)]
@@ -576,6 +601,7 @@ def _choose_for_matrix(search: SolverSearch, found: list[EvaluatedSolver], progr
 
     def confirm(i: int) -> NDArray[np.bool_]:
         markers = candidates[i].solver.markers
+        # Validation costs most, and a candidate may be asked for several times.
         if i not in again:
             validated = search.evaluate(markers.tolist(), validate=True)
             assert validated is not None
@@ -598,6 +624,7 @@ def _handed_in(search: SolverSearch, found: list[EvaluatedSolver], patterns: int
     )
     points = search.handed_in([e.solver for e in found], trial)
     for e, own in zip(found, points, strict=True):
+        # What a solver proposes without reaching the target would take labels from others.
         own[~search.reaches_target(e)[e.solver.markers]] = 0
     return Matrix(trial.hidden.T, s.wrong_cost / max(1.0 - float(search.targets.mean()), 1e-6)), points
 
@@ -609,6 +636,7 @@ def _choose_for_coverage(search: SolverSearch, found: list[EvaluatedSolver], pro
     hidden = random_occlusions(patterns, n, settings.max_hidden + 1, search.rng)
     lacking = (~hidden).astype(np.float64)
     rates = np.array([search.reaches_target(e) * e.response_rates for e in found]).reshape(-1, n)
+    # A solver is ready where none of its markers is hidden.
     ready = np.array([~hidden[:, e.solver.markers].any(axis=1) for e in found], dtype=np.float64).reshape(-1, patterns)
     cost = 1.0 + settings.marker_cost * np.array([len(e.solver.markers) for e in found])
     chosen: list[Trusted] = []
@@ -621,9 +649,11 @@ def _choose_for_coverage(search: SolverSearch, found: list[EvaluatedSolver], pro
         assert validated is not None
         reaches = search.reaches_target(validated)
         rate = reaches * validated.response_rates
+        # Its rate on the search's frames was luck: it goes back with the true one.
         if (rate < rates[best] - settings.max_rate_drop).any():
             rates[best] = rate
             continue
+        # What it gives is no longer lacking, in proportion to its rate.
         lacking *= 1.0 - ready[best][:, None] * rate
         rates[best] = 0.0
         chosen.append((validated, reaches))

@@ -88,11 +88,14 @@ class FeatureRanges:
         low, high = self.low[:, people], self.high[:, people]
         shown = np.isfinite(low)
         count = shown.sum(axis=1)
+        # Smallest and largest value of all people together, eq. 4.4.
         alpha, beta = low.min(axis=1), high.max(axis=1)
         if rule == "widened":
             width = np.where(count > 0, beta - alpha, 0.0)
+            # The ends of a few people say little of the next one: their spread widens them.
             alpha = alpha - widen * np.where(count > 1, _deviation(low, shown), ONE_PERSON_SHARE * width)
             beta = beta + widen * np.where(count > 1, _deviation(high, shown), ONE_PERSON_SHARE * width)
+        # A feature that nobody showed must not reject anybody.
         return WeakClassifiers(self.kinds, self.slots, np.where(count > 0, alpha, -np.inf), np.where(count > 0, beta, np.inf))
 
 
@@ -111,6 +114,7 @@ def draw_wrong_labellings(n_markers: int, severities: Ints, rng: np.random.Gener
     open_rows = np.arange(count)
     image = np.empty_like(which)
     inside = np.arange(n_markers) < severities[:, None]
+    # A permutation with a fixed point has too few wrong labels: it is drawn anew.
     while len(open_rows):
         keys = np.where(inside[open_rows], rng.random((len(open_rows), n_markers)), np.inf)
         image[open_rows] = np.argsort(keys, axis=1, kind="stable")
@@ -139,12 +143,15 @@ class WrongLabellings:
         """Permutations with severities from 2 to M (section 4.4.1), half of them of 2 to 4 labels, of frames without gaps if there are."""
         n = frames.shape[1]
         words = max(2, count // 64)
+        # Exchanges of two to four labels are the hardest, and get half of the samples.
         few = np.linspace(2, min(4, n), words // 2)
         severity = np.sort(np.concatenate([few, np.linspace(2, n, words - len(few))]).round().astype(np.int64))
         complete = np.nonzero(~np.isnan(frames[:, :, 0]).any(axis=1))[0]
+        # Too few complete frames would repeat themselves.
         source = complete if len(complete) >= 64 else np.arange(len(frames))
         drawn = frames[rng.choice(source, size=64 * words)]
         labels = draw_wrong_labellings(n, np.repeat(severity, 64), rng)
+        # The fewer labels are wrong, the more a rejection is worth.
         return cls.from_labellings(drawn, labels, weak, n + 1 - severity)
 
     @classmethod
@@ -171,6 +178,7 @@ class WrongLabellings:
         A labelling that is right about all of `markers` is no wrong sample for them. Returns at most `most` rows in order of selection,
         the weight each has earned, and how many of them were taken before every sample that can be rejected was.
         """
+        # Only labellings that are wrong about one of these markers are wrong for them.
         wrong = np.bitwise_or.reduce(self.wrong_markers[np.asarray(markers, dtype=np.int64)], axis=0)
         chosen, gains = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
         count, once = choose_covering(np.ascontiguousarray(self.table[rows]), wrong, self.weight, min(most, len(rows)), chosen, gains)
@@ -178,6 +186,7 @@ class WrongLabellings:
 
 
 def _padded(values: NDArray[np.generic], table: Bits) -> NDArray[np.generic]:
+    # The last word may be short: copies fill it, which no bit counts.
     short = table.shape[1] * 64 - len(values)
     return np.concatenate([values, np.repeat(values[-1:], short, axis=0)]) if short else values
 
@@ -209,14 +218,17 @@ class StrongClassifier:
         point or the motion that it reads is missing.
         """
         check_motion(self.weak.kinds, frames)
+        # A row of NaN stands for "no point", so that a missing marker reads as missing.
         absent = np.full((len(frames), 1, frames.shape[2]), np.nan)
         points = np.ascontiguousarray(np.concatenate([frames, absent], axis=1))
         rows = np.where(np.asarray(labels, dtype=np.int64) < 0, frames.shape[1], labels).astype(np.int64)
         rejected = self._rejections(points, rows, self.weak.low, self.weak.high)
         nothing = np.full(len(self.weak), np.inf)
         known = self._rejections(points, rows, nothing, -nothing)  # an interval that rejects every value
+        # What cannot be evaluated counts neither for nor against.
         weight = self.weights @ known
         score: Floats = 1.0 - (self.weights @ rejected) / np.where(weight > 0, weight, 1.0)
+        # A score of exactly 1 is kept for "nothing rejects", whatever rounding does.
         return np.where(rejected.any(axis=0), np.minimum(score, np.nextafter(1.0, 0.0)), 1.0)
 
     def _rejections(self, frames: Floats, labels: Ints, low: Floats, high: Floats) -> NDArray[np.uint8]:
@@ -241,6 +253,7 @@ class StrongClassifier:
             raise AsterismError("no frame shows all markers, so no wrong labelling can be made; give frames without gaps.")
         rng = np.random.default_rng(seed)
         caught = 0
+        # In parts, which bounds the memory.
         for start in range(0, wrong, CHUNK):
             size = min(CHUNK, wrong - start)
             labels = draw_wrong_labellings(self.n_markers, rng.integers(2, self.n_markers + 1, size=size), rng)
@@ -265,12 +278,14 @@ def choose_widening(ranges: FeatureRanges, frames: Floats, groups: Ints, rows: I
     for p, person in enumerate(people):
         own = np.ascontiguousarray(frames[groups == person])
         right = np.tile(np.arange(n), (len(own), 1))
+        # Two or three wrong labels are the ones that widening lets through.
         choice = rng.integers(len(own), size=2000)
         wrong = draw_wrong_labellings(n, rng.integers(2, min(3, n) + 1, size=len(choice)), rng)
         for w, widen in enumerate(WIDENINGS):
             weak = kept.classifiers("widened", widen, np.arange(len(people)) != p)
             refused = count_rejected(own, np.arange(len(own)), right, weak.kinds, weak.slots, weak.low, weak.high)
             caught = count_rejected(own, choice, wrong, weak.kinds, weak.slots, weak.low, weak.high)
+            # Accepting one's own frames and rejecting exchanges weigh alike.
             merits[w] += caught / len(choice) - refused / len(own)
     return WIDENINGS[int(np.argmax(merits))]
 

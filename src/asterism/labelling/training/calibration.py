@@ -47,7 +47,9 @@ class Calibration:
 
         Each bin counts one label more than it saw, as often right as the labels are on the whole, so that few labels prove little.
         """
+        # Beyond the largest margin nothing more is learned, and a single label would set the end of the curve.
         given, hit = np.clip(np.asarray(margin, dtype=np.float64), -LARGEST, LARGEST), np.asarray(right, dtype=np.float64)
+        # Without trials a label is as likely wrong as right.
         if len(given) == 0:
             return cls(np.array([0.0]), np.array([0.5]))
         order = np.argsort(given, kind="stable")
@@ -57,8 +59,10 @@ class Calibration:
         bin_of = np.minimum((weight / weight[-1] * bins).astype(int), bins - 1)
         _, bin_of = np.unique(bin_of, return_inverse=True)
         count = np.bincount(bin_of)
+        # The share of a bin is pulled towards the mean by one label.
         share = (np.bincount(bin_of, weights=hit) + 1.0 * hit.mean()) / (count + 1.0)
         curve = isotonic_regression(share, weights=count).x
+        # Never certain: the trials cannot show a rarer error than one in their number.
         return cls(np.bincount(bin_of, weights=given) / count, np.minimum(curve, 1.0 - 0.5 / (len(hit) + 1.0)))
 
 
@@ -98,6 +102,7 @@ class LabelTrials:
 
     def in_cells(self, left_over: int) -> tuple[Floats, Floats, Floats, Floats]:
         """Margin, fit and right of the labels that differ, without or with points left over, and the weight of each kind: (m,) each."""
+        # Labels are counted by kind, which makes the regression as fast for a million trials as for a thousand.
         own = self.left_over == left_over
         margin = np.round(np.clip(self.margin[own], MARGIN_KNOTS[0], MARGIN_KNOTS[-1]) / CELL)
         fit = np.round(np.clip(self.fit[own], FIT_KNOTS[0], FIT_KNOTS[-1]) / CELL)
@@ -164,6 +169,7 @@ class LabelCalibration:
         given = np.broadcast_arrays(np.asarray(margin, dtype=np.float64), fit, np.asarray(left_over, dtype=np.int64))
         margins, fits, sides = (values.ravel() for values in given)
         found = np.empty(len(margins))
+        # In blocks: the pieces of all labels at once would take nine times their memory.
         for start in range(0, len(margins), AT_ONCE):
             block = slice(start, start + AT_ONCE)
             found[block] = self._confidence(margins[block], fits[block], sides[block])
@@ -179,6 +185,7 @@ class LabelCalibration:
     def fitted(cls, trials: LabelTrials, people: int, prior: LabelPrior) -> LabelCalibration:
         """The weights that explain trials of a model of so many people best, beside those of the prior."""
         known = np.array(prior.of_one if people < 2 else prior.of_several)
+        # With and without points left over are different worlds: a ghost can take a label only where it is.
         own = np.stack([_regression(*trials.in_cells(side)) for side in (0, 1)])
         return cls(own, known, people / (people + prior.people))
 
@@ -196,6 +203,7 @@ def _regression(margin: Floats, fit: Floats, right: Floats, weight: Floats) -> F
         value = (weight * np.logaddexp(0.0, -signed)).sum() + 0.5 * (away**2).sum()
         return float(value), away - columns.T @ (weight * sign * expit(-signed))
 
+    # Slopes must not fall: more margin or fit never makes a label less likely right.
     bounds = [(None, None)] + [(0.0, None)] * (columns.shape[1] - 1)
     return np.asarray(minimize(loss, usual, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 300, "ftol": 1e-10}).x)
 

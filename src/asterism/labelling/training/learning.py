@@ -26,7 +26,7 @@ from asterism.labelling.training.sample import FEWEST_SHOWN, Sample
 from asterism.labelling.training.trials import TrainingTrial
 from asterism.labelling.whole.certainty import Certainty, least_confidence_in_time
 from asterism.labelling.whole.label import run_trials
-from asterism.labelling.whole.scene import RecordingLabellingSettings
+from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording, subject_of
 
@@ -104,6 +104,7 @@ class TrainingRules:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "solver_rules", tuple(self.solver_rules))
+        # Checked here, where the name is given, and not hours later in the search.
         for rules in self.solver_rules:
             if rules not in SOLVER_RULES:
                 raise AsterismError(f"the rules {rules!r} have no partial solvers; choose among {', '.join(SOLVER_RULES)}.")
@@ -128,6 +129,7 @@ class TrainingConfig:
     rules: TrainingRules = field(default_factory=TrainingRules)
 
     def __post_init__(self) -> None:
+        # Naming features asks for partial solvers, which need a strategy.
         if self.miner is None and self.rules.features is not None:
             object.__setattr__(self, "miner", "bottom-up")
         check_miner(self.miner)
@@ -190,6 +192,7 @@ class TrainingState:
         if len(names) != len(recordings):
             raise AsterismError(f"{len(names)} subjects for {len(recordings)} recordings; give one name per recording.")
         for recording in recordings:
+            # One that shows nothing would be learned as silence, and say so nowhere.
             if (recording.visible.sum(axis=1) < FEWEST_SHOWN).all():
                 raise AsterismError(
                     f"{recording.metadata.get('file', 'a recording')} has no frame that shows {FEWEST_SHOWN} labelled points; leave it out."
@@ -209,11 +212,13 @@ class TrainingState:
         if not self.sample.clips:
             raise AsterismError("no frame shows three markers; check the marker set against the files' labels.")
         frames, people = self.sample.frames()
+        # Motion is of whole stretches: a single frame has none.
         if self.config.reads_motion:
             whole, _ = self.sample.stretches([str(marker) for marker in range(frames.shape[1])])
             frames = np.concatenate([frames_with_motion(stretch) for stretch in whole])
         shown = ~np.isnan(frames[:, :, 0])
         seen = shown.any(axis=0)
+        # A frame with few markers teaches a body with most of them missing.
         usable = shown.sum(axis=1) >= max(3, 0.5 * seen.sum())
         if seen.sum() < 4 or usable.sum() < 10:
             raise AsterismError(
@@ -221,8 +226,10 @@ class TrainingState:
                 "training needs 4 markers and 10 such frames: check the marker set against the files' labels."
             )
         frames, people = frames[usable], people[usable]
+        # The same number of frames of each person, so that nobody's body dominates.
         rows = subsample(people, self.config.rules.frames_per_person)
         markers = np.nonzero(shown[usable][rows].any(axis=0))[0]
+        # People are counted anew, since some may have no usable frame.
         number = {self.sample.subjects[person]: i for i, person in enumerate(np.unique(people))}
         labels = tuple(str(m) for m in range(frames.shape[1]))
         stretches = [
@@ -257,11 +264,13 @@ def learn_body(
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         try:
             whole = pool.submit(_fit_whole, frames, people, config)
+            # All bodies are learned side by side: the fits release the lock of the interpreter.
             parts = [pool.submit(_fit_without, frames, people, out, config, i) for i, out in enumerate(_folds(people, config.rules.folds))]
             body, anchors = whole.result()
             progress(0.2, "trying it on people left out")
             learned = [part for part in (future.result() for future in parts) if part is not None]
             in_frames, in_time = _try_on_left_out(pool, learned, stretches, anchors.triples, config, progress)
+        # Also at Ctrl-C: the tasks that have not begun must not keep the process alive.
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
@@ -270,6 +279,7 @@ def learn_body(
     count = len(np.unique(people))
     certainty = Certainty(LabelCalibration.fitted(in_time, count, IN_TIME), least_confidence_in_time(config.target_hit_rate))
     usual_score = float(np.median([part.usual_score for part in learned]))
+    # The median of several smaller models is steadier than the whole model's own score on its training.
     return LearnedBody(body, anchors, usual_score, (none, some), LabelCalibration.fitted(in_frames, count, IN_FRAMES), certainty)
 
 
@@ -304,10 +314,12 @@ class _LearnedFromOthers:
 def _fit_without(frames: Floats, people: Ints, out: NDArray[np.bool_], config: TrainingConfig, number: int) -> _LearnedFromOthers | None:
     """Learn from the frames that are not `out` (N,); None where no frame of the people left out can be scored."""
     rules = config.rules
+    # A marker that only the people left out wear cannot be learned from the others.
     markers = np.nonzero(~np.isnan(frames[~out, :, 0]).all(axis=0))[0]
     others, whose, tested = frames[np.ix_(~out, markers)], renumbered(people[~out]), frames[np.ix_(out, markers)]
     body = fit_body(others, whose, rules.body, config.seed)
     scores = _scores_of_truth(body, tested, rules.frames, rules, np.random.default_rng([config.seed, number]))
+    # Nobody of this group can be scored, so that it calibrates nothing.
     if len(scores) == 0:
         return None
     usual_score = float(np.quantile(scores, rules.usual_quantile))
@@ -329,9 +341,11 @@ def _try_on_left_out(
     rules = config.rules
     tasks = []
     for part in learned:
+        # Intervals of the whole training would have seen the people left out.
         anchors = with_intervals(_triples_within(triples, part.markers), part.frames, part.people, AnchorRules())
         model = BodyLabeller.from_model(part.body, anchors, rules.frames.with_usual_score(part.usual_score))
         chosen = _some_stretches(stretches, np.unique(part.tested_people), part.markers, rules)
+        # Each group draws its own occlusions, whatever the order in which tasks end.
         seed = config.seed + part.number
         settings = (RecordingLabellingSettings(), SubjectRules(), rules.body, seed)
         tasks.append(pool.submit(_try_frames, model, part.tested, part.tested_people, rules, seed))
@@ -340,6 +354,7 @@ def _try_on_left_out(
     for i, task in enumerate(tasks):
         found.append(task.result())
         progress(0.2 + 0.8 * (i + 1) / len(tasks), "trying it on people left out")
+    # Tasks alternate between frames and stretches, in the order in which they were handed in.
     return LabelTrials.together(found[::2]), LabelTrials.together(found[1::2])
 
 
@@ -361,6 +376,7 @@ def _folds(people: Ints, folds: int) -> list[Any]:
     count = int(people.max()) + 1
     if count > 1:
         return [people % folds == i for i in range(min(folds, count))]
+    # With one person, blocks in turn are the nearest to an unseen recording.
     block = np.arange(len(people)) // 10
     return [block % 2 == i for i in range(2)]
 
@@ -369,6 +385,7 @@ def _some_stretches(stretches: Sequence[tuple[int, Recording]], people: Ints, sh
     """The longest stretches of these people, cut to length, with the markers that the model knows."""
     chosen = []
     for someone in people:
+        # Long stretches hold the gaps and ghosts that last, which short ones cut off.
         own = sorted((stretch for who, stretch in stretches if who == someone), key=len, reverse=True)[: rules.stretches]
         chosen += [stretch.select([stretch.labels[m] for m in shown]).frames(slice(0, rules.stretch_frames)) for stretch in own]
     return chosen
@@ -386,6 +403,7 @@ def _scores_of_truth(
     arrays, settings = body.arrays(), look.with_usual_score(0.0)
     scores = []
     for frame in frames[rng.choice(len(frames), min(300, len(frames)), replace=False)]:
+        # Hidden markers lower the score of the others: the usual score must hold with them hidden.
         shown = ~np.isnan(frame[:, 0]) & (rng.random(len(frame)) >= rules.usual_hidden_share)
         if shown.sum() >= 3:
             rows = np.where(shown, np.cumsum(shown) - 1, NULL)
@@ -398,8 +416,10 @@ def _try_frames(tried: BodyLabeller, frames: Floats, people: Ints, rules: Traini
     """The labels that frames of people left out get in all trials."""
     rng = np.random.default_rng(seed)
     parts = []
+    # A frame of many markers gives many labels: fewer frames say as much.
     most = max(rules.min_trial_frames, rules.trial_labels // frames.shape[1])
     rows_of = subsample(people, min(rules.trial_frames, most))
+    # The rate does not matter: frames are tried one by one.
     recording = Recording(frames[rows_of], tuple(str(m) for m in range(frames.shape[1])), 100.0)
     for trial in rules.trials:
         clouds, truth = trial.in_frames(recording, rng)
@@ -407,6 +427,7 @@ def _try_frames(tried: BodyLabeller, frames: Floats, people: Ints, rules: Traini
         given = found.point_of >= 0
         fits = usual_fits(found, clouds, tried.settings.usual_score)
         left_over = np.repeat(found.points_left, given.sum(axis=1)).astype(np.int64)
+        # Ghosts are rarer in real frames than in the trials, and must not rule the calibration.
         weight = np.full(len(left_over), rules.ghost_trial_weight if trial.adds_points else 1.0)
         parts.append(LabelTrials(found.margins[given], fits[given], left_over, (found.point_of == truth)[given].astype(np.float64), weight))
     return LabelTrials.together(parts)

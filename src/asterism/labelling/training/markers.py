@@ -25,6 +25,7 @@ def learned_marker_set(recordings: Sequence[Recording], subjects: Sequence[str] 
         raise AsterismError("there is no recording to learn from; give at least one labelled file.")
     names = recordings[0].labels
     left_out: tuple[str, ...] = ()
+    # Equal labels mean one laboratory's set, to be learned as it is, unnamed columns and all.
     if any(recording.labels != names for recording in recordings):
         names, left_out = learned_markers(recordings, subjects)
     return MarkerSet(names, title="the recordings' own labels"), left_out
@@ -38,6 +39,7 @@ def learned_markers(
     The markers are in the order of the recordings that name them first. Raises AsterismError where fewer than `FEWEST_MARKERS` are left.
     """
     people = [subject_of(recording) for recording in recordings] if subjects is None else list(subjects)
+    # By people, not recordings: one person with many trials must not decide for all.
     shown_by: dict[str, set[str]] = {}
     for person, recording in zip(people, recordings, strict=True):
         for name in named_markers(recording):

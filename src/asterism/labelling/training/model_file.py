@@ -29,6 +29,7 @@ def write_arrays(path: str | os.PathLike[str], head: Mapping[str, Any], arrays: 
     path = Path(path)
     text = json.dumps({"format": FORMAT, "version": FORMAT_VERSION, **head})
     packed = io.BytesIO()
+    # The head is JSON in an array of bytes: plain text needs no pickle.
     np.savez_compressed(packed, allow_pickle=False, head=np.frombuffer(text.encode(), dtype=np.uint8), **arrays)
     write_atomically(path, packed.getvalue())
 
@@ -52,12 +53,14 @@ def reading(path: str | os.PathLike[str]) -> Iterator[Contents]:
     if not path.is_file():
         raise AsterismError(f"{path} does not exist; train a model first (asterism train), or check the path.")
     try:
+        # Sizes are checked against the file's before anything is unpacked.
         arrays = arrays_of_npz(path.read_bytes())
         head = json.loads(arrays.pop("head").tobytes().decode())
         if not isinstance(head, dict) or head["format"] != FORMAT:
             raise AsterismError(f"{path} is no Asterism model; train one with asterism train.")
         if head["version"] > FORMAT_VERSION:
             raise AsterismError(f"{path} was written by a later Asterism (model format {head['version']}); update Asterism.")
+        # Contents are checked before objects are made of them, so that a message can name the entry.
         check_contents(head, arrays)
         yield head, arrays
     except AsterismError as problem:

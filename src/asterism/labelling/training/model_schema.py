@@ -41,18 +41,21 @@ def check_contents(head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) 
     """Raise ValueError, naming it, for an entry of the head or an array that is missing, of another type, not finite or absurd."""
     for name, kind in _HEAD.items():
         value = head.get(name)
+        # A bool is an int to Python, and no count or share to us.
         if isinstance(value, bool) or not isinstance(value, (int, float) if kind is float else kind):
             raise ValueError(f"its {name} is {value if name not in head else type(value).__name__}, not {kind.__name__}")
     _check_numbers("head", head, 0)
     markers = head["marker_set"].get("names")
     if not isinstance(markers, list) or not all(isinstance(name, str) for name in markers) or len(markers) > _MOST_MARKERS:
         raise ValueError("its markers are no list of names")
+    # A sample is all or nothing: with its numbers there, the other arrays must be, too.
     for name, (letter, dimensions) in {**_ARRAYS, **(_SAMPLE if "sample_numbers" in arrays else {})}.items():
         if name not in arrays:
             raise ValueError(f"it lacks {name}")
         if arrays[name].dtype.kind != letter or arrays[name].ndim != dimensions or not arrays[name].size:
             raise ValueError(f"{name} has {arrays[name].dtype} in {arrays[name].shape}")
     for name, array in arrays.items():
+        # NaN fails the comparison as well, so that one test finds both.
         if array.dtype.kind == "f" and not name.endswith(_OPEN_ENDED) and not (np.abs(array) < _LARGEST).all():
             raise ValueError(f"{name} has a number that is not finite or too large")
         if array.dtype.kind == "i" and array.size and not (np.abs(array.astype(np.float64)) < _LARGEST).all():
@@ -66,6 +69,7 @@ def _check_sample(arrays: Mapping[str, NDArray[Any]], markers: int) -> None:
         return
     numbers, planes, missing = arrays["sample_numbers"], arrays["sample_planes"], arrays["sample_missing"]
     clips = len(arrays["sample_rates"])
+    # The lengths bound loops and memory, so that they are checked before the samples are unpacked.
     if numbers.shape != (3, clips) or (numbers[2] < 1).any() or planes.dtype != np.uint8 or planes.shape[0] != 4:
         raise ValueError("its sample of the training does not fit together")
     samples = int(numbers[2].sum()) * markers
@@ -77,8 +81,10 @@ def _check_sample(arrays: Mapping[str, NDArray[Any]], markers: int) -> None:
 
 def _check_numbers(where: str, value: Any, depth: int) -> None:
     """Plain values only, numbers finite."""
+    # A text can nest deeper than the interpreter's stack.
     if depth > 20:
         raise ValueError(f"its {where} is nested too deeply")
+    # What was trained on may be said in any numbers; nothing is computed from them.
     if isinstance(value, float) and not math.isfinite(value) and where != "about":
         raise ValueError(f"its {where} holds {value}")
     if isinstance(value, int) and abs(value) > _LARGEST:

@@ -27,10 +27,12 @@ def one_person_each(recordings: Sequence[Recording], subjects: Sequence[str] | N
     for i, recording in enumerate(recordings):
         subject = subject_of(recording) if subjects is None else subjects[i]
         prefixes = prefixes_of_people(recording.labels)
+        # The recording of one person keeps its labels, prefix or not.
         if not prefixes:
             found.append(recording)
             names.append(subject)
         for prefix in prefixes:
+            # Columns of another person, or of an object, are no markers of this one.
             own = recording.select([label for label in recording.labels if _prefix(label) == prefix])
             found.append(replace(own, labels=tuple(label.partition(":")[2].strip() for label in own.labels)))
             names.append(f"{subject} {prefix}")
@@ -44,12 +46,14 @@ def prefixes_of_people(labels: Sequence[str]) -> list[str]:
         prefix = _prefix(label)
         if prefix and not is_unnamed(label):
             worn.setdefault(prefix, set()).add(canonical(label.partition(":")[2]))
+    # Rigid bodies have like names, too, and would pass for people.
     worn = {prefix: names for prefix, names in worn.items() if not _is_rigid_body(names)}
     return [prefix for prefix, names in worn.items() if any(_alike(names, worn[other]) for other in worn if other != prefix)]
 
 
 def _is_rigid_body(names: set[str]) -> bool:
     """Whether a prefix's names are those that programs give the few markers of a rigid body."""
+    # A few names of one word and a number, as programs give them.
     return len(names) < FEWEST_NUMBERED and len({name.rstrip("0123456789") for name in names}) == 1
 
 

@@ -91,6 +91,7 @@ class Sample:
         joined: list[list[Clip]] = []
         for clip in self.clips:
             last = joined[-1][-1] if joined else None
+            # Clips of a recording that follow each other are one stretch: gaps and ghosts last longer than a clip.
             if last is not None and (last.recording, last.first + len(last)) == (clip.recording, clip.first):
                 joined[-1].append(clip)
             else:
@@ -120,6 +121,7 @@ class Sample:
         counts = np.concatenate([clip.counts for clip in self.clips])
         missing = counts[:, :, 0] == _MISSING
         steps = np.concatenate([_differences(clip.counts) for clip in self.clips])
+        # Bytes of equal weight together: the high ones are nearly all 0, which packs well.
         planes = np.ascontiguousarray(steps.reshape(-1, 1)).view(np.uint8).reshape(-1, 4).T
         return {
             "texts": np.frombuffer(
@@ -139,6 +141,7 @@ class Sample:
         steps = np.ascontiguousarray(arrays["planes"].T).view(np.int32).reshape(shape)
         missing = np.unpackbits(arrays["missing"], count=shape[0] * shape[1]).reshape(shape[:2]).astype(np.bool_)
         first, rank, _ = arrays["numbers"]
+        # Lengths of 0 would make two clips share their place.
         if (lengths < 1).any():
             raise ValueError("lengths of the clips disagree")
         clips = []
@@ -160,11 +163,13 @@ def _one_line(name: str) -> str:
 def _clips(recording: Recording, subject: str, marker_set: MarkerSet) -> list[Clip]:
     """A recording in clips that show something, each with its rank."""
     counts = _counts(recording, marker_set)
+    # What a recording holds is who it is: the same file under another name counts once.
     digest = hashlib.sha256(counts.tobytes() + np.float64(recording.rate).tobytes()).hexdigest()[:20]
     length = max(1, round(CLIP_SECONDS * recording.rate))
     number = max(1, round(len(counts) / length))
     edges = (np.arange(number + 1) * len(counts)) // number
     shown = (counts[:, :, 0] != _MISSING).sum(axis=1) >= FEWEST_SHOWN
+    # A clip without a usable frame teaches nothing and would fill the sample.
     some = [i for i in range(number) if shown[edges[i] : edges[i + 1]].any()]
     name = " ".join(str(subject).split())
     return [
@@ -192,6 +197,7 @@ def _counts(recording: Recording, marker_set: MarkerSet) -> Counts:
 
 def _spreading_order(number: int) -> Ints:
     """Each clip's place in an order whose beginnings are spread evenly over the recording: (number,)."""
+    # Reversing the bits of the place puts any beginning of the order evenly over the recording.
     bits = max(1, int(number - 1).bit_length())
     at = np.arange(number) * 2**bits // max(1, number)
     reversed_at = sum(((at >> bit) & 1) << (bits - 1 - bit) for bit in range(bits))
@@ -206,6 +212,7 @@ def _kept(clips: Iterable[Clip], per_person: int, in_all: int) -> list[Clip]:
     """
     once: dict[tuple[str, int], Clip] = {}
     for clip in clips:
+        # The alphabet decides whose recording it is, not the order in which files were given.
         known = once.setdefault((clip.recording, clip.first), clip)
         if clip.subject < known.subject:
             once[clip.recording, clip.first] = clip
@@ -213,6 +220,7 @@ def _kept(clips: Iterable[Clip], per_person: int, in_all: int) -> list[Clip]:
     begins: list[int] = []
     totals: list[int] = []
     for _, own in groupby(queue, key=lambda clip: clip.subject):
+        # Frames before each clip in its person's order: where it begins decides whether it is kept.
         ends = np.cumsum([len(clip) for clip in own]).tolist()
         begins += [0, *ends[:-1]]
         totals.append(ends[-1])
@@ -226,6 +234,7 @@ def _water_level(totals: Sequence[int], in_all: int) -> int:
     left = in_all
     for i, total in enumerate(sorted(totals)):
         people = len(totals) - i
+        # People with fewer frames than their share leave the rest of it to the others.
         if total * people >= left:
             return -(-left // people)
         left -= total
@@ -237,6 +246,7 @@ def _differences(counts: Counts) -> Counts:
     missing = counts == _MISSING
     last = np.where(missing, -1, np.arange(len(counts))[:, None, None])
     last = np.maximum.accumulate(last, axis=0)
+    # A gap is held, since a jump to 0 and back would cost more bytes than it says.
     held = np.where(last >= 0, np.take_along_axis(counts, np.maximum(last, 0), axis=0), 0).astype(np.int32)
     steps = np.diff(held, axis=0, prepend=np.zeros_like(held[:1]))
     return np.diff(steps, axis=0, prepend=np.zeros_like(held[:1])).astype(np.int32)

@@ -20,6 +20,7 @@ def check_state(state: ModelState) -> None:
         _check_body(body)
     if state.general_body is not None and state.general_body.mean.shape[1:] != state.body.mean.shape[1:]:
         raise ValueError("its two bodies have different markers")
+    # The kernels write by marker: one named twice would be written over.
     if len(set(state.markers.tolist())) != len(state.markers):
         raise ValueError("a marker is learned twice")
     if not (np.diff(np.sort(state.anchors.triples, axis=1), axis=1) > 0).all():
@@ -54,6 +55,7 @@ def _check_body(body: BodyModel) -> None:
     poses, markers = body.mean.shape[:2]
     if body.load.shape[:3] != (poses, markers, 3) or body.noise.shape != (poses, markers, 3, 3) or body.log_weight.shape != (poses,):
         raise ValueError("the arrays of its body do not fit together")
+    # A covariance that is not positive would give NaN scores, and silently no labels.
     try:
         np.linalg.cholesky(body.noise)
     except np.linalg.LinAlgError:
@@ -63,6 +65,7 @@ def _check_body(body: BodyModel) -> None:
         if covariance is not None:
             scale = max(float(np.abs(covariance).max(initial=0.0)), 1e-12)
             lopsided = np.abs(covariance - covariance.transpose(0, 2, 1)).max(initial=0.0) > 1e-6 * scale
+            # A rounding error of the file may leave a tiny negative eigenvalue.
             if lopsided or float(np.linalg.eigvalsh(covariance).min(initial=0.0)) < -1e-3 * scale:
                 raise ValueError(f"how its bodies differ ({name}) is no covariance")
 
@@ -78,6 +81,7 @@ def _check_like(where: str, value: Any, default: Any) -> None:
         if not isinstance(value, bool):
             raise ValueError(f"its {where} is {value!r}")
     elif isinstance(default, int | float):
+        # A whole number stands for a float, but a float for no count.
         whole = isinstance(value, int) and not isinstance(value, bool)
         if not whole and (isinstance(default, int) or not isinstance(value, float)):
             raise ValueError(f"its {where} is {str(value)[:40]!r}, not a number like {default!r}")

@@ -66,6 +66,7 @@ def _arrays(state: ModelState) -> dict[str, Any]:
         arrays[f"calibration_{i}"] = np.stack([calibration.margin, calibration.right])
     if state.frame_calibration is not None:
         arrays |= _calibration_arrays("frame", state.frame_calibration)
+    # Models of an earlier Asterism have two curves instead of weights.
     if isinstance(state.certainty.calibration, LabelCalibration):
         arrays |= _calibration_arrays("time", state.certainty.calibration)
     else:
@@ -84,6 +85,7 @@ def load_state(path: str | os.PathLike[str]) -> ModelState:
         marker_set = _marker_set(head["marker_set"])
         body = _body(arrays, "body_")
         anchors = Anchors(arrays["anchor_triples"], arrays["anchor_low"], arrays["anchor_high"])
+        # Shapes first: the kernels do not check what they index.
         _check_shapes(len(marker_set), arrays["markers"], body, anchors)
         calibrations, least_confidence = _two_curves(arrays, "calibration"), float(head["least_confidence"])
         sample = _with_prefix(arrays, "sample_")
@@ -106,6 +108,7 @@ def load_state(path: str | os.PathLike[str]) -> ModelState:
             general_body=_body(arrays, "general_") if "general_mean" in arrays else None,
             frame_calibration=_label_calibration(arrays, "frame"),
         )
+        # Then what only the whole can show, such as solvers of other markers.
         check_state(state)
         return state
 

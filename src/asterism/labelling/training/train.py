@@ -34,8 +34,10 @@ def train_model(
     report = progress or (lambda fraction, what: None)
     config = training.config
     markers, frames_with_motion, people, stretches = training.training_frames()
+    # The body has no motion in it: only the partial solvers read it.
     frames = np.ascontiguousarray(frames_with_motion[..., :3])
     searching = config.miner is not None and earlier is None
+    # The search for solvers takes about as long as all else together.
     share = 0.5 if searching else 1.0
     learned = learn_body(frames, people, stretches, config, lambda fraction, what: report(share * fraction, what))
     about = _about(training, len(frames), left_out)
@@ -50,6 +52,7 @@ def train_model(
         solvers = dict(earlier.solvers) if np.array_equal(markers, earlier.markers) else {}
         before = earlier.about.get("partial_solvers_from", earlier.about.get("mined_from", 0))
         about["partial_solvers_from"] = before if solvers else 0
+    # Also where solvers were kept: the summary is by the names of this model's markers.
     about["partial_solvers"] = {rules: model.summary(names) for rules, model in solvers.items()}
     report(1.0, "done")
     return ModelState(
@@ -86,6 +89,7 @@ def _about(training: TrainingState, frames: int, left_out: Sequence[str]) -> dic
 def _search(config: TrainingConfig, frames: Floats, people: Ints, targets: Floats, progress: Progress) -> dict[str, PartialSolvers]:
     """The partial solvers of a training, by the rules that use them; frames (N, M, 3) m, z up, or with their motion; targets (M,)."""
     own, features = config.rules.solver_rules, config.rules.features
+    # Features of four points are too many to try with large sets.
     printed = PRINTED_FEATURES if frames.shape[1] <= MANY_MARKERS else THESIS
     how = {
         "partial-solvers": (features, replace(SearchSettings(), widen=config.rules.solver_widen)),
@@ -93,7 +97,7 @@ def _search(config: TrainingConfig, frames: Floats, people: Ints, targets: Float
     }
     found = {}
     for number, rules in enumerate(own):
-
+        # Bound as a default: a closure would see the number of a later turn.
         def report(fraction: float, what: str, done: int = number) -> None:
             progress((done + fraction) / len(own), what)
 

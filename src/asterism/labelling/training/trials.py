@@ -33,6 +33,7 @@ class TrainingTrial:
 
     def in_frames(self, recording: Recording, rng: np.random.Generator) -> tuple[Clouds, Ints]:
         """Clouds whose frames stand alone, and the truth, as `simulate_occlusions` gives them."""
+        # A share becomes a whole number of markers, so that small sets round.
         clouds, truth = simulate_occlusions(recording, round(self.hidden * len(recording.labels)), self.ghosts, rng)
         return self._cluttered(recording, clouds, truth, rng)
 

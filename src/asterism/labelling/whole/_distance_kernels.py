@@ -55,6 +55,8 @@ def rigid_deviations(points, label, least_std, limits, out):
     IN  points TrackedPoints; label (J,) marker of each tracklet, -1 for none; least_std (M, M) m, what the standard deviation of a distance
         is at least; limits DistanceLimits (size_std is not used)
     OUT out (J,) mean deviation in standard deviations, 0 where it cannot be told. O(J M E log E); memory O(E M).
+
+    Bounds: a distance for each frame: E; a partner for each other marker: M.
     """
     xyz, track, frames, markers = points.xyz, points.track, points.frames, len(least_std)
     point_of = _points_of_markers(points, label, markers)
@@ -72,6 +74,7 @@ def rigid_deviations(points, label, least_std, limits, out):
                     own += 1
                 else:
                     other += 1
+        # Fewer others than its own points cannot judge it: they may be the wrong ones.
         if own == 0 or other < max(limits.min_frames, own):
             continue
         found = 0
@@ -84,6 +87,7 @@ def rigid_deviations(points, label, least_std, limits, out):
                 if p < 0 or q < 0:
                     continue
                 d = np.sqrt((xyz[p, 0] - xyz[q, 0]) ** 2 + (xyz[p, 1] - xyz[q, 1]) ** 2 + (xyz[p, 2] - xyz[q, 2]) ** 2)
+                # Its own distances on one side, those of the other tracklets of its marker on the other.
                 if track[p] == j:
                     inside[n_inside] = d
                     n_inside += 1
@@ -93,13 +97,17 @@ def rigid_deviations(points, label, least_std, limits, out):
             if n_inside == 0 or n_outside < limits.min_frames:
                 continue
             median, std = _median_and_std(outside, n_outside)
+            # A distance that varies tells nothing of who is who.
             if std < limits.max_std:
                 std = max(std, least_std[m, o])
+                # Never steadier than the training saw it, and never than it can be measured.
                 spread[found] = np.sqrt(std * std + limits.noise * limits.noise)
                 deviation[found] = min(limits.max_deviation, abs(np.median(inside[:n_inside]) - median) / spread[found])
                 found += 1
+        # One distance alone may be wrong at its other end.
         if found < 2:
             continue
+        # The steadiest distances tell most; many loose ones would only dilute them.
         steadiest = np.argsort(spread[:found], kind="mergesort")[: limits.max_partners]
         out[j] = deviation[steadiest].mean()
 
@@ -114,6 +122,8 @@ def training_deviations(points, label, low, high, limits, out):
     OUT out (J,) mean deviation in standard deviations, NaN where it cannot be told
     Returns the median deviation of all near-rigid distances of the recording: how much this body differs from those of the training as a
     whole. O(E M2 log E + Q M) and memory O(E M).
+
+    Bounds: a pair of markers is looked at once: M (M - 1) / 2 of M^2; a distance for each frame: E.
     """
     markers = len(low)
     point_of = _points_of_markers(points, label, markers)
@@ -128,10 +138,13 @@ def training_deviations(points, label, low, high, limits, out):
             median, std = _median_and_std(values, known)
             medians[m, o], stds[m, o] = median, std
             medians[o, m], stds[o, m] = median, std
+            # Long, near-rigid distances tell a person's size; short ones are mostly noise.
             if std < limits.max_std and high[m, o] - low[m, o] < limits.max_std and median > 5.0 * limits.max_std:
                 ratios[pairs] = 2.0 * median / (low[m, o] + high[m, o])
                 pairs += 1
+    # The size as a median, which single wrong labels do not move.
     scale = np.median(ratios[:pairs]) if pairs >= limits.min_frames else 1.0
+    # The ratios are done with, and their memory is as long.
     all_deviations, pairs = ratios, 0
     for m in range(markers):
         for o in range(m):
@@ -154,6 +167,7 @@ def training_deviations(points, label, low, high, limits, out):
         for o in range(markers):
             if o == m:
                 continue
+            # Where its own frames are too few, those of its marker say whether the distance is near-rigid.
             median, std = medians[m, o], stds[m, o]
             if counts[j] >= limits.min_frames:
                 known = _distances(points, point_of, m, o, j, begins[j], ends[j], values)
@@ -174,6 +188,7 @@ def _points_of_markers(points, label, markers):
     """The point of each marker in each sampled frame: (E, M), -1 for none. O(Q + E M)."""
     point_of = np.full((points.frames, markers), -1, dtype=np.int64)
     for q in range(len(points.track)):
+        # A table once, instead of a search for each pair and frame.
         if label[points.track[q]] >= 0:
             point_of[points.frame[q], label[points.track[q]]] = q
     return point_of
@@ -191,6 +206,8 @@ def _distances(points, point_of, m, o, only, begin, end, out):
     """Distances of markers m and o in the frames that show both; where `only` is not -1, those in which m belongs to that tracklet.
 
     IN begin, end: the frames to look at. OUT out (E,) m. Returns how many. O(end - begin).
+
+    Bounds: a distance for each frame, of which there are E.
     """
     xyz, known = points.xyz, 0
     for t in range(begin, end):
@@ -205,6 +222,7 @@ def _distances(points, point_of, m, o, only, begin, end, out):
 def _median_and_std(values, n):
     """The median of the first n values, and the standard deviation that follows from their median distance to it. O(n)."""
     median = np.median(values[:n])
+    # By the median distance, which a few wrong frames do not move; 1.4826 makes it that of a normal distribution.
     return median, 1.4826 * np.median(np.abs(values[:n] - median))
 
 
@@ -216,6 +234,8 @@ def frame_scatters(distance, log_reference, softness, min_pairs, out):
     IN  distance (T, N) m, NaN where not known; log_reference (R, N) logs of the references' distances, NaN where not known
     OUT out (T,) NaN where fewer than `min_pairs` distances can be compared
     O(T R N log N). Twin: `RigidDistances.nearest`, frame by frame.
+
+    Bounds: a ratio for each pair: N.
     """
     frames, pairs = distance.shape
     ratio, weight = np.empty(pairs), np.empty(pairs)
@@ -225,15 +245,19 @@ def frame_scatters(distance, log_reference, softness, min_pairs, out):
             known = 0
             for i in range(pairs):
                 value = np.log(distance[t, i]) - log_reference[r, i]
+                # Distances that either side lacks are left out.
                 if not np.isnan(value):
                     ratio[known] = value
+                    # The log of a short distance is mostly noise.
                     weight[known] = 1.0 / np.sqrt(1.0 + (softness / distance[t, i]) ** 2)
                     known += 1
             if known < min_pairs:
                 continue
+            # The median ratio is the size, which is set aside.
             middle = np.median(ratio[:known])
             for i in range(known):
                 ratio[i] = abs(ratio[i] - middle) * weight[i]
             scatter = 1.4826 * np.median(ratio[:known])
+            # The nearest reference: a pose is enough like one of them.
             if np.isnan(out[t]) or scatter < out[t]:
                 out[t] = scatter

@@ -59,14 +59,18 @@ def score_frames(xyz, offsets, track, label, body, settings, out):
     workspace = make_body_workspace(0, markers, latents)
     for t in range(len(offsets) - 1):
         first, n = offsets[t], offsets[t + 1] - offsets[t]
+        # Two points leave the body's turn open.
         if points_of_markers(track[first : first + n], label, point_of) < 3:
             scores[first : first + n] = 0.0
             totals[t], poses[t] = np.nan, 0
             continue
+        # Frames often have as many points as the one before, and keep its memory.
         if n != len(workspace.aligned):
             workspace = make_body_workspace(n, markers, latents)
         points = xyz[first : first + n]
+        # A crowded frame asks more of a label.
         own_settings = frame_settings(settings, n, markers)
+        # Outliers are of one frame.
         workspace.outlier[:] = False
         k, _ = best_pose(body, points, point_of, own_settings, workspace)
         poses[t] = k
@@ -87,6 +91,7 @@ def sum_scores(track, scores, least, most, sums, counts):
         j = track[p]
         counts[j] += 1
         for m in range(scores.shape[1]):
+            # Clipped, so that one frame neither makes nor spoils a tracklet.
             sums[j, m] += min(most, max(least, scores[p, m]))
 
 
@@ -102,9 +107,11 @@ def best_split(scores):
     for m in range(markers):
         for s in range(samples):
             total[m] += scores[s, m]
+        # One marker throughout, or none, is what a split must beat.
         one = max(one, total[m])
     gain, at = 0.0, 0
     for s in range(1, samples):
+        # Each side alone has its best marker, or none.
         head, tail = 0.0, 0.0
         for m in range(markers):
             before[m] += scores[s - 1, m]
@@ -119,9 +126,12 @@ def keep_lasting(there, count, last, frame):
     """Keep those of the first `count` tracklets in `there` that last until `frame`, in their order.
 
     IN/OUT there (J,); IN last (J,) frames. Returns how many are kept. O(count).
+
+    Bounds: kept ones are written over those before.
     """
     kept = 0
     for s in range(count):
+        # Tracklets come by their first frame, so that one that has ended is over for all that follow.
         if last[there[s]] >= frame:
             there[kept] = there[s]
             kept += 1
@@ -133,12 +143,15 @@ def overlaps(gain, first, last, order):
     """Pairs (n, 2) of tracklets that overlap in time and both gain by a common marker.
 
     IN  gain (J, L); first, last (J,); order (J,) tracklets by first frame. O(J (L + simultaneous tracklets * L / 32)).
+
+    Bounds: each tracklet comes into `there` once: J. Pairs are made twice as long where they are full.
     """
     tracks, markers = gain.shape
     gains_by = np.zeros((tracks, (markers + 31) // 32), dtype=np.int64)  # a bit for each marker
     for j in range(tracks):
         for m in range(markers):
             if gain[j, m] > 0.0:
+                # Bits, because whether two tracklets gain by a common marker is asked for every pair.
                 gains_by[j, m // 32] |= 1 << (m % 32)
     pairs = np.empty((max(16, tracks), 2), dtype=np.int64)
     count = 0
@@ -146,6 +159,7 @@ def overlaps(gain, first, last, order):
     n_there = 0
     for o in range(tracks):
         j = order[o]
+        # It gains by no marker, and is no one's rival.
         if not gains_by[j].any():
             continue
         n_there = keep_lasting(there, n_there, last, first[j])
@@ -153,6 +167,7 @@ def overlaps(gain, first, last, order):
             i = there[s]
             for w in range(gains_by.shape[1]):
                 if gains_by[j, w] & gains_by[i, w]:
+                    # How many there are is not known before: twice as long where they are full.
                     if count == len(pairs):
                         grown = np.empty((2 * count, 2), dtype=np.int64)
                         for p in range(count):
@@ -160,6 +175,7 @@ def overlaps(gain, first, last, order):
                         pairs = grown
                     pairs[count, 0], pairs[count, 1] = i, j
                     count += 1
+                    # One common marker is enough.
                     break
         there[n_there] = j
         n_there += 1
@@ -179,6 +195,7 @@ def rivals_weight(gain, pairs, first, last, samples, independent):
         best[j] = np.argmax(gain[j])
     for p in range(len(pairs)):
         i, j = pairs[p, 0], pairs[p, 1]
+        # Only the shorter of two is a rival: a long one decides for itself.
         longer = (last[i] - first[i]) - (last[j] - first[j])
         if longer < 0:
             i, j = j, i
@@ -209,6 +226,7 @@ def settle_dominant(gain, pairs, rounds):
             i, j = pairs[p, 0], pairs[p, 1]
             for m in range(markers):
                 if gain[i, m] > 0.0 and gain[j, m] > 0.0:
+                    # All that overlapping tracklets could gain by a marker together bounds what taking it can cost.
                     claimed[i, m] += gain[j, m]
                     claimed[j, m] += gain[i, m]
         changed = False
@@ -220,16 +238,19 @@ def settle_dominant(gain, pairs, rounds):
             for m in range(markers):
                 if m != best:
                     second = max(second, gain[j, m])
+            # Worth more than everything else the marker could do: every best labelling has it.
             if gain[j, best] - second > claimed[j, best]:
                 settled[j] = best
                 for m in range(markers):
                     if m != best:
+                        # Its other gains are never used, and so stand in no one's way.
                         gain[j, m] = min(gain[j, m], 0.0)
                 changed = True
         if not changed:
             return
         for p in range(len(pairs)):
             i, j = pairs[p, 0], pairs[p, 1]
+            # Beside it no other tracklet can have its marker.
             if settled[i] >= 0 and settled[j] != settled[i]:
                 gain[j, settled[i]] = min(gain[j, settled[i]], 0.0)
             if settled[j] >= 0 and settled[i] != settled[j]:
@@ -242,6 +263,8 @@ def branch_and_bound(gain, first, last, steps, label):
 
     IN  gain (J, L), only gains above 0 are taken; first, last (J,) frames; steps: the search gives up after so many
     OUT label (J,), -1 for none. Returns whether the search was completed. O(L^J) at worst.
+
+    Bounds: a tracklet has L markers and none: L + 1. Depths are 0 to J.
     """
     tracks, markers = gain.shape
     ranked = np.empty((tracks, markers + 1), dtype=np.int64)
@@ -249,10 +272,12 @@ def branch_and_bound(gain, first, last, steps, label):
     rest = np.zeros(tracks + 1)
     for j in range(tracks - 1, -1, -1):
         options[j] = 0
+        # Best markers first, so that good labellings come early and cut more.
         for m in np.argsort(-gain[j], kind="mergesort"):
             if gain[j, m] > 0.0:
                 ranked[j, options[j]] = m
                 options[j] += 1
+        # What the tracklets from here on could gain at most, if none was in another's way.
         rest[j] = rest[j + 1] + (gain[j, ranked[j, 0]] if options[j] > 0 else 0.0)
         ranked[j, options[j]] = -1
         options[j] += 1
@@ -265,12 +290,14 @@ def branch_and_bound(gain, first, last, steps, label):
         if j < 0:
             return True
         if j == tracks:
+            # All tracklets are decided, and better than ever.
             if value[j] > best:
                 best = value[j]
                 for i in range(tracks):
                     label[i] = now[i]
             j -= 1
             continue
+        # Nothing is left to try for it: back to the one before.
         if tried[j] == options[j]:
             tried[j] = 0
             j -= 1
@@ -278,12 +305,14 @@ def branch_and_bound(gain, first, last, steps, label):
         m = ranked[j, tried[j]]
         tried[j] += 1
         step = gain[j, m] if m >= 0 else 0.0
+        # Markers come by falling gain, so that the later ones cannot win either.
         if value[j] + step + rest[j + 1] <= best:
             tried[j] = 0
             j -= 1
             continue
         held = False
         if m >= 0:
+            # A marker is held by one tracklet at a time.
             for i in range(j):
                 if now[i] == m and first[i] <= last[j] and last[i] >= first[j]:
                     held = True
@@ -305,6 +334,8 @@ def assign_roughly(gain, by_end, before, label):
     IN  gain (J, L), only gains above 0 are taken; by_end (J,) tracklets by their last frame; before (J,) for each of these, how many end
         before it begins
     OUT label (J,), -1 for none. O(J L) in each round.
+
+    Bounds: `before` of place i is i at most, so places fall.
     """
     tracks, markers = gain.shape
     best, takes = np.zeros(tracks + 1), np.zeros(tracks, dtype=np.bool_)
@@ -314,18 +345,22 @@ def assign_roughly(gain, by_end, before, label):
         for m in range(markers):
             for i in range(tracks):
                 j = by_end[i]
+                # A tracklet that has a label counts with what it gains by changing it.
                 more = gain[j, m]
                 if label[j] >= 0 and label[j] != m:
                     more -= gain[j, label[j]]
                 total = more + best[before[i]]
+                # Taken where it is worth more than the best without it.
                 takes[i] = more > 0.0 and total > best[i] + 1e-9
                 best[i + 1] = total if takes[i] else best[i]
             i = tracks - 1
+            # Back from the last: what was taken, and before it what ends before it begins.
             while i >= 0:
                 j = by_end[i]
                 if takes[i]:
                     changed |= label[j] != m
                     label[j] = m
+                    # Those that overlap it lose the marker.
                     for k in range(before[i], i):
                         if label[by_end[k]] == m:
                             label[by_end[k]] = -1
@@ -349,6 +384,8 @@ def margins_of(gain, label, first, last, order):
     IN  gain (J, L) nats; label (J,); first, last (J,) frames; order (J,) tracklets by first frame
     Returns margin (J,) nats and rival (J,), the best other marker (for a null: the best marker), -1 for none.
     O(J * simultaneous tracklets * L).
+
+    Bounds: each tracklet comes into `there` once: J.
     """
     tracks, markers = gain.shape
     margin, rival = np.empty(tracks), np.full(tracks, -1, dtype=np.int64)
@@ -362,6 +399,7 @@ def margins_of(gain, label, first, last, order):
         for s in range(n_there):
             i = there[s]
             if label[i] >= 0 and label[i] != label[j]:
+                # The holder may take the label that becomes free, which makes the exchange cheaper.
                 out = max(0.0, gain[i, label[j]]) if label[j] >= 0 else 0.0
                 taken[j, label[i]] += gain[i, label[i]] - out
             if label[j] >= 0 and label[i] != label[j]:
@@ -372,6 +410,7 @@ def margins_of(gain, label, first, last, order):
     for j in range(tracks):
         best = -np.inf
         for m in range(markers):
+            # The best other marker, less what its holders would lose.
             if m != label[j] and gain[j, m] - taken[j, m] > best:
                 best, rival[j] = gain[j, m] - taken[j, m], m
         margin[j] = gain[j, label[j]] - max(best, 0.0) if label[j] >= 0 else min(0.0, best)
@@ -382,6 +421,7 @@ def margins_of(gain, label, first, last, order):
         n_there = keep_lasting(there, n_there, last, first[j])
         for s in range(n_there):
             i = there[s]
+            # A ghost that could have the label leaves it less sure.
             if label[i] >= 0 and label[j] < 0:
                 margin[i] = min(margin[i], max(0.0, gain[i, label[i]] - max(0.0, gain[j, label[i]])))
             if label[j] >= 0 and label[i] < 0:

@@ -42,6 +42,7 @@ def prediction_residuals(xyz, offsets, track, label, body, settings, out):
     out[:] = np.nan
     for t in range(len(offsets) - 1):
         first, n = offsets[t], offsets[t + 1] - offsets[t]
+        # A point and three others that predict it.
         if points_of_markers(track[first : first + n], label, point_of) < 4:
             continue
         if n != len(workspace.aligned):
@@ -53,6 +54,7 @@ def prediction_residuals(xyz, offsets, track, label, body, settings, out):
         for m in range(markers):
             c = point_of[m]
             if c >= 0:
+                # Predicted without its own point, which would pull the body towards itself.
                 _, at, _ = leave_one_out(m, not workspace.outlier[m], workspace)
                 place = place_on_body(body, k, m, at)
                 for a in range(3):
@@ -67,6 +69,8 @@ def residual_deviations(residuals, track, label, limits, out):
     OUT out (J,) root mean square over the three axes, in standard deviations; NaN where it cannot be told. A tracklet is compared only
         where the others of its marker have at least as many residuals as itself. Middle and standard deviation are medians, so that one
         wrong tracklet does not spoil them. O(P log P + labelled tracklets * residuals of their marker).
+
+    Bounds: a residual for each point: P.
     """
     tracks = len(label)
     out[:] = np.nan
@@ -75,6 +79,7 @@ def residual_deviations(residuals, track, label, limits, out):
     for q in range(len(track)):
         if not np.isnan(residuals[q, 0]):
             of_label[q] = label[track[q]]
+    # By label, so that the residuals of a marker stand together.
     order = np.argsort(of_label, kind="mergesort")
     begin = 0
     while begin < len(order):
@@ -94,14 +99,17 @@ def residual_deviations(residuals, track, label, limits, out):
                 else:
                     other[n_other] = residuals[q]
                     n_other += 1
+            # Fewer others than its own points cannot judge it: they may be the wrong ones.
             if n_own == 0 or n_other < max(limits.min_frames, n_own):
                 continue
             total = 0.0
             for a in range(3):
+                # Medians, so that one wrong tracklet among the others does not spoil them.
                 middle = np.median(other[:n_other, a])
                 for s in range(n_other):
                     values[s] = abs(other[s, a] - middle)
                 std = 1.4826 * np.median(values[:n_other])
+                # The noise keeps an axis with hardly any spread from deciding alone.
                 total += (own[:n_own, a].mean() - middle) ** 2 / (std * std + limits.noise * limits.noise)
             out[j] = np.sqrt(total / 3.0)
         begin = end

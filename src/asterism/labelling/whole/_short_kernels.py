@@ -72,6 +72,7 @@ def score_by_motion(points, c, place, spread, usual_spread):
     if spread == np.inf:
         return 0.0
     far2 = (points[c, 0] - place[0]) ** 2 + (points[c, 1] - place[1]) ** 2 + (points[c, 2] - place[2]) ** 2
+    # A place known closely is worth more than the body's usual guess, and a point off it loses more.
     return max(0.0, 3.0 * math.log(usual_spread / spread)) - 0.5 * far2 / (spread * spread)
 
 
@@ -85,6 +86,7 @@ def take_best_pairs(scores, label, margin):
     """
     markers, n = scores.shape
     free_marker, free_point = np.ones(markers, dtype=np.bool_), np.ones(n, dtype=np.bool_)
+    # The best pair first: what it takes is no rival of the next.
     while True:
         best, best_m, best_c = 0.0, -1, -1
         for m in range(markers):
@@ -94,6 +96,7 @@ def take_best_pairs(scores, label, margin):
                         best, best_m, best_c = scores[m, c], m, c
         if best_m < 0:
             return
+        # Both ways: another point for the marker, another marker for the point.
         rival = 0.0
         for c in range(n):
             if free_point[c] and c != best_c:
@@ -123,13 +126,16 @@ def count_body_hits(scores, point_of, spread, candidate, motion_spread, counts):
     for m in range(len(point_of)):
         if point_of[m] < 0:
             for c in range(len(candidate)):
+                # A candidate is the free marker it fits best, and no ghost.
                 best_free[c] = max(best_free[c], scores[m, c])
     for m in range(len(point_of)):
+        # Motion knows better there: counted by `count_near_hits`.
         if point_of[m] < 0 and spread[m] <= motion_spread:
             continue
         hit = False
         for c in range(len(candidate)):
             hit = hit or (candidate[c] and scores[m, c] > (0.0 if point_of[m] < 0 else best_free[c]))
+        # Frames with the marker free, beside those in which every hit is by chance.
         side = 0 if point_of[m] < 0 else 2
         counts[m, side] += 1
         counts[m, side + 1] += hit
@@ -146,6 +152,7 @@ def count_near_hits(points, point_of, expected, t, candidate, motion_spread, cou
         free = point_of[m] < 0
         if free and expected.spread[t, m] > motion_spread:
             continue
+        # At a marker that is known, whatever else lies near is a ghost.
         place = expected.place[t, m] if free else points[point_of[m]]
         reach = NEAR * (expected.spread[t, m] if free else motion_spread)
         hit = False
@@ -181,8 +188,10 @@ def label_short(xyz, offsets, candidate, body, settings, limits, expected, out):
                 labelled += 1
             elif candidate[first + c]:
                 candidates += 1
+        # No point to label, or no marker to give.
         if candidates == 0 or labelled == markers:
             continue
+        # Too few labels to tell the body by: said, instead of guessed.
         if labelled < limits.min_labelled:
             out.alone[t] = True
             continue
@@ -200,10 +209,12 @@ def label_short(xyz, offsets, candidate, body, settings, limits, expected, out):
         for m in range(markers):
             for c in range(n):
                 score = scores[m, c]
+                # Only candidates, and only markers that no long tracklet holds.
                 scores[m, c] = -np.inf
                 if point_of[m] >= 0 or not candidate[first + c] or score < limits.min_score:
                     continue
                 moved = score_by_motion(points, c, expected.place[t, m], spread[m], limits.usual_spread)
+                # Limited, so that neither the body nor a lucky place decides alone.
                 scores[m, c] = min(score, limits.max_score) + moved
         take_best_pairs(scores, out.label[first : first + n], out.margin[first : first + n])
         for c in range(n):

@@ -59,6 +59,7 @@ def score_twins(xyz, offsets, track, label, twins, body, settings, gap, marker_g
         if labelled < 3:
             out.point_of[:, t] = -1
             continue
+        # Frames often have as many points as the one before, and keep its memory.
         if n != len(workspace.aligned):
             workspace = make_body_workspace(n, markers, latents)
         points, own_settings = xyz[first : first + n], frame_settings(settings, n, markers)
@@ -74,12 +75,14 @@ def score_twins(xyz, offsets, track, label, twins, body, settings, gap, marker_g
             if w < len(twins) or lays:
                 twin_at(w, twins, mean, own, aligned, workspace.scores, trial)
             given = count_labelled(trial)
+            # Two points leave the body's turn open; a body alike on both sides has itself as a twin.
             if given < 3 or same_labels(trial, own):
                 continue
             copy_labels(trial, raw)
             workspace.outlier[:] = False
             k, score = best_pose(body, points, trial, own_settings, workspace)
             out.scores[w, t] = score
+            # Even if each marker without a point earned what a good label does, it would stay behind.
             if score + marker_gain * (min(markers, n) - given) < top - gap:
                 continue
             refined = refine(body, k, points, trial, own_settings, workspace)

@@ -18,94 +18,14 @@ from scipy.special import expit, gammaln, logit
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole.joint import SceneLabelling
 from asterism.labelling.whole.plausibility import own_deviations
-from asterism.labelling.whole.scene import RecordingLabellingSettings, RecordingScene, with_fewer_samples
+from asterism.labelling.whole.scene import RecordingScene, with_fewer_samples
+from asterism.labelling.whole.settings import ForeignRules, RecordingLabellingSettings
 from asterism.labelling.whole.turned import joint_evidence
 from asterism.labelling.whole.verdict import RigidDistances, median_and_std
 from asterism.recording import NULL, Floats, Ints
 
 Relabel = Callable[[RecordingScene, Ints], SceneLabelling]
 """Labels a scene from given labels (J,) on."""
-
-
-@dataclass(frozen=True)
-class ForeignRules:
-    """How a foreign recording is labelled again. Chosen on the sets for choosing (docs/recordings.md).
-
-    frames           sampled frames on which labellings are compared, at most
-    headings         turns of the mean body about the vertical that are tried
-    sizes            its sizes that are tried
-    rounds           alternating steps of matching and placing, at most
-    reach            how far a point may be from its marker, as a share of the body's root mean square radius: first, and in the last rounds
-    max_starts       labellings that are refined, the ones whose distances fit best
-    same             share of common labels from which two labellings are the same one
-    body_weight      weight of the body model's evidence
-    distance_weight  weight of the distances; and where the recording is crowded and no labelling has a scatter up to `close`: among many
-                     points some always fit
-    close            see above
-    prior            nats for the labels so far against others; and in a crowded recording
-    forward          nats for a body that travels forward
-    min_speed        m/s from which a body travels
-    backward         `forward_share` up to which a body seems to walk backwards
-    share_std        standard deviation of a near-rigid distance between people, as a share of it, at least
-    noise            m, the same beyond that share
-    freedom          degrees of freedom of the heavy-tailed distribution about it
-    background       density of the log of a distance that is not the marker's
-    loose            nats for a distance that is rigid in a training with movement, but not here
-    partners         distances of a marker that count as independent, at most
-    scale            nats of evidence between two whole labellings that make the odds e to 1
-    crowded          points left over, as a share of the markers, from which a recording is crowded
-    log_odds         log odds that a label of a foreign recording is right: a logistic regression on clinical-lower and pig39, of each label
-    by_margin        log odds per 4 nats by which its distances beat the best exchange; that margin is clipped to `margin_range`
-    by_deviation     what each standard deviation takes away by which the distances of a tracklet differ from its marker's elsewhere in the
-                     recording, beyond `max_deviation`
-    max_deviation    see above
-    margin_range     see above
-    by_hidden        what each nat takes away that its distances lack to beat those of the best hidden marker by `hidden_margin`: a heel
-                     looks like the ankle beside it where only one of the two is seen, and fewer than `hidden_people` people taught them
-    hidden_margin    see above
-    hidden_people    see above
-    by_fit           what 2 nats of the tracklet's fit add, counted within `fits`
-    fits             see above
-    by_certainty     what each 2 log odds add that the label has where recordings fit
-    by_surplus       what e^2 points take away that are left over in a usual frame
-    least_confidence labels that this evidence makes less certain are taken back; and where points are left over
-    """
-
-    frames: int = 60
-    headings: int = 8
-    sizes: tuple[float, ...] = (0.85, 1.0, 1.18)
-    rounds: int = 10
-    reach: tuple[float, float] = (0.8, 0.5)
-    max_starts: int = 3
-    same: float = 0.7
-    body_weight: float = 0.3
-    distance_weight: tuple[float, float] = (1.5, 0.5)
-    close: float = 0.035
-    prior: tuple[float, float] = (7.0, 0.0)
-    forward: float = 12.0
-    min_speed: float = 0.4
-    backward: float = -0.6
-    share_std: float = 0.06
-    noise: float = 0.012
-    freedom: float = 3.0
-    background: float = 0.4
-    loose: float = -2.0
-    partners: int = 3
-    scale: float = 5.0
-    crowded: float = 0.25
-    log_odds: float = 3.1
-    by_margin: float = 2.23
-    by_deviation: float = 0.29
-    max_deviation: float = 1.5
-    margin_range: tuple[float, float] = (-6.0, 12.0)
-    by_hidden: float = 1.0
-    hidden_margin: float = 2.0
-    hidden_people: int = 3
-    by_fit: float = 0.73
-    fits: tuple[float, float] = (-8.0, 2.0)
-    by_certainty: float = 0.61
-    by_surplus: float = 2.35
-    least_confidence: tuple[float, float] = (0.9, 0.95)
 
 
 @dataclass(frozen=True)
@@ -158,14 +78,19 @@ class ForeignLabels:
 
 
 def label_foreign(
-    labeller: BodyLabeller, found: SceneLabelling, reference: RigidDistances, names: Sequence[str], relabel: Relabel, rules: ForeignRules
+    labeller: BodyLabeller,
+    found: SceneLabelling,
+    reference: RigidDistances,
+    names: Sequence[str],
+    relabel: Relabel,
+    settings: RecordingLabellingSettings,
 ) -> ForeignLabels:
     """The best whole labelling of a recording with one body, and how certain its labels may be.
 
     Labellings are compared on a sample of the frames. Only if another than the labels so far is the best, the recording is labelled again.
     found: the labels so far; names: of the body's markers. O(starts) on the sample.
     """
-    settings = RecordingLabellingSettings()
+    rules = settings.foreign
     scene, markers = with_fewer_samples(found.scene, rules.frames, settings), labeller.body.mean.shape[1]
     crowded = _crowded(found, markers, rules)
     samples = Samples.of_scene(scene)
@@ -180,7 +105,7 @@ def label_foreign(
         if differs[scene.samples > 0].mean() > 1.0 - rules.same:
             differs |= (scene.samples == 0) & np.isin(chosen.label, compared[best].label[differs])
             limit[differs] = np.minimum(limit[differs], _odds(scores[best] - score, rules.scale))
-    log_odds, surplus = label_evidence(chosen, Samples.of_scene(found.scene), markers, reference, rules)
+    log_odds, surplus = label_evidence(chosen, Samples.of_scene(found.scene), markers, reference, settings)
     return ForeignLabels(chosen, ForeignConfidence(log_odds, limit, surplus >= 1.0, rules))
 
 
@@ -403,9 +328,10 @@ def _crowded(found: SceneLabelling, markers: int, rules: ForeignRules) -> bool:
 
 
 def label_evidence(
-    found: SceneLabelling, samples: Samples, markers: int, reference: RigidDistances, rules: ForeignRules
+    found: SceneLabelling, samples: Samples, markers: int, reference: RigidDistances, settings: RecordingLabellingSettings
 ) -> tuple[Floats, float]:
     """Log odds (J,) that labels are right: their distances against those of another marker, and what is left over; and how much that is."""
+    rules = settings.foreign
     gain = distance_gains(found.label, samples, markers, reference, rules)
     margin = distance_margins(gain, found.label, found.scene.first, found.scene.last)
     by_margin = rules.by_margin * np.clip(margin, *rules.margin_range) / 4.0
@@ -413,7 +339,7 @@ def label_evidence(
     if len(reference.median) < rules.hidden_people:
         over_hidden = hidden_margins(gain, found.label, found.scene.first, found.scene.last)
         by_hidden = rules.by_hidden * np.clip(rules.hidden_margin - over_hidden, 0.0, 2.0 * rules.hidden_margin)
-    deviation = own_deviations(found.scene, found.label, np.array([0, markers]), RecordingLabellingSettings())
+    deviation = own_deviations(found.scene, found.label, np.array([0, markers]), settings)
     by_deviation = rules.by_deviation * np.clip(deviation - rules.max_deviation, 0.0, 4.0)
     surplus = _surplus(found)
     return rules.log_odds + by_margin - by_hidden - by_deviation - rules.by_surplus * float(np.log1p(surplus)) / 2.0, surplus

@@ -26,8 +26,9 @@ from asterism.labelling.whole._kernels import FrameScores, margins_of, overlaps,
 from asterism.labelling.whole.assignment import Assignment, assign_tracklets
 from asterism.labelling.whole.bodies import find_bodies, follow_bodies, votes_of_bodies
 from asterism.labelling.whole.plausibility import compare_with_training, ghost_penalty
-from asterism.labelling.whole.scene import RecordingLabellingSettings, RecordingScene, SceneScores, labels_of_body, marker_offsets
-from asterism.labelling.whole.turned import TwinRules, hold_against_twins
+from asterism.labelling.whole.scene import RecordingScene, SceneScores, labels_of_body, marker_offsets
+from asterism.labelling.whole.settings import RecordingLabellingSettings
+from asterism.labelling.whole.turned import hold_against_twins
 from asterism.labelling.whole.upright import turned, upright_turns
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints
@@ -122,7 +123,7 @@ def label_scene(
     def relabel(start: Ints) -> Ints:
         return _coordinate_ascent(labellers, state.scores, start, rules).label
 
-    label, lead = hold_against_twins(labellers, upright, state.label, relabel, TwinRules(), rules)
+    label, lead = hold_against_twins(labellers, upright, state.label, relabel, rules.twins, rules)
     if not np.array_equal(label, state.label):
         state = _coordinate_ascent(labellers, state.scores, label, rules)
         stages["twin"] = state.label

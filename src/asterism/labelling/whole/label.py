@@ -21,10 +21,11 @@ from asterism.labelling.whole._kernels import FrameScores, score_frames
 from asterism.labelling.whole.bodies import check_single_body
 from asterism.labelling.whole.certainty import overlaps_unlabelled
 from asterism.labelling.whole.fits import point_fits
-from asterism.labelling.whole.foreign import ForeignConfidence, ForeignLabels, ForeignRules, forward_travel, label_foreign
+from asterism.labelling.whole.foreign import ForeignConfidence, ForeignLabels, forward_travel, label_foreign
 from asterism.labelling.whole.joint import SceneLabelling, SceneWork, label_scene
 from asterism.labelling.whole.point_labels import BodyInRecording, PointLabels, empty_labelling, labelling_of
-from asterism.labelling.whole.scene import RecordingLabellingSettings, RecordingScene, labels_of_body, marker_offsets, prepare_scene
+from asterism.labelling.whole.scene import RecordingScene, labels_of_body, marker_offsets, prepare_scene
+from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.labelling.whole.short import frames_with_bodies, label_short_points, long_points, tracklets_of
 from asterism.labelling.whole.splits import split_tracklets
 from asterism.labelling.whole.verdict import judge_scene
@@ -113,7 +114,7 @@ def label_long_tracklets(
         kept |= frames_with_bodies(clouds, kept, markers, rules.short) < rules.short.min_long_frames
     points = clouds.select(kept)
     if len(labellers) == 1 and whole is not None:
-        check_single_body(labellers[0], points)
+        check_single_body(labellers[0], points, rules.bodies)
 
     arrays = list[FrameScores]()
 
@@ -124,7 +125,7 @@ def label_long_tracklets(
     tracklets, found = _label_and_split(labellers, points, tracklets, kept, rules, label_from, arrays)
     foreign = None
     if whole is not None:
-        again = label_if_foreign(whole, found, label_from)
+        again = label_if_foreign(whole, found, label_from, rules)
         if again is not None:
             found, foreign = again.found, again.confidence
     return LongTracklets(tracklets, kept, found, foreign)
@@ -204,7 +205,10 @@ def _fits(labellers: Sequence[BodyLabeller], clouds: Clouds, xyz: Floats, long: 
 
 
 def label_if_foreign(
-    body: BodyInRecording, found: SceneLabelling, relabel: Callable[[RecordingScene, Ints], SceneLabelling]
+    body: BodyInRecording,
+    found: SceneLabelling,
+    relabel: Callable[[RecordingScene, Ints], SceneLabelling],
+    settings: RecordingLabellingSettings,
 ) -> ForeignLabels | None:
     """A recording labelled again, None where there is no need.
 
@@ -215,12 +219,12 @@ def label_if_foreign(
     verdict = judge_scene(found.scene, found.label, marker_offsets([body.labeller]), 0, reference)
     if verdict is None or reference is None:
         return None
-    names, rules = [body.names[marker] for marker in body.markers], ForeignRules()
+    names, rules = [body.names[marker] for marker in body.markers], settings.foreign
     few = len(reference.median) < reference.rules.min_people and not verdict.scatter <= reference.rules.own_scatter
     crowded = few and verdict.surplus >= reference.rules.min_surplus * len(names)
     if verdict.fits and not crowded and forward_travel(found, names, rules) > rules.backward:
         return None
-    return label_foreign(body.labeller, found, reference, names, relabel, rules)
+    return label_foreign(body.labeller, found, reference, names, relabel, settings)
 
 
 def label_whole(
@@ -242,7 +246,7 @@ def label_whole(
     whole = bodies[0] if len(bodies) == 1 else None
     labels = label_points(labellers, clouds, rules, subject_rules, body_rules, workers, progress, whole)
     offsets = marker_offsets(labellers)
-    return [labelling_of(body, number, clouds, labels, offsets) for number, body in enumerate(bodies)], labels.found
+    return [labelling_of(body, number, clouds, labels, offsets, rules) for number, body in enumerate(bodies)], labels.found
 
 
 def subject_body(

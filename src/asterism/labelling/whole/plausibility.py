@@ -13,7 +13,8 @@ from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
 from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
 from asterism.labelling.whole._residual_kernels import ResidualLimits, prediction_residuals, residual_deviations
 from asterism.labelling.whole.certainty import overlaps_unlabelled
-from asterism.labelling.whole.scene import RecordingLabellingSettings, RecordingScene, labels_of_body, marker_offsets
+from asterism.labelling.whole.scene import RecordingScene, labels_of_body, marker_offsets
+from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.recording import NULL, Floats, Ints
 
 MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION = 5, 6, 8.0

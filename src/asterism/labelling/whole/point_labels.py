@@ -18,7 +18,8 @@ from asterism.labelling.whole.certainty import Certainty
 from asterism.labelling.whole.foreign import ForeignConfidence
 from asterism.labelling.whole.joint import SceneLabelling
 from asterism.labelling.whole.scene import labels_of_body
-from asterism.labelling.whole.turned import TwinRules, twin_limits
+from asterism.labelling.whole.settings import RecordingLabellingSettings
+from asterism.labelling.whole.turned import twin_limits
 from asterism.labelling.whole.verdict import MIN_FRAMES, RigidDistances, RivalCounts, VerdictRules, confidence_limit, judge, judge_scene
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from asterism.recording.verdict import Verdict
@@ -99,27 +100,30 @@ class PointLabels:
         )
 
 
-def labelling_of(body: BodyInRecording, number: int, clouds: Clouds, labels: PointLabels, offsets: Ints) -> Labelling:
+def labelling_of(
+    body: BodyInRecording, number: int, clouds: Clouds, labels: PointLabels, offsets: Ints, rules: RecordingLabellingSettings
+) -> Labelling:
     """The labels of the body with this number; offsets: where each body's markers begin among the columns.
 
     A marker without a point has the probability that its best candidate was it. O(P), and O(F log F) for F points without a label; memory
     O(T M).
     """
     verdict = _verdict_of(body, number, clouds, labels, offsets)
+    verdict_rules = VerdictRules() if body.distances is None else body.distances.rules
     blank = empty_labelling(body, clouds)
     out = blank.indices, blank.confidence, np.full(blank.indices.shape, NULL, dtype=np.int64)
     one_of_each = np.zeros(int(labels.track.max(initial=NULL)) + 2, dtype=np.int64)  # the last one for no tracklet
     one_of_each[labels.track] = np.arange(len(labels.track))
-    of_tracks, rivals = _certainty(body, labels.of_some(one_of_each), verdict), RivalCounts(len(body.markers))
+    of_tracks, rivals = _certainty(body, labels.of_some(one_of_each), verdict, rules), RivalCounts(len(body.markers))
     for begin in range(0, len(clouds), FRAMES_AT_ONCE):
         frames = slice(begin, begin + FRAMES_AT_ONCE)
         some = clouds.frames(frames)
         here = labels.of_some(slice(clouds.offsets[begin], clouds.offsets[begin] + len(some.xyz)))
         certainty, least = (of_track[here.track] for of_track in of_tracks)
         short = np.nonzero((here.track == NULL) & (here.label != NULL))[0]
-        certainty[short], least[short] = _certainty(body, here.of_some(short), verdict)
+        certainty[short], least[short] = _certainty(body, here.of_some(short), verdict, rules)
         label, rival = labels_of_body(here.label, offsets, number), labels_of_body(here.rival, offsets, number)
-        rivals.add(label, rival, certainty, VerdictRules())
+        rivals.add(label, rival, certainty, verdict_rules)
         chance = np.where(here.label == NULL, 0.5 * np.exp(np.minimum(here.margin, 0.0)), certainty)
         rival = np.where(here.label == NULL, rival, NULL)
         _write([of_all[frames] for of_all in out], some, label, rival, chance, certainty >= least, body.markers)
@@ -159,12 +163,14 @@ def _write(
     confidence[frame, marker], candidates[frame, marker] = chance[points], points - clouds.offsets[frame]
 
 
-def _certainty(body: BodyInRecording, labels: PointLabels, verdict: Verdict | None) -> tuple[Floats, Floats]:
+def _certainty(
+    body: BodyInRecording, labels: PointLabels, verdict: Verdict | None, rules: RecordingLabellingSettings
+) -> tuple[Floats, Floats]:
     """How certain each label is, and below which it is taken back: (P,) each."""
     certainty, least = labels.confidence(body.certainty, body.frame_certainty)
     certainty = np.minimum(certainty, confidence_limit(verdict))
     if labels.found.lead is not None:
-        certainty = np.minimum(certainty, twin_limits(labels.found.lead, labels.label, TwinRules()))
+        certainty = np.minimum(certainty, twin_limits(labels.found.lead, labels.label, rules.twins))
     return certainty if body.distances is None else np.minimum(certainty, body.distances.margin_limits(labels.margin)), least
 
 

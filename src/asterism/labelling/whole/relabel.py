@@ -27,45 +27,19 @@ from asterism.labelling.whole.joint import SceneLabelling
 from asterism.labelling.whole.label import LongTracklets, label_all_points, label_long_tracklets, with_short_points
 from asterism.labelling.whole.plausibility import compare_with_training, ghost_penalty
 from asterism.labelling.whole.point_labels import BodyInRecording, PointLabels, labelling_of
-from asterism.labelling.whole.scene import (
-    RecordingLabellingSettings,
-    RecordingScene,
-    marker_offsets,
-    prepare_scene,
-    score_again,
-    score_scene,
-    with_fewer_samples,
-)
+from asterism.labelling.whole.scene import RecordingScene, marker_offsets, prepare_scene, score_again, score_scene, with_fewer_samples
+from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.labelling.whole.short import tracklets_of
 from asterism.labelling.whole.upright import turned
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from asterism.tracking.linking import Tracklets
 
-_SETTINGS = RecordingLabellingSettings()
-
 FREE = -2
 """Instead of a known label: the tracklet is to be labelled."""
 
 CERTAIN = 1e6
 """nats, the gain of a label that is known: more than all others of a recording together."""
-
-
-@dataclass(frozen=True)
-class RelabelRules:
-    """How much of a recording is looked at again. So chosen that a minute of 15 markers takes 0.2 s; medians over so few frames serve.
-
-    rounds          how often labels are chosen anew at most; what a touch sets off ends after two
-    chance_frames   frames of a piece by which the chances of other markers are told, at most
-    penalty_frames  sampled frames by which labels that changed are compared with the body's distances and places, at most
-    """
-
-    rounds: int = 3
-    chance_frames: int = 20
-    penalty_frames: int = 120
-
-
-_RULES = RelabelRules()
 
 
 @dataclass(frozen=True)
@@ -78,6 +52,7 @@ class LabelledTracklets:
     points      the labels of all points
     labelling   the same, as of all markers of the body's set
     body_rules  with which the model was trained
+    settings    how it was labelled
     """
 
     body: BodyInRecording
@@ -86,6 +61,7 @@ class LabelledTracklets:
     points: PointLabels
     labelling: Labelling
     body_rules: BodyRules
+    settings: RecordingLabellingSettings
 
     @cached_property
     def xyz(self) -> Floats:
@@ -114,7 +90,7 @@ class LabelledTracklets:
     def ghosts(self) -> int:
         """Which ghosts the recording shows, by the labels: 0 for none, 1 for short ones only, 2 for ghosts of any length."""
         scene = self.upright
-        long = (scene.last - scene.first + 1) / scene.rate >= _SETTINGS.long_track
+        long = (scene.last - scene.first + 1) / scene.rate >= self.settings.long_track
         unlabelled = self.long.found.label == NULL
         return 2 if (unlabelled & long).any() else 1 if unlabelled.any() else 0
 
@@ -139,16 +115,22 @@ class LabelledTracklets:
 
 
 def label_tracklets(
-    body: BodyInRecording, clouds: Clouds, body_rules: BodyRules, workers: int = 1, progress: Progress | None = None
+    body: BodyInRecording,
+    clouds: Clouds,
+    settings: RecordingLabellingSettings,
+    subject_rules: SubjectRules,
+    body_rules: BodyRules,
+    workers: int = 1,
+    progress: Progress | None = None,
 ) -> LabelledTracklets:
     """Label a recording as `label_whole` does, with one body, and keep what labelling it again needs; clouds have at least one point.
 
     Raises SeveralBodies where the recording certainly shows two such bodies.
     """
-    long = label_long_tracklets([body.labeller], clouds, _SETTINGS, SubjectRules(), body_rules, workers, progress, body)
-    points = label_all_points([body.labeller], clouds, long, _SETTINGS)
-    labelling = labelling_of(body, 0, clouds, points, marker_offsets([body.labeller]))
-    return LabelledTracklets(body, clouds, long, points, labelling, body_rules)
+    long = label_long_tracklets([body.labeller], clouds, settings, subject_rules, body_rules, workers, progress, body)
+    points = label_all_points([body.labeller], clouds, long, settings)
+    labelling = labelling_of(body, 0, clouds, points, marker_offsets([body.labeller]), settings)
+    return LabelledTracklets(body, clouds, long, points, labelling, body_rules, settings)
 
 
 def relabel_tracklets(before: LabelledTracklets, tracklets: Tracklets, fixed: Ints) -> Labelling:
@@ -171,7 +153,7 @@ def relabel_tracklets(before: LabelledTracklets, tracklets: Tracklets, fixed: In
         foreign = _of_tracklets(foreign, problem)
     long = LongTracklets(tracklets, kept, found, foreign)
     labels = _point_labels(before, long, problem)
-    labelling = labelling_of(before.body, 0, before.clouds, labels, marker_offsets([before.body.labeller]))
+    labelling = labelling_of(before.body, 0, before.clouds, labels, marker_offsets([before.body.labeller]), before.settings)
     return _with_known(labelling, before.body, before.clouds, of_point)
 
 
@@ -201,7 +183,7 @@ def _problem(before: LabelledTracklets, tracklets: Tracklets, kept: NDArray[np.b
     was_long = np.full(len(kept), NULL, dtype=np.int64)
     was_long[np.nonzero(before.long.kept)[0][scene.order]] = scene.track
     if anew:
-        plain = prepare_scene(before.clouds.select(kept), tracklets_of(tracklets, kept), _SETTINGS)
+        plain = prepare_scene(before.clouds.select(kept), tracklets_of(tracklets, kept), before.settings)
         scene = _turned(plain, found)
     points = np.nonzero(kept)[0][scene.order]
     known, earlier = np.empty(len(scene.first), dtype=np.int64), np.empty(len(scene.first), dtype=np.int64)
@@ -231,19 +213,19 @@ def _ascent(before: LabelledTracklets, problem: _RelabelProblem) -> SceneLabelli
     else:
         scores = problem.scores.copy()
         _score(scores, scene, label, label != problem.start, before)
-    for last in range(_RULES.rounds):
+    for last in range(before.settings.relabel.rounds):
         gain = _gain(scores, scene, fixed, before)
         by_length = np.maximum(1.0, before.rivals_weight * scene.samples / np.maximum(scene.independent, 1e-12))
         found = assign_tracklets(gain * by_length[:, None], scene.first, scene.last).label
         changed = found != label
         label = found
-        if not changed.any() or last == _RULES.rounds - 1:
+        if not changed.any() or last == before.settings.relabel.rounds - 1:
             break
         _score(scores, scene, label, changed, before)
     margin, rival = margins_of(gain, label, scene.first, scene.last, np.argsort(scene.first, kind="stable"))
     penalty, doubtful = _lost_margin(before, problem, label)
     by_body = margin - penalty
-    margin = np.where(doubtful, np.minimum(by_body, -_SETTINGS.no_adapt_margin), by_body)
+    margin = np.where(doubtful, np.minimum(by_body, -before.settings.no_adapt_margin), by_body)
     turns = before.long.found.turns if scene is before.upright else None
     return SceneLabelling(scene, label, margin, rival, before.long.found.bodies, 0.0, by_body, turns=turns)
 
@@ -263,13 +245,13 @@ def _gain(scores: Floats, scene: RecordingScene, fixed: Ints, before: LabelledTr
     Which ghosts the recording shows is what the first labelling found; see `joint.py`.
     """
     sums, counts = np.zeros((len(scene.first), scores.shape[1])), np.zeros(len(scene.first))
-    sum_scores(scene.sampled_track, scores, _SETTINGS.min_score, _SETTINGS.max_score, sums, counts)
+    sum_scores(scene.sampled_track, scores, before.settings.min_score, before.settings.max_score, sums, counts)
     gain = sums * (scene.independent / np.maximum(counts, 1.0))[:, None]
     _hold_labels(gain, fixed)
-    cost = before.body.labeller.settings.first_ghost_cost * scene.independent * _SETTINGS.frame_correlation
+    cost = before.body.labeller.settings.first_ghost_cost * scene.independent * before.settings.frame_correlation
     costly = np.ones(len(cost), dtype=np.bool_)
     if before.ghosts:
-        costly = (scene.last - scene.first + 1) / scene.rate >= _SETTINGS.long_track if before.ghosts == 1 else ~costly
+        costly = (scene.last - scene.first + 1) / scene.rate >= before.settings.long_track if before.ghosts == 1 else ~costly
     return np.asarray(gain + (cost * costly)[:, None])
 
 
@@ -291,14 +273,14 @@ def _lost_margin(before: LabelledTracklets, problem: _RelabelProblem, label: Int
     changed = (label != problem.start) & (label != NULL) & (problem.fixed == FREE)
     if not changed.any():
         return problem.penalty, doubtful
-    few, number = _merged(with_fewer_samples(problem.scene, _RULES.penalty_frames, _SETTINGS), label, changed)
+    few, number = _merged(with_fewer_samples(problem.scene, before.settings.relabel.penalty_frames, before.settings), label, changed)
     labels = np.full(len(few.first), NULL, dtype=np.int64)
     labels[number] = label
     near = overlaps_unlabelled(np.where(problem.fixed == NULL, 0, label), problem.scene.first, problem.scene.last)
-    in_body = ghost_penalty([before.body.labeller], found.bodies, few, labels, _SETTINGS)[number] * near
+    in_body = ghost_penalty([before.body.labeller], found.bodies, few, labels, before.settings)[number] * near
     scores = score_scene(few, labels, before.arrays, before.body.labeller.settings).scores
-    compared = compare_with_training(before.body.labeller, scores, few, labels, _SETTINGS, before.body_rules)
-    return np.where(changed, in_body, problem.penalty), np.where(changed, compared.are_off(_SETTINGS)[number], doubtful)
+    compared = compare_with_training(before.body.labeller, scores, few, labels, before.settings, before.body_rules)
+    return np.where(changed, in_body, problem.penalty), np.where(changed, compared.are_off(before.settings)[number], doubtful)
 
 
 def _merged(scene: RecordingScene, label: Ints, apart: NDArray[np.bool_]) -> tuple[RecordingScene, Ints]:
@@ -327,7 +309,7 @@ def _point_labels(before: LabelledTracklets, long: LongTracklets, problem: _Rela
     points = np.nonzero(long.kept)[0][found.scene.order]
     left_over[points] = overlaps_unlabelled(explained, found.scene.first, found.scene.last)[found.scene.track]
     if not long.kept.all():
-        labels = with_short_points([labeller], clouds, before.xyz, long.kept, labels, _SETTINGS)
+        labels = with_short_points([labeller], clouds, before.xyz, long.kept, labels, before.settings)
     same = labels.label == before.points.label
     other = ~same & (labels.label != NULL) & ~((labels.track != NULL) & (problem.fixed[labels.track] != FREE))
     fit = np.where(same, before.points.fit, 0.0)
@@ -366,7 +348,7 @@ def marker_chances(before: LabelledTracklets, labelling: Labelling, points: Ints
     alone, in some of the piece's frames; O(M).
     """
     body, clouds = before.body, before.clouds
-    sampled = points[np.unique(np.linspace(0, len(points) - 1, _RULES.chance_frames).round().astype(np.int64))]
+    sampled = points[np.unique(np.linspace(0, len(points) - 1, before.settings.relabel.chance_frames).round().astype(np.int64))]
     frames = np.searchsorted(clouds.offsets, sampled, side="right") - 1
     some = clouds.frames(frames)
     xyz, row = rotate_z_up(some.xyz, some.vertical), some.frame_of
@@ -380,8 +362,8 @@ def marker_chances(before: LabelledTracklets, labelling: Labelling, points: Ints
     out = FrameScores(scores, np.empty(len(frames)), np.empty(len(frames), dtype=np.int64))
     sorted_xyz = np.ascontiguousarray(xyz[order])
     score_frames(sorted_xyz, some.offsets, np.arange(len(xyz)), label[order], before.arrays, body.labeller.settings, out)
-    gain = np.clip(scores[own[order]], _SETTINGS.min_score, _SETTINGS.max_score).mean(axis=0)
-    gain *= len(frames) / (1.0 + _SETTINGS.frame_correlation * (len(frames) - 1.0))
+    gain = np.clip(scores[own[order]], before.settings.min_score, before.settings.max_score).mean(axis=0)
+    gain *= len(frames) / (1.0 + before.settings.frame_correlation * (len(frames) - 1.0))
     chance = np.zeros(len(body.names))
     chance[body.markers] = softmax(np.append(gain, 0.0))[:-1]
     return chance

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,73 +12,10 @@ from asterism.geometry import rotate_z_up
 from asterism.labelling.body._workspace_kernels import BodyArrays, FrameSettings
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole._kernels import FrameScores, score_frames
-from asterism.labelling.whole.short import ShortTrackletRules
+from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.recording import NULL, Clouds, Floats, Ints
 from asterism.tracking.chain_kernels import sort_frames
 from asterism.tracking.linking import Tracklets
-
-
-@dataclass(frozen=True)
-class RecordingLabellingSettings:
-    """How a recording is labelled as a whole. All were chosen on the gait subjects, each left out in turn (docs/recordings.md).
-
-    frame_interval    s between the frames that are sampled: scored, and labelled singly
-    least_voting      sampled frames at least that are labelled singly, and one more for each tracklet that none of them shows. Not tuned
-    voting_interval   one in so many sampled frames is labelled singly, where these are more. Not tuned
-    crowded           points of long tracklets for each marker, on average, above which single frames are searched briefly
-    max_rounds        relabellings after which the labels are taken as they are
-    min_score         nats, the most that one frame can say against a label (negative)
-    max_score         nats, the most that one frame can say for a label
-    frame_correlation correlation of two frames of one tracklet: many frames are worth 1 / frame_correlation independent ones at most
-    long_track        s; a longer tracklet is no ghost, unless the recording shows long ghosts
-    ghosts_cost       nats for the explanation that a recording shows ghosts, and as many again for long ghosts
-    max_vote          nats, the most that the labelling of a single frame can vote for a label
-    adapt_margin      nats; the model is adapted to the subject by tracklets whose labels have at least this margin
-    no_adapt_margin   nats; where all labels have more, the model is not adapted, as nothing could change
-    max_rigid_std     m; two markers are near-rigid where their distance varies by less in this recording
-    min_rigid_std     m; the standard deviation of such a distance is taken as at least this
-    pose_spread       and as at least this share of its range over the key poses of the training. Chosen on six gait subjects in clutter
-    max_rigid_deviation standard deviations by which a tracklet's near-rigid distances and place may differ without a loss of margin.
-                        Chosen of 0.9 to 1.2 on six gait subjects with riding ghosts: the largest without avoidable wrong labels
-    deviation_cost    nats of margin lost for each square of what exceeds that
-    training_noise    m, standard deviation of a near-rigid distance between bodies of one size, beyond the range of the training
-    max_deviation_familiar standard deviations by which a tracklet's near-rigid distances may differ from the training's
-    max_deviation_unfamiliar the same where most frames of the tracklet fit worse than those of people left out did
-    adapt_rounds      how often the model is adapted to the subject's own body; 0 for never
-    turn_cost         nats that a sampled frame must gain to be turned upright (`upright.py`). Chosen on acrobatics (cmu41, 85)
-    min_turned_share  share of the markers that must be labelled there. Not tuned
-    split_gain        nats by which two markers must explain a tracklet better than one, before and after a frame, to cut it there
-    max_splits        how often tracklets are cut and labelled again
-    short             which tracklets are short, and how their points are labelled
-    """
-
-    frame_interval: float = 0.1
-    least_voting: int = 60
-    voting_interval: int = 10
-    crowded: float = 1.5
-    max_rounds: int = 4
-    min_score: float = -4.0
-    max_score: float = 15.0
-    frame_correlation: float = 0.3
-    long_track: float = 0.9
-    ghosts_cost: float = 30.0
-    max_vote: float = 10.0
-    adapt_margin: float = 6.0
-    no_adapt_margin: float = 15.0
-    max_rigid_std: float = 0.02
-    min_rigid_std: float = 0.004
-    pose_spread: float = 0.3
-    max_rigid_deviation: float = 1.0
-    deviation_cost: float = 12.0
-    training_noise: float = 0.01
-    max_deviation_familiar: float = 5.0
-    max_deviation_unfamiliar: float = 2.5
-    adapt_rounds: int = 2
-    turn_cost: float = 10.0
-    min_turned_share: float = 0.3
-    split_gain: float = 40.0
-    max_splits: int = 2
-    short: ShortTrackletRules = field(default_factory=ShortTrackletRules)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ import numpy as np
 
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole._kernels import FrameScores, best_split
-from asterism.labelling.whole.scene import RecordingLabellingSettings, RecordingScene, labels_of_body, marker_offsets, score_scene
+from asterism.labelling.whole.scene import RecordingScene, labels_of_body, marker_offsets, score_scene
+from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.recording import Floats, Ints
 from asterism.tracking.linking import Tracklets
 

@@ -10,7 +10,6 @@ however many frames there are.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import expit
@@ -18,33 +17,9 @@ from scipy.special import expit
 from asterism.labelling.body._search_kernels import LAID
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole._twin_kernels import TwinScores, score_twins
-from asterism.labelling.whole.scene import (
-    RecordingLabellingSettings,
-    RecordingScene,
-    labels_of_body,
-    marker_offsets,
-    score_scene,
-    with_fewer_samples,
-)
+from asterism.labelling.whole.scene import RecordingScene, labels_of_body, marker_offsets, score_scene, with_fewer_samples
+from asterism.labelling.whole.settings import RecordingLabellingSettings, TwinRules
 from asterism.recording import NULL, Floats, Ints
-
-
-@dataclass(frozen=True)
-class TwinRules:
-    """How labels are held against their twins. Chosen on virtual people, see docs/labelling.md.
-
-    frames       sampled frames that are compared, at most. Twice as many change no label
-    gap          nats by which a twin may be behind in a frame to be completed and refined
-    marker_gain  nats that one more marker gains in a frame at best, about
-    scale        nats a frame that make the odds of a label against its twin e to 1
-    rounds       how often a better twin is held against its own twins
-    """
-
-    frames: int = 8
-    gap: float = 40.0
-    marker_gain: float = 10.0
-    scale: float = 3.0
-    rounds: int = 3
 
 
 def twin_limits(lead: Floats, label: Ints, rules: TwinRules) -> Floats:

@@ -12,7 +12,8 @@ from asterism.geometry import fit_rigid
 from asterism.labelling.body._score_kernels import best_pose
 from asterism.labelling.body._workspace_kernels import make_body_workspace
 from asterism.labelling.body.labeller import BodyLabeller
-from asterism.labelling.whole.scene import RecordingLabellingSettings, SceneScores
+from asterism.labelling.whole.scene import SceneScores
+from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.recording import NULL, Floats, Ints
 
 

@@ -51,7 +51,7 @@ def leg_measures(recording: Recording, side: str) -> LegMeasures:
     number = getattr(parameters, "number", None)
     if number is None:
         return LegMeasures()
-    found: dict[str, float] = {}
+    measures: dict[str, float] = {}
     # Widths are in the unit of the points, which may be mm or m.
     metres = float(recording.metadata.get("metres_per_unit", 0.001) or 0.001)
     for name, parameter in _NAMES.items():
@@ -60,7 +60,7 @@ def leg_measures(recording: Recording, side: str) -> LegMeasures:
             continue
         # A value that no leg has may be in another unit; guessing which would bend all angles.
         if name.endswith("width") and _WIDTHS[0] <= value * metres <= _WIDTHS[1]:
-            found[name] = float(value * metres)
+            measures[name] = float(value * metres)
         elif not name.endswith("width") and 0 < abs(value) <= _TURN:
-            found[name] = float(value)
-    return LegMeasures(**found, from_file=tuple(found))
+            measures[name] = float(value)
+    return LegMeasures(**measures, from_file=tuple(measures))

@@ -166,8 +166,8 @@ class _Legs:
             columns.append(column)
             turns.append(axes[side][segment])
             skin.append(errors.skin.of(segment) if errors.skin is not None else 0.0)
-            own = [bent.get(f"{side} {joint}", still) for joint in _BENT_BY[segment]]
-            courses.append([*own, still][:2])
+            bends = [bent.get(f"{side} {joint}", still) for joint in _BENT_BY[segment]]
+            courses.append([*bends, still][:2])
             # A static trial took this marker's misplacement off, with the same markers on the skin.
             offset = _OFFSET_OF.get(label[1:]) if segment != "pelvis" else None
             placed.append(0.0 if offset in clinical.measures[side].from_file else errors.placement_m or 0.0)

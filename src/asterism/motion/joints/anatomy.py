@@ -42,7 +42,7 @@ def leg_frames(recording: Recording, side: str = "L", *, knee_width: float = 0.1
     if side not in ("L", "R"):
         raise AsterismError(f"{side} is no side; give L or R.")
     right = 1.0 if side == "R" else -1.0
-    own = {name: _marker(recording, f"{side}{name}") for name in ("THI", "KNE", "TIB", "ANK")}
+    of_leg = {name: _marker(recording, f"{side}{name}") for name in ("THI", "KNE", "TIB", "ANK")}
     spines = [_marker(recording, name) for name in ("LASI", "RASI")]
     back = np.mean([_marker(recording, name) for name in sacrum_markers(recording)], axis=0)
     z = unit_vectors(spines[1] - spines[0])
@@ -56,9 +56,10 @@ def leg_frames(recording: Recording, side: str = "L", *, knee_width: float = 0.1
     shares = np.array([HIP_SHARES[0], HIP_SHARES[1], -right * HIP_SHARES[2]])
     # Bell's shares, from the spine of the same side.
     hip = spine + width * pelvis @ shares
-    knee = _chord(hip, own["KNE"], own["THI"], knee_width / 2 + MARKER_RADIUS)
-    ankle = _chord(knee, own["ANK"], own["TIB"], ankle_width / 2 + MARKER_RADIUS)
-    return AnatomicalFrames(pelvis, _segment(hip, knee, own["KNE"], right), _segment(knee, ankle, own["ANK"], right), hip, knee, ankle)
+    knee = _chord(hip, of_leg["KNE"], of_leg["THI"], knee_width / 2 + MARKER_RADIUS)
+    ankle = _chord(knee, of_leg["ANK"], of_leg["TIB"], ankle_width / 2 + MARKER_RADIUS)
+    thigh, shank = _segment(hip, knee, of_leg["KNE"], right), _segment(knee, ankle, of_leg["ANK"], right)
+    return AnatomicalFrames(pelvis, thigh, shank, hip, knee, ankle)
 
 
 def _marker(recording: Recording, name: str) -> Floats:

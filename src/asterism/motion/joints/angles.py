@@ -19,20 +19,12 @@ from asterism.recording import Floats
 SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 
 
-def joint_rotation(
-    parent: ArrayLike,
-    child: ArrayLike,
-    *,
-    parent_axes: ArrayLike | None = None,
-    child_axes: ArrayLike | None = None,
-    zero: int | None = None,
-) -> Floats:
+def joint_rotation(parent: ArrayLike, child: ArrayLike, *, zero: int | None = None) -> Floats:
     """(T, 3, 3): the child's axes in the parent's axes.
 
-    parent, child              (T, 3, 3) world from limb
-    parent_axes, child_axes    (3, 3) anatomical axes as columns, in the limb's axes; by default the limb's own
-    zero                       a frame whose rotation counts as none, or None; `LimbMotion` has the world's axes in its reference frame, so
-                               without anatomical axes the angle is that since this frame
+    parent, child  (T, 3, 3) world from limb; times a limb's anatomical axes (3, 3, as columns) the angle is between those
+    zero           a frame whose rotation counts as none, or None; `LimbMotion` has the world's axes in its reference frame, so the angle is
+                   then that since this frame
 
     >>> still = np.tile(np.eye(3), (2, 1, 1))
     >>> turned = still.copy()
@@ -40,7 +32,7 @@ def joint_rotation(
     >>> np.degrees(rotation_vectors(joint_rotation(still, turned, zero=0)))[:, 2].round(6).tolist()
     [0.0, 90.0]
     """
-    turned = relative_rotations(_with_axes(parent, parent_axes), _with_axes(child, child_axes))
+    turned = relative_rotations(parent, child)
     if zero is not None:
         if not 0 <= zero < len(turned):
             raise AsterismError(f"there is no frame {zero} in {len(turned)} frames; choose another frame to count angles from.")
@@ -49,11 +41,6 @@ def joint_rotation(
         # From the right: the zero pose is taken off in the axes of the parent, in which the joint turns.
         turned = turned @ turned[zero].T
     return turned
-
-
-def _with_axes(rotations: ArrayLike, axes: ArrayLike | None) -> Floats:
-    given = np.asarray(rotations, dtype=np.float64)
-    return given if axes is None else np.asarray(given @ np.asarray(axes, dtype=np.float64))
 
 
 def cardan_angles(rotations: ArrayLike, sequence: str = "zxy") -> Floats:

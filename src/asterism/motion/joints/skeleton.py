@@ -32,14 +32,14 @@ class Skeleton:
     @property
     def pairs(self) -> tuple[tuple[int, int], ...]:
         """(parent, child) of each joint, from the root outwards."""
-        found: list[tuple[int, int]] = []
+        pairs: list[tuple[int, int]] = []
         known = [limb for limb, parent in enumerate(self.parents) if parent < 0]
         while known:
             limb = known.pop(0)
             children = [child for child, parent in enumerate(self.parents) if parent == limb]
-            found += [(limb, child) for child in children]
+            pairs += [(limb, child) for child in children]
             known += children
-        return tuple(found)
+        return tuple(pairs)
 
 
 def find_skeleton(
@@ -70,7 +70,7 @@ def find_skeleton(
             aside = aside[np.isfinite(aside)]
             # Where nothing says what lies between two limbs, any other joint of theirs is better.
             joints[parent, child] = (joint.residual + gap + (float(aside.mean()) if len(aside) else np.inf), joint)
-    parents, found = [-1] * len(motions), [None] * len(motions)
+    parents, joined = [-1] * len(motions), [None] * len(motions)
     sizes = [one.shape[1] for one in points]
     waiting = set(range(len(motions)))
     while waiting:
@@ -79,11 +79,11 @@ def find_skeleton(
         costs = [(joints[pair][0], *pair) for pair in joints if pair[0] in reached and pair[1] in waiting]
         if costs:
             _, parent, limb = min(costs)
-            parents[limb], found[limb] = parent, joints[parent, limb][1]  # type: ignore[call-overload]
+            parents[limb], joined[limb] = parent, joints[parent, limb][1]  # type: ignore[call-overload]
         else:
             limb = max(waiting, key=lambda one: (sizes[one], -one))
         waiting.remove(limb)
-    return Skeleton(tuple(parents), tuple(found))
+    return Skeleton(tuple(parents), tuple(joined))
 
 
 def between(one: Floats, other: Floats) -> tuple[Floats, float]:

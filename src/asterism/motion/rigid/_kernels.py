@@ -21,7 +21,7 @@ def fit_frames(template, positions, weights, flat, rotations, translations):
     U S V', so it is U diag(1, 1, det(U V')) V'; it is found here as Horn's quaternion (1987), which is never a reflection. GaMoCap
     section 3.1 prints C the other way round (p_i p_(i+1)') with R = U V', which is the inverse rotation, and leaves out the determinant.
     """
-    mixed, own, turns = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    mixed, shape, turns = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     four, axes = np.empty((4, 4)), np.empty((4, 4))
     for t in range(len(positions)):
         w = weights[min(t, len(weights) - 1)]
@@ -35,6 +35,7 @@ def fit_frames(template, positions, weights, flat, rotations, translations):
                 for i in range(3):
                     here[i] += w[n] * template[n, i]
                     there[i] += w[n] * positions[t, n, i]
+        # Beforehand, so that every way out leaves NaN.
         rotations[t], translations[t] = np.nan, np.nan
         # Two points leave the turn about their line open.
         if count < 3:
@@ -42,7 +43,7 @@ def fit_frames(template, positions, weights, flat, rotations, translations):
         here /= total
         there /= total
         # Second pass, about the means: the mixed covariance for the rotation, the template's own for its shape.
-        mixed[:], own[:] = 0.0, 0.0
+        mixed[:], shape[:] = 0.0, 0.0
         for n in range(len(template)):
             if w[n] > 0.0 and not math.isnan(positions[t, n, 0]) and not math.isnan(template[n, 0]):
                 px, py, pz = w[n] * (template[n, 0] - here[0]), w[n] * (template[n, 1] - here[1]), w[n] * (template[n, 2] - here[2])
@@ -51,13 +52,13 @@ def fit_frames(template, positions, weights, flat, rotations, translations):
                     mixed[j, 0] += px * x
                     mixed[j, 1] += py * x
                     mixed[j, 2] += pz * x
-                    own[0, j] += px * p
-                    own[1, j] += py * p
-                    own[2, j] += pz * p
-        jacobi(own, turns)
+                    shape[0, j] += px * p
+                    shape[1, j] += py * p
+                    shape[2, j] += pz * p
+        jacobi(shape, turns)
         # The second extent tells a line from a plane; the third may be zero, for markers in a plane have a rotation.
-        low, high = min(own[0, 0], own[1, 1], own[2, 2]), max(own[0, 0], own[1, 1], own[2, 2])
-        if not own[0, 0] + own[1, 1] + own[2, 2] - low - high > flat * flat * high:
+        low, high = min(shape[0, 0], shape[1, 1], shape[2, 2]), max(shape[0, 0], shape[1, 1], shape[2, 2])
+        if not shape[0, 0] + shape[1, 1] + shape[2, 2] - low - high > flat * flat * high:
             continue
         # The translation follows from the rotation: it carries mean to mean.
         _nearest_rotation(mixed, four, axes, rotations[t])
@@ -117,6 +118,7 @@ def jacobi(matrix, axes):
             break
         for p in range(n - 1):
             for q in range(p + 1, n):
+                # Zero already, and the ratio would be infinite.
                 if matrix[p, q] == 0.0:
                     continue
                 # The smaller of the two angles that clear the place, which keeps the sweep stable.
@@ -177,6 +179,7 @@ def point_spread(positions, rotations, translations, means, squares, counts):
             counts[n] += 1
             for i in range(3):
                 local = r[0, i] * x + r[1, i] * y + r[2, i] * z
+                # Mean and squares in one pass, exact also far from the origin (Welford).
                 step = local - means[n, i]
                 means[n, i] += step / counts[n]
                 squares[n] += step * (local - means[n, i])
@@ -219,6 +222,7 @@ def eigenvalue_weights(local, reference, rounds, weights):
             _slopes(reference, local[t], w, (axes_before, mean_before, axes_after, mean_after), slopes)
             normal = slopes @ slopes.T
             scale = normal[0, 0] + normal[1, 1] + normal[2, 2]
+            # No weight changes any eigenvalue.
             if not scale > 0.0:
                 break
             # Points in a plane leave the equations singular; a billionth of their size keeps them solvable.
@@ -234,6 +238,7 @@ def eigenvalue_weights(local, reference, rounds, weights):
             if not total > 0.0:
                 w[:] = 0.0
                 break
+            # The sum is kept, so that weights of different frames compare.
             w *= count / total
 
 

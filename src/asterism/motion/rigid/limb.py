@@ -194,9 +194,9 @@ def _spread(positions: Floats, rotations: Floats, translations: Floats) -> tuple
     return means, squares
 
 
-def _fit_plainly(positions: Floats, weights: Floats, reference: int, rules: LimbRules, begin: _Fit | None = None) -> _Fit:
+def _fit_plainly(positions: Floats, weights: Floats, reference: int, rules: LimbRules) -> _Fit:
     """The mean shape and its motion, alternately, until the shape stays (generalised Procrustes without scale; Gower 1975)."""
-    template = positions[reference] if begin is None else begin.template
+    template = positions[reference]
     # Template and motion hold each other: each is the least squares solution for the other.
     for _ in range(rules.rounds):
         rotations, translations = _fit(positions, template, weights, rules)
@@ -327,27 +327,23 @@ def _as_motion(positions: Floats, fit: _Fit, weights: Floats, method: str, refer
     return LimbMotion(rotations, translations, template, shown, present & (shown < rules.rejected), residuals, method, reference)
 
 
-def refit_limb_motion(
-    positions: Floats, motion: LimbMotion, method: str | None = None, *, rounds: int = 2, rules: LimbRules = RULES
-) -> tuple[Floats, Floats]:
+def refit_limb_motion(positions: Floats, motion: LimbMotion) -> tuple[Floats, Floats]:
     """Rotations (T, 3, 3) and translations (T, 3) m of a limb whose points have moved a little since `motion` was estimated.
 
-    positions (T, N, 3) m of the same points. Template and weights begin where they were, so that a trial of a Monte Carlo costs a few
-    passes over the points. Robust weights are estimated anew in each round; those of the other methods stay. NaN where `motion` is, and
-    where fewer than three points are left. O(rounds T N).
+    positions (T, N, 3) m of the same points. Template and weights begin where they were, so that a trial of a Monte Carlo costs two
+    passes over the points. Robust weights are estimated anew in between; those of the other methods stay. NaN where `motion` is, and
+    where fewer than three points are left. O(T N).
     """
-    robust = (method or motion.method) in ("robust", "interval-deformation")
+    robust = motion.method in ("robust", "interval-deformation")
     given = np.ascontiguousarray(positions)
     weights: Floats = np.ascontiguousarray(motion.weights)
     template = motion.template
     # `motion` says which frames have a rotation: noise on points that lie nearly in a line must not decide it again (flat 0).
     rotations, translations = _fit_frames(given, template, weights, 0.0)
-    for _ in range(rounds - 1):
-        if not np.isfinite(rotations[:, 0, 0]).any():
-            break
+    if np.isfinite(rotations[:, 0, 0]).any():
         template, squares = _spread(given, rotations, translations)
         if robust:
-            weights = _robust_weights(squares, np.ones(len(squares)), _core_scale(squares, np.ones(len(squares)), rules), rules)
+            weights = _robust_weights(squares, np.ones(len(squares)), _core_scale(squares, np.ones(len(squares)), RULES), RULES)
         rotations, translations = _fit_frames(given, template, weights, 0.0)
     unknown = np.isnan(motion.rotations[:, 0, 0])
     rotations[unknown], translations[unknown] = np.nan, np.nan

@@ -126,9 +126,9 @@ class _Chain:
         points = tuple(np.nonzero(analysis.limb_of == limb)[0] for limb in range(len(analysis.names)))
         courses, amplitudes = [], []
         for limb, motion in enumerate(analysis.motions):
-            own = [_course(joint) for joint in analysis.angles if limb in (joint.parent, joint.child)]
-            courses.append(tuple(own))
-            amplitudes.append(_amplitude(motion, own, sources))
+            bends = [_course(joint) for joint in analysis.angles if limb in (joint.parent, joint.child)]
+            courses.append(tuple(bends))
+            amplitudes.append(_amplitude(motion, bends, sources))
         field = None if sources.calibration is None else sources.calibration.field(analysis.recording.positions)
         return cls(analysis, sources, field, points, tuple(courses), tuple(amplitudes), reassign)
 
@@ -176,12 +176,12 @@ class _Chain:
             stray_from_motions(positions, rotations, np.stack([motion.translations for motion in motions]), stray)
             moved = (np.argmin(stray, axis=1) != self.analysis.limb_of) & (self.analysis.limb_of >= 0)
         fitted = []
-        for own, motion in zip(self.points, motions, strict=True):
-            points = positions[:, own]
-            if not (moved[own].any() and (~moved[own]).sum() >= 4):
+        for columns, motion in zip(self.points, motions, strict=True):
+            points = positions[:, columns]
+            if not (moved[columns].any() and (~moved[columns]).sum() >= 4):
                 fitted.append(refit_limb_motion(points, motion)[0])
                 continue
-            rotations = refit_limb_motion(np.where(moved[own][:, None], np.nan, points), motion)[0]
+            rotations = refit_limb_motion(np.where(moved[columns][:, None], np.nan, points), motion)[0]
             # Without the points that strayed a frame may keep fewer than three: there all of them count.
             lost = np.isnan(rotations) & np.isfinite(motion.rotations)
             if lost.any():
@@ -265,18 +265,18 @@ def _of_joint(analysis: MotionAnalysis, j: int, runs: tuple[MonteCarlo, dict[str
 
 
 def _findings(sources: ErrorSources, total: MonteCarlo, joints: tuple[AngleUncertainty, ...]) -> list[Finding]:
-    found = []
+    findings = []
     if sources.calibration is None:
         sentence = "no covariance of the calibration was given: of the cameras only the noise of single points counts."
         mend = "Give the rig and its covariance, by --rig and --covariance."
-        found.append(Finding("motion-no-calibration", Severity.NOTE, "the cameras", sentence, mend))
+        findings.append(Finding("motion-no-calibration", Severity.NOTE, "the cameras", sentence, mend))
     if not total.converged:
         sentence = f"{total.trials} trials do not fix a significant digit of every interval's ends."
-        found.append(Finding("motion-few-trials", Severity.NOTE, "the intervals", sentence, "Ask for more with --trials."))
+        findings.append(Finding("motion-few-trials", Severity.NOTE, "the intervals", sentence, "Ask for more with --trials."))
     for one in joints:
         holds = one.first_order.holds
         holds = holds[np.isfinite(one.angle)] if holds is not None else None
         if holds is not None and not holds.mean() > 0.9:
             sentence = f"{one.joint.name}: first-order propagation does not hold in {100 * (1 - holds.mean()):.0f} % of the frames."
-            found.append(Finding("motion-not-linear", Severity.NOTE, one.joint.name, sentence, "Use the Monte Carlo intervals."))
-    return found
+            findings.append(Finding("motion-not-linear", Severity.NOTE, one.joint.name, sentence, "Use the Monte Carlo intervals."))
+    return findings

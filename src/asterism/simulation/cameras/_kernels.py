@@ -70,10 +70,13 @@ def draw(xy, sizes, gaussian, peak, image):
     IN  xy (N, 2) px; sizes (N,) px; gaussian bool; peak grey values
     OUT image (H, W) grey values, added to in place; overlapping blobs take the brighter of the two
     O(sum of the blobs' areas), no allocation.
+
+    Bounds: rows and columns are cut to the image.
     """
     rows, columns = image.shape
     for i in range(len(xy)):
         x, y, radius = xy[i, 0], xy[i, 1], 0.5 * sizes[i]
+        # Beyond it a pixel gets less than a grey value.
         reach = 3.0 * radius + 1.0 if gaussian else radius + 1.0
         for row in range(max(0, int(np.floor(y - reach))), min(rows, int(np.ceil(y + reach)) + 1)):
             for column in range(max(0, int(np.floor(x - reach))), min(columns, int(np.ceil(x + reach)) + 1)):

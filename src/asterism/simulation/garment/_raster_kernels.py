@@ -19,6 +19,8 @@ def rasterise(xy, nearness, triangles, samples, corner, front, owner):
         pixel and axis; corner (2,) of the window
     OUT front (h, w) the nearness of the nearest triangle, 0 where none is; owner (h, w) its number, -1 where none is; both filled before
     O(t + samples inside), no allocation. The inverse of the depth is linear in the image; lens distortion within a triangle is left out.
+
+    Bounds: the box of a triangle is cut to the window before its corners become whole numbers.
     """
     height, width = front.shape
     for t in range(len(triangles)):
@@ -28,6 +30,7 @@ def rasterise(xy, nearness, triangles, samples, corner, front, owner):
         cx, cy = (xy[c, 0] + 0.5) * samples - 0.5 - corner[0], (xy[c, 1] + 0.5) * samples - 0.5 - corner[1]
         # Twice the area, with its sign; a triangle seen edge-on covers no sample.
         double = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        # Also where a vertex cannot be seen (NaN).
         if not math.fabs(double) > 1e-9:
             continue
         # Only the samples of the box around the triangle.
@@ -43,6 +46,7 @@ def rasterise(xy, nearness, triangles, samples, corner, front, owner):
                 wa = 1.0 - wb - wc
                 if wa < 0.0 or wb < 0.0 or wc < 0.0:
                     continue
+                # The inverse of the depth is linear in the image, the depth is not.
                 near = wa * na + wb * nb + wc * nc
                 if near > front[y, x]:
                     front[y, x] = near
@@ -72,6 +76,7 @@ def shade(xy, nearness, triangles, sheet, light, piece, facing, cells, colours, 
             a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
             px, py = (x + corner[0] + 0.5) / samples - 0.5, (y + corner[1] + 0.5) / samples - 0.5
             double = (xy[b, 0] - xy[a, 0]) * (xy[c, 1] - xy[a, 1]) - (xy[b, 1] - xy[a, 1]) * (xy[c, 0] - xy[a, 0])
+            # Weights by nearness, so that a place on the cloth and not one in the image is found.
             wb = ((px - xy[a, 0]) * (xy[c, 1] - xy[a, 1]) - (py - xy[a, 1]) * (xy[c, 0] - xy[a, 0])) / double * nearness[b]
             wc = ((xy[b, 0] - xy[a, 0]) * (py - xy[a, 1]) - (xy[b, 1] - xy[a, 1]) * (px - xy[a, 0])) / double * nearness[c]
             wa = nearness[a] * (1.0 - wb / nearness[b] - wc / nearness[c])
@@ -80,6 +85,7 @@ def shade(xy, nearness, triangles, sheet, light, piece, facing, cells, colours, 
             # Cloth unless something is printed here: the inside and the seams show none.
             ink, cover = q, 0.0
             p = piece[t]
+            # Skin has no print.
             if p < 0:
                 ink, cover = q + 1, 1.0
             elif facing[t]:

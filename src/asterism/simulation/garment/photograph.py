@@ -51,16 +51,12 @@ class Lamp:
     colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
-def ring_of_lamps(
-    count: int = 6, radius: float = 3.0, height: float = 2.6, strength: float = 2.4, colour: Sequence[float] = (1, 1, 1)
-) -> tuple[Lamp, ...]:
-    """Lamps at equal angles around the wearer, at two heights (m)."""
+def ring_of_lamps(strength: float = 2.4, colour: Sequence[float] = (1, 1, 1)) -> tuple[Lamp, ...]:
+    """Six lamps at equal angles around the wearer, 3 m away, at 2.6 and 1.04 m in turn."""
     red, green, blue = (strength * float(part) for part in colour)
-    angles = 2 * np.pi * np.arange(count) / count + 0.3
-    return tuple(
-        Lamp((float(radius * np.cos(a)), float(radius * np.sin(a)), height if i % 2 == 0 else 0.4 * height), (red, green, blue))
-        for i, a in enumerate(angles)
-    )
+    angles = 2 * np.pi * np.arange(6) / 6 + 0.3
+    places = [(float(3.0 * np.cos(a)), float(3.0 * np.sin(a)), 2.6 if i % 2 == 0 else 0.4 * 2.6) for i, a in enumerate(angles)]
+    return tuple(Lamp(place, (red, green, blue)) for place in places)
 
 
 @dataclass(frozen=True)

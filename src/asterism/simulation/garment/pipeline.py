@@ -42,14 +42,14 @@ class Views:
         """Count the circles of one picture."""
         truth = photo.truth
         there = truth.readable(self.diameter, self.tilt, self.visible) & (truth.ids >= 0)
-        own = self.counts.setdefault(frame, {})
+        by_circle = self.counts.setdefault(frame, {})
         for number in truth.ids[there].tolist():
-            own[number] = own.get(number, 0) + 1
+            by_circle[number] = by_circle.get(number, 0) + 1
 
     def of(self, frame: int, ids: NDArray[np.integer[Any]]) -> Ints:
         """(n,) in how many images of a frame these circles could have been read."""
-        own = self.counts.get(frame, {})
-        return np.array([own.get(number, 0) for number in ids.tolist()], dtype=np.int64)
+        by_circle = self.counts.get(frame, {})
+        return np.array([by_circle.get(number, 0) for number in ids.tolist()], dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -133,14 +133,21 @@ def run_garment_session(
     captured = capture(calibration.rig, pattern, film, readers("suit"), rate=session.rate, workers=workers)
     steps.end(0.95, "comparing")
     errors = compare_dense(captured.trajectories, session.truth(frames))
-    possible, found = 0, 0
+    possible, captured_circles = 0, 0
     for t in range(frames):
         # What two images show well can be composed; of the others nothing is promised.
         well = pattern.known[views.of(t, pattern.known) >= 2]
         possible += len(well)
-        found += int(np.isin(well, captured.trajectories.points(t).ids).sum())
+        captured_circles += int(np.isin(well, captured.trajectories.points(t).ids).sum())
     wrong = int((np.linalg.norm(errors.errors, axis=1) > _WRONG).sum())
     density = surface(captured.trajectories.points(0), pattern).density
     return GarmentResult(
-        calibration, captured, compare_rigs(calibration.rig, session.rig), errors, found / max(possible, 1), wrong, density, steps.seconds
+        calibration,
+        captured,
+        compare_rigs(calibration.rig, session.rig),
+        errors,
+        captured_circles / max(possible, 1),
+        wrong,
+        density,
+        steps.seconds,
     )

@@ -39,13 +39,13 @@ def garment_rig(
         place = np.array([radius * np.cos(angle), radius * np.sin(angle), 1.1 + 0.4 * (-1) ** i]) + 0.03 * jitter[:3]
         # On their side: people are tall.
         rotation, translation = looking(place, middle + 0.015 * jitter[3:6], 0.5 * np.pi + 0.01 * jitter[6])
-        own = focal * (1 + 0.01 * jitter[7]) if rng is not None else focal
+        own_focal = focal * (1 + 0.01 * jitter[7]) if rng is not None else focal
         centre = (0.5 * (size[0] - 1), 0.5 * (size[1] - 1))
         radial: tuple[float, ...] = ()
         if rng is not None:
             off = size[0] / 160 * rng.normal(size=2)
             centre = (centre[0] + float(off[0]), centre[1] + float(off[1]))
-            corner = (size[0] ** 2 + size[1] ** 2) / (2 * own) ** 2
+            corner = (size[0] ** 2 + size[1] ** 2) / (2 * own_focal) ** 2
             radial = (float(rng.uniform(-0.04, 0.01)) / corner,)
-        hung.append(Camera(f"c{i + 1}", size, (own, own), centre, rotation, translation, radial=radial))
+        hung.append(Camera(f"c{i + 1}", size, (own_focal, own_focal), centre, rotation, translation, radial=radial))
     return Rig(tuple(hung), vertical=np.array([0.0, 0.0, 1.0]))

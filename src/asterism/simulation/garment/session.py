@@ -164,6 +164,8 @@ def compare_dense(captured: DenseTrajectories, truth: dict[int, Floats], *, alig
     errors = given @ turn.T + shift - expected
     covariance = np.concatenate([captured.covariances(t)[there[t]] for t in range(len(captured))])
     # Back into the captured world, in which the covariances are given.
-    own = errors @ turn
-    normalised = float(np.sqrt(np.mean(np.einsum("ni,ni->n", own, np.linalg.solve(covariance, own[..., None])[..., 0])) / 3))
+    in_captured_world = errors @ turn
+    normalised = float(
+        np.sqrt(np.mean(np.einsum("ni,ni->n", in_captured_world, np.linalg.solve(covariance, in_captured_world[..., None])[..., 0])) / 3)
+    )
     return DenseErrors(errors, normalised)

@@ -202,12 +202,12 @@ def _tube_mesh(worn: WornGarment, tube: Tube, joints: dict[str, Floats]) -> Mesh
     # Closed ends: nobody looks into a sleeve.
     for ring, sign in ((0, 1), (n - 1, -1)):
         middle = len(vertices)
-        own = ring * m + np.arange(m)
-        vertices = np.concatenate([vertices, vertices[own].mean(axis=0, keepdims=True)])
+        rim = ring * m + np.arange(m)
+        vertices = np.concatenate([vertices, vertices[rim].mean(axis=0, keepdims=True)])
         towards = vertices[middle] - points[1 if ring == 0 else n - 2].mean(axis=0)
         normals = np.concatenate([normals, (towards / np.linalg.norm(towards))[None]])
         sheet = np.concatenate([sheet, np.full((1, 2), np.nan)])
-        fan = np.stack([own[:-1], own[1:], np.full(m - 1, middle)], axis=1)
+        fan = np.stack([rim[:-1], rim[1:], np.full(m - 1, middle)], axis=1)
         triangles = np.concatenate([triangles, fan if sign > 0 else fan[:, [1, 0, 2]]])
     kind = place if tube.dressed is not None else -1
     owner = np.full(len(triangles), kind, dtype=np.int32)

@@ -1,0 +1,114 @@
+"""Numbers that pages give for constants of the code are those of the code."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from asterism.garment.read.rules import ReadRules
+from asterism.labelling.live.body import LiveRules
+from asterism.labelling.live.stream import StreamRules
+from asterism.labelling.stretches import StretchRules
+from asterism.labelling.whole.assignment import EXACT_CHOICES
+from asterism.labelling.whole.settings import RecordingLabellingSettings
+from asterism.labelling.whole.short import ShortTrackletRules
+from asterism.labelling.whole.verdict import VerdictRules
+from asterism.views.personal import PERSONAL
+from asterism.views.rules import QUICK, RULES
+
+DOCS = Path(__file__).parent.parent / "docs"
+WORDS = {
+    "two": 2,
+    "three": 3,
+    "four": 4,
+    "eight": 8,
+    "eleven": 11,
+    "tenth": 10,
+    "half": 0.5,
+    "quarter": 0.25,
+    "twice": 2,
+    "two million": 2e6,
+}
+WHOLE, VERDICT, SHORT, STREAM = RecordingLabellingSettings(), VerdictRules(), ShortTrackletRules(), StreamRules()
+FOREIGN, READ = WHOLE.foreign, ReadRules()
+
+NUMBERS = [
+    ("recordings", r"Every ([\d.]+) s, and at least once in every tracklet", WHOLE.frame_interval),
+    ("recordings", r"Of these every (\w+), but at least", WHOLE.voting_interval),
+    ("recordings", r"but at least (\d+), and one more for each", WHOLE.least_voting),
+    ("recordings", r"by its margin, (\d+) at most", WHOLE.max_vote),
+    ("recordings", r"One frame contributes (-\d+) to", WHOLE.min_score),
+    ("recordings", r"One frame contributes -4 to (\d+)", WHOLE.max_score),
+    ("recordings", r"scores that are correlated by ([\d.]+),", WHOLE.frame_correlation),
+    ("recordings", r"more than ([\d,]+) choices are in conflict", EXACT_CHOICES),
+    ("recordings", r"until nothing changes, (\w+) times at most", WHOLE.max_rounds),
+    ("recordings", r"A tracklet of (\d) frames, or of", SHORT.frames),
+    ("recordings", r"frames, or of ([\d.]+) s, is short", SHORT.seconds),
+    ("recordings", r"show more than ([\d.]+) points for each marker", SHORT.crowded),
+    ("recordings", r"are short, too, up to ([\d.]+) s", SHORT.crowd_seconds),
+    ("recordings", r"if at least ([\d.]+) points for each marker are left", SHORT.min_shown),
+    ("recordings", r"better than one, by an evidence of (\d+)", WHOLE.split_gain),
+    ("recordings", r"and cuts again, (\w+) at most", WHOLE.max_splits),
+    ("recordings", r"those longer than ([\d.]+) s are", WHOLE.long_track),
+    ("recordings", r"The second costs an evidence of (\d+)", WHOLE.ghosts_cost),
+    ("recordings", r"if it gains an evidence of (\d+) at least", WHOLE.turn_cost),
+    ("recordings", r"labels have a margin of at least (\d+) adapt", WHOLE.adapt_margin),
+    ("recordings", r"This is done (\w+), and not at all", WHOLE.adapt_rounds),
+    ("recordings", r"mean square of the two exceeds ([\d.]+), each", WHOLE.max_rigid_deviation),
+    ("recordings", r"square of the excess costs (\d+) of margin", WHOLE.deviation_cost),
+    ("recordings", r"off by more than (\d) standard deviations", WHOLE.max_deviation_familiar),
+    ("recordings", r"only labels within ([\d.]+) are kept", WHOLE.max_deviation_unfamiliar),
+    ("recordings", r"A recording fits up to ([\d.]+)\.", VERDICT.min_limit),
+    ("recordings", r"it fits up to ([\d.]+) times the largest scatter", VERDICT.left_out_factor),
+    ("recordings", r"between 0.06 and ([\d.]+)\. Where fewer", VERDICT.max_limit),
+    ("recordings", r"it fits up to ([\d.]+), since among", VERDICT.crowded_limit),
+    ("recordings", r"or fewer than ([\d.]+) of the markers are found", VERDICT.min_labelled),
+    ("recordings", r"\*another body\* from a scatter of ([\d.]+),", VERDICT.body_scatter),
+    ("recordings", r"where sizes differ by a factor of ([\d.]+),", VERDICT.body_size),
+    ("recordings", r"limited from half that scatter on, down to ([\d.]+)\. Of", VERDICT.standing_confidence),
+    ("recordings", r"reaches 0.99 with a margin below (\d)", VERDICT.standing_margin),
+    ("recordings", r"unless the scatter is at most ([\d.]+): that is", VERDICT.own_scatter),
+    ("recordings", r"with most points, at (\w+) headings", FOREIGN.headings),
+    ("recordings", r"headings and (\w+) sizes", len(FOREIGN.sizes)),
+    ("recordings", r"The (\w+) whose distances fit best are labelled", FOREIGN.max_starts),
+    ("recordings", r"as above, on (\d+) of the sampled frames", FOREIGN.frames),
+    ("recordings", r"([\d.]+) x gain of the labels", FOREIGN.body_weight),
+    ("recordings", r"([\d.]+) x evidence of the near-rigid distances", FOREIGN.distance_weight[0]),
+    ("recordings", r"(\d+) x cosine between the direction", FOREIGN.forward),
+    ("recordings", r"comes as near as a scatter of ([\d.]+)\. The first", FOREIGN.close),
+    ("recordings", r"The first labelling has (\d) more", FOREIGN.prior[0]),
+    ("recordings", r"A margin of (\d) over a whole other labelling", FOREIGN.scale),
+    ("recordings", r"evidence makes less certain than ([\d.]+) are withdrawn", FOREIGN.least_confidence[0]),
+    ("recordings", r"are withdrawn, than ([\d.]+) where points are left over", FOREIGN.least_confidence[1]),
+    ("recordings", r"recordings of more than (two million) points", StretchRules().whole),
+    ("recordings", r"Neighbouring stretches share (\d+) s", StretchRules().overlap),
+    ("recordings", r"Every track collects evidence that decays over (\w+) a second", STREAM.evidence_memory),
+    ("recordings", r"does not use the past runs every (\w+) second", STREAM.search_interval),
+    ("recordings", r"Its result must be better by (\d),", STREAM.takeover_margin),
+    ("recordings", r"is worth at most \(m - 3\) / ([\d.]+) in log odds", STREAM.log_odds_scale),
+    ("recordings", r"\(after 3, 6, 12 and (\d+) of them", LiveRules().adapt_after[-1]),
+    ("garment", r"where at least (\d+) of its colours fit", READ.patch),
+    ("garment", r"rows and columns go on, within ([\d.]+) pitches", READ.gate),
+    ("garment", r"of the neighbours costs (\d) for each factor of e", READ.unlike),
+    ("garment", r"A circle needs ([\d.]+), an area", READ.odds),
+    ("garment", r"no way that has it ([\d.]+) pitches off", READ.astray),
+    ("garment", r"One of ([\d,]+) is less than 2 in 100,000", READ.validated_count),
+    ("views", r"(\w+) headings and the poses of the model are tried", RULES.headings),
+    ("views", r"Every (\d+) frames the followed body is compared", RULES.turn_frames),
+    ("views", r"over the other one in (\w+) frames", 2 * RULES.window + 1),
+    ("views", r"body found without a start every (\d+) frames", QUICK.turn_frames),
+    ("views", r"Before the recording is labelled, (\d+) frames of it are fitted", PERSONAL.frames),
+    ("views", r"where the model has it is sought within (\d) cm", 100 * PERSONAL.astray),
+    ("views", r"above 0\. By default it is (-[\d.]+) m", RULES.occlusion_tolerance),
+]
+
+
+@pytest.mark.parametrize(("page", "pattern", "value"), NUMBERS, ids=[f"{page}: {pattern}" for page, pattern, _ in NUMBERS])
+def test_a_number_of_a_page_is_that_of_the_code(page: str, pattern: str, value: float) -> None:
+    text = " ".join((DOCS / f"{page}.md").read_text(encoding="utf-8").split())
+    said = re.findall(pattern, text)
+    assert len(said) == 1, f"{page}.md says it {len(said)} times"
+    number = WORDS[said[0].lower()] if said[0].lower() in WORDS else float(said[0].replace(",", ""))
+    assert number == pytest.approx(value), f"{page}.md says {said[0]}"
