@@ -47,6 +47,16 @@ class MarkerModel:
 
     `fit` learns from labelled recordings. `label` labels whole recordings, `label_frames` each frame by itself, and `stream` live points.
     `save` and `load` write and read a model file. A model never changes: `learn` and `adapt` return new ones.
+
+    >>> from asterism.labelling import TrainingRules
+    >>> from asterism.simulation import simulate_walks
+    >>> *people, ann = simulate_walks(4, frames=60, markers="helen-hayes", seed=0)
+    >>> quick = TrainingRules(folds=2, trial_frames=10, stretches=1, stretch_frames=30)  # for the example only
+    >>> model = MarkerModel.fit(people, training=quick)
+    >>> labelling = model.label(ann)
+    >>> right = labelling.indices == np.arange(15)  # the clouds have the points in the order of the markers
+    >>> bool(right.mean() > 0.9), bool(labelling.confidence[right].mean() > 0.9)
+    (True, True)
     """
 
     def __init__(self, state: ModelState) -> None:
