@@ -67,7 +67,6 @@ NUMBERS = [
     ("recordings", r"\*another body\* from a scatter of ([\d.]+),", VERDICT.body_scatter),
     ("recordings", r"where sizes differ by a factor of ([\d.]+),", VERDICT.body_size),
     ("recordings", r"limited from half that scatter on, down to ([\d.]+)\. Of", VERDICT.standing_confidence),
-    ("recordings", r"reaches 0.99 with a margin below (\d)", VERDICT.standing_margin),
     ("recordings", r"unless the scatter is at most ([\d.]+): that is", VERDICT.own_scatter),
     ("recordings", r"with most points, at (\w+) headings", FOREIGN.headings),
     ("recordings", r"headings and (\w+) sizes", len(FOREIGN.sizes)),
