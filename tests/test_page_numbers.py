@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from asterism.garment.read.rules import ReadRules
 from asterism.labelling.live.body import LiveRules
 from asterism.labelling.live.stream import StreamRules
 from asterism.labelling.stretches import StretchRules
@@ -31,7 +32,7 @@ WORDS = {
     "two million": 2e6,
 }
 WHOLE, VERDICT, SHORT, STREAM = RecordingLabellingSettings(), VerdictRules(), ShortTrackletRules(), StreamRules()
-FOREIGN = WHOLE.foreign
+FOREIGN, READ = WHOLE.foreign, ReadRules()
 
 NUMBERS = [
     ("recordings", r"Every ([\d.]+) s, and at least once in every tracklet", WHOLE.frame_interval),
@@ -87,6 +88,12 @@ NUMBERS = [
     ("recordings", r"Its result must be better by (\d),", STREAM.takeover_margin),
     ("recordings", r"is worth at most \(m - 3\) / ([\d.]+) in log odds", STREAM.log_odds_scale),
     ("recordings", r"\(after 3, 6, 12 and (\d+) of them", LiveRules().adapt_after[-1]),
+    ("garment", r"where at least (\d+) of its colours fit", READ.patch),
+    ("garment", r"rows and columns go on, within ([\d.]+) pitches", READ.gate),
+    ("garment", r"of the neighbours costs (\d) for each factor of e", READ.unlike),
+    ("garment", r"A circle needs ([\d.]+), an area", READ.odds),
+    ("garment", r"no way that has it ([\d.]+) pitches off", READ.astray),
+    ("garment", r"One of ([\d,]+) is less than 2 in 100,000", READ.validated_count),
     ("views", r"(\w+) headings and the poses of the model are tried", RULES.headings),
     ("views", r"Every (\d+) frames the followed body is compared", RULES.turn_frames),
     ("views", r"over the other one in (\w+) frames", 2 * RULES.window + 1),
