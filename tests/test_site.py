@@ -77,6 +77,7 @@ def test_a_docstring_becomes_text_code_lists_and_examples() -> None:
     name     what it is,
              and more
     a, b     two
+    longname with one blank
 
     Text after.
 
@@ -89,11 +90,17 @@ def test_a_docstring_becomes_text_code_lists_and_examples() -> None:
         r"Points (N, 3) m, \*not\* markup\_, of :py:obj:`~asterism.geometry.fit_rigid`\ s and ``x``.",
         "- ``name``: what it is,\n  and more",
         "- ``a``, ``b``: two",
+        "- ``longname``: with one blank",
         "Text after.",
         "::",
         "    as it is",
         ">>> 1 + 1\n2",
     ]
+
+
+def test_signatures_show_no_placeholders_long_values_and_private_fields() -> None:
+    written = "(a: TypeAliasForwardRef('Floats') | None, b: dict[str, int] = <factory>, c: Rules = Rules(x=(1, 2), y=3), _d: int = 0)"
+    assert docstrings._plain(written) == "(a: Floats | None, b: dict[str, int] = ..., c: Rules = Rules(...))"
 
 
 def _used_names(page: Path) -> Iterator[tuple[str, str]]:

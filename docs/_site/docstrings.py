@@ -41,8 +41,9 @@ def _dedented(lines: list[str]) -> list[str]:
 def _list_or_text(lines: list[str]) -> str:
     """Lines of `name   text`, continued by indented lines, as a list; anything else as running text."""
     blocks: list[str] = []  # of running text, or of one entry of a list, which begins with a dash
+    column = next((entry.start(2) for line in lines if (entry := _ENTRY.match(line))), 0)
     for line in lines:
-        entry = re.match(r"(\S(?:.*?\S)?) {2,}(\S.*)$", line)
+        entry = _ENTRY.match(line) or _longest_name(line, column)
         inside = bool(blocks) and blocks[-1].startswith("- ")
         if line.startswith("- "):
             blocks.append(line)
@@ -53,6 +54,15 @@ def _list_or_text(lines: list[str]) -> str:
         else:
             blocks.append(line.strip())
     return "\n\n".join(_inline(block) for block in blocks)
+
+
+_ENTRY = re.compile(r"(\S(?:.*?\S)?) {2,}(\S.*)$")
+"""A line of a list: what is explained, two blanks or more, and the explanation."""
+
+
+def _longest_name(line: str, column: int) -> re.Match[str] | None:
+    """The same for the longest name of a list, whose explanation stands in the column of the others behind a single blank."""
+    return re.match(rf"(?=.{{{column - 1}}} \S)([\w., *]{{{column - 1}}}) (\S.*)$", line) if column > 1 and line[:1] != " " else None
 
 
 def _names(text: str) -> str:
@@ -105,7 +115,21 @@ def _plain(text: str | None) -> str | None:
     if not text:
         return text
     text = re.sub(r"TypeAliasForwardRef\('([\w.]+)'\)", r"\1", text).replace("<factory>", "...")
-    return _RECORD.sub(r"\1(...)", text)
+    return _without_private(_RECORD.sub(r"\1(...)", text))
+
+
+def _without_private(signature: str) -> str:
+    """A signature without the fields of a record that begin with an underscore: they are not for callers."""
+    if not signature.startswith("("):
+        return signature
+    parts, depth = [""], 0
+    for letter in signature[1:-1]:
+        depth += (letter in "([{") - (letter in ")]}")
+        if letter == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return f"({', '.join(part.strip() for part in parts if part.strip() and not part.strip().startswith('_'))})"
 
 
 _NESTED = r"(?:[^()]|\((?:[^()]|\([^()]*\))*\))+"
