@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import re
 import sys
 import tempfile
 import time
-import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -163,18 +163,36 @@ def _key(recordings: Sequence[asterism.Recording], settings: dict[str, Any]) -> 
     return digest.hexdigest()[:32]
 
 
+_IMPORTS = re.compile(r"^[ \t]*(?:from|import)[ \t]+(asterism[\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|[^\n]*))?", re.MULTILINE)
+
+
 @cache
 def _sources() -> bytes:
-    """The digest of all that can change a model: the rooms up to labelling, and what compiles and computes."""
+    """The digest of all that can change a model: the modules that training imports, directly or not, without lines of comment.
+
+    A model of an older form of the file, or of other training, has another key: none is ever taken for a new one. What comes after
+    training (reviews, commands, pages) leaves kept models alone.
+    """
     package = Path(asterism.__file__).parent
-    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
-    rooms = project["tool"]["importlinter"]["contracts"][0]["layers"]
-    names = [name.strip() for layer in rooms[rooms.index("labelling") :] for name in layer.split("|")]
     versions = (np.__version__, scipy.__version__, numba.__version__, platform.machine(), sys.version_info[:2])
     digest = hashlib.sha256(repr(versions).encode())
-    for name in names:
-        for source in sorted([package / f"{name}.py", *(package / name).rglob("*.py")]):
-            if source.is_file():
-                digest.update(source.relative_to(package).as_posix().encode())
-                digest.update(source.read_bytes())
+    for source in sorted(_reached(package, package / "labelling" / "marker_model.py")):
+        lines = source.read_text(encoding="utf-8").splitlines()
+        digest.update(source.relative_to(package).as_posix().encode())
+        digest.update("\n".join(line for line in lines if not line.lstrip().startswith("#")).encode())
     return digest.digest()
+
+
+def _reached(package: Path, start: Path) -> set[Path]:
+    """The sources that a source imports, and those that these import, itself included."""
+    reached, waiting = {start}, [start]
+    while waiting:
+        text = waiting.pop().read_text(encoding="utf-8")
+        for origin, names in _IMPORTS.findall(text):
+            base = package.joinpath(*origin.split(".")[1:])
+            for place in (base, *(base / name for name in re.findall(r"\w+", names))):
+                for source in (place.with_suffix(".py"), place / "__init__.py"):
+                    if source.is_file() and source not in reached:
+                        reached.add(source)
+                        waiting.append(source)
+    return reached

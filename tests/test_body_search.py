@@ -209,6 +209,26 @@ def test_doubtful_labels_are_tried_again(seed):
     np.testing.assert_array_equal(labelling.point_of, expected if better else rows)
 
 
+UNUSUAL = {
+    "no point": np.empty((0, 3)),
+    "two points": np.array([[0.0, 0, 1], [0.1, 0, 1]]),
+    "one place": np.tile([[0.3, 0.1, 1.0]], (12, 1)),
+    "on a vertical": np.arange(9)[:, None] * [0.0, 0.0, 0.1],
+    "a crowd": np.random.default_rng(0).uniform(-0.6, 0.6, (120, 3)),
+    "far away": 1e9 * np.random.default_rng(1).normal(size=(MARKERS, 3)),
+    "beyond numbers": 1e200 * np.random.default_rng(2).normal(size=(MARKERS, 3)),
+}
+
+
+@pytest.mark.parametrize("name", UNUSUAL)
+def test_an_unusual_frame_gives_each_point_to_one_marker_at_most(name):
+    rng = np.random.default_rng(5)
+    model = random_model(rng)
+    labelling = label_alone(frame_model(model, anchors_for(model, rng)), UNUSUAL[name])
+    given_points = labelling.point_of[labelling.point_of >= 0]
+    assert (given_points < len(UNUSUAL[name])).all() and len(set(given_points.tolist())) == len(given_points)
+
+
 @given(seed=seeds)
 @settings(races, max_examples=8)
 def test_a_whole_frame(seed):

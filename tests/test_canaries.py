@@ -118,24 +118,28 @@ def garment_image(seed: int) -> float:
 
 
 def wand(seed: int) -> float:
-    """%, RMS error of the focal lengths of four cameras, from 400 frames of a waved wand, nothing known."""
-    rng = np.random.default_rng([seed, 5])
-    rig = ring_rig(4, rng=rng)
-    blobs, _ = simulate_wand(rig, (0.0, 0.2, 0.6), 400, settings=ImagingSettings(noise=0.2), rng=rng)
-    made = calibrate_wand(blobs, (0.0, 0.2, 0.6), sizes={camera.name: camera.size for camera in rig})
-    assert len(made.rig) == len(rig)
-    return 100 * float(np.sqrt(np.mean([(camera.focal[0] / rig[camera.name].focal[0] - 1.0) ** 2 for camera in made.rig])))
+    """%, RMS error of the focal lengths of three rigs of four cameras, from 400 frames of a waved wand, nothing known."""
+    off = []
+    for number in range(3):
+        rng = np.random.default_rng([seed, number, 5])
+        rig = ring_rig(4, rng=rng)
+        blobs, _ = simulate_wand(rig, (0.0, 0.2, 0.6), 400, settings=ImagingSettings(noise=0.2), rng=rng)
+        made = calibrate_wand(blobs, (0.0, 0.2, 0.6), sizes={camera.name: camera.size for camera in rig})
+        assert len(made.rig) == len(rig)
+        off += [camera.focal[0] / rig[camera.name].focal[0] - 1.0 for camera in made.rig]
+    return 100 * float(np.sqrt(np.mean(np.square(off))))
 
 
 def angles(seed: int) -> float:
-    """degrees, mean error of a knee's, a hip's and a shoulder's angle from eight markers a limb on soft tissue."""
+    """degrees, mean error of the knee's, the hip's and the shoulder's angle of six people from eight markers a limb on soft tissue."""
     errors = []
-    for joint in ("knee", "hip", "shoulder"):
-        trial = simulate_soft_tissue(TrialPlan(joint, 40 + seed, seed % 3, 8, True, noise_m=0.0005), 20261125)
-        positions = trial.recording.positions
-        motions = [estimate_limb_motion(positions[:, trial.limb_of == limb]) for limb in (0, 1)]
-        error = np.degrees(joint_angles(motions[0], motions[1]).angle - trial.angles[0])
-        errors.append(float(np.nanmean(np.abs(error))))
+    for person in range(6):
+        for joint in ("knee", "hip", "shoulder"):
+            trial = simulate_soft_tissue(TrialPlan(joint, 40 + 6 * seed + person, person % 3, 8, True, noise_m=0.0005), 20261125)
+            positions = trial.recording.positions
+            motions = [estimate_limb_motion(positions[:, trial.limb_of == limb]) for limb in (0, 1)]
+            error = np.degrees(joint_angles(motions[0], motions[1]).angle - trial.angles[0])
+            errors.append(float(np.nanmean(np.abs(error))))
     return float(np.mean(errors))
 
 
@@ -160,9 +164,9 @@ CANARIES = (
     Canary(all_physical_markers, 0.98735, 0.034),
     Canary(real_walks, 0.99953, 0.0012, needs_recordings=True),
     Canary(four_cameras, 0.99965, 0.017),
-    Canary(garment_image, 0.97715, 0.03),
-    Canary(wand, 0.05312, 0.04, is_error=True),
-    Canary(angles, 0.22088, 0.1, is_error=True),
+    Canary(garment_image, 0.97715, 0.02),
+    Canary(wand, 0.08229, 0.094, is_error=True),
+    Canary(angles, 0.33599, 0.129, is_error=True),
 )
 
 

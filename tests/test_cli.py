@@ -240,6 +240,7 @@ def test_train_names_the_file_that_lacks_most_markers_and_a_marker_that_no_file_
     assert not (tmp_path / "m.model").exists()
 
 
+@pytest.mark.slow
 def test_train_is_the_same_again(folder: Path, model: Path, tmp_path: Path) -> None:
     again = tmp_path / "again.model"
     report = tmp_path / "train.json"

@@ -74,6 +74,7 @@ def test_a_measurement_that_is_not_there_keeps_no_promise() -> None:
     assert Criterion("", 1.0, 1.0, False, "").met
 
 
+@pytest.mark.slow
 def test_the_demo_keeps_its_promises_and_says_when_it_does_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

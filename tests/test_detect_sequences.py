@@ -276,6 +276,7 @@ def test_hostile_sequences(folders: list[Path], rig: Rig, tmp_path: Path) -> Non
             detect(paths, DetectionSettings(**options), rig=of_rig)
 
 
+@pytest.mark.slow
 def test_real_videos_and_their_times(data: Path) -> None:
     folder = data / "cameras" / "charuco-4cam"
     result = detect(

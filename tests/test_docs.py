@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import re
+import sys
 from collections import Counter
 from functools import cache
 from pathlib import Path
@@ -64,3 +66,16 @@ def test_every_python_file_that_a_page_names_is_there() -> None:
         named = set(re.findall(r"`([\w/]+\.py)`", text)) - {"_kernels.py"}
         missing = [name for name in named if not any(path.endswith(f"/{name}") for path in there)]
         assert missing == [], f"{page.name} names files that are not there: {missing}"
+
+
+def test_every_benchmark_that_a_page_names_is_there() -> None:
+    sys.path.insert(0, str(ROOT))
+    chapters = importlib.import_module("benchmarks.chapters").CHAPTERS
+    named = {
+        words
+        for page in PAGES
+        for words in re.findall(r"`python -m benchmarks (\w+)(?: ([a-z][\w-]*))?`", page.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 5
+    for chapter, row in named - {("release", ""), ("docs", "")}:
+        assert chapter in chapters and (not row or row in chapters[chapter]), f"python -m benchmarks {chapter} {row}"

@@ -59,12 +59,14 @@ def test_a_walk_is_labelled_right(picture: Path) -> None:
     assert drawn(picture)
 
 
+@pytest.mark.slow
 def test_answers_correct_what_was_wrong_or_missing(picture: Path) -> None:
     remaining = script("review_what_is_uncertain").main(picture, subjects=3, frames=150)
     assert remaining[-1] < remaining[0] and all(after <= before for before, after in pairwise(remaining))
     assert drawn(picture)
 
 
+@pytest.mark.slow
 def test_two_people_are_labelled_right(picture: Path) -> None:
     assert script("two_people").main(picture, subjects=5, frames=120) > 0.99
     assert drawn(picture)
@@ -76,6 +78,7 @@ def test_a_stream_labels_most_markers_at_once_and_more_with_a_delay(picture: Pat
     assert drawn(picture)
 
 
+@pytest.mark.slow
 def test_the_verdict_names_the_markers(picture: Path) -> None:
     with examining_briefly():
         assert "marker" in script("capturability_of_a_marker_set").main(picture, subjects=2, frames=60)

@@ -110,7 +110,7 @@ def test_the_papers_method_reaches_less_than_ours() -> None:
         ((9, 9), 9, None, "9 colours is not possible"),
         ((10, 10), 2, DesignRules(raster_steps=1000, search_steps=1000), "needs 64 identities"),
         ((9, 9), 2, DesignRules(raster_steps=1000, search_steps=1000), "no pattern was found"),
-        ((9, 9), 8, DesignRules(least_difference=3), "not possible with 8 colours"),
+        pytest.param((9, 9), 8, DesignRules(least_difference=3), "not possible with 8 colours", marks=pytest.mark.slow),
     ],
 )
 def test_what_cannot_be_made_is_said(outline, colours: int, rules: DesignRules | None, words: str) -> None:

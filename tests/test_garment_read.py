@@ -47,6 +47,13 @@ def test_identities_of_another_pattern_are_not_given() -> None:
         assert (read_image(photo.image, other).ids < 0).all()
 
 
+def test_circles_left_out_are_said() -> None:
+    image = photos()[0].image
+    few, all_of_them = (read_image(image, sleeve().pattern, ReadRules(most_circles=most)) for most in (30, 20_000))
+    assert len(few) == 30 < len(all_of_them)
+    assert few.findings[0].code == "garment-many-circles" and not all_of_them.findings
+
+
 @pytest.mark.parametrize("value", [0, 90, 255])
 def test_an_empty_image_has_no_circles(value: int) -> None:
     read = read_image(np.full((120, 160, 3), value, np.uint8), sleeve().pattern)

@@ -221,6 +221,7 @@ def test_a_full_disk_and_a_read_only_folder_are_one_sentence_and_leave_the_old_f
     assert target.read_bytes() == b"old" and sorted(path.name for path in tmp_path.iterdir()) == ["out.trc", "walk.c3d"]
 
 
+@pytest.mark.slow
 def test_two_writers_of_one_file_leave_one_whole(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from asterism.files.atomic import write_atomically\n"

@@ -87,6 +87,7 @@ def test_a_marker_sets_segments_are_the_limbs(tmp_path: Path) -> None:
     assert {limb["name"]: limb["points"] for limb in limbs} == {"thigh": wanted["thigh"], "shank": wanted["shank"]}
 
 
+@pytest.mark.slow
 def test_the_demo_reaches_what_it_promises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from asterism.cli import _demo_motion
 

@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 
 from asterism.garment.read.rules import ReadRules
+from asterism.labelling.body.anchors import AnchorRules
+from asterism.labelling.body.labeller import FrameLabellingSettings
+from asterism.labelling.body.model import BodyRules
 from asterism.labelling.live.body import LiveRules
 from asterism.labelling.live.stream import StreamRules
 from asterism.labelling.stretches import StretchRules
@@ -23,6 +26,8 @@ WORDS = {
     "two": 2,
     "three": 3,
     "four": 4,
+    "five": 5,
+    "six": 6,
     "eight": 8,
     "eleven": 11,
     "tenth": 10,
@@ -32,9 +37,32 @@ WORDS = {
     "two million": 2e6,
 }
 WHOLE, VERDICT, SHORT, STREAM = RecordingLabellingSettings(), VerdictRules(), ShortTrackletRules(), StreamRules()
+BODY, FRAME, ANCHORS = BodyRules(), FrameLabellingSettings(), AnchorRules()
 FOREIGN, READ = WHOLE.foreign, ReadRules()
 
 NUMBERS = [
+    ("labelling", r"a mixture of at most (\w+) \*key poses\*", BODY.poses),
+    ("labelling", r"a pose needs (\d+) frames", BODY.frames_per_pose),
+    ("labelling", r"are the (\d+) main directions", BODY.latents),
+    ("labelling", r"sizes vary by another (\d+) %", 100 * BODY.size_std),
+    ("labelling", r"and every marker by another (\d+) mm", 1000 * BODY.placement_std),
+    ("labelling", r"varies by another (\d+) mm / people", 1000 * BODY.few_std),
+    ("labelling", r"`reward` \((\d)\) is how much rarer", FRAME.reward),
+    ("labelling", r"The first ghost of a frame costs (\d+), since", FRAME.first_ghost_cost),
+    ("labelling", r"A point within ([\d.]+) m of its marker's expected place", FRAME.outlier_radius),
+    ("labelling", r"at least `outlier_score` \((-\d)\)", FRAME.outlier_score),
+    ("labelling", r"Each end of an interval is moved outward by ([\d.]+) standard", ANCHORS.widen),
+    ("labelling", r"Up to (\d+) anchors are chosen", ANCHORS.count),
+    ("labelling", r"occlusion patterns \(up to (\d+) % hidden\)", 100 * ANCHORS.max_hidden),
+    ("labelling", r"squared distance of at most (\d+) from a key pose", FRAME.max_anchor_distance2),
+    ("labelling", r"and for the point, by (\d) in log odds over", FRAME.assign_margin),
+    ("labelling", r"something is left over, (\w+) otherwise", FRAME.max_votes_needed),
+    ("labelling", r"up to (\w+) anchors on missing markers", FRAME.extra_anchors),
+    ("labelling", r"where the estimate comes within (\d+) of it", FRAME.exact_margin),
+    ("labelling", r"the odds e\^\(margin / (\d)\)", WHOLE.twins.scale),
+    ("labelling", r"nu = `tail_freedom` = (\d)", FRAME.tail_freedom),
+    ("labelling", r"with its twins in (\w+) of its sampled frames", WHOLE.twins.frames),
+    ("labelling", r"The search stops at (200 000) feature evaluations", FRAME.max_evaluations),
     ("recordings", r"Every ([\d.]+) s, and at least once in every tracklet", WHOLE.frame_interval),
     ("recordings", r"Of these every (\w+), but at least", WHOLE.voting_interval),
     ("recordings", r"but at least (\d+), and one more for each", WHOLE.least_voting),
@@ -68,13 +96,12 @@ NUMBERS = [
     ("recordings", r"\*another body\* from a scatter of ([\d.]+),", VERDICT.body_scatter),
     ("recordings", r"where sizes differ by a factor of ([\d.]+),", VERDICT.body_size),
     ("recordings", r"limited from half that scatter on, down to ([\d.]+)\. Of", VERDICT.standing_confidence),
-    ("recordings", r"reaches 0.99 with a margin below (\d)", VERDICT.standing_margin),
     ("recordings", r"unless the scatter is at most ([\d.]+): that is", VERDICT.own_scatter),
     ("recordings", r"with most points, at (\w+) headings", FOREIGN.headings),
     ("recordings", r"headings and (\w+) sizes", len(FOREIGN.sizes)),
     ("recordings", r"The (\w+) whose distances fit best are labelled", FOREIGN.max_starts),
     ("recordings", r"as above, on (\d+) of the sampled frames", FOREIGN.frames),
-    ("recordings", r"([\d.]+) x gain of the labels", FOREIGN.body_weight),
+    ("recordings", r"([\d.]+) x evidence of the labels", FOREIGN.body_weight),
     ("recordings", r"([\d.]+) x evidence of the near-rigid distances", FOREIGN.distance_weight[0]),
     ("recordings", r"(\d+) x cosine between the direction", FOREIGN.forward),
     ("recordings", r"comes as near as a scatter of ([\d.]+)\. The first", FOREIGN.close),
@@ -110,5 +137,5 @@ def test_a_number_of_a_page_is_that_of_the_code(page: str, pattern: str, value: 
     text = " ".join((DOCS / f"{page}.md").read_text(encoding="utf-8").split())
     said = re.findall(pattern, text)
     assert len(said) == 1, f"{page}.md says it {len(said)} times"
-    number = WORDS[said[0].lower()] if said[0].lower() in WORDS else float(said[0].replace(",", ""))
+    number = WORDS[said[0].lower()] if said[0].lower() in WORDS else float(said[0].replace(",", "").replace(" ", ""))
     assert number == pytest.approx(value), f"{page}.md says {said[0]}"

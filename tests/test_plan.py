@@ -37,6 +37,7 @@ def plan(hall: Volume) -> RigPlan:
     return plan_rig(hall, 6, SIZE, focal_length(1280, fov=56))
 
 
+@pytest.mark.slow
 def test_the_proposal_is_at_least_as_good_as_the_ring_in_every_way(plan: RigPlan, hall: Volume) -> None:
     ours, ring = map_rig(plan.rig, hall), map_rig(plan.ring, hall)
     assert plan.worth > plan.ring_worth

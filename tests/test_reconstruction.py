@@ -349,6 +349,7 @@ def test_blobs_beyond_the_lens_are_left_out_and_said() -> None:
     assert "reconstruct-no-ray" in codes(result.findings)
 
 
+@pytest.mark.slow
 def test_thousands_of_particles_in_a_frame() -> None:
     rig = ring_rig(4, radius=1.0, height=1.4)
     rng = np.random.default_rng(5)
@@ -544,6 +545,7 @@ def test_sorting_is_numpys(values: list[float]) -> None:
     assert np.array_equal(ascending(given_values, len(values)), np.argsort(given_values, kind="stable"))
 
 
+@pytest.mark.slow
 def test_real_particles_as_many_as_the_peer_matched(data: Path) -> None:
     """The four time steps of OpenPTV's cavity, its blobs, its tolerance: it has put 1,508 points into all four cameras."""
     folder = data / "cameras" / "particles-4cam"

@@ -18,7 +18,7 @@ from asterism.reconstruction._hypothesis_kernels import holders_by_blob
 from asterism.reconstruction._input_kernels import END, FIRST, FrameArrays, RigArrays, first_of_duplicates, frame_arrays
 from asterism.reconstruction._order_kernels import ascending
 from asterism.reconstruction._plain_kernels import _compose_pairs, merge_versions
-from asterism.reconstruction._score_kernels import score
+from asterism.reconstruction._score_kernels import best_blob, score
 from asterism.reconstruction._shared_kernels import add_without_shared
 from asterism.reconstruction.problem import ObservationModel, ReconstructionProblem, image_bounds
 from asterism.reconstruction.rays import to_rays
@@ -53,6 +53,25 @@ def test_duplicates_are_those_of_the_twin(seed: int) -> None:
     out = np.empty(len(xy), np.bool_)
     first_of_duplicates(xy, offsets, out)
     assert out.tolist() == twins.first_of_duplicates(xy, offsets)
+
+
+@pytest.mark.parametrize("depth", [1.02e-9, 1e-6, 1.0, 1e300])
+@pytest.mark.parametrize("aside", [0.0, 10.0, -10.0, 1e12, -1e12, 1e300])
+@pytest.mark.parametrize("exact", [1e-300, 1.0, 1e40])
+def test_a_place_however_far_aside_has_a_blob_or_none(depth: float, aside: float, exact: float) -> None:
+    """Nearly in a camera's focal plane a place lies so far aside in its image that no whole number holds the cell."""
+    rng = np.random.default_rng(0)
+    rig = ring_rig(3, rng=rng)
+    blobs, _ = simulate_blobs(rig, np.array([[0.0, 0.0, 1.0]]), ImagingSettings(noise=0.5, strays=0.0, missed=0.0), rng=rng)
+    model = ObservationModel(np.full(3, 0.5), np.full(3, 0.7), np.full(3, 0.5), 30.0, 50.0)
+    arrays = ReconstructionProblem(rig, image_bounds(blobs, rig), EVERYWHERE, 50.0, 2, 4.0).arrays(model)
+    rays, _, _ = to_rays(blobs, rig)
+    frame, work = frame_arrays(rays.normalised, rays.jacobian, rays.blobs.offsets), fit_workspace()
+    camera = arrays.cameras[0]
+    work.point[:] = camera[:9].reshape(3, 3).T @ (np.array([aside, frame.blobs[0, 1] * depth, depth]) - camera[9:12])
+    work.information[:] = exact * np.array([1.0, 0, 0, 1.0, 0, 1.0])
+    blob, square = best_blob(arrays, frame, 0, work, np.ones(len(frame.blobs), np.bool_))
+    assert (blob == -1 and square > 0) or 0 <= blob < len(frame.blobs)
 
 
 @pytest.mark.parametrize("seed", range(4))

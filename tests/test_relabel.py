@@ -72,8 +72,6 @@ def labelled_plainly(before: LabelledTracklets, points: PointLabels) -> Labellin
     body, clouds = before.body, before.clouds
     certainty, least = points.confidence(body.certainty, body.frame_certainty)
     certainty = np.minimum(certainty, confidence_limit(before.labelling.verdict))
-    if body.distances is not None:
-        certainty = np.minimum(certainty, body.distances.margin_limits(points.margin))
     shape = (len(clouds), len(body.names))
     indices, candidates, confidence = np.full(shape, -1), np.full(shape, -1), np.zeros(shape)
     for t, (begin, end) in enumerate(pairwise(clouds.offsets)):

@@ -184,6 +184,7 @@ def shown_in(page: Reader) -> list[dict[str, Any]]:
     return list(recordings)
 
 
+@pytest.mark.slow
 def test_a_page_of_thirteen_recordings_stays_small_and_shows_all(tmp_path: Path) -> None:
     """Thirteen of 3,000 frames and 39 markers are 1.5 million points."""
     rng = np.random.default_rng(1)

@@ -57,7 +57,7 @@ def mined(miner):
     return search_partial_solvers(FRAMES, GROUPS, targets=0.99, miner=miner, settings=QUICK, seed=0)
 
 
-@pytest.fixture(scope="module", params=MINERS)
+@pytest.fixture(scope="module", params=[pytest.param(name, marks=[] if name == "genetic" else pytest.mark.slow) for name in MINERS])
 def found(request):
     return request.param, mined(request.param)
 

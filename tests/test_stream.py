@@ -120,6 +120,7 @@ def test_a_stream_begins_anew_after_everybody_left_and_after_a_flush(walks, ense
     np.testing.assert_array_equal(indices([stream.push(points) for points in clouds]), first)
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_time(walks, ensemble) -> None:
     clouds, _ = simulate_gaps_and_ghosts(walks[5], 2, 3, 0)
     stream = ensemble.stream(100.0, 10)

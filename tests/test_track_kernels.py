@@ -10,6 +10,7 @@ import twins_tracks as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from asterism.labelling.body._search_kernels import LAID
 from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel
 from asterism.labelling.whole import _kernels as kernels
@@ -92,7 +93,7 @@ def test_twins_of_labelled_frames(seed: int, gap: float) -> None:
     table = np.arange(MARKERS) + np.zeros((3, 1), dtype=np.int64)
     table[0, :4], table[1, :3], table[2, -2:] = [1, 0, 3, 2], [1, 2, 0], -1
     offsets = np.concatenate([[0], np.cumsum([len(points) for points in frames])])
-    out = TwinScores(np.empty((4, 4)), np.empty((4, 4, MARKERS), dtype=np.int64))
+    out = TwinScores(np.empty((3 + LAID + 1, 4)), np.empty((3 + LAID + 1, 4, MARKERS), dtype=np.int64))
     xyz, track = np.concatenate(frames), np.concatenate(tracks)
     score_twins(xyz, offsets, track, label, table, model.arrays(), SETTINGS, gap, 10.0, out)
     scores, rows = twins.score_twins(model, frames, tracks, label, table, SETTINGS, gap, 10.0)

@@ -22,7 +22,8 @@ from asterism.recording import Blobs, Clouds
 from asterism.tracking import find_tracklets
 from asterism.views._label_kernels import assign_best
 
-pytestmark = [pytest.mark.kernels, pytest.mark.bounds]
+pytestmark = pytest.mark.kernels
+# In every check only what is read from images and clouds: each kernel more compiles anew there.
 
 
 def images() -> dict[str, np.ndarray]:
@@ -51,7 +52,7 @@ WAYS = [
 ]
 
 
-@pytest.mark.parametrize("name", images())
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[] if "deep" in name else pytest.mark.bounds) for name in images()])
 def test_blobs_of_unusual_images(name: str) -> None:
     image = images()[name]
     for way in WAYS:
@@ -60,6 +61,7 @@ def test_blobs_of_unusual_images(name: str) -> None:
         assert inside.all() and len(found) <= image.size, "each blob has a pixel of its own"
 
 
+@pytest.mark.bounds
 @given(arrays(np.uint8, st.tuples(st.integers(1, 20), st.integers(1, 20)), elements=st.sampled_from([0, 1, 40, 41, 90, 255])))
 @settings(max_examples=80)
 def test_blobs_of_any_image(image: np.ndarray) -> None:
@@ -100,6 +102,7 @@ def clouds() -> dict[str, list[np.ndarray]]:
     }
 
 
+@pytest.mark.bounds
 @pytest.mark.parametrize("name", clouds())
 @pytest.mark.parametrize("numbered", [False, True])
 @pytest.mark.filterwarnings("ignore:overflow encountered")

@@ -113,14 +113,6 @@ def test_labels_of_a_frame_that_does_not_fit_are_not_certain_and_least_so_after_
     assert after_walks[4] == after_standing[4] == 1.0
 
 
-def test_a_model_of_few_standing_people_is_certain_of_clear_labels_only() -> None:
-    margin, few = np.array([0.5, 7.9, 8.1]), rigid_body()
-    many = replace(few, median=np.repeat(few.median, VerdictRules().min_people, axis=0))
-    assert (few.margin_limits(margin) < 0.99).tolist() == [True, True, False]
-    for other in (many, replace(few, moving=True)):
-        assert (other.margin_limits(margin) == 1.0).all()
-
-
 def test_many_markers_not_worn_are_another_marker_set() -> None:
     """Eight of twenty markers fit, and twelve points are something else."""
     positions = np.tile(BODY, (20, 1, 1))

@@ -212,6 +212,7 @@ def standing_person(seed: int) -> ViewsSession:
     return simulate_views(recording, body.labels, rng=rng, body=hiding)
 
 
+@pytest.mark.slow
 def test_a_person_who_stands_still_keeps_the_names_of_both_sides_of_a_wrist() -> None:
     """A marker that is sought elsewhere must not cost the wrists their names: the whole person's body is learned, which takes 5 s."""
     given = standing_person(0)
@@ -299,6 +300,7 @@ def test_a_rig_that_does_not_match_the_images_gets_no_label() -> None:
     assert "views-no-body" in [finding.code for finding in result.findings]
 
 
+@pytest.mark.slow
 def test_a_camera_that_was_knocked_gets_no_labels_and_is_named() -> None:
     given = session()
     first = given.rig.cameras[0]
@@ -495,6 +497,7 @@ def test_the_page_shows_each_camera_with_its_blobs_and_the_hidden_markers(tmp_pa
     assert "0.0 %" in (tmp_path / "nobody.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_demo_reaches_what_it_promises(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["demo", "views", "-o", str(tmp_path), "--json", str(tmp_path / "demo.json")]) == 0
     told = json.loads((tmp_path / "demo.json").read_text())

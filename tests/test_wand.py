@@ -118,7 +118,7 @@ def test_the_same_again_bit_for_bit() -> None:
 
 
 @pytest.mark.usefixtures("cold_start")
-@pytest.mark.parametrize("seed", [3, 20])
+@pytest.mark.parametrize("seed", [3, pytest.param(20, marks=pytest.mark.slow)])
 def test_rigs_of_all_kinds_with_outliers(seed: int) -> None:
     rng = rng_of(seed)
     rig = random_rig(rng=rng)
@@ -238,7 +238,7 @@ def test_cameras_that_are_not_triggered_together() -> None:
     assert "frames late" in sentences(careless) and "Check its trigger" in sentences(careless)
 
 
-@pytest.mark.parametrize("late", [-3, 5, 61])
+@pytest.mark.parametrize("late", [pytest.param(-3, marks=pytest.mark.slow), 5, pytest.param(61, marks=pytest.mark.slow)])
 def test_a_camera_out_of_step_is_named_and_its_images_moved(late: int) -> None:
     rig = a_rig(4)
     blobs, _ = simulate_wand(rig, WAND, 800, rng=rng_of(8), rate=100.0)

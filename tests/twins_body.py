@@ -10,6 +10,8 @@ import twins
 from asterism.labelling.body._refine_kernels import MAX_ROUNDS
 from asterism.labelling.body._score_kernels import MAX_DISTANCE
 from asterism.labelling.body._search_kernels import (
+    LAID_REACH,
+    LAID_SIZES,
     MARKER_GAIN,
     MAX_LABELLINGS,
     MAX_MARKER_SCORE,
@@ -315,15 +317,36 @@ def find_labellings(model, anchors, points, settings):
     return found, best
 
 
+def lay_body(mean, turn, size, aligned):
+    """The point next to each marker of a body of this size and heading; the middles and the lowest places come together."""
+    rotation = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    placed = size * (mean - mean.mean(axis=0)) @ rotation.T
+    placed += [*aligned.mean(axis=0)[:2], aligned[:, 2].min() - placed[:, 2].min()]
+    apart = np.linalg.norm(placed[:, None] - aligned[None], axis=2)
+    return assign_greedily(1.0 - (apart / LAID_REACH) ** 2, 0.0)
+
+
+def held_against(model, k, points, rows, table, lays):
+    """What a labelling is held against: its twins, and the body laid anew in every size at four headings."""
+    trials = [tuple(rows[m] if m >= 0 else -1 for m in twin) for twin in table.tolist()]
+    if lays:
+        aligned = place_points(points, rows, model.mean[k], range(len(rows)))
+        turns = [0.5 * np.pi * turn for turn in range(4)]
+        trials += [tuple(map(int, lay_body(model.mean[k], turn, size, aligned))) for size in LAID_SIZES for turn in turns]
+    return trials
+
+
 def add_twins(model, table, found, best, points, settings):
     """The labellings found and the best one, after it and each better one were held against their twins; `table` as `FrameModel.twins`."""
     markers, n = len(model.mean[0]), len(points)
     none = np.zeros(markers, dtype=bool)
     for _ in range(MAX_TURNS):
-        top, better = found[best][0], None
-        for twin in table.tolist():
-            trial = tuple(best[m] if m >= 0 else -1 for m in twin)
-            if trial == best or trial in found or count(trial) < 3:
+        top, better, left = found[best][0], None, min(markers, n) - count(best)
+        poor = top < settings.usual_score * count(best) - settings.first_ghost_cost
+        lays = left >= 2 and (poor or left > 0.3 * markers)
+        pose = best_pose(model, points, best, none, settings)
+        for trial in held_against(model, pose, points, best, table, lays):
+            if trial in found or count(trial) < 3:
                 continue
             k = best_pose(model, points, trial, none, settings)
             open_pairs = min(markers, n) - count(trial)

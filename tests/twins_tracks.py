@@ -276,8 +276,8 @@ def best_split(scores):
 
 
 def score_twins(model, frames, tracks, label, table, settings, gap, marker_gain):
-    """Scores (W + 1, E) and rows (W + 1, E, M) of the labels, last, and of each twin of `table`, refined where it comes near."""
-    markers, count = len(model.mean[0]), len(table)
+    """Scores (W + 13, E) and rows (W + 13, E, M) of each twin of `table`, the body laid anew, and the labels; refined where near."""
+    markers, count = len(model.mean[0]), len(table) + 12
     scores, rows = np.full((count + 1, len(frames)), np.nan), np.full((count + 1, len(frames), markers), -1)
     none = np.zeros(markers, dtype=bool)
     for t, (points, track) in enumerate(zip(frames, tracks, strict=True)):
@@ -289,10 +289,10 @@ def score_twins(model, frames, tracks, label, table, settings, gap, marker_gain)
             rows[count, t] = -1
             continue
         rules = twins_body.crowded(settings, len(points), markers)
-        top = twins_body.rescore(model, twins_body.best_pose(model, points, own, none, rules), points, own, none, rules)[0]
-        scores[count, t] = top
-        for w, twin in enumerate(table.tolist()):
-            trial = [own[m] if m >= 0 else -1 for m in twin]
+        pose = twins_body.best_pose(model, points, own, none, rules)
+        scores[count, t] = top = twins_body.rescore(model, pose, points, own, none, rules)[0]
+        lays = min(markers, len(points)) - twins_body.count(own) >= 2
+        for w, trial in enumerate(map(list, twins_body.held_against(model, pose, points, own, table, lays))):
             rows[w, t] = trial
             if twins_body.count(trial) < 3 or trial == own:
                 continue

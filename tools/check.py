@@ -119,7 +119,7 @@ class Runner:
             self.say(f"{step.name}: {time.perf_counter() - began:.1f} s, {verdict}")
         return process.returncode == 0
 
-    def run_tests(self, arguments: Sequence[str], tests: Step = TESTS) -> tuple[int, str]:
+    def run_tests(self, arguments: Sequence[str], tests: Step) -> tuple[int, str]:
         """Pass on what pytest prints, line by line; return its exit status and its closing line, which is kept back."""
         process, closing = self.start(tests, arguments), ""
         assert process.stdout is not None
@@ -160,7 +160,7 @@ def check(runner: Runner, arguments: Sequence[str]) -> int:
     with ThreadPoolExecutor(len(STEPS)) as pool:
         try:
             running: list[Future[bool]] = [pool.submit(runner.run, step) for step in STEPS]
-            status, closing = runner.run_tests(chosen)
+            status, closing = runner.run_tests(chosen, TESTS)
             runner.say(f"pytest: {'passed' if status == 0 else f'FAILED (exit status {status})'}")
             failed = [step.name for step, future in zip(STEPS, running, strict=True) if not future.result()]
         except KeyboardInterrupt:

@@ -98,6 +98,7 @@ def evaluate(options: EvaluateOptions) -> None:
             )
     if options.json != "-":
         _print(evaluation)
+    # after the table: they explain its figures
     for finding in evaluation.findings():
         batch.found(finding)
     if options.report is not None:

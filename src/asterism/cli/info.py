@@ -73,6 +73,7 @@ def _content(path: Path, batch: _console.Batch, *, show: bool) -> dict[str, Any]
     content = {key: value for key, value in whole.items() if key != "file"}
     if show:
         _console.facts(str(path), list(_rows({key: value for key, value in content.items() if not (rig and key == "cameras")})))
+    # cameras have a row each: as facts, they would be a page
     if show and rig:
         _console.table("cameras", _CAMERA_COLUMNS, [_camera_row(camera) for camera in content["cameras"]])
     for finding in findings:

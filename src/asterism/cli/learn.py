@@ -50,6 +50,7 @@ def learn(
     seconds = time.perf_counter() - started
     after.save(output)
     about = after.about
+    # people tell more than recordings: the confidence is tried on them
     new_people = [name for name in about["subjects"] if name not in before.about["subjects"]]
     # a recording that the model has learned already counts once
     known = len(recordings) - (about["recordings"] - before.about["recordings"])

@@ -64,6 +64,7 @@ def mend(options: MendOptions) -> None:
     after = [_mended(file, [error for error in errors if error.recording == i], batch) for i, file in enumerate(files)]
     # labels that were put right can show others that were hidden by them
     left = found_in(after, "auditing again") if errors else []
+    # frames as the files number them, by which other programs find them
     mended, left = [as_numbered(error, before) for error in errors], [as_numbered(error, after) for error in left]
     # a file in which nothing was wrong is not copied
     written = [file for file, one, other in zip(files, before, after, strict=True) if one is not other]

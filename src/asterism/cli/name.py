@@ -149,6 +149,7 @@ def _print(file: Path, groups: MarkerGroups, places: list[GroupPlace], names: di
         _console.table(f"{file}: groups of points that are one marker, from the head down", columns, rows, left=4)
     samples = max(1, int(groups.frames.sum()))
     named = sum(int(groups.frames[g]) for g in names)
+    # what is not in a frequent group need not be named by hand
     share = _console.percent(groups.frames[: groups.frequent].sum() / samples)
     summary = f"{groups.frequent} groups hold {share} of all samples; {len(groups) - groups.frequent} more are rarely seen."
     _console.result(f"{summary} Named: {_console.percent(named / samples)}." if names else summary)

@@ -64,7 +64,6 @@ def smooth_path(measured, information, model, path, covariance):
         for t in range(n - 3):
             # The prior keeps the variance above zero where the path lies on a cubic by chance.
             above, below = model.trust * model.floor, model.trust
-            # Neighbouring differences share the strength of the jerk, which changes slowly along the way.
             for k in range(max(-reach, -t), min(reach, n - 4 - t) + 1):
                 above += weights[k + reach] * square[t + k]
                 below += 3.0 * weights[k + reach]

@@ -42,7 +42,6 @@ def predict_tracks(ends, count, limits, predicted, gate):
         neighbours = 0
         # Only neighbours that have a velocity can lend it.
         for b in range(count):
-            # Only those that have a velocity can lend one.
             if ends.age[b] < 2:
                 continue
             far2 = 0.0

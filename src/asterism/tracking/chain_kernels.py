@@ -21,7 +21,6 @@ def sort_frames(xyz, offsets, order, axes, sign):
         for p in range(offsets[t], offsets[t + 1]):
             # Insertion sort: frames are short, and nearly sorted from one to the next.
             where = p
-            # Insertion: frames come nearly in order after the first axis.
             while where > offsets[t]:
                 q = order[where - 1]
                 if sign * xyz[q, a] < sign * xyz[p, a] or (

@@ -79,6 +79,7 @@ def board(options: BoardOptions) -> None:
     if options.output is not None and written:
         from asterism.cameras.files import write_rig
 
+        # a lens that the format cannot hold is another rig when it is read
         findings += [format_loses(options.output, what) for what in write_rig(made.rig, options.output)]
     if options.report is not None:
         from asterism.report import board_report

@@ -66,6 +66,7 @@ def capture(options: CaptureOptions) -> None:
     findings = (*problems, *made.findings)
     # before the page: what took hours is on the disk first
     made.trajectories.save(options.output)
+    # only on demand: a surface for each frame is many times the size of the trajectories
     surfaces = _surfaces(options, made, pattern)
     summary = made.summary()
     if options.json != "-":

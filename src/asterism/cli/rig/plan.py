@@ -79,6 +79,7 @@ def plan(options: RigPlanOptions) -> None:
     # of three ways to say how wide a lens sees, one is enough
     focal = focal_length(pixels[0], fov=options.fov, focal_mm=options.focal_mm, pixel_um=options.pixel_um)
     proposal = _proposal(options, box, pixels, focal)
+    # before the maps, which take longer than the plan is worth losing
     write_rig(proposal.rig, options.output)
     # the plain ring is what a laboratory would do without a plan
     ours, ring = (map_rig(rig, box, noise=options.noise) for rig in (proposal.rig, proposal.ring))

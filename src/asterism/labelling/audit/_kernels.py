@@ -86,7 +86,6 @@ def exchange_path(paths, times, scales, emission, switch, states):
                         step += step_log_density(paths[i - 2, who ^ q], paths[i - 1, who ^ s], paths[i, who ^ r], early, late, scales[who])
                     # The path that never leaves the first state is the hypothesis to beat: all labels right.
                     if q == 0 and s == 0 and r == 0:
-                        # The path without an exchange is counted beside, to be compared with.
                         never += step
                     step += score[2 * q + s] + r * emission[i] - (switch if s != r else 0.0)
                     if step > updated[2 * s + r]:
@@ -180,7 +179,6 @@ def exchange_gains(frames, body, settings, pairs, least, most, gains, own_scores
             # The cheap estimate by leave-one-out scores spares the exact evidence for pairs that cannot gain.
             estimate = scores[a, rows[b]] + scores[b, rows[a]] - max(scores[a, rows[a]], -most) - max(scores[b, rows[b]], -most)
             gain = -most
-            # Only a serious one is computed exactly.
             if estimate > -least:
                 # The evidence as labelled is needed once per frame, and only where some pair is a candidate.
                 if top == -np.inf:

@@ -5,6 +5,7 @@ The plain twins are in `tests/twins_body.py`.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from asterism._jit import kernel
 from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_anchor
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
 from asterism.labelling.body._refine_kernels import refine_until_known
-from asterism.labelling.body._score_kernels import best_pose
+from asterism.labelling.body._score_kernels import best_pose, evidence
 from asterism.labelling.body._workspace_kernels import BodyWorkspace, copy_labels, count_labelled, index_of
 from asterism.labelling.features.search_kernels import search
 
@@ -28,6 +29,12 @@ MAX_TWIN_GAP = 40.0
 `MARKER_GAIN`. Half of it misses turned bodies with a pelvis that is off by a third, twice as much costs time and finds no more."""
 MARKER_GAIN = 10.0
 """nats that one more marker gains at best, about."""
+LAID_SIZES = (0.85, 1.0, 1.18)
+"""Sizes in which a body is laid anew, against the mean of the training: half a step beyond what `BodyRules.size_std` holds for likely."""
+LAID = 12
+"""Ways in which it is laid: each size at four headings."""
+LAID_REACH = 0.35
+"""m; a marker of a body laid anew takes no point farther off. At half of it tall people are missed, at twice it nothing changes."""
 MAX_TURNS = 4
 """How often a better twin is held against its own twins."""
 
@@ -253,8 +260,53 @@ def find_labellings(model, points, workspace, counters):
 
 
 @kernel
+def lay_body(mean, turn, size, aligned, scores, trial):
+    """Lay a mean body, turned about the vertical and of another size, onto placed points, and give each marker the point next to it.
+
+    The middles come together, and what is lowest; so a body is found whose every marker has a neighbour's label, as of a person much
+    taller than those of the training.
+    IN  mean (M, 3) m; turn rad; size, factor; aligned (n, 3) m
+    OUT scores (M, n), 0 at `LAID_REACH`; trial (M,), -1 for none. O(M n).
+    """
+    markers, n = scores.shape
+    cos, sin = size * math.cos(turn), size * math.sin(turn)
+    x0, y0, low, px, py, p_low = 0.0, 0.0, np.inf, 0.0, 0.0, np.inf
+    for m in range(markers):
+        x0 += mean[m, 0] / markers
+        y0 += mean[m, 1] / markers
+        low = min(low, size * mean[m, 2])
+    for c in range(n):
+        px += aligned[c, 0] / n
+        py += aligned[c, 1] / n
+        p_low = min(p_low, aligned[c, 2])
+    for m in range(markers):
+        x, y = mean[m, 0] - x0, mean[m, 1] - y0
+        at_x, at_y, at_z = px + cos * x - sin * y, py + sin * x + cos * y, size * mean[m, 2] + p_low - low
+        for c in range(n):
+            dx, dy, dz = aligned[c, 0] - at_x, aligned[c, 1] - at_y, aligned[c, 2] - at_z
+            scores[m, c] = 1.0 - (dx * dx + dy * dy + dz * dz) / (LAID_REACH * LAID_REACH)
+    assign_greedily(scores, 0.0, trial)
+
+
+@kernel
+def twin_at(w, twins, mean, found, aligned, scores, trial):
+    """One of the labellings that a found one is held against: first its twins, then the body laid anew, see `lay_body`.
+
+    IN  w, from 0 to `len(twins) + LAID`, that excluded; twins (W, M), see `twins_of`; mean (M, 3) m, the body; found (M,); aligned (n, 3)
+        m, the points as `found` places them
+    OUT trial (M,), -1 for none; scores (M, n) is overwritten. O(M), O(M n) for one laid anew.
+    """
+    count = len(twins)
+    if w < count:
+        for m in range(len(found)):
+            trial[m] = found[twins[w, m]] if twins[w, m] >= 0 else -1
+    else:
+        lay_body(mean, 0.5 * math.pi * ((w - count) % 4), LAID_SIZES[(w - count) // 4], aligned, scores, trial)
+
+
+@kernel
 def add_twins(model, points, workspace, count, best, counters):
-    """Hold the best labelling against its twins: turned, mirrored, in part; each completed and refined, and any better one in its turn.
+    """Hold the best labelling against its twins, see `twin_at`; each is completed and refined, and any better one held against its own.
 
     IN     model FrameModel; points (n, 3) m, z up; workspace SearchWorkspace for n points, of whose candidates the first `count` are found,
            `best` the best one of them, with a finite score
@@ -267,16 +319,20 @@ def add_twins(model, points, workspace, count, best, counters):
     markers, n, room = body.load.shape[1], len(points), len(candidates.labellings)
     for _ in range(MAX_TURNS):
         found = candidates.labellings[best]
-        top = candidates.scores[best]
+        top, open_pairs = candidates.scores[best], min(markers, n) - count_labelled(candidates.labellings[best])
+        # where points are left over beside missing markers, and what is labelled fits poorly, the body may be another one altogether
+        is_poor = top < settings.usual_score * (min(markers, n) - open_pairs) - settings.first_ghost_cost
+        lays = open_pairs >= 2 and (is_poor or 10 * open_pairs > 3 * markers)
+        workspace.body.outlier[:] = False
+        pose, _ = best_pose(body, points, found, settings, workspace.body)
+        evidence(body, pose, points, found, settings, workspace.body)
+        aligned = workspace.body.aligned.copy()
         better = False
-        for w in range(len(model.twins)):
-            changed = False
-            for m in range(markers):
-                trial[m] = found[model.twins[w, m]] if model.twins[w, m] >= 0 else -1
-                changed = changed or trial[m] != found[m]
+        for w in range(len(model.twins) + (LAID if lays else 0)):
+            twin_at(w, model.twins, body.mean[pose], found, aligned, workspace.body.scores, trial)
             labelled = count_labelled(trial)
-            # No other labelling, too little of one, or one that was found already.
-            if not changed or labelled < 3 or index_of(candidates.labellings, count, trial) >= 0:
+            # Too little of a labelling, or one that was found already.
+            if labelled < 3 or index_of(candidates.labellings, count, trial) >= 0:
                 continue
             workspace.body.outlier[:] = False
             # Another pose may fit the twin better: a body turned round bends the other way.

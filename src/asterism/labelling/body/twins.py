@@ -57,7 +57,7 @@ def twins_of(model: BodyModel, unit: float = 1.0) -> Ints:
     found = [mirrored, turned, mirrored[turned], np.where(central, mirrored, turned), np.where(central, NULL, turned)]
     # where turning and mirroring do not agree, as in feet, the other labels may tell better
     found.append(np.where(central | (turned != mirrored), NULL, turned))
-    for part in _parts(steady, mirrored):
+    for part in (*_parts(steady, mirrored), *_neighbours(steady, mirrored)):
         found.append(np.where(part, mirrored, np.arange(len(mean))))
     for group in groups:
         found += _group_turns(mean, group)
@@ -134,6 +134,19 @@ def _parts(steady: Floats, mirrored: Ints) -> list[np.ndarray]:
             part = beyond | beyond[mirrored]
             if (mirrored[part] != np.nonzero(part)[0]).sum() >= 4 and not part.all():
                 found.append(part)
+    return found
+
+
+def _neighbours(steady: Floats, mirrored: Ints) -> list[np.ndarray]:
+    """Each marker that has a counterpart, with the steadiest one beside it that has one, too, on both sides: heels and toes. (M,) each."""
+    sided, found = mirrored != np.arange(len(mirrored)), []
+    for marker in np.nonzero(sided)[0]:
+        beside = np.where(sided, steady[marker], np.inf)
+        beside[[marker, mirrored[marker]]] = np.inf
+        if np.isfinite(beside).any():
+            part = np.zeros(len(mirrored), dtype=np.bool_)
+            part[[marker, mirrored[marker], beside.argmin(), mirrored[beside.argmin()]]] = True
+            found.append(part)
     return found
 
 

@@ -28,6 +28,8 @@ from asterism.labelling.live.body import LiveBody, LiveRules
 from asterism.labelling.live.tracks import TrackEvidence
 from asterism.labelling.live.verdict import LiveVerdict, LiveVerdictRules
 from asterism.labelling.training.calibration import Calibration
+from asterism.labelling.whole.settings import TwinRules
+from asterism.labelling.whole.turned import compare_with_twins, twin_limits
 from asterism.labelling.whole.verdict import RigidDistances
 from asterism.recording import NULL, Floats, Ints, as_vertical
 from asterism.tracking.linking import LinkRules
@@ -152,7 +154,7 @@ class Stream:
         self.rate, self.delay = float(rate), int(delay)
         self._model, self._rules = model, rules or StreamRules()
         self._vertical = as_vertical(vertical)
-        self._limits = LinkRules().limits(self.rate)
+        self._limits, self._twin_rules = LinkRules().limits(self.rate), TwinRules()
         self._independent = 1.0 / (self._rules.independent_after * self.rate)
         labeller = model.labeller
         self._live = None if labeller.model.within is None else LiveBody(labeller.model, model.body_rules, self.rate, LiveRules())
@@ -174,6 +176,8 @@ class Stream:
         self._tracks = TrackEvidence(len(self._model.markers), self._limits, decay, self._independent)
         self._rival, self._margin = np.zeros(0, dtype=np.int64), 0.0
         self._last_search, self._age = -np.inf, 0
+        self._twin_lead: Floats | None = None
+        self._twin_challenged, self._twin_markers = False, 0
         self._waiting: deque[_WaitingFrame] = deque()
         self._pushed = 0
 
@@ -236,6 +240,9 @@ class Stream:
         chosen, self._margin = self._contest(frame, carried, challenge, margin)
         if chosen.labelled < 3:
             return
+        if self._twin_lead is None:
+            self._twin_lead, _ = self._against_twins(frame, chosen)
+            self._twin_markers = chosen.labelled
         if self._verdict is not None:
             self._verdict.add(np.where((chosen.point_of >= 0)[:, None], xyz[chosen.point_of], np.nan))
         rescore(self._body, chosen.pose, xyz, chosen.point_of, settings, frame.workspace)
@@ -266,8 +273,30 @@ class Stream:
         wait = 0.0 if is_young else (self._rules.search_interval if explained else self._rules.retry_interval) * self.rate
         if self._pushed - self._last_search >= wait and (point_of < 0).all():
             self._last_search = self._pushed
-            return self._search(frame), 0.0
+            twin = self._better_twin(frame, carried)
+            # by turns, so that a twin that only the body of people at large prefers does not keep every search away
+            self._twin_challenged = twin is not None and not self._twin_challenged
+            return twin if twin is not None and self._twin_challenged else self._search(frame), 0.0
         return point_of, self._margin
+
+    def _better_twin(self, frame: _Frame, carried: _RefinedLabelling) -> Ints | None:
+        """The best twin of the carried labelling that explains the frame better, (M,), None where none does; keeps the lead over all."""
+        if carried.labelled < 3:
+            return None
+        lead, twin = self._against_twins(frame, carried)
+        before = self._twin_lead
+        # a frame that shows fewer of the same markers says less, and takes nothing back
+        if before is None or carried.labelled >= self._twin_markers:
+            mean = lead if before is None else 0.5 * (before + lead)
+            self._twin_lead, self._twin_markers = np.where(np.isfinite(mean), mean, lead), carried.labelled
+        return twin
+
+    def _against_twins(self, frame: _Frame, labelling: _RefinedLabelling) -> tuple[Floats, Ints | None]:
+        """By how many nats each marker (M,) is ahead of the body's twins in this frame; and the best twin (M,) that is ahead, or None."""
+        points = len(frame.xyz)
+        label, offsets = _marker_of(labelling.point_of, points), np.array([0, points])
+        lead, twin = compare_with_twins(self._model.labeller, frame.xyz, offsets, np.arange(points), label, self._twin_rules)
+        return np.maximum(lead, 0.0), None if twin is None else twin[0]
 
     def _contest(self, frame: _Frame, carried: _RefinedLabelling, challenge: Ints, margin: float) -> tuple[_RefinedLabelling, float]:
         """The carried labelling or the challenging one, and the margin of the one that remains a rival, in nats."""
@@ -290,7 +319,7 @@ class Stream:
             self._forget_person()
         changed = _marker_of(rival.point_of, points) != _marker_of(carried.point_of, points)
         self._tracks.clear(self._tracks.current[changed])
-        self._age = 0
+        self._age, self._twin_lead = 0, None
 
     def _learn_body(self, frame: _Frame, live: LiveBody) -> None:
         """Give a frame to the live body model, if enough of its labels have large margins."""
@@ -340,6 +369,8 @@ class Stream:
         certainty = self._confidence(margins, near_ghost)
         if self._verdict is not None:
             certainty = np.minimum(certainty, self._verdict.limit)
+        if self._twin_lead is not None:
+            certainty = np.minimum(certainty, twin_limits(self._twin_lead, np.arange(len(certainty)), self._twin_rules))
         chance = np.where(given, certainty, 0.5 * np.exp(np.minimum(margins, 0.0)))
         kept = given & (chance >= model.least_confidence)
         indices, confidence = np.full(model.names, NULL, dtype=np.int64), np.zeros(model.names)

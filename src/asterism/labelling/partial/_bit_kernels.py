@@ -31,6 +31,5 @@ def set_first_bits(mask, depth, n):
     """
     # A shift by 64 is undefined, so that full words are set as a whole.
     for w in range((n + 63) // 64):
-        # A shift by 64 is not defined, so a full word is written as such.
         left = n - 64 * w
         mask[depth, w] = ~np.uint64(0) if left >= 64 else (np.uint64(1) << np.uint64(left)) - np.uint64(1)

@@ -86,7 +86,6 @@ def order_tests(table, reads, markers, start, order, rank, first_feature):
     for depth in range(len(markers)):
         # The first marker is given; each later one is the one that is checked best.
         best, best_share = start, -1
-        # The first marker is given.
         if depth > 0:
             for m in range(all_markers):
                 if open_marker[m]:
@@ -99,7 +98,6 @@ def order_tests(table, reads, markers, start, order, rank, first_feature):
         first_feature[depth] = count
         # A classifier becomes computable with the last of its markers.
         for f in range(features):
-            # A classifier becomes computable when nothing is missing any more.
             missing[f] -= reads[f, best]
         count = _rank_tests(table, reads, placed, missing, best, left, rank, count)
     first_feature[len(markers)] = count

@@ -114,7 +114,6 @@ def evaluate_solver(solvers, pairs, s, validation, limits, workspace, first_id, 
             else:
                 # A solver that answers so seldom is useless, however right it is.
                 counts.failures[m] += 1
-            # A solver that is hardly ever sure is not worth the rest of the frames.
             abstains = counts.abstentions[m] > 50 and counts.abstentions[m] > 4 * counts.hits[m]
             out_of_reach = out_of_reach and (counts.failures[m] > limits.max_failures or abstains)
         # No marker of it can reach the target any more.

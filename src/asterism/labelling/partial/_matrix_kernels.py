@@ -110,7 +110,6 @@ def complete_labels(strong, points, n, place, taken, levels, rules):
             for c in range(n):
                 # Tried as if it were placed, and taken back: the check reads all placed markers.
                 levels[m, c] = 0
-                # Tried in place, because the classifiers read the other markers' places, too.
                 if place[m] < 0 and not taken[c]:
                     place[m] = c
                     levels[m, c], made = check_marker(strong, m, place, points, rules.slack, rules.min_tests)

@@ -142,7 +142,6 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
             continue
         path[depth] = row
         accepted = True
-        # Rare kinds stand last, so that the loop over the others stays small enough to be inlined.
         later = end = solvers.first_feature[first + depth + 1]
         # Kinds that the kernel has not inlined come last and are evaluated by a call.
         for f in range(solvers.first_feature[first + depth], end):
@@ -183,7 +182,6 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
             continue
         depth += 1
         b = solvers.markers[first + depth]
-        # What the markers before allow is left: an intersection of bits, sixty-four points at once.
         set_first_bits(mask, depth, n)
         # Every marker placed so far narrows the points of the next one.
         for e in range(depth):
@@ -256,7 +254,6 @@ def exclude_by_motion(pairs, a, b, i, n, workspace):
         for j in range(n):
             # Only points that distance and height allow are asked for their motion.
             bit = np.uint64(1) << np.uint64(j & 63)
-            # Only what distance and height have left.
             if workspace.rows[a, b, i, j >> 6] & bit != 0:
                 evaluations += 1
                 value = workspace.motion[k, i, j]

@@ -13,15 +13,16 @@ from asterism._jit import kernel
 from asterism.labelling.body._frame_kernels import frame_settings
 from asterism.labelling.body._refine_kernels import refine
 from asterism.labelling.body._score_kernels import best_pose, rescore
+from asterism.labelling.body._search_kernels import LAID, twin_at
 from asterism.labelling.body._workspace_kernels import copy_labels, count_labelled, make_body_workspace
 from asterism.labelling.whole._kernels import points_of_markers
 
 
 class TwinScores(NamedTuple):
-    """What `score_twins` gives for W twins of M markers in E frames; row W is the labels' own.
+    """What `score_twins` gives for W twins of M markers in E frames, and the body laid anew in V ways; the last row is the labels' own.
 
-    scores    (W + 1, E) nats; NaN for a twin that labels a frame as the labels do, or with fewer than three markers
-    point_of  (W + 1, E, M) the point of each marker in its frame, -1 for none
+    scores    (W + V + 1, E) nats; NaN for a twin that labels a frame as the labels do, or with fewer than three markers
+    point_of  (W + V + 1, E, M) the point of each marker in its frame, -1 for none
     """
 
     scores: np.ndarray
@@ -41,17 +42,19 @@ def same_labels(one, other):
 def score_twins(xyz, offsets, track, label, twins, body, settings, gap, marker_gain, out):
     """Label every frame as each twin of the body has it, complete and refine that, and score it; a twin far behind is only scored.
 
+    Where two points or more are left over beside missing markers, the body is laid anew, too.
+
     IN  xyz (P, 3) m, z up; offsets (E + 1,); track (P,) tracklet of each point; label (J,) marker of each tracklet, -1 for none;
         twins (W, M), see `twins_of`; body BodyArrays; settings FrameSettings; gap nats by which a twin may be behind to be refined, each
         marker without a point taken as marker_gain nats
-    OUT out TwinScores. O(E W K (M r^2 + r^3)), and one `refine` for each twin that comes near; memory for one frame.
+    OUT out TwinScores. O(E (W + V) K (M r^2 + r^3)), and one `refine` for each twin that comes near; memory for one frame.
     """
-    markers, latents, count = body.load.shape[1], body.load.shape[3], len(twins)
+    markers, latents, last = body.load.shape[1], body.load.shape[3], len(twins) + LAID
     raw, workspace = np.empty(markers, dtype=np.int64), make_body_workspace(0, markers, latents)
     out.scores[:] = np.nan
     for t in range(len(offsets) - 1):
         first, n = offsets[t], offsets[t + 1] - offsets[t]
-        own = out.point_of[count, t]
+        own = out.point_of[last, t]
         labelled = points_of_markers(track[first : first + n], label, own)
         if labelled < 3:
             out.point_of[:, t] = -1
@@ -63,11 +66,14 @@ def score_twins(xyz, offsets, track, label, twins, body, settings, gap, marker_g
         workspace.outlier[:] = False
         k, _ = best_pose(body, points, own, own_settings, workspace)
         top = rescore(body, k, points, own, own_settings, workspace)
-        out.scores[count, t] = top
-        for w in range(count):
+        out.scores[last, t] = top
+        aligned, mean = workspace.aligned.copy(), body.mean[k]
+        lays = min(markers, n) - labelled >= 2
+        for w in range(last):
             trial = out.point_of[w, t]
-            for m in range(markers):
-                trial[m] = own[twins[w, m]] if twins[w, m] >= 0 else -1
+            trial[:] = -1
+            if w < len(twins) or lays:
+                twin_at(w, twins, mean, own, aligned, workspace.scores, trial)
             given = count_labelled(trial)
             # Two points leave the body's turn open; a body alike on both sides has itself as a twin.
             if given < 3 or same_labels(trial, own):

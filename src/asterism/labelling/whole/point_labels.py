@@ -171,7 +171,7 @@ def _certainty(
     certainty = np.minimum(certainty, confidence_limit(verdict))
     if labels.found.lead is not None:
         certainty = np.minimum(certainty, twin_limits(labels.found.lead, labels.label, rules.twins))
-    return certainty if body.distances is None else np.minimum(certainty, body.distances.margin_limits(labels.margin)), least
+    return certainty, least
 
 
 def empty_labelling(body: BodyInRecording, clouds: Clouds) -> Labelling:

@@ -227,7 +227,7 @@ def _ascent(before: LabelledTracklets, problem: _RelabelProblem) -> SceneLabelli
     by_body = margin - penalty
     margin = np.where(doubtful, np.minimum(by_body, -before.settings.no_adapt_margin), by_body)
     turns = before.long.found.turns if scene is before.upright else None
-    return SceneLabelling(scene, label, margin, rival, before.long.found.bodies, 0.0, by_body, turns=turns)
+    return SceneLabelling(scene, label, margin, rival, before.long.found.bodies, 0.0, by_body, turns=turns, lead=before.long.found.lead)
 
 
 def _score(scores: Floats, scene: RecordingScene, label: Ints, changed: NDArray[np.bool_] | None, before: LabelledTracklets) -> None:

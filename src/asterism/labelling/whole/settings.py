@@ -22,7 +22,7 @@ class TwinRules:
     frames: int = 8
     gap: float = 40.0
     marker_gain: float = 10.0
-    scale: float = 2.0
+    scale: float = 3.0
     rounds: int = 3
 
 

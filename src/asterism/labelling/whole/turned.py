@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.special import expit
 
+from asterism.labelling.body._search_kernels import LAID
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole._twin_kernels import TwinScores, score_twins
 from asterism.labelling.whole.scene import RecordingScene, labels_of_body, marker_offsets, score_scene, with_fewer_samples
@@ -68,36 +69,51 @@ def hold_against_twins(
 def _lead_over_twins(
     labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets: Ints, number: int, rules: TwinRules
 ) -> tuple[Floats, Ints | None]:
-    """The lead (M,) of the labels of the body with this number over its twins, in nats a frame; and the labels (J,) of the best twin that
-    is ahead, None where there is none."""
+    """The lead (M,) of the labels of the body with this number over its twins, in nats a frame.
+
+    And the labels (J,) of the best twin that is ahead, None where there is none.
+    """
     own = labels_of_body(label, offsets, number)
     # the points of other bodies are theirs
     points = np.nonzero((label == NULL)[few.sampled_track] | (own != NULL)[few.sampled_track])[0]
-    frames, markers, twins = len(few.sampled_frames), int(offsets[number + 1] - offsets[number]), labeller.twins
-    counts = np.bincount(few.sampled_frame[points], minlength=frames)
-    begins = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    frames, markers = len(few.sampled_frames), int(offsets[number + 1] - offsets[number])
+    begins = np.concatenate([[0], np.cumsum(np.bincount(few.sampled_frame[points], minlength=frames))]).astype(np.int64)
     track = few.sampled_track[points]
-    shape = (len(twins) + 1, frames)
+    lead, point_of = compare_with_twins(labeller, np.ascontiguousarray(few.sampled_xyz[points]), begins, track, own, rules)
+    if point_of is None:
+        return lead, None
+    # each tracklet becomes what the twin says of it in most of the frames
+    votes = np.zeros((len(label), markers + 1), dtype=np.int64)
+    votes[:, markers] = np.bincount(track, minlength=len(label))
+    frame, marker = np.nonzero(point_of != NULL)
+    np.add.at(votes, (track[begins[frame] + point_of[frame, marker]], marker), 2)
+    given, mine, better = votes.argmax(axis=1), (own != NULL) | (label == NULL), label.copy()
+    better[mine] = np.where(given == markers, NULL, given + offsets[number])[mine]
+    return lead, better
+
+
+def compare_with_twins(
+    labeller: BodyLabeller, xyz: Floats, offsets: Ints, track: Ints, label: Ints, rules: TwinRules
+) -> tuple[Floats, Ints | None]:
+    """Hold labels of one body in some frames against its twins.
+
+    xyz (P, 3) m, z up; offsets (E + 1,) where each frame's points begin; track (P,) tracklet of each point; label (J,) marker of each
+    tracklet, -1 for none. Gives by how many nats a frame each marker (M,) is ahead of the best twin that has another point for it in most
+    frames, infinite where there is none; and the points (E, M) of the best twin that is ahead of the labels, None where there is none.
+    """
+    frames, markers = len(offsets) - 1, labeller.body.mean.shape[1]
+    shape = (len(labeller.twins) + LAID + 1, frames)
     out = TwinScores(np.empty(shape), np.empty((*shape, markers), dtype=np.int64))
-    xyz = np.ascontiguousarray(few.sampled_xyz[points])
-    score_twins(xyz, begins, track, own, twins, labeller.body, labeller.settings, rules.gap, rules.marker_gain, out)
+    score_twins(xyz, offsets, track, label, labeller.twins, labeller.body, labeller.settings, rules.gap, rules.marker_gain, out)
     ahead = out.scores[-1] - out.scores[:-1]
     seen = ~np.isnan(ahead)
     behind = np.where(seen, ahead, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+    behind[~seen.any(axis=1)] = np.inf
     # a marker is labelled otherwise where its point is another one in most of the frames that show it
     shown = (out.point_of[-1] != NULL)[None] & seen[:, :, None]
     differs = 2 * (shown & (out.point_of[:-1] != out.point_of[-1])).sum(axis=1) > shown.sum(axis=1)
-    lead = np.where(differs, behind[:, None], np.inf).min(axis=0, initial=np.inf)
-    behind[~seen.any(axis=1)] = np.inf
-    best = int(np.argmin(behind)) if len(twins) else 0
-    if not len(twins) or behind[best] >= 0.0:
+    lead = np.where(differs, behind[:, None], np.inf).min(axis=0)
+    best = int(np.argmin(behind))
+    if behind[best] >= 0.0:
         return lead, None
-    better = label.copy()
-    votes = np.zeros((len(label), markers + 1), dtype=np.int64)
-    frame, marker = np.nonzero((out.point_of[best] != NULL) & seen[best][:, None])
-    votes[:, markers] = np.bincount(track, minlength=len(label))
-    np.add.at(votes, (track[begins[frame] + out.point_of[best, frame, marker]], marker), 2)
-    given = votes.argmax(axis=1)
-    mine = (own != NULL) | (label == NULL)
-    better[mine] = np.where(given == markers, NULL, given + offsets[number])[mine]
-    return lead, better
+    return lead, np.where(seen[best][:, None], out.point_of[best], NULL)

@@ -55,8 +55,6 @@ class VerdictRules:
     standing_share   share of the limit that counts as the limit in frames labelled by a model of standing trials
     fall_standing    log odds by which the largest confidence there falls for each e-fold beyond it
     standing_confidence  to this at most
-    standing_margin  nats; labels of a smaller margin by a model of few people's standing trials are not certain. Of those from 1.5 to 8
-                     nats on the sets for choosing 98.5 % were right, of those beyond all
     either_way       confidence below which a label counts as one that could be exchanged
     min_surplus      points left over, as a share of the markers, from which what does not fit is another marker set
     """
@@ -83,7 +81,6 @@ class VerdictRules:
     standing_share: float = 0.5
     fall_standing: float = 3.3
     standing_confidence: float = 0.88
-    standing_margin: float = 8.0
     either_way: float = 0.75
     min_surplus: float = 0.25
 
@@ -166,14 +163,6 @@ class RigidDistances:
         fallen = logit(CERTAIN) - (0.0 if self.moving else rules.fall_standing) * beyond
         log_odds = np.where(beyond < 0.0, logit(CERTAIN) - rules.fall_within * beyond, np.maximum(fallen, logit(rules.standing_confidence)))
         return np.where(np.isnan(beyond), 1.0, expit(log_odds))
-
-    def margin_limits(self, margin: Floats) -> Floats:
-        """What labels of whole recordings with these margins (nats) may be as certain as, whatever the verdict.
-
-        Standing trials of few people show too few poses to tell an inner marker from an outer one where an arm is turned.
-        """
-        knows_one_pose = not self.moving and len(self.median) < self.rules.min_people
-        return np.where(knows_one_pose & (margin < self.rules.standing_margin), CERTAIN, 1.0)
 
     def nearest(self, distance: Floats) -> tuple[float, float, Floats]:
         """The people's mean, or the one of them, whose distances are the nearest to those of a body.
