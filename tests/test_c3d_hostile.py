@@ -182,3 +182,18 @@ def test_the_same_label_twice_is_read_but_not_guessed(data: Path) -> None:
     assert recording.labels.count("RKNE") == 2
     with pytest.raises(AsterismError, match=r"Walk1\.c3d.*RKNE"):
         read(path, markers=("RKNE", "LASI"))
+
+
+def test_a_file_that_breaks_off_keeps_its_frames_where_they_become_smaller(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    write(tmp_path / "whole.c3d", Recording(rng.normal(size=(30, 40, 3)), tuple(f"*{i + 1}" for i in range(40)), 100.0))
+    whole = (tmp_path / "whole.c3d").read_bytes()
+    start = read(tmp_path / "whole.c3d").source.layout.start
+    # nearly a whole frame of 40 points is left over, which holds many frames of 4
+    (tmp_path / "cut.c3d").write_bytes(whole[: start + 11 * 640 - 8])
+    cut = read(tmp_path / "cut.c3d")
+    assert len(cut) == 10 and cut.source.layout.cut
+    fewer = replace(cut, positions=cut.positions[:, :4], labels=cut.labels[:4], origin=cut.origin[:, :4])
+    write(tmp_path / "fewer.c3d", fewer)
+    again = read(tmp_path / "fewer.c3d")
+    np.testing.assert_array_equal(again.positions, fewer.positions)

@@ -70,6 +70,20 @@ def test_outputs_inside_the_folder_are_no_inputs(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
+@pytest.mark.parametrize("verb", ["info", "motion", "segment"])
+def test_a_link_to_itself_is_named_and_the_others_are_done(tmp_path: Path, capsys: pytest.CaptureFixture[str], verb: str) -> None:
+    link, walk = tmp_path / "loop.npz", tmp_path / "walk.npz"
+    try:
+        link.symlink_to(link.name)
+    except OSError:
+        pytest.skip("this file system has no links")
+    formats.write(walk, simulate_walks(1, 20, 50.0, markers=MARKERS)[0])
+    assert found(link, walk) == ["loop.npz", "walk.npz"]
+    assert run(verb, link, walk, "--json", tmp_path / "told.json") == 1
+    shown = capsys.readouterr().err
+    assert "loop.npz cannot be read" in shown and "fault" not in shown and "Traceback" not in shown
+
+
 def test_a_link_to_a_folder_above_ends(tmp_path: Path) -> None:
     touch(tmp_path, "a/walk.c3d", "elsewhere/turn.c3d")
     (tmp_path / "a" / "back").symlink_to(tmp_path / "a")

@@ -18,7 +18,7 @@ import asterism
 from asterism import AsterismError, formats
 from asterism.cli import main
 from asterism.findings import Finding
-from asterism.labelling import join_labellings, label_together, recording_labeller
+from asterism.labelling import MarkerModel, join_labellings, label_together, recording_labeller
 from asterism.labelling.correction import Ghost
 from asterism.labelling.recording_labeller import LabellingSettings, RecordingLabeller
 from asterism.labelling.stretches import StretchRules
@@ -418,3 +418,10 @@ def test_settings_are_handed_to_all_that_label() -> None:
     labeller = RecordingLabeller(trained, LabellingSettings(recording=never))
     kept = labeller.label_bodies(walk().clouds(), keep_tracklets=True).tracklets
     assert kept is not None and kept.settings is never
+
+
+def test_files_and_folders_given_for_models_are_named(tmp_path: Path) -> None:
+    with pytest.raises(AsterismError, match=r"MarkerModel\.load"):
+        label_file(tmp_path / "walk.c3d", [tmp_path / "gait.model"])  # type: ignore[list-item]
+    with pytest.raises(AsterismError, match="is a folder"):
+        MarkerModel.load(tmp_path)

@@ -87,3 +87,11 @@ def test_frames_without_a_point_at_a_seam_end_what_was_there() -> None:
 
 def test_nothing_added_is_nothing_to_check() -> None:
     assert ReviewInPieces(("A", "B")).items() == []
+
+
+def test_a_recording_without_any_label_is_not_ready() -> None:
+    clouds, labelling = labelled()
+    nothing = replace(labelling, indices=np.full_like(labelling.indices, NULL), confidence=np.zeros_like(labelling.confidence))
+    # no item to look at, and a verdict that nothing contradicts
+    assert readiness(nothing, clouds, []).kind == "do-not-use"
+    assert readiness(labelling, clouds, []).kind == "ready"

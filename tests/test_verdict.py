@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import asterism
 from asterism import formats
 from asterism.cli import main
 from asterism.findings import Severity
+from asterism.labelling.whole._distance_kernels import frame_scatters
 from asterism.labelling.whole.verdict import RigidDistances, RivalCounts, VerdictRules, judge
 from asterism.recording import Floats, Recording
 from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, Verdict
@@ -201,3 +203,17 @@ def test_the_command_line_says_it_and_ends_with_1(
         statuses[name] = (status, [finding["code"] for finding in told["findings"]], told["files"][0]["verdict"])
     assert statuses["own"] == (0, [], FITS)
     assert statuses["other"] == (1, ["label-foreign-recording"], OTHER_PERSON)
+
+
+def test_points_in_one_place_have_a_distance_whose_log_is_finite() -> None:
+    median = np.array([[0.1, 0.2, 0.3, 0.4, 0.5, 0.6], [0.11, 0.19, 0.32, 0.41, 0.52, 0.6]])
+    first, second = np.triu_indices(4, 1)
+    reference = RigidDistances(first, second, median, False, 0.09, 1.0, VerdictRules(min_pairs=4))
+    together = np.array([[0.0, 0.0, 0.3, 0.4, 0.5, np.nan], np.zeros(6), median[0]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        expected = [reference.nearest(frame)[0] for frame in together]
+    out = np.empty(3)
+    frame_scatters(together, reference.log_references, reference.softness, reference.rules.min_pairs, out)
+    np.testing.assert_allclose(out, expected, rtol=1e-9, atol=1e-12)
+    assert np.isfinite(expected).all()

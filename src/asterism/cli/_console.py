@@ -263,16 +263,22 @@ def check_new(given: Path | str | None, overwrite: bool) -> None:
         raise AsterismError(f"{path}: its folder cannot be written to; choose another.") from None
 
 
+def real_path(path: Path) -> Path:
+    """The file behind all links, whether it exists or not."""
+    # `Path.resolve` raises on a link that leads to itself, which opening the file names better
+    return Path(os.path.realpath(path))
+
+
 def check_outputs(outputs: Sequence[Path | str | None], inputs: Sequence[Path | None], overwrite: bool) -> None:
     """Raise AsterismError where an output cannot be made (`check_new`), is an input, or is named twice."""
-    read = {path.resolve() for path in inputs if path is not None}
+    read = {real_path(path) for path in inputs if path is not None}
     written: set[Path] = set()
     for given in outputs:
         check_new(given, overwrite)
         if given is None or given == "-":
             continue
         # two spellings of one place are one file
-        path = Path(given).resolve()
+        path = real_path(Path(given))
         if path in read or path in written:
             raise AsterismError(f"{given} is {'an input' if path in read else 'named twice'}; write to another file.")
         written.add(path)

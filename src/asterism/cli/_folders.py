@@ -44,9 +44,9 @@ def trials(given: Sequence[Path], batch: _console.Batch, *, without: Path | None
                 raise AsterismError(f"{path} holds no recording (C3D, TRC, CSV, TSV, MAT, MOT, STO or NPZ); name another folder.")
             for file in inside:
                 # a file that is named twice, or by two links, is one file
-                found.setdefault(file.resolve(), (file, path))
+                found.setdefault(_console.real_path(file), (file, path))
         else:
-            found.setdefault(path.resolve(), (path, None))
+            found.setdefault(_console.real_path(path), (path, None))
     # only what was found may be passed over; what was named must be told
     batch.in_folders |= frozenset(file for file, folder in found.values() if folder is not None)
     files = list(found.values())
@@ -97,14 +97,14 @@ def _recordings_in(folder: Path, without: Path | None, batch: _console.Batch) ->
     """The files of a folder and those below it that have a recording's suffix. Links are followed; each folder is entered once."""
     from asterism import formats
 
-    seen = set() if without is None else {without.resolve()}
+    seen = set() if without is None else {_console.real_path(without)}
 
     def cannot_open(problem: OSError) -> None:
         with batch.file(Path(str(problem.filename))):
             raise problem
 
     for at, folders, files in os.walk(folder, onerror=cannot_open, followlinks=True):
-        real = Path(at).resolve()
+        real = _console.real_path(Path(at))
         # a link to a folder above would be walked for ever
         if real in seen:
             folders.clear()

@@ -49,6 +49,9 @@ def tail_of(file: C3DFile, growth: int) -> tuple[bytes, int]:
     tail = bytes(file.raw[file.layout.stop :])
     if not growth:
         return tail, 0
+    # The piece of a frame at which a file breaks off would count as whole frames where frames have become smaller.
+    if file.layout.cut:
+        return b"", 0
     # Padding behind the data carries nothing: it only has to end the last block.
     if not tail.strip(b"\0") and len(tail) <= BLOCK:
         return (bytes(-(file.layout.stop + growth) % BLOCK) if len(file.raw) % BLOCK == 0 else tail), 0

@@ -55,13 +55,17 @@ class Header:
 
 @dataclass(frozen=True)
 class Layout:
-    """What the data block holds: `frames` of `points` times four words and `analog` words each, from byte `start` on."""
+    """What the data block holds: `frames` of `points` times four words and `analog` words each, from byte `start` on.
+
+    cut: whether the file breaks off before the frames that it declares.
+    """
 
     start: int
     frames: int
     points: int
     analog: int
     real: bool
+    cut: bool = False
 
     @property
     def width(self) -> int:
@@ -360,8 +364,8 @@ def _layout(path: str, size: int, start: int, header: Header, parameters: Parame
         frames = room // (claim.width * (4 if claim.real else 2)) if claim.width else 0
         if claim.frames and claim.width and not frames:
             raise AsterismError(f"{path} breaks off before its first frame ends; export or copy it again.")
-        best = Layout(start, min(frames, claim.frames), claim.points, claim.analog, claim.real)
-        if best.frames < claim.frames:
+        best = Layout(start, min(frames, claim.frames), claim.points, claim.analog, claim.real, cut=frames < claim.frames)
+        if best.cut:
             findings.append(cut_off(f"the file breaks off: it holds {best.frames} of {claim.frames} frames"))
     first = claims[0]
     for noun, declared, found in (

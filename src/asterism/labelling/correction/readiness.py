@@ -80,6 +80,9 @@ def readiness(labelling: Labelling, clouds: Clouds, items: Sequence[ReviewItem],
     if error > rules.max_error:
         sentence = f"Do not use: {100 * error:.0f} % of the labels are expected to be wrong or missing."
         return Readiness(DO_NOT_USE, sentence, look_at, error)
+    # A recording of too few points shows nothing that could contradict the model.
+    if visible and not (labelling.indices >= 0).any():
+        return Readiness(DO_NOT_USE, "Do not use: no label was given.", look_at, error)
     # Two halves that may be exchanged as a whole show no error in any single label.
     exchangeable = () if verdict is None else verdict.exchangeable
     if exchangeable:

@@ -50,6 +50,8 @@ def reading(path: str | os.PathLike[str]) -> Iterator[Contents]:
     the `with` block counts as damage: the caller could not use what the file holds.
     """
     path = Path(path)
+    if path.is_dir():
+        raise AsterismError(f"{path} is a folder; name the model's file in it.")
     if not path.is_file():
         raise AsterismError(f"{path} does not exist; train a model first (asterism train), or check the path.")
     try:

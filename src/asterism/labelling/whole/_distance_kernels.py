@@ -11,6 +11,10 @@ import numpy as np
 
 from asterism._jit import kernel
 
+LEAST_DISTANCE = 1e-6
+"""m; what is nearer counts as so far apart. A hundredth of what the finest systems resolve, so that half or double of it changes no label.
+Points in one place, as of zeros that stand for missing samples, have no log of their distance."""
+
 
 class TrackedPoints(NamedTuple):
     """The points of the sampled frames of a recording, Q of them.
@@ -244,12 +248,16 @@ def frame_scatters(distance, log_reference, softness, min_pairs, out):
         for r in range(len(log_reference)):
             known = 0
             for i in range(pairs):
-                value = np.log(distance[t, i]) - log_reference[r, i]
+                apart = distance[t, i]
+                # Written so that NaN stays NaN.
+                if apart < LEAST_DISTANCE:
+                    apart = LEAST_DISTANCE
+                value = np.log(apart) - log_reference[r, i]
                 # Distances that either side lacks are left out.
                 if not np.isnan(value):
                     ratio[known] = value
                     # The log of a short distance is mostly noise.
-                    weight[known] = 1.0 / np.sqrt(1.0 + (softness / distance[t, i]) ** 2)
+                    weight[known] = 1.0 / np.sqrt(1.0 + (softness / apart) ** 2)
                     known += 1
             if known < min_pairs:
                 continue

@@ -21,7 +21,7 @@ from asterism.labelling.whole.plausibility import own_deviations
 from asterism.labelling.whole.scene import RecordingScene, with_fewer_samples
 from asterism.labelling.whole.settings import ForeignRules, RecordingLabellingSettings
 from asterism.labelling.whole.turned import joint_evidence
-from asterism.labelling.whole.verdict import RigidDistances, median_and_std
+from asterism.labelling.whole.verdict import RigidDistances, log_distances, median_and_std
 from asterism.recording import NULL, Floats, Ints
 
 Relabel = Callable[[RecordingScene, Ints], SceneLabelling]
@@ -271,7 +271,7 @@ def _distance_score(positions: Floats, reference: RigidDistances, rules: Foreign
         return 0.0, float("nan")
     rigid = known & (std < reference.max_rigid_std)
     scatter, size, logs = reference.nearest(np.where(rigid, median, np.nan))
-    gain = _log_ratio(np.log(median) - size - logs, np.exp(logs), rules.share_std, rules)
+    gain = _log_ratio(log_distances(median) - size - logs, np.exp(logs), rules.share_std, rules)
     gain = np.where(rigid & ~np.isnan(gain), gain, rules.loose if reference.moving else 0.0) * known
     count = sum(np.bincount(side[known], minlength=positions.shape[1]) for side in (reference.first, reference.second))
     part = np.minimum(1.0, rules.partners / np.maximum(count, 1))
@@ -351,7 +351,7 @@ def distance_gains(label: Ints, samples: Samples, markers: int, reference: Rigid
     median, std = median_and_std(positions, reference.first, reference.second, 3)
     rigid = ~np.isnan(median) & (std < reference.max_rigid_std)
     _, size, logs = reference.nearest(np.where(rigid, median, np.nan))
-    deviation = np.abs(np.log(median) - size - logs)[rigid]
+    deviation = np.abs(log_distances(median) - size - logs)[rigid]
     scatter = 1.4826 * float(np.nanmedian(deviation)) if np.isfinite(deviation).any() else rules.share_std
     of_pair = np.full((markers, markers), np.nan)
     of_pair[reference.first, reference.second] = of_pair[reference.second, reference.first] = logs
@@ -360,7 +360,7 @@ def distance_gains(label: Ints, samples: Samples, markers: int, reference: Rigid
         own = np.concatenate([positions[samples.frame[own_points]], samples.xyz[own_points][:, None]], axis=1)
         apart, spread = median_and_std(own, np.full(markers, markers), np.arange(markers), 3)
         apart[apart < 1e-6] = np.nan  # the marker's own points
-        score = _log_ratio(np.log(apart)[None] - size - of_pair, np.exp(of_pair), max(rules.share_std, scatter), rules)
+        score = _log_ratio(log_distances(apart)[None] - size - of_pair, np.exp(of_pair), max(rules.share_std, scatter), rules)
         score = np.where(spread[None] < reference.max_rigid_std, score, rules.loose if reference.moving else np.nan)
         used = ~np.isnan(score) & ~np.isnan(of_pair) & ~np.isnan(apart)[None]
         count = used.sum(axis=1)

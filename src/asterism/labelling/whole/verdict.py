@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import expit, logit
 
-from asterism.labelling.whole._distance_kernels import frame_scatters
+from asterism.labelling.whole._distance_kernels import LEAST_DISTANCE, frame_scatters
 from asterism.labelling.whole.scene import RecordingScene, labels_of_body
 from asterism.recording import NULL, Floats, Ints
 from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, Verdict
@@ -132,7 +132,7 @@ class RigidDistances:
     @cached_property
     def log_references(self) -> Floats:
         """The logs of the distances (R, N) that a body may be near to: the people's mean, then each of several people."""
-        logs = np.log(self.median)
+        logs = log_distances(self.median)
         mean = _quietly(np.nanmean, logs, axis=0)
         return np.stack([mean, *(logs if len(logs) > 1 else ())])
 
@@ -173,13 +173,13 @@ class RigidDistances:
         rules, mean = self.rules, self.log_references[0]
         best, size, nearest = float("nan"), 0.0, mean
         for reference in self.log_references:
-            ratio = np.log(distance) - reference
+            ratio = log_distances(distance) - reference
             known = ~np.isnan(ratio)
             if known.sum() < rules.min_pairs:
                 continue
             middle = float(np.median(ratio[known]))
             # a distance of 10 cm may be off by a centimetre as a long one may be by some per cent
-            weight = 1.0 / np.sqrt(1.0 + (self.softness / distance[known]) ** 2)
+            weight = 1.0 / np.sqrt(1.0 + (self.softness / np.maximum(distance[known], LEAST_DISTANCE)) ** 2)
             scatter = 1.4826 * float(np.median(np.abs(ratio[known] - middle) * weight))
             if not scatter >= best:
                 best, size, nearest = scatter, middle, reference
@@ -295,6 +295,11 @@ def median_and_std(frames: Floats, first: Ints, second: Ints, least: int = MIN_F
     std = 1.4826 * _quietly(middle, np.abs(distance - median), axis=0)
     unknown = (~missing).sum(axis=0) < max(1, least)
     return np.where(unknown, np.nan, median), np.where(unknown, np.nan, std)
+
+
+def log_distances(distance: Floats) -> Floats:
+    """The logs of distances (m), NaN where not known; of points in one place as of `LEAST_DISTANCE`, whose log is finite."""
+    return np.log(np.maximum(distance, LEAST_DISTANCE))
 
 
 def _some(frames: Floats, most: int) -> Floats:
