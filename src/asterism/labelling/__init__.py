@@ -10,6 +10,7 @@ from asterism.labelling.marker_model import MarkerModel, label_together
 from asterism.labelling.naming import MarkerGroups, group_tracklets, name_groups
 from asterism.labelling.partial.capturability import Capturability, CapturabilityRules, MarkerSetChange, capturability
 from asterism.labelling.partial.solver import FullSolver, FullSolverRules
+from asterism.labelling.recording_labeller import LabellingSettings, RecordingLabeller
 from asterism.labelling.reliability import ConfidenceScore, ConfidenceTally, Reliability
 from asterism.labelling.review import ReviewItem, apply_answers, review
 from asterism.labelling.together import join_labellings
@@ -26,9 +27,11 @@ __all__ = [
     "FullSolver",
     "FullSolverRules",
     "LabelError",
+    "LabellingSettings",
     "MarkerGroups",
     "MarkerModel",
     "MarkerSetChange",
+    "RecordingLabeller",
     "Reliability",
     "ReviewItem",
     "SeveralBodies",
