@@ -54,6 +54,8 @@ def test_every_exported_name_exists_and_explains_itself(module: str) -> None:
         if inspect.isclass(thing) or inspect.isroutine(thing):
             text = inspect.getdoc(thing) or ""
             assert text and not text.startswith(f"{name}("), f"{module}.{name} has no docstring of its own"
+        elif public_names.homes()[module, name] == module:
+            assert docstrings._constant_docstring(f"{module}.{name}"), f"{module}.{name} has no string below it"
 
 
 def test_every_room_exports_what_it_offers() -> None:

@@ -159,19 +159,23 @@ def _constant_docstring(full_name: str) -> str:
     module, _, name = full_name.rpartition(".")
     if name == "__version__":
         return "The installed version."
-    inside = (loaded for known, loaded in sorted(sys.modules.items()) if known.startswith(module) and getattr(loaded, "__file__", None))
+    package = sorted(known for known in sys.modules if known.split(".")[0] == "asterism" and getattr(sys.modules[known], "__file__", None))
+    # the exporting module and what is below it first: another room may have a constant of the same name
+    inside = [sys.modules[known] for known in sorted(package, key=lambda known: not known.startswith(module))]
     return next((found[name] for loaded in inside if name in (found := _documented_constants(loaded.__file__ or ""))), "")
 
 
 @cache
 def _documented_constants(file: str) -> dict[str, str]:
+    """Constants of a file with the string below each; names that are assigned together share it."""
     body = ast.parse(Path(file).read_text(encoding="utf-8")).body if file.endswith(".py") else []
     found = {}
     for statement, below in pairwise(body):
         targets = [statement.target] if isinstance(statement, ast.AnnAssign) else getattr(statement, "targets", [])
         is_text = isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant) and isinstance(below.value.value, str)
-        if is_text and isinstance(targets[:1][0] if targets else None, ast.Name):
-            found[targets[0].id] = " ".join(below.value.value.split())
+        for target in targets if is_text else ():
+            names = target.elts if isinstance(target, ast.Tuple) else [target]
+            found.update({name.id: " ".join(below.value.value.split()) for name in names if isinstance(name, ast.Name)})
     return found
 
 

@@ -11,7 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from asterism.errors import AsterismError
 
 Floats = NDArray[np.float64]
+"""An array of numbers; the docstring that uses it says shape and unit."""
+
 Ints = NDArray[np.int64]
+"""An array of whole numbers."""
 
 
 def as_vertical(vertical: ArrayLike | str) -> Floats:
