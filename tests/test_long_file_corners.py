@@ -21,6 +21,7 @@ import pytest
 import asterism
 from asterism.cli import main
 from asterism.files import atomic
+from asterism.findings import Finding
 from asterism.formats.c3d._edit import integers_record, strings_record
 from asterism.formats.c3d._file import C3DFile, open_c3d
 from asterism.formats.c3d._long import LongRecording, read_long
@@ -177,6 +178,9 @@ class ByColumn:
         verdict = self.verdicts[min(self.labelled, len(self.verdicts) - 1)]
         self.labelled += len(clouds) > 1
         return Labelling(indices, confidence, self.marker_set.names, verdict=verdict)
+
+    def findings(self, where: str) -> list[Finding]:
+        return []
 
     def label(self, clouds: Clouds, **_: object) -> Labelling:
         return stretches.label_long(self.label_one_body, self.marker_set.names, clouds)

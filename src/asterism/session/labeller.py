@@ -248,7 +248,7 @@ def label_file(
     Raises AsterismError where the file cannot be read or labelled, its kind NoMarkers where no frame has a point.
     """
     several = list(models) if isinstance(models, Sequence) else [models]
-    if not all(isinstance(model, MarkerModel) for model in several):
+    if any(isinstance(model, str | Path) for model in several):
         raise AsterismError("label_file takes models, not their files; load each with MarkerModel.load(path).")
     return FileLabeller(several, options or LabellingOptions(), [Path(file) for file in files]).label(Path(path), progress)
 

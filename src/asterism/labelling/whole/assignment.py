@@ -122,6 +122,10 @@ def _solve_roughly(gain: Floats, first: Ints, last: Ints) -> Ints:
 def _solve_by_highs(gain: Floats, first: Ints, last: Ints) -> Ints | None:
     """The integer program with every variable and constraint written out; None where that needs more nodes than allowed."""
     track, marker = np.nonzero(gain > 0)
+    label = np.full(len(gain), NULL, dtype=np.int64)
+    # without a choice that gains anything there is no program to solve
+    if not len(track):
+        return label
     rows, columns, count = [], [], 0
     for j in np.unique(track):
         members = np.nonzero(track == j)[0]
@@ -149,7 +153,6 @@ def _solve_by_highs(gain: Floats, first: Ints, last: Ints) -> Ints | None:
     )
     if not found.success:
         return None
-    label = np.full(len(gain), NULL, dtype=np.int64)
     taken = found.x > 0.5
     label[track[taken]] = marker[taken]
     return label
