@@ -18,6 +18,8 @@ from asterism.labelling.whole.assignment import EXACT_CHOICES
 from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.labelling.whole.short import ShortTrackletRules
 from asterism.labelling.whole.verdict import VerdictRules
+from asterism.motion.clinical import SkinMotion
+from asterism.motion.segmentation import SegmentationRules
 from asterism.views.personal import PERSONAL
 from asterism.views.rules import QUICK, RULES
 
@@ -38,7 +40,7 @@ WORDS = {
 }
 WHOLE, VERDICT, SHORT, STREAM = RecordingLabellingSettings(), VerdictRules(), ShortTrackletRules(), StreamRules()
 BODY, FRAME, ANCHORS = BodyRules(), FrameLabellingSettings(), AnchorRules()
-FOREIGN, READ = WHOLE.foreign, ReadRules()
+FOREIGN, READ, SEGMENTS = WHOLE.foreign, ReadRules(), SegmentationRules()
 
 NUMBERS = [
     ("labelling", r"a mixture of at most (\w+) \*key poses\*", BODY.poses),
@@ -116,6 +118,11 @@ NUMBERS = [
     ("recordings", r"Its result must be better by (\d),", STREAM.takeover_margin),
     ("recordings", r"is worth at most \(m - 3\) / ([\d.]+) in log odds", STREAM.log_odds_scale),
     ("recordings", r"\(after 3, 6, 12 and (\d+) of them", LiveRules().adapt_after[-1]),
+    ("motion", r"span a local subspace of (\w+) dimensions", SEGMENTS.dimension),
+    ("motion", r"Affinities are computed to (\d+) landmarks", SEGMENTS.landmarks),
+    ("motion", r"(\w+) clusters are merged to limbs", SEGMENTS.clusters),
+    ("motion", r"stray less than (\d+) mm \(median\)", 1000 * SEGMENTS.same_limb_m),
+    ("motion", r"\((\d) mm at 60 degrees on the thigh", 1000 * SkinMotion().thigh_m),
     ("garment", r"where at least (\d+) of its colours fit", READ.patch),
     ("garment", r"rows and columns go on, within ([\d.]+) pitches", READ.gate),
     ("garment", r"of the neighbours costs (\d) for each factor of e", READ.unlike),
