@@ -147,7 +147,7 @@ def test_of_two_labellings_that_explain_a_recording_alike_the_labels_so_far_are_
     found = tracklets_of(one, walks[2]).long.found
     reference = RigidDistances.of_training(walks[0].positions, np.zeros(120, dtype=np.int64), 1.0, VerdictRules())
     scores = _scores(one.body_labeller, [found, found, found], Samples.of_scene(found.scene), walks[0].labels, reference, crowded, RULES)
-    np.testing.assert_allclose(scores - scores[1], [RULES.prior[crowded], 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(scores - scores[1], [(RULES.prior_crowded if crowded else RULES.prior), 0.0, 0.0], atol=1e-9)
 
 
 def test_only_markers_hidden_for_most_of_the_time_are_rivals_without_a_point() -> None:

@@ -38,7 +38,7 @@ class LinkRules:
     jump                    m; a link along track numbers with a larger one may be cut without a rival
     stray_ratio             a link along track numbers is a stray if it passes by a point this many times nearer
     max_stray_share         share of strays above which the numbers are ignored: they are no tracks, but, say, places in a list
-    min_linked_share        share of the points that the numbers must link, for motion not to be asked
+    min_linked_share        share of the points that the numbers link; below this, links are found by motion
     motion_gain             the numbers are ignored where motion links so many times more points: they change too often
     """
 

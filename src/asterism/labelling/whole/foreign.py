@@ -56,7 +56,7 @@ class ForeignConfidence:
     @property
     def least_confidence(self) -> float:
         """Labels that the evidence makes less certain than this are taken back."""
-        return self.rules.least_confidence[self.crowded]
+        return self.rules.least_confidence_crowded if self.crowded else self.rules.least_confidence
 
     def of_points(self, points: int, long: Ints, track: Ints) -> ForeignConfidence:
         """That of P points from that of tracklets; long: the points of tracklets, track: theirs. Others have no margin and no rival."""
@@ -134,12 +134,14 @@ def _scores(
     distances = np.array([_distance_score(some, reference, rules) for some in positions])
     seconds, sides = _seconds(compared[0].scene), _side_pairs(names)
     forward = np.array([forward_share(some, seconds, sides, rules.min_speed) for some in positions])
-    weight = rules.distance_weight[crowded and not (distances[:, 1] <= rules.close).any()]
+    # among many points some always fit the distances, unless one labelling fits them closely
+    lost_in_crowd = crowded and not (distances[:, 1] <= rules.close).any()
+    weight = rules.distance_weight_crowded if lost_in_crowd else rules.distance_weight
     # by the body of people at large: one that was adapted to wrong labels explains these well
     evidence = np.array([joint_evidence([labeller], one.scene, one.label) for one in compared])
     independent = float(compared[0].scene.independent.max(initial=0.0))
     scores = rules.body_weight * independent * evidence + weight * distances[:, 0] + rules.forward * forward
-    scores[0] += rules.prior[crowded]
+    scores[0] += rules.prior_crowded if crowded else rules.prior
     return scores
 
 
@@ -200,7 +202,7 @@ def _starts(mean: Floats, samples: Samples, rules: ForeignRules) -> list[Ints]:
         for size in rules.sizes:
             for turn in 2.0 * np.pi * np.arange(rules.headings) / rules.headings:
                 for top in (False, True):
-                    placed = _laid(centred @ _about_z(turn).T * size, points, top)
+                    placed = place_mean_body(centred @ _about_z(turn).T * size, points, top)
                     pairs = _matched(placed, centred, points, radius, rules)
                     if len(pairs[0]) >= max(4, 0.5 * min(len(centred), len(points))):
                         label = np.full(samples.tracks, NULL, dtype=np.int64)
@@ -209,7 +211,7 @@ def _starts(mean: Floats, samples: Samples, rules: ForeignRules) -> list[Ints]:
     return list(found.values())
 
 
-def _laid(body: Floats, points: Floats, top: bool) -> Floats:
+def place_mean_body(body: Floats, points: Floats, top: bool) -> Floats:
     """A body (M, 3) moved onto points (n, 3): its lowest or highest marker on theirs, its middle on that of the points at its height."""
     side = np.max if top else np.min
     body = body + np.array([0.0, 0.0, side(points[:, 2]) - side(body[:, 2])])

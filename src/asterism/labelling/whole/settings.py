@@ -38,10 +38,11 @@ class ForeignRules:
     max_starts       labellings that are refined, the ones whose distances fit best
     same             share of common labels from which two labellings are the same one
     body_weight      weight of the body model's evidence
-    distance_weight  weight of the distances; and where the recording is crowded and no labelling has a scatter up to `close`: among many
-                     points some always fit
-    close            see above
-    prior            nats for the labels so far against others; and in a crowded recording
+    distance_weight  weight of the near-rigid distances
+    distance_weight_crowded  the same in a crowded recording in which no labelling has a scatter up to `close`
+    close            scatter of the distances, as a share of them, up to which a labelling fits even in a crowd
+    prior            nats for the labels so far against others
+    prior_crowded    the same in a crowded recording
     forward          nats for a body that travels forward
     min_speed        m/s from which a body travels
     backward         `forward_share` up to which a body seems to walk backwards
@@ -54,20 +55,20 @@ class ForeignRules:
     scale            nats of evidence between two whole labellings that make the odds e to 1
     crowded          points left over, as a share of the markers, from which a recording is crowded
     log_odds         log odds that a label of a foreign recording is right: a logistic regression on clinical-lower and pig39, of each label
-    by_margin        log odds per 4 nats by which its distances beat the best exchange; that margin is clipped to `margin_range`
-    by_deviation     what each standard deviation takes away by which the distances of a tracklet differ from its marker's elsewhere in the
-                     recording, beyond `max_deviation`
-    max_deviation    see above
-    margin_range     see above
-    by_hidden        what each nat takes away that its distances lack to beat those of the best hidden marker by `hidden_margin`: a heel
-                     looks like the ankle beside it where only one of the two is seen, and fewer than `hidden_people` people taught them
-    hidden_margin    see above
-    hidden_people    see above
-    by_fit           what 2 nats of the tracklet's fit add, counted within `fits`
-    fits             see above
-    by_certainty     what each 2 log odds add that the label has where recordings fit
-    by_surplus       what e^2 points take away that are left over in a usual frame
-    least_confidence labels that this evidence makes less certain are taken back; and where points are left over
+    by_margin        log odds per 4 nats of distance margin, by which the label's distances beat those of the best exchange
+    margin_range     nats to which the distance margin is clipped
+    by_deviation     log odds lost per standard deviation by which a tracklet's distances differ from its marker's elsewhere
+    max_deviation    standard deviations up to which nothing is lost
+    by_hidden        log odds lost per nat that the label's distances lack to beat the best hidden marker's by `hidden_margin`: a heel
+                     looks like the ankle beside it where only one of the two is seen
+    hidden_margin    nats by which a hidden marker must be beaten
+    hidden_people    people who taught the model from which on hidden markers are no rivals
+    by_fit           log odds per 2 nats of the tracklet's fit
+    fits             nats to which the fit is clipped
+    by_certainty     log odds per 2 log odds that the label has where recordings fit
+    by_surplus       log odds lost where e^2 points are left over in a usual frame
+    least_confidence labels that this evidence makes less certain are taken back
+    least_confidence_crowded  the same where points are left over
     """
 
     frames: int = 60
@@ -78,9 +79,11 @@ class ForeignRules:
     max_starts: int = 3
     same: float = 0.7
     body_weight: float = 0.3
-    distance_weight: tuple[float, float] = (1.5, 0.5)
+    distance_weight: float = 1.5
+    distance_weight_crowded: float = 0.5
     close: float = 0.035
-    prior: tuple[float, float] = (7.0, 0.0)
+    prior: float = 7.0
+    prior_crowded: float = 0.0
     forward: float = 12.0
     min_speed: float = 0.4
     backward: float = -0.6
@@ -104,7 +107,8 @@ class ForeignRules:
     fits: tuple[float, float] = (-8.0, 2.0)
     by_certainty: float = 0.61
     by_surplus: float = 2.35
-    least_confidence: tuple[float, float] = (0.9, 0.95)
+    least_confidence: float = 0.9
+    least_confidence_crowded: float = 0.95
 
 
 @dataclass(frozen=True)

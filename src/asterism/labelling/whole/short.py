@@ -27,7 +27,7 @@ class ShortTrackletRules:
     seconds         those that last no longer, too
     crowd_seconds   where there is a crowd, the longest of the tracklets that may be taken as short
     crowded         points of long tracklets in a frame, for each marker, from which there is a crowd
-    min_shown       the same that must be left
+    min_shown       points of long tracklets for each marker that must remain in a frame
     min_long_frames share of the frames that must show enough long tracklets; else those of several bodies are labelled with the short ones
     min_labelled    share of the markers that a frame must show labelled, to label its other points
     min_score       nats, the most that the body can say against a label (negative)

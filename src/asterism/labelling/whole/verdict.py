@@ -152,9 +152,9 @@ class RigidDistances:
         return out
 
     def confidence_limits(self, scatter: Floats) -> Floats:
-        """What labels of frames may be as certain as, by the scatter of each frame: (T,) each.
+        """Upper limit of the confidence of each frame's labels, by the frame's scatter: (T,) each.
 
-        Just below 0.99 from the largest scatter that fits on; before it soon no longer limited; 1 where nothing can be compared. A model of
+        Just below 0.99 from the largest scatter that fits on; well below it, no limit; 1 where nothing can be compared. A model of
         standing trials knows no other pose, and a single frame does not show whether the person moves: there the confidence is limited
         from half that scatter on, and falls.
         """
