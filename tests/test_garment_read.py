@@ -71,6 +71,11 @@ def test_what_is_no_colour_image_is_refused() -> None:
         read_image(np.zeros((20, 20), np.uint8), sleeve().pattern)
 
 
+def test_an_image_of_a_few_pixels_is_refused_as_too_small() -> None:
+    with pytest.raises(AsterismError, match="an image of 2 x 1 pixels shows no garment"):
+        read_image(np.zeros((1, 2, 3), np.uint8), sleeve().pattern)
+
+
 @cache
 def sheet() -> Pattern:
     return coded(np.ones((16, 20), dtype=bool), (Piece("sheet", 0, 0, 16, 20),), seed=2)

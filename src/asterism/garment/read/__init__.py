@@ -20,6 +20,9 @@ from asterism.recording import Floats
 
 __all__ = ["ReadCircles", "ReadRules", "read_image"]
 
+_LEAST_SIDE = 8
+"""px a side that an image has at least: a circle needs 4, and one circle tells nothing."""
+
 
 @dataclass(frozen=True)
 class ReadCircles:
@@ -61,13 +64,18 @@ def read_image(image: NDArray[np.uint8], pattern: Pattern, rules: ReadRules | No
     Pixel (0, 0) has its middle at (0, 0). Circles come in the order of their regions from the upper left. The result depends on the image
     alone: no randomness, no state. Cost: O(pixels + circles); memory some 2 bytes a pixel, and some 50 for each run of coloured pixels in
     a row. What makes an image unreadable is in `findings`: no circles, no colours, another pattern. Raises AsterismError where the image is
-    not (h, w, 3) uint8.
+    not (h, w, 3) uint8, or has fewer than 8 pixels a side.
     """
     rules = rules or ReadRules()
     image = np.asarray(image)
-    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or min(image.shape[:2]) < 8:
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         size = " x ".join(map(str, image.shape))
         raise AsterismError(f"an image of {size} {image.dtype} cannot be read; give (height, width, 3) uint8, as OpenCV loads it.")
+    if min(image.shape[:2]) < _LEAST_SIDE:
+        height, width = image.shape[:2]
+        raise AsterismError(
+            f"an image of {width} x {height} pixels shows no garment; give a photo of at least {_LEAST_SIDE} pixels a side."
+        )
     circles = find_circles(np.ascontiguousarray(image), rules)
     links, _ = link_circles(circles, pattern.diameter / pattern.pitch, rules)
     # Three links: a chance neighbour makes one or two.
