@@ -24,7 +24,7 @@ from asterism.recording import NULL, Floats, Ints
 
 def twin_limits(lead: Floats, label: Ints, rules: TwinRules) -> Floats:
     """What labels (P,), columns of all bodies, may be as certain as, by the lead (L,) of each column: (P,)."""
-    return np.append(expit(lead / rules.scale), 1.0)[label]
+    return np.append(expit(rules.prior + lead / rules.scale), 1.0)[label]
 
 
 def joint_evidence(labellers: Sequence[BodyLabeller], scene: RecordingScene, label: Ints) -> float:
