@@ -21,6 +21,8 @@ from asterism.recording import Floats, Recording
 from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, Verdict
 from asterism.simulation import simulate_gaps_and_ghosts, simulate_standing, simulate_walks
 
+pytestmark = pytest.mark.kernels
+
 
 @pytest.fixture(scope="module")
 def walks() -> list[Recording]:
