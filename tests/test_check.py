@@ -94,7 +94,13 @@ sys.exit(check.main([]))
 def test_ctrl_c_ends_every_step_without_a_traceback() -> None:
     """The steps' own children too: their end of the pipe closes, so that reading it comes to an end."""
     words = [sys.executable, "-c", _SLEEPER.format(source=str(ROOT / "tools" / "check.py"))]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        words,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job starts with SIGINT ignored
+    ) as process:
         assert process.stdout is not None
         for line in process.stdout:
             if "asleep" in line:

@@ -529,9 +529,9 @@ def test_files_that_are_no_model_are_refused(tmp_path, content):
         MarkerModel.load(tmp_path / "no.model")
 
 
-@pytest.mark.parametrize("name", ["absent.model", "."])
-def test_a_missing_file_is_refused(tmp_path, name):
-    with pytest.raises(AsterismError, match="does not exist"):
+@pytest.mark.parametrize(("name", "sentence"), [("absent.model", "does not exist"), (".", "is a folder")])
+def test_a_missing_file_is_refused(tmp_path, name, sentence):
+    with pytest.raises(AsterismError, match=sentence):
         MarkerModel.load(tmp_path / name)
 
 
