@@ -106,9 +106,7 @@ class CompiledKernel:
         state = self.files.read("link", sig, context.codegen())
         if state is None:
             return None
-        compiled = CompileResult._rebuild(context, *state)
-        context.insert_user_function(compiled.entry_point, compiled.fndesc, [compiled.library])
-        return compiled
+        return CompileResult._rebuild(context, *state)
 
     def save_overload(self, sig: Any, compiled: Any) -> None:
         # What depends on values outside the source cannot be told apart by it.
