@@ -2,21 +2,128 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import difflib
+from collections.abc import Mapping, Sequence
 from typing import Any
+
+from asterism.errors import AsterismError
+from asterism.recording.place import CENTRAL_SEGMENTS, SIDED_SEGMENTS, USUAL_SPREAD, Place, landmarks, other_side
 
 _LONGEST_NAME = 200
 
 
 def fields_of(table: Mapping[str, Any], origin: str) -> dict[str, Any]:
     """The fields of a marker set. Raises ValueError that names the first one of another type."""
+    names = _texts("markers", table.get("markers"))
+    pairs = tuple(_pair(number, pair) for number, pair in enumerate(_list("pairs", table.get("pairs", []))))
     return {
-        "names": _texts("markers", table.get("markers")),
+        "names": names,
         "title": _text("title", table.get("title", origin)),
         "aliases": _lists("aliases", table.get("aliases", {})),
-        "pairs": tuple(_pair(number, pair) for number, pair in enumerate(_list("pairs", table.get("pairs", [])))),
+        "pairs": pairs,
         "segments": _lists("segments", table.get("segments", {})),
+        "places": _places(table.get("places", {}), names, pairs, origin),
     }
+
+
+def _places(table: Any, names: Sequence[str], pairs: Sequence[tuple[str, str]], origin: str) -> dict[str, Place]:
+    """The place of each marker that the table [places] tells, in the order of the markers. Raises AsterismError that names the entry.
+
+    The left marker of a pair stands for both, unless the right one has an entry of its own.
+    """
+    if not isinstance(table, dict):
+        raise ValueError(f"`places` is {_kind(table)}, not a table of places")
+    right_of = dict(pairs)
+    # A file without pairs means them where names differ in a first L and R alone.
+    if not pairs:
+        right_of = {name: "R" + name[1:] for name in names if name[:1] == "L" and "R" + name[1:] in names}
+    side_of = {**dict.fromkeys(right_of, "left"), **dict.fromkeys(right_of.values(), "right")}
+    own: dict[str, Place] = {}
+    for name, entry in table.items():
+        where = f"{origin}, places.{name[:40]}"
+        if name not in names:
+            raise AsterismError(f"{where}: {name[:40]!r} is not among the markers; list it there, or drop its place.")
+        try:
+            own[name] = _place(entry, side_of.get(name, ""))
+        except (AsterismError, ValueError) as problem:
+            raise AsterismError(f"{where}: {problem}") from problem
+    mirrored = {right: own[left].mirrored() for left, right in right_of.items() if left in own}
+    return {name: (mirrored | own)[name] for name in names if name in mirrored or name in own}
+
+
+def _place(entry: Any, side: str) -> Place:
+    """One entry of the table; side: "left" or "right" for a marker of a pair, else ""."""
+    if isinstance(entry, str):
+        entry = {"landmark": entry}
+    if not isinstance(entry, dict):
+        raise ValueError(f'it is {_kind(entry)}; write {{ segment = "thigh", place = [0.02, 0.08, -0.5] }} or the name of a landmark.')
+    unknown = next((key for key in entry if key not in ("landmark", "segment", "place", "spread", "wand", "plate")), None)
+    if unknown is not None:
+        raise ValueError(f"{unknown[:40]!r} says nothing; a place has segment and place, or landmark, and spread, wand and plate.")
+    plate, wand = entry.get("plate", ""), entry.get("wand")
+    if not isinstance(plate, str) or len(plate) > _LONGEST_NAME:
+        raise ValueError("`plate` is not the short name of a plate; write a text.")
+    if not isinstance(wand, bool | None):
+        raise ValueError(f"`wand` is {_kind(wand)}; write true or false.")
+    spread = None if entry.get("spread") is None else _number("spread", entry["spread"])
+    if "landmark" in entry:
+        segment, at, known_spread, known_wand = _landmark_of(entry)
+        # A landmark of the right side is its left one, mirrored.
+        if side == "right" or entry["landmark"].startswith("right "):
+            at = (at[0], 0.0 - at[1], at[2])
+    else:
+        segment, at, known_spread, known_wand = _segment(entry.get("segment")), _three(entry.get("place")), USUAL_SPREAD, False
+    if segment in SIDED_SEGMENTS:
+        if not side:
+            raise ValueError(f"{segment!r} is on both sides and the marker is of no pair; write 'left {segment}' or 'right {segment}'.")
+        segment = f"{side} {segment}"
+    elif side and segment == other_side(f"{side} {segment.partition(' ')[2]}"):
+        raise ValueError(f"it is the {side} one of a pair and sits on the {segment}; exchange the pair or mend the segment.")
+    # Each side has a plate of its own.
+    if plate and side and not plate.startswith(("left ", "right ")):
+        plate = f"{side} {plate}"
+    return Place(segment, at, known_spread if spread is None else spread, known_wand if wand is None else wand, plate)
+
+
+def _landmark_of(entry: Mapping[str, Any]) -> tuple[str, tuple[float, float, float], float, bool]:
+    """Segment, place, spread and wand of the landmark that an entry names, as on the left side."""
+    if "segment" in entry or "place" in entry:
+        raise ValueError("it has a landmark and a segment or place; keep one of the two.")
+    full = entry["landmark"]
+    if not isinstance(full, str):
+        raise ValueError(f"`landmark` is {_kind(full)}; write the name of one.")
+    known = landmarks()
+    name = full.removeprefix("left ").removeprefix("right ")
+    if name not in known:
+        near = difflib.get_close_matches(name[:80], known, n=3, cutoff=0.4)
+        raise ValueError(f"no landmark is called {full[:40]!r}{'; near it: ' if near else ''}{', '.join(near)}; see docs/marker-sets.md.")
+    found = known[name]
+    side = full.partition(" ")[0] if full != name else ""
+    segment = f"{side} {found.segment}" if side and found.segment in SIDED_SEGMENTS else found.segment
+    return segment, found.at, found.spread, found.wand
+
+
+def _segment(value: Any) -> str:
+    known = (*CENTRAL_SEGMENTS, *SIDED_SEGMENTS)
+    if not isinstance(value, str):
+        raise ValueError(f"`segment` is {_kind(value)}; write one of {', '.join(known)}.")
+    if value.removeprefix("left ").removeprefix("right ") not in known:
+        raise ValueError(f"{value[:40]!r} is no segment of a body; write one of {', '.join(known)}.")
+    return value
+
+
+def _three(value: Any) -> tuple[float, float, float]:
+    if not isinstance(value, list) or len(value) != 3:
+        what = f"a list of {len(value)}" if isinstance(value, list) else _kind(value)
+        raise ValueError(f"`place` is {what}, not three numbers; write [ahead, left, up].")
+    return _number("place", value[0]), _number("place", value[1]), _number("place", value[2])
+
+
+def _number(what: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"`{what}` holds {_kind(value)} where a number belongs; write metres.")
+    # An integer beyond all floats is no length either.
+    return float(value) if abs(value) < 1e9 else float("inf")
 
 
 def _text(place: str, value: Any) -> str:

@@ -19,7 +19,7 @@ from asterism.labelling.training.model_state import ModelState
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.training.state_checks import check_state
 from asterism.labelling.whole.certainty import Certainty
-from asterism.recording import Floats, Ints, MarkerSet
+from asterism.recording import Floats, Ints, MarkerSet, Place
 
 _SOLVER_PREFIXES = {"partial-solvers": "partial_", "thesis": "thesis_"}
 """How the arrays of a model's partial solvers begin, by the rules that use them."""
@@ -33,13 +33,7 @@ def save_state(state: ModelState, path: str | os.PathLike[str]) -> None:
 def _head(state: ModelState) -> dict[str, Any]:
     """What is plain text in the file."""
     return {
-        "marker_set": {
-            "names": state.marker_set.names,
-            "title": state.marker_set.title,
-            "aliases": dict(state.marker_set.aliases),
-            "pairs": state.marker_set.pairs,
-            "segments": dict(state.marker_set.segments),
-        },
+        "marker_set": _plain_marker_set(state.marker_set),
         "usual_score": state.usual_score,
         "least_confidence": state.least_confidence,
         "least_confidence_in_time": state.certainty.least_confidence,
@@ -113,6 +107,17 @@ def load_state(path: str | os.PathLike[str]) -> ModelState:
         return state
 
 
+def _plain_marker_set(marker_set: MarkerSet) -> dict[str, Any]:
+    return {
+        "names": marker_set.names,
+        "title": marker_set.title,
+        "aliases": dict(marker_set.aliases),
+        "pairs": marker_set.pairs,
+        "segments": dict(marker_set.segments),
+        "places": {name: asdict(place) for name, place in marker_set.places.items()},
+    }
+
+
 def _marker_set(plain: dict[str, Any]) -> MarkerSet:
     return MarkerSet(
         tuple(plain["names"]),
@@ -120,7 +125,14 @@ def _marker_set(plain: dict[str, Any]) -> MarkerSet:
         {name: tuple(others) for name, others in plain["aliases"].items()},
         tuple((left, right) for left, right in plain["pairs"]),
         {name: tuple(members) for name, members in plain["segments"].items()},
+        # Models of an earlier Asterism do not say where markers sit.
+        {name: _place(place) for name, place in plain.get("places", {}).items()},
     )
+
+
+def _place(plain: dict[str, Any]) -> Place:
+    ahead, left, up = plain["at"]
+    return Place(plain["segment"], (float(ahead), float(left), float(up)), float(plain["spread"]), bool(plain["wand"]), str(plain["plate"]))
 
 
 def _certainty(head: dict[str, Any], arrays: dict[str, Any]) -> Certainty | None:

@@ -1,0 +1,104 @@
+"""Where markers sit on the body: read from a marker set's file, mirrored, kept, and refused where it is no place."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from asterism.errors import AsterismError
+from asterism.labelling import join_labellings
+from asterism.labelling.training.state_file import _marker_set, _plain_marker_set
+from asterism.recording import Labelling, MarkerSet, Place, landmarks
+
+LEGS = """
+markers = ["LTHI", "LKNE", "RTHI", "RKNE", "RBAK", "SACR"]
+pairs = [["LTHI", "RTHI"], ["LKNE", "RKNE"]]
+[places]
+LTHI = { segment = "thigh", place = [0.02, 0.085, -0.55], spread = 0.015, wand = true, plate = "thigh" }
+RTHI = { segment = "thigh", place = [0.03, -0.090, -0.40] }
+LKNE = "lateral epicondyle of femur"
+RBAK = { landmark = "right shoulder blade", spread = 0.02 }
+SACR = { segment = "pelvis", place = [-0.1, 0, 0] }
+"""
+
+
+def test_the_left_of_a_pair_stands_for_both_unless_the_right_has_its_own():
+    places = MarkerSet.from_toml(LEGS, "legs").places
+    assert list(places) == ["LTHI", "LKNE", "RTHI", "RKNE", "RBAK", "SACR"]
+    assert places["LTHI"] == Place("left thigh", (0.02, 0.085, -0.55), 0.015, True, "left thigh")
+    assert places["RTHI"] == Place("right thigh", (0.03, -0.090, -0.40))
+    known = landmarks()["lateral epicondyle of femur"]
+    assert (places["LKNE"].segment, places["LKNE"].at) == ("left thigh", known.at)
+    assert places["RKNE"] == places["LKNE"].mirrored()
+    assert places["RBAK"].at[1] == -landmarks()["shoulder blade"].at[1]
+    assert places["RBAK"].spread == 0.02
+
+
+def test_a_place_mirrored_twice_is_itself():
+    place = Place("left foot", (0.1, 0.03, -0.05), 0.01, False, "left plate")
+    assert place.mirrored() == Place("right foot", (0.1, -0.03, -0.05), 0.01, False, "right plate")
+    assert place.mirrored().mirrored() == place
+
+
+def test_names_that_differ_in_their_side_are_pairs_where_the_file_has_none():
+    places = MarkerSet.from_toml('markers = ["LKNE", "RKNE"]\n[places]\nLKNE = "lateral epicondyle of femur"', "two").places
+    assert places["RKNE"] == places["LKNE"].mirrored()
+
+
+HEAD = 'markers = ["LTHI", "RTHI", "C7"]\npairs = [["LTHI", "RTHI"]]\n[places]\n'
+
+
+@pytest.mark.parametrize(
+    "entry, what",
+    [
+        ('LTHI = { segment = "tigh", place = [0, 0, 0] }', "places.LTHI: 'tigh' is no segment of a body"),
+        ('LKNE = "C7"', "'LKNE' is not among the markers; list it there"),
+        ('LTHI = { segment = "thigh", place = [0, 0] }', "a list of 2, not three numbers"),
+        ('LTHI = { segment = "thigh", place = [0, "a", 0] }', "a text where a number belongs"),
+        ('LTHI = { segment = "thigh", place = [nan, 0, 0] }', "three finite numbers"),
+        ('LTHI = { segment = "thigh", place = [0, 85, -0.5] }', "give metres"),
+        ('LTHI = { segment = "thigh", place = [0, 0.085, -230] }', "give a share of the bone's length"),
+        ('LTHI = { segment = "thigh", place = [0, 0, 0], spread = -1 }', "a spread of -1 is not between 0 and 0.1 m"),
+        ('LTHI = { segment = "thigh", place = [0, 0, 0], spread = 8 }', "a spread of 8 is not between"),
+        ('LTHI = { segment = "thigh", place = [0, 0, 0], wand = 1 }', "write true or false"),
+        ('LTHI = { segment = "thigh", place = [0, 0, 0], plate = 1 }', "`plate` is not the short name"),
+        ('LTHI = { segment = "thigh", place = [0, 0, 0], wnad = true }', "'wnad' says nothing"),
+        ('LTHI = { segment = "right thigh", place = [0, 0, 0] }', "the left one of a pair and sits on the right thigh"),
+        ('C7 = { segment = "thigh", place = [0, 0, 0] }', "write 'left thigh' or 'right thigh'"),
+        ('LTHI = "side of tigh"', "near it: side of thigh"),
+        ('LTHI = { landmark = "C7", segment = "thigh" }', "keep one of the two"),
+        ("LTHI = 3", "it is a number"),
+        ("LTHI = {}", "`segment` is missing"),
+    ],
+)
+def test_what_is_no_place_is_refused_with_file_and_marker(entry, what):
+    with pytest.raises(AsterismError) as caught:
+        MarkerSet.from_toml(HEAD + entry, "my-set.toml")
+    text = str(caught.value)
+    assert text.startswith("my-set.toml, places.")
+    assert what in text
+    assert text.endswith(".")
+
+
+def test_places_of_no_table_are_refused():
+    with pytest.raises(AsterismError, match="`places` is a list, not a table of places"):
+        MarkerSet.from_toml('markers = ["C7"]\nplaces = []', "my-set.toml")
+
+
+def test_places_stay_with_the_set_in_a_model_file():
+    marker_set = MarkerSet.load("plug-in-gait")
+    plain = json.loads(json.dumps(_plain_marker_set(marker_set)))
+    assert _marker_set(plain) == marker_set
+    # Models of an earlier Asterism say nothing of places.
+    del plain["places"]
+    assert _marker_set(plain).places == {}
+
+
+def test_bodies_beside_each_other_keep_their_places():
+    marker_set = MarkerSet.load("helen-hayes")
+    labelling = Labelling(np.full((2, 15), -1), np.zeros((2, 15)), marker_set.names)
+    _, both = join_labellings([labelling] * 2, [marker_set] * 2, subjects=["Ann", "Ben"])
+    assert both.places["Ben:LTHI"] == marker_set.places["LTHI"]
+    assert len(both.places) == 30
