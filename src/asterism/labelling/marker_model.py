@@ -87,6 +87,8 @@ class MarkerModel:
     def rigid_distances(self) -> RigidDistances | None:
         """The near-rigid distances of the training, by which a recording is judged; None in a model that keeps no sample of it."""
         training, state = self.state.training, self.state
+        if state.distances is not None:
+            return state.distances
         if training is None or not training.sample.clips:
             return None
         frames, people = training.sample.frames()

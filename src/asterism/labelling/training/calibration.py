@@ -190,6 +190,19 @@ class LabelCalibration:
         return cls(own, known, people / (people + prior.people))
 
 
+VIRTUAL_IN_FRAMES = LabelCalibration(np.array(IN_FRAMES.of_several), np.array(IN_FRAMES.of_several), 1.0)
+"""Of models of virtual people, for single frames."""
+
+VIRTUAL_IN_TIME = LabelCalibration(np.array(IN_TIME.of_several), np.array(IN_TIME.of_several), 1.0)
+"""The same for whole recordings."""
+
+
+def curve_of(calibration: LabelCalibration, left_over: int) -> Calibration:
+    """The confidence that labels of the usual fit have by their margin alone, as streams read it. left_over: 0 or 1."""
+    margin = np.linspace(MARGIN_KNOTS[0], MARGIN_KNOTS[-1], 2 * round(MARGIN_KNOTS[-1] - MARGIN_KNOTS[0]) + 1)
+    return Calibration(margin, calibration.confidence(margin, 0.0, left_over))
+
+
 def _regression(margin: Floats, fit: Floats, right: Floats, weight: Floats) -> Floats:
     """The weights (9,) of a logistic regression on labels of m kinds, `weight` of each, whose pieces have no negative weight.
 
