@@ -10,7 +10,7 @@ import pytest
 from asterism.errors import AsterismError
 from asterism.labelling import join_labellings
 from asterism.labelling.training.state_file import _marker_set, _plain_marker_set
-from asterism.recording import Labelling, MarkerSet, Place, landmarks
+from asterism.recording import Labelling, MarkerSet, Place, landmarks, shipped_marker_sets
 
 LEGS = """
 markers = ["LTHI", "LKNE", "RTHI", "RKNE", "RBAK", "SACR"]
@@ -45,6 +45,43 @@ def test_a_place_mirrored_twice_is_itself():
 def test_names_that_differ_in_their_side_are_pairs_where_the_file_has_none():
     places = MarkerSet.from_toml('markers = ["LKNE", "RKNE"]\n[places]\nLKNE = "lateral epicondyle of femur"', "two").places
     assert places["RKNE"] == places["LKNE"].mirrored()
+
+
+DIAMETER = 0.012
+"""m, of the smallest usual marker for whole bodies; on hands and feet it is half of that."""
+
+
+@pytest.mark.parametrize("name", shipped_marker_sets())
+def test_every_marker_of_a_shipped_set_has_a_place_and_none_sits_on_another(name):
+    marker_set = MarkerSet.load(name)
+    assert list(marker_set.places) == list(marker_set.names)
+    for segment in {place.segment for place in marker_set.places.values()}:
+        on = [(marker, place) for marker, place in marker_set.places.items() if place.segment == segment]
+        # A limb of a body of 1.70 m is 0.25 m or longer.
+        at = np.array([place.at for _, place in on]) * [1.0, 1.0, 0.25 if on[0][1].limb else 1.0]
+        apart = np.linalg.norm(at[:, None] - at, axis=2) + np.eye(len(at))
+        i, j = np.unravel_index(np.argmin(apart), apart.shape)
+        assert apart[i, j] > DIAMETER, f"{on[i][0]} and {on[j][0]} are {1000 * apart[i, j]:.0f} mm apart"
+
+
+@pytest.mark.parametrize("name", shipped_marker_sets())
+def test_pairs_sit_on_both_sides_of_one_place(name):
+    """The same segment, mirrored."""
+    marker_set = MarkerSet.load(name)
+    for left, right in marker_set.pairs:
+        one, other = marker_set.places[left], marker_set.places[right].mirrored()
+        assert (one.segment, one.spread, one.wand, one.plate) == (other.segment, other.spread, other.wand, other.plate)
+        # Two published sets number the loose markers of their limbs otherwise on either side.
+        assert name in ("opencap-lab", "landmarks-73") or np.allclose(one.at, other.at), (left, right)
+
+
+def test_a_plate_lies_on_one_segment():
+    for name in shipped_marker_sets():
+        on: dict[str, set[str]] = {}
+        for place in MarkerSet.load(name).places.values():
+            if place.plate:
+                on.setdefault(place.plate, set()).add(place.segment)
+        assert all(len(segments) == 1 for segments in on.values()), (name, on)
 
 
 HEAD = 'markers = ["LTHI", "RTHI", "C7"]\npairs = [["LTHI", "RTHI"]]\n[places]\n'

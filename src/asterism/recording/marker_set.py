@@ -147,7 +147,7 @@ def shipped_marker_sets() -> tuple[str, ...]:
     """Names of the marker sets that come with Asterism.
 
     >>> shipped_marker_sets()[:3]
-    ('cast', 'helen-hayes', 'helen-hayes-medial')
+    ('cast', 'cleveland-clinic', 'clouthier')
     """
     folder = resources.files("asterism").joinpath("marker_sets")
     return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml")))
