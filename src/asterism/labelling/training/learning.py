@@ -21,10 +21,18 @@ from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.features.motion_points import frames_with_motion
 from asterism.labelling.features.registry import kinds_of, needs_motion
 from asterism.labelling.partial.solver_search import check_miner
-from asterism.labelling.training.calibration import IN_FRAMES, IN_TIME, Calibration, LabelCalibration, LabelTrials
+from asterism.labelling.training.calibration import (
+    BESIDE_VIRTUAL_IN_FRAMES,
+    BESIDE_VIRTUAL_IN_TIME,
+    IN_FRAMES,
+    IN_TIME,
+    Calibration,
+    LabelCalibration,
+    LabelTrials,
+)
 from asterism.labelling.training.sample import FEWEST_SHOWN, Sample
 from asterism.labelling.training.trials import TrainingTrial
-from asterism.labelling.training.virtual import VirtualFrames
+from asterism.labelling.training.virtual import VirtualFrames, placed_by_neighbours
 from asterism.labelling.whole.certainty import Certainty, least_confidence_in_time
 from asterism.labelling.whole.label import run_trials
 from asterism.labelling.whole.settings import RecordingLabellingSettings
@@ -292,27 +300,28 @@ def learn_body(
     sides = [in_frames.left_over == side for side in (0, 1)]
     none, some = (Calibration.fit(in_frames.margin[side], in_frames.right[side]) for side in sides)
     count = len(np.unique(people))
-    certainty = Certainty(LabelCalibration.fitted(in_time, count, IN_TIME), least_confidence_in_time(config.target_hit_rate))
+    of_frames, of_time = (IN_FRAMES, IN_TIME) if virtual is None else (BESIDE_VIRTUAL_IN_FRAMES, BESIDE_VIRTUAL_IN_TIME)
+    certainty = Certainty(LabelCalibration.fitted(in_time, count, of_time), least_confidence_in_time(config.target_hit_rate))
     usual_score = float(np.median([part.usual_score for part in learned]))
     # The median of several smaller models is steadier than the whole model's own score on its training.
-    return LearnedBody(body, anchors, usual_score, (none, some), LabelCalibration.fitted(in_frames, count, IN_FRAMES), certainty)
+    return LearnedBody(body, anchors, usual_score, (none, some), LabelCalibration.fitted(in_frames, count, of_frames), certainty)
 
 
-def fit_whole(
-    frames: Floats, people: Ints, config: TrainingConfig, virtual: VirtualFrames | None = None
-) -> tuple[BodyModel, Anchors]:
+def fit_whole(frames: Floats, people: Ints, config: TrainingConfig, virtual: VirtualFrames | None = None) -> tuple[BodyModel, Anchors]:
     """The body and its anchors from all frames."""
-    frames, people, weights = _beside(virtual, frames, people, config.rules)
+    frames, people, weights = beside(virtual, frames, people, config.rules, config.seed)
     body = fit_body(frames, people, config.rules.body, config.seed, weights)
     return body, choose_anchors(frames, people, body, AnchorRules(), np.random.default_rng(config.seed))
 
 
-def _beside(
-    virtual: VirtualFrames | None, frames: Floats, people: Ints, rules: TrainingRules
+def beside(
+    virtual: VirtualFrames | None, frames: Floats, people: Ints, rules: TrainingRules, seed: int
 ) -> tuple[Floats, Ints, Floats | None]:
     """Frames of real people, then of virtual ones; whose each is; and how much each person counts, None where all count alike."""
     if virtual is None:
         return frames, people, None
+    # Only of these people's frames: a place taken from somebody who is left out would have seen them.
+    virtual = placed_by_neighbours(virtual, frames, seed)
     count = int(people.max()) + 1 if len(people) else 0
     others = int(virtual.people.max()) + 1
     weights = np.concatenate([np.ones(count), np.full(others, rules.virtual_weight / others)])
@@ -347,7 +356,7 @@ def _fit_without(
     """Learn from the frames that are not `out` (N,); None where no frame of the people left out can be scored."""
     rules = config.rules
     # A marker that only the people left out wear cannot be learned from the others.
-    others, whose, weights = _beside(virtual, frames[~out], renumbered(people[~out]), rules)
+    others, whose, weights = beside(virtual, frames[~out], renumbered(people[~out]), rules, config.seed)
     markers = np.nonzero(~np.isnan(others[:, :, 0]).all(axis=0))[0]
     others, tested = others[:, markers], frames[np.ix_(out, markers)]
     body = fit_body(others, whose, rules.body, config.seed, weights)

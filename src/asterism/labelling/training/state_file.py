@@ -14,7 +14,7 @@ from asterism.labelling.body.model import BodyModel
 from asterism.labelling.partial.matrix import PartialSolvers
 from asterism.labelling.training.calibration import MAX_SLOPE, PIECES, Calibration, LabelCalibration
 from asterism.labelling.training.learning import TrainingConfig, TrainingState
-from asterism.labelling.training.model_file import reading, write_arrays
+from asterism.labelling.training.model_file import VIRTUAL_SINCE, reading, write_arrays
 from asterism.labelling.training.model_state import ModelState
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.training.state_checks import check_state
@@ -92,8 +92,8 @@ def load_state(path: str | os.PathLike[str]) -> ModelState:
         sample = _with_prefix(arrays, "sample_")
         config = TrainingConfig.from_dict(head["recipe"]) if head.get("recipe") else None
         training = None
-        # A model of virtual people alone has no sample, and learns on.
-        if config is not None and (sample or config.rules.virtual_people):
+        # A model of virtual people alone has no sample, and learns on; one of an earlier Asterism does not.
+        if config is not None and (sample or head["version"] >= VIRTUAL_SINCE):
             training = TrainingState(Sample.from_arrays(sample, len(marker_set)) if sample else Sample(), config)
         state = ModelState(
             marker_set=marker_set,
