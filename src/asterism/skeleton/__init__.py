@@ -5,7 +5,8 @@ says, moved as hands and skin move them. No recording of a real person is in it.
 """
 
 from asterism.skeleton.build import BuildRules
-from asterism.skeleton.people import MOVEMENTS, VirtualRules, virtual_people
+from asterism.skeleton.movements import MOVEMENTS
+from asterism.skeleton.people import VirtualRules, virtual_people
 from asterism.skeleton.worn import WearRules
 
 __all__ = ["MOVEMENTS", "BuildRules", "VirtualRules", "WearRules", "virtual_people"]

@@ -10,11 +10,11 @@ from asterism.errors import AsterismError
 from asterism.recording import Floats, MarkerSet, Recording
 from asterism.skeleton.build import BuildRules, random_build
 from asterism.skeleton.kinematics import about, markers, on_the_floor, pose
-from asterism.skeleton.movements import heading, moving, running, standing, walking
+from asterism.skeleton.movements import BY_STEPS, MOVEMENTS, heading
 from asterism.skeleton.worn import WearRules, places_of, put_on
 
-MOVEMENTS = {"walk": walking, "run": running, "stand": standing, "move": moving}
-"""What virtual people do, by name."""
+ACT = "act"
+"""In `VirtualRules`: one of the movements of the book, drawn for each recording."""
 
 FEWEST_FRAMES = 5
 """Frames of one recording: fewer have no path over the floor."""
@@ -26,21 +26,21 @@ class VirtualRules:
 
     build  how they differ in build
     wear   how the markers are put on them
-    share  of a person's frames in each of `MOVEMENTS`
+    share  of a person's frames in each of `MOVEMENTS`, or "act" for any of those that go step by step
     take   frames of one recording of each: postures of people who stand, and ways of walking, are one for each recording
     noise  m, standard deviation of each coordinate: what cameras add
     """
 
     build: BuildRules = field(default_factory=BuildRules)
     wear: WearRules = field(default_factory=WearRules)
-    share: tuple[tuple[str, float], ...] = (("walk", 0.3), ("run", 0.1), ("stand", 0.2), ("move", 0.4))
-    take: tuple[tuple[str, int], ...] = (("walk", 50), ("run", 50), ("stand", 12), ("move", 1000))
+    share: tuple[tuple[str, float], ...] = (("walk", 0.25), ("run", 0.1), ("stand", 0.2), ("move", 0.25), ("act", 0.2))
+    take: tuple[tuple[str, int], ...] = (("walk", 50), ("run", 50), ("stand", 12), ("move", 1000), ("act", 10))
     noise: float = 0.0005
 
     def __post_init__(self) -> None:
-        unknown = {name for name, _ in (*self.share, *self.take)} - set(MOVEMENTS)
+        unknown = {name for name, _ in (*self.share, *self.take)} - {*MOVEMENTS, ACT}
         if unknown:
-            raise AsterismError(f"virtual people do not know how to {min(unknown)}; choose among {', '.join(MOVEMENTS)}.")
+            raise AsterismError(f"virtual people do not know how to {min(unknown)}; choose among {', '.join((*MOVEMENTS, ACT))}.")
 
 
 def virtual_people(
@@ -79,12 +79,15 @@ def virtual_people(
         worn = put_on(rng, build, worn_set, rules.wear)
         for kind, (name, count, take) in enumerate(_takes(rules, frames)):
             own = np.random.default_rng([seed, number, kind, take])
-            angles = MOVEMENTS[name](np.arange(count) / rate, own)
-            segments = pose(build, angles)
-            positions = markers(worn, segments, angles) + on_the_floor(segments.soles, rate)[:, None]
+            does = str(own.choice(BY_STEPS)) if name == ACT else name
+            motion = MOVEMENTS[does](np.arange(count) / rate, own)
+            segments = pose(build, motion.angles)
+            path = on_the_floor(segments.touch, rate)
+            path[:, 2] += motion.above
+            positions = markers(worn, segments, motion.angles) + path[:, None]
             positions = _in_the_room(positions, rate, own) + own.normal(0.0, rules.noise, positions.shape)
             about_it = {
-                "file": f"virtual {number:03d} {name} {take}",
+                "file": f"virtual {number:03d} {does} {take}",
                 "format": "virtual",
                 "units": "m",
                 "subject": f"V{number:03d}",
@@ -96,7 +99,7 @@ def virtual_people(
 
 def _takes(rules: VirtualRules, frames: int) -> list[tuple[str, int, int]]:
     """Movement, number of frames and number of each recording of one person."""
-    total, length = sum(share for _, share in rules.share), dict(rules.take)
+    total, length = sum(share for _, share in rules.share), {name: 50 for name in MOVEMENTS} | dict(rules.take)
     found = []
     for name, share in rules.share:
         count = round(frames * share / total)

@@ -18,11 +18,21 @@ _SPREAD_DEG = {"turn": 14, "palm": 25, "wrist": 12, "deviate": 6, "shrug": 4, "o
 
 @dataclass(frozen=True)
 class Posture:
-    """Postures by name: of arms, legs and trunk."""
+    """Postures by name: of arms, legs and trunk, and how the body as a whole lies."""
 
     arms: str
     legs: str
     trunk: str
+    whole: str = "upright"
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a movement: the posture to which it leads, s that it takes, and m by which the body is then above the floor."""
+
+    posture: Posture
+    seconds: float
+    above: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -31,15 +41,19 @@ class PostureBook:
 
     arms, legs  name -> ((angles) of the first side, (angles) of the other) in degrees, in the order of `ARM` and `LEG`
     trunk       name -> tilt, lean, side, spin in degrees
+    whole       name -> lie, roll in degrees
     together    postures that go together
     share       (len(together),) how often each is taken, with a sum of 1
+    movements   name -> steps, again and again
     """
 
     arms: dict[str, tuple[tuple[float, ...], tuple[float, ...]]]
     legs: dict[str, tuple[tuple[float, ...], tuple[float, ...]]]
     trunk: dict[str, tuple[float, ...]]
+    whole: dict[str, tuple[float, ...]]
     together: tuple[Posture, ...]
     share: Floats
+    movements: dict[str, tuple[Step, ...]]
 
     def standing(self) -> tuple[tuple[Posture, ...], Floats]:
         """Postures in which one stands upright, and their shares."""
@@ -54,8 +68,14 @@ def posture_book() -> PostureBook:
     table = tomllib.loads(resources.files("asterism").joinpath("skeleton", "postures.toml").read_text(encoding="utf-8"))
     arms, legs = ({name: (tuple(rows[0]), tuple(rows[-1])) for name, rows in table[part].items()} for part in ("arms", "legs"))
     share = np.array([float(row[3]) for row in table["together"]])
-    trunk = {name: tuple(row) for name, row in table["trunk"].items()}
-    return PostureBook(arms, legs, trunk, tuple(Posture(*row[:3]) for row in table["together"]), share / share.sum())
+    trunk, whole = ({name: tuple(row) for name, row in table[part].items()} for part in ("trunk", "whole"))
+    together = tuple(Posture(*row[:3], *row[4:]) for row in table["together"])
+    movements = {name: tuple(_step(*row) for row in rows) for name, rows in table["movements"].items()}
+    return PostureBook(arms, legs, trunk, whole, together, share / share.sum(), movements)
+
+
+def _step(arms: str, legs: str, trunk: str, seconds: float, whole: str = "upright", above: float = 0.0) -> Step:
+    return Step(Posture(arms, legs, trunk, whole), seconds, above)
 
 
 def any_posture(rng: np.random.Generator, apart: float) -> Posture:
@@ -70,13 +90,13 @@ def any_posture(rng: np.random.Generator, apart: float) -> Posture:
     return Posture(arms, legs, trunk)
 
 
-def taken(rng: np.random.Generator, posture: Posture, looseness: float = 1.0) -> Floats:
-    """(A,) rad, the posture as one person takes it, with left and right exchanged in half of the draws.
+def taken(rng: np.random.Generator, posture: Posture, looseness: float = 1.0, exchanged: bool | None = None) -> Floats:
+    """(A,) rad, the posture as one person takes it.
 
-    looseness: times the spread of people about the book's angles.
+    looseness: times the spread of people about the book's angles; exchanged: whether left and right are, in half of the draws by default.
     """
     book = posture_book()
-    exchanged = rng.random() < 0.5
+    exchanged = rng.random() < 0.5 if exchanged is None else exchanged
     degrees = np.zeros(len(ANGLES))
     for rows, names in ((book.arms[posture.arms], ARM), (book.legs[posture.legs], LEG)):
         # what both sides share of the deviation, and what each has of its own
@@ -95,4 +115,8 @@ def taken(rng: np.random.Generator, posture: Posture, looseness: float = 1.0) ->
     degrees[COLUMN["nod"]] = -0.5 * degrees[COLUMN["lean"]] + 12.0 * looseness * rng.normal()
     degrees[COLUMN["look"]] = 18.0 * looseness * rng.normal()
     degrees[COLUMN["cock"]] = 6.0 * looseness * rng.normal()
+    lie, roll = book.whole[posture.whole]
+    tipped = bool(lie or roll)
+    degrees[COLUMN["lie"]] = lie + 8.0 * tipped * looseness * rng.normal()
+    degrees[COLUMN["roll"]] = mirror * roll + 8.0 * tipped * looseness * rng.normal()
     return limited(np.radians(degrees))
