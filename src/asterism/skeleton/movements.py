@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from asterism.recording import Floats
 from asterism.skeleton.angles import COLUMN, limited, restless, slow_curves
-from asterism.skeleton.postures import Posture, Step, any_posture, posture_book, taken
+from asterism.skeleton.postures import Posture, Step, any_posture, like_a_recorded_one, posture_book, taken
 
 GAIT_DEG = {
     "hip": (30, 25, 16, 6, -4, -10, -2, 15, 28, 32),
@@ -60,15 +60,18 @@ def standing(time: Floats, rng: np.random.Generator) -> Motion:
     return _on_the_floor(taken(rng, posture) + restless(time, rng, np.radians(0.7)))
 
 
-def moving(time: Floats, rng: np.random.Generator, apart: float = 0.5, hold: float = 0.8) -> Motion:
-    """Someone who goes from posture to posture, one every `hold` s or so.
+def moving(time: Floats, rng: np.random.Generator, recorded: float = 0.35, apart: float = 0.5, without: Collection[str] = ()) -> Motion:
+    """Someone who goes from posture to posture, one every 0.8 s or so.
 
-    apart: share of the postures with arms, legs and trunk drawn each by itself.
+    recorded: share of the postures that are near one of a recorded person, but for those of the sources `without`.
+    apart: share of the others with arms, legs and trunk drawn each by itself.
     """
     begins = [0.0]
     while begins[-1] < time[-1] + 0.1:
-        begins.append(begins[-1] + hold * rng.uniform(0.5, 1.6))
-    postures = np.array([taken(rng, any_posture(rng, apart)) for _ in begins])
+        begins.append(begins[-1] + rng.uniform(0.4, 1.3))
+    postures = np.array(
+        [like_a_recorded_one(rng, without) if rng.random() < recorded else taken(rng, any_posture(rng, apart)) for _ in begins]
+    )
     # a fifth of the time is spent in the posture itself
     angles = _through(time, np.array(begins), postures, 0.8)
     return _on_the_floor(angles + restless(time, rng, np.radians(4.0)))

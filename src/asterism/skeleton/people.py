@@ -8,9 +8,10 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.recording import Floats, MarkerSet, Recording
+from asterism.skeleton.angles import habits, limited
 from asterism.skeleton.build import BuildRules, random_build
 from asterism.skeleton.kinematics import about, markers, on_the_floor, pose
-from asterism.skeleton.movements import BY_STEPS, MOVEMENTS, heading
+from asterism.skeleton.movements import BY_STEPS, MOVEMENTS, heading, moving
 from asterism.skeleton.worn import WearRules, places_of, put_on
 
 ACT = "act"
@@ -28,13 +29,15 @@ class VirtualRules:
     wear   how the markers are put on them
     share  of a person's frames in each of `MOVEMENTS`, or "act" for any of those that go step by step
     take   frames of one recording of each: postures of people who stand, and ways of walking, are one for each recording
+    without  sources of recorded postures that are left out (`recorded.toml`), for an honest judgement on people of these
     noise  m, standard deviation of each coordinate: what cameras add
     """
 
     build: BuildRules = field(default_factory=BuildRules)
     wear: WearRules = field(default_factory=WearRules)
-    share: tuple[tuple[str, float], ...] = (("walk", 0.25), ("run", 0.1), ("stand", 0.2), ("move", 0.25), ("act", 0.2))
+    share: tuple[tuple[str, float], ...] = (("walk", 0.2), ("run", 0.1), ("stand", 0.2), ("move", 0.4), ("act", 0.1))
     take: tuple[tuple[str, int], ...] = (("walk", 50), ("run", 50), ("stand", 12), ("move", 1000), ("act", 10))
+    without: tuple[str, ...] = ()
     noise: float = 0.0005
 
     def __post_init__(self) -> None:
@@ -77,14 +80,17 @@ def virtual_people(
         rng = np.random.default_rng([seed, number])
         build = random_build(rng, low + (high - low) * (places[number] + rng.random()) / people, rules.build)
         worn = put_on(rng, build, worn_set, rules.wear)
+        held = habits(rng)
         for kind, (name, count, take) in enumerate(_takes(rules, frames)):
             own = np.random.default_rng([seed, number, kind, take])
             does = str(own.choice(BY_STEPS)) if name == ACT else name
-            motion = MOVEMENTS[does](np.arange(count) / rate, own)
-            segments = pose(build, motion.angles)
+            time = np.arange(count) / rate
+            motion = moving(time, own, without=rules.without) if does == "move" else MOVEMENTS[does](time, own)
+            angles = limited(motion.angles + held)
+            segments = pose(build, angles)
             path = on_the_floor(segments.touch, rate)
             path[:, 2] += motion.above
-            positions = markers(worn, segments, motion.angles) + path[:, None]
+            positions = markers(worn, segments, angles) + path[:, None]
             positions = _in_the_room(positions, rate, own) + own.normal(0.0, rules.noise, positions.shape)
             about_it = {
                 "file": f"virtual {number:03d} {does} {take}",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -10,10 +11,15 @@ from importlib import resources
 import numpy as np
 
 from asterism.recording import Floats
-from asterism.skeleton.angles import ANGLES, ARM, COLUMN, LEG, limited
+from asterism.skeleton.angles import ANGLES, ARM, COLUMN, LEG, MOVABLE, limited, mirrored
 
 _SPREAD_DEG = {"turn": 14, "palm": 25, "wrist": 12, "deviate": 6, "shrug": 4, "out": 4, "twist": 5, "yaw": 6, "pitch": 3}
 """How far people are from a posture of the book, by angle: degrees, standard deviation. Hands turn freely, feet stand on the floor."""
+
+
+_BETWEEN_CENTRES_DEG = 8.0
+"""How far postures are from the centre of their cluster: degrees, standard deviation, as the mean within clusters of the recorded ones is.
+At half, what lies between the centres is foreign; at double, centres are no more than the book's."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,23 @@ def posture_book() -> PostureBook:
 
 def _step(arms: str, legs: str, trunk: str, seconds: float, whole: str = "upright", above: float = 0.0) -> Step:
     return Step(Posture(arms, legs, trunk, whole), seconds, above)
+
+
+@cache
+def recorded_postures() -> dict[str, Floats]:
+    """Source -> (N, A) rad, postures that recorded people took: the centres of clusters in `recorded.toml`."""
+    table = tomllib.loads(resources.files("asterism").joinpath("skeleton", "recorded.toml").read_text(encoding="utf-8"))
+    return {source: limited(np.radians(np.array(rows, dtype=np.float64))) for source, rows in table.items()}
+
+
+def like_a_recorded_one(rng: np.random.Generator, without: Collection[str]) -> Floats:
+    """(A,) rad, a posture near one that somebody took who was recorded, with left and right exchanged in half of the draws.
+
+    without: sources of `recorded_postures` that are left out.
+    """
+    rows = np.concatenate([rows for source, rows in recorded_postures().items() if source not in without])
+    angles = rows[rng.integers(len(rows))] + np.radians(_BETWEEN_CENTRES_DEG) * rng.normal(size=len(ANGLES)) * MOVABLE
+    return limited(mirrored(angles) if rng.random() < 0.5 else angles)
 
 
 def any_posture(rng: np.random.Generator, apart: float) -> Posture:
