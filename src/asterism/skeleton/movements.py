@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -129,7 +129,7 @@ def _gait(
     time: Floats,
     rng: np.random.Generator,
     posture: Floats,
-    curves: dict[str, tuple[int, ...]],
+    curves: Mapping[str, tuple[int, ...]],
     cadence: float,
     vigour: float,
     swing: float,

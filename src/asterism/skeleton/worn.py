@@ -141,8 +141,8 @@ def put_on(rng: np.random.Generator, build: Build, marker_set: MarkerSet, rules:
         slide[m] *= rules.skin * SKIN[place.plain_segment] * of_segment[place.segment]
     along = np.array([-spot[2] / build.bones[place.segment] if place.limb else 0.0 for spot, place in zip(at, places, strict=True)])
     for plate in {place.plate for place in places if place.plate}:
-        own = [m for m, place in enumerate(places) if place.plate == plate]
-        along[own] = along[own].mean()
+        members = [m for m, place in enumerate(places) if place.plate == plate]
+        along[members] = along[members].mean()
     return Worn(tuple(place.segment for place in places), at, slide, along)
 
 
