@@ -14,6 +14,9 @@ from scipy.special import gammaln
 from asterism.recording import Floats, Ints
 from asterism.session.worn.shapes import BodyShapes
 
+_ORDERS = 0.5
+"""Share that counts of the freedom of extra points. With 1, a foot alone explains 64 points best; with 0, the largest set does."""
+
 
 @dataclass(frozen=True)
 class FitRules:
@@ -120,7 +123,7 @@ def _explained(placed: Floats, latents: Floats, shapes: BodyShapes, columns: Int
         body = mean + basis @ latents
         squared = ((body[:, None] - placed[None]) ** 2).sum(axis=2)
         # what a marker on this point gains over a marker that is missing and a point that is extra
-        another = rules.extra + np.log(max(1.0, extras))
+        another = rules.extra + _ORDERS * np.log(max(1.0, extras))
         gain = -0.5 * squared / variance[:, None] - 1.5 * np.log(2 * np.pi * variance)[:, None] - another - rules.missing
         markers, points = linear_sum_assignment(-np.maximum(gain, 0.0))
         taken = gain[markers, points] > 0.0
@@ -138,8 +141,8 @@ def _explained(placed: Floats, latents: Floats, shapes: BodyShapes, columns: Int
 
 def _number_of_extras(extras: int) -> float:
     """Nats of a set of so many points in any order that are no markers: files without any are half, and many are as likely as few."""
-    # n points of one kind have n! orders, of which the density of a set is the sum
-    return math.log(0.5) if not extras else float(gammaln(extras + 1)) - 2.0 * math.log(extras + 1) + math.log(0.5 / 0.645)
+    # n points of one kind have n! orders, of which the density of a set is the sum; extra points come in patterns, so that half counts
+    return math.log(0.5) if not extras else _ORDERS * float(gammaln(extras + 1)) - 2.0 * math.log(extras + 1) + math.log(0.5 / 0.645)
 
 
 def _posterior(points: Floats, columns: Ints, variance: Floats, shapes: BodyShapes) -> tuple[Floats, float]:
