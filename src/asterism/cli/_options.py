@@ -81,6 +81,16 @@ Vertical = Annotated[
     typer.Option(metavar="AXIS", help="What points up: x, y, z, -x, -y, -z or three numbers. Else as the file says.", show_default=False),
 ]
 Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Start of all random choices: same seed, same result.")]
+VirtualPeople = Annotated[
+    int | None,
+    typer.Option(
+        "--virtual-people",
+        metavar="N",
+        min=0,
+        help="Virtual people who teach the body beside the real ones, where the marker set has places. By default 80; 0 for none.",
+        show_default=False,
+    ),
+]
 Workers = Annotated[int, typer.Option(metavar="N", min=1, help="Threads that share the work; the result is the same.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
 Json = Annotated[
