@@ -275,8 +275,8 @@ def frame_scatters(distance, log_reference, softness, min_pairs, out):
 def frame_deviations(distance, log_reference, spread, most, min_pairs, out):
     """How far the distances of each frame are off a reference, in standard deviations: the root mean square, sizes of bodies set aside.
 
-    IN  distance (T, N) m, NaN where not known; log_reference (N,) logs of the reference's distances, NaN where not known; spread (N,) standard
-        deviation of each log; most standard deviations that one distance counts at most
+    IN  distance (T, N) m, NaN where not known; log_reference (N,) logs of the reference's distances, NaN where not known; spread (N,)
+        standard deviation of each log; most standard deviations that one distance counts at most
     OUT out (T,) NaN where fewer than `min_pairs` distances can be compared
     O(T N log N). Twin: `RigidDistances.nearest`, frame by frame.
 

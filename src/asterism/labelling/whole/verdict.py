@@ -43,11 +43,11 @@ class VerdictRules:
                      always fit
     own_scatter      largest scatter of a person of the training in another movement: 0.01 in those measured, and 0.02 of the nearest other
                      person. Not tuned
-    many_people      people of the training from which each distance is held against how much it differs among them: its standard deviation is
-                     then known to a sixth. At half of it, to a quarter; at twice, only large trainings are judged so
-    many_limit       root mean square of these deviations that fits, in standard deviations. Right labels of sets for choosing by virtual people
-                     reach 1.64, labels given at random begin at 1.6 and are at 2.3 or more in 95 of 100. At half of it half of all people
-                     are foreign, at twice nobody is
+    many_people      people of the training from which each distance is held against how much it differs among them: its standard deviation
+                     is then known to a sixth. At half of it, to a quarter; at twice, only large trainings are judged so
+    many_limit       root mean square of these deviations that fits, in standard deviations. Right labels of sets for choosing by virtual
+                     people reach 1.64, labels given at random begin at 1.6 and are at 2.3 or more in 95 of 100. At half of it half of all
+                     people are foreign, at twice nobody is
     most_deviation   standard deviations that one distance counts at most, so that one displaced marker makes nobody foreign. At half of it
                      right and random labels overlap, at twice nothing changes but for that
     body_scatter     scatter from which it is another body; with many people, this is twice the limit
@@ -140,6 +140,10 @@ class RigidDistances:
         most = max((scatter for scatter in rest if not np.isnan(scatter)), default=0.0)
         return replace(found, limit=float(np.clip(rules.left_out_factor * most, rules.min_limit, rules.max_limit)))
 
+    def is_own_person(self, scatter: float) -> bool:
+        """Whether a body with this scatter is one of the few people who taught the model."""
+        return len(self.median) < self.rules.min_people and scatter <= self.rules.own_scatter
+
     def spread_of_people(self) -> Floats:
         """How much the log of each distance differs among the training's people, sizes set aside: (N,) standard deviations.
 
@@ -159,10 +163,15 @@ class RigidDistances:
 
     @cached_property
     def log_references(self) -> Floats:
-        """The logs of the distances (R, N) that a body may be near to: the people's mean, then each of several people, unless they are many."""
+        """The logs of the distances (R, N) that a body may be near to: the people's mean, then each of several, unless they are many."""
         logs = log_distances(self.median)
         mean = _quietly(np.nanmean, logs, axis=0)
         return np.stack([mean, *(logs if len(logs) > 1 and self.spread is None else ())])
+
+    @property
+    def body_scatter(self) -> float:
+        """Scatter from which it is another body."""
+        return self.rules.body_scatter if self.spread is None else 2.0 * self.limit
 
     @property
     def softness(self) -> float:
@@ -238,7 +247,7 @@ def judge(positions: Floats, counts: Ints, reference: RigidDistances) -> Verdict
     if np.isnan(scatter):
         # a body whose markers move against each other, where enough of their distances are seen
         kind = OTHER_BODY if comparable and known.sum() >= 2 * rules.min_pairs else _kind_by_points(verdict, counts, markers, rules)
-    elif _is_other_body(verdict, lost if reference.moving else 0.0, 2.0 * verdict.limit if reference.spread is not None else rules.body_scatter, rules):
+    elif _is_other_body(verdict, lost if reference.moving else 0.0, reference.body_scatter, rules):
         kind = OTHER_BODY
     elif scatter > verdict.limit:
         kind = OTHER_MARKERS if surplus >= rules.min_surplus * markers else OTHER_PERSON
