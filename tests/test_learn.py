@@ -201,7 +201,7 @@ def test_a_model_of_an_earlier_asterism_labels_but_does_not_learn(first, walks, 
     first.save(tmp_path / "new.model")
     with np.load(tmp_path / "new.model") as file:
         arrays = {name: file[name] for name in file.files if not name.startswith("sample_")}
-    head = arrays["head"].tobytes().replace(b'"version": 2', b'"version": 1')
+    head = arrays["head"].tobytes().replace(b'"version": 3', b'"version": 1')
     with (tmp_path / "old.model").open("wb") as file:
         np.savez_compressed(file, **{**arrays, "head": np.frombuffer(head, dtype=np.uint8)})
     old = MarkerModel.load(tmp_path / "old.model")

@@ -472,7 +472,7 @@ def test_the_file_holds_no_pickle(saved):
     with np.load(saved, allow_pickle=False) as file:
         head = json.loads(file["head"].tobytes())
         assert all(file[name].dtype != object for name in file.files)
-    assert (head["format"], head["version"]) == ("asterism-model", 2)
+    assert (head["format"], head["version"]) == ("asterism-model", 3)
 
 
 def test_saving_leaves_nothing_else_behind(small, tmp_path):

@@ -6,11 +6,15 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from asterism.errors import AsterismError
 from asterism.labelling import join_labellings
 from asterism.labelling.training.state_file import _marker_set, _plain_marker_set
-from asterism.recording import Labelling, MarkerSet, Place, landmarks
+from asterism.recording import Labelling, MarkerSet, Place, canonical, landmarks, shipped_marker_sets
+from asterism.recording._marker_set_file import fields_of
+from asterism.recording.place import SEGMENTS
 
 LEGS = """
 markers = ["LTHI", "LKNE", "RTHI", "RKNE", "RBAK", "SACR"]
@@ -45,6 +49,43 @@ def test_a_place_mirrored_twice_is_itself():
 def test_names_that_differ_in_their_side_are_pairs_where_the_file_has_none():
     places = MarkerSet.from_toml('markers = ["LKNE", "RKNE"]\n[places]\nLKNE = "lateral epicondyle of femur"', "two").places
     assert places["RKNE"] == places["LKNE"].mirrored()
+
+
+DIAMETER = 0.012
+"""m, of the smallest usual marker for whole bodies; on hands and feet it is half of that."""
+
+
+@pytest.mark.parametrize("name", shipped_marker_sets())
+def test_every_marker_of_a_shipped_set_has_a_place_and_none_sits_on_another(name):
+    marker_set = MarkerSet.load(name)
+    assert list(marker_set.places) == list(marker_set.names)
+    for segment in {place.segment for place in marker_set.places.values()}:
+        on = [(marker, place) for marker, place in marker_set.places.items() if place.segment == segment]
+        # A limb of a body of 1.70 m is 0.25 m or longer.
+        at = np.array([place.at for _, place in on]) * [1.0, 1.0, 0.25 if on[0][1].limb else 1.0]
+        apart = np.linalg.norm(at[:, None] - at, axis=2) + np.eye(len(at))
+        i, j = np.unravel_index(np.argmin(apart), apart.shape)
+        assert apart[i, j] > DIAMETER, f"{on[i][0]} and {on[j][0]} are {1000 * apart[i, j]:.0f} mm apart"
+
+
+@pytest.mark.parametrize("name", shipped_marker_sets())
+def test_pairs_sit_on_both_sides_of_one_place(name):
+    """The same segment, mirrored."""
+    marker_set = MarkerSet.load(name)
+    for left, right in marker_set.pairs:
+        one, other = marker_set.places[left], marker_set.places[right].mirrored()
+        assert (one.segment, one.spread, one.wand, one.plate) == (other.segment, other.spread, other.wand, other.plate)
+        # Two published sets number the loose markers of their limbs otherwise on either side.
+        assert name in ("opencap-lab", "landmarks-73") or np.allclose(one.at, other.at), (left, right)
+
+
+def test_a_plate_lies_on_one_segment():
+    for name in shipped_marker_sets():
+        on: dict[str, set[str]] = {}
+        for place in MarkerSet.load(name).places.values():
+            if place.plate:
+                on.setdefault(place.plate, set()).add(place.segment)
+        assert all(len(segments) == 1 for segments in on.values()), (name, on)
 
 
 HEAD = 'markers = ["LTHI", "RTHI", "C7"]\npairs = [["LTHI", "RTHI"]]\n[places]\n'
@@ -102,3 +143,71 @@ def test_bodies_beside_each_other_keep_their_places():
     _, both = join_labellings([labelling] * 2, [marker_set] * 2, subjects=["Ann", "Ben"])
     assert both.places["Ben:LTHI"] == marker_set.places["LTHI"]
     assert len(both.places) == 30
+
+
+NAMES = st.lists(st.text(min_size=1, max_size=8), min_size=1, max_size=8, unique_by=canonical).filter(
+    lambda names: all(map(canonical, names))
+)
+PLACES = st.builds(
+    lambda segment, ahead, left, up, spread, wand, plate: Place(segment, (ahead, left, up), spread, wand, plate),
+    st.sampled_from(SEGMENTS),
+    *[st.floats(-0.6, 0.6)] * 3,
+    st.floats(0.0, 0.1),
+    st.booleans(),
+    st.just(""),
+)
+
+
+@st.composite
+def marker_sets(draw: st.DrawFn) -> MarkerSet:
+    """A set of any names with places; the first two are a pair where there are two, on either side of what bodies have two of."""
+    names = draw(NAMES)
+    places = {name: draw(PLACES) for name in names if draw(st.booleans())}
+    pairs = ()
+    if len(names) > 1:
+        pairs = ((names[0], names[1]),)
+        for name, side in zip(names[:2], ("left", "right"), strict=True):
+            if name in places and places[name].side not in ("", side):
+                places[name] = places[name].mirrored()
+        # A file in which the left one alone has a place says the right one, too.
+        if names[0] in places and names[1] not in places:
+            places[names[1]] = places[names[0]].mirrored()
+    return MarkerSet(
+        tuple(names), draw(st.text(max_size=20)), {}, pairs, {"part": tuple(names)}, {n: places[n] for n in names if n in places}
+    )
+
+
+@given(marker_sets())
+def test_a_set_is_read_back_from_its_text(marker_set: MarkerSet):
+    assert MarkerSet.from_toml(marker_set.to_toml(), "set") == marker_set
+
+
+@pytest.mark.parametrize("name", shipped_marker_sets())
+def test_shipped_sets_are_read_back_from_their_text(name: str):
+    marker_set = MarkerSet.load(name)
+    assert MarkerSet.from_toml(marker_set.to_toml(), "set") == marker_set
+
+
+ANYTHING = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=6)
+    | st.sampled_from(["thigh", "left thigh", "C7", "pelvis"]),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(st.sampled_from(["segment", "place", "spread", "wand", "plate", "landmark", "x"]), inner, max_size=5)
+    ),
+    max_leaves=12,
+)
+
+
+@given(st.dictionaries(st.sampled_from(["LTHI", "RTHI", "C7", "none"]), ANYTHING, max_size=4) | ANYTHING)
+def test_whatever_stands_there_is_a_place_or_one_sentence(table: object):
+    try:
+        fields = fields_of({"markers": ["LTHI", "RTHI", "C7"], "pairs": [["LTHI", "RTHI"]], "places": table}, "my.toml")
+    except (AsterismError, ValueError) as problem:
+        assert "\n" not in str(problem) or any("\n" in str(part) for part in (table if isinstance(table, dict) else [table]))
+    else:
+        assert all(isinstance(place, Place) for place in fields["places"].values())

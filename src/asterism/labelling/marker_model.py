@@ -28,6 +28,7 @@ from asterism.labelling.training.people import one_person_each
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.training.state_file import load_state, save_state
 from asterism.labelling.training.train import train_model
+from asterism.labelling.training.virtual import with_known_places
 from asterism.labelling.whole.label import subject_body, subject_body_gain
 from asterism.labelling.whole.point_labels import BodyInRecording
 from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, judge
@@ -87,6 +88,8 @@ class MarkerModel:
     def rigid_distances(self) -> RigidDistances | None:
         """The near-rigid distances of the training, by which a recording is judged; None in a model that keeps no sample of it."""
         training, state = self.state.training, self.state
+        if state.distances is not None:
+            return state.distances
         if training is None or not training.sample.clips:
             return None
         frames, people = training.sample.frames()
@@ -127,6 +130,8 @@ class MarkerModel:
         left_out: tuple[str, ...] = ()
         if marker_set is None:
             marker_set, left_out = learned_marker_set(recordings, subjects)
+        if config.rules.virtual_people:
+            marker_set = with_known_places(marker_set)
         state = TrainingState(Sample(), config).with_recordings(recordings, subjects, marker_set)
         return cls(train_model(marker_set, state, progress, left_out=left_out))
 

@@ -1,8 +1,9 @@
-"""The table of a marker set's TOML file in; the fields of a `MarkerSet`, each of its type, out."""
+"""The table of a marker set's TOML file in; the fields of a `MarkerSet`, each of its type, out. And back."""
 
 from __future__ import annotations
 
 import difflib
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -79,8 +80,8 @@ def _place(entry: Any, side: str) -> Place:
         segment = f"{side} {segment}"
     elif side and segment == other_side(f"{side} {segment.partition(' ')[2]}"):
         raise ValueError(f"it is the {side} one of a pair and sits on the {segment}; exchange the pair or mend the segment.")
-    # Each side has a plate of its own.
-    if plate and side and not plate.startswith(("left ", "right ")):
+    # Each side has a plate of its own; one on pelvis, thorax or head is one for both.
+    if plate and side and segment not in CENTRAL_SEGMENTS and not plate.startswith(("left ", "right ")):
         plate = f"{side} {plate}"
     return Place(segment, at, known_spread if spread is None else spread, known_wand if wand is None else wand, plate)
 
@@ -170,3 +171,74 @@ def _kind(value: Any) -> str:
     }
     # TOML has dates and times besides these.
     return kinds.get(type(value), "a date or time")
+
+
+_WIDTH = 120
+"""Characters in a line of a list."""
+
+
+def text_of(
+    title: str,
+    names: Sequence[str],
+    pairs: Sequence[tuple[str, str]],
+    lists: Mapping[str, Mapping[str, Sequence[str]]],
+    places: Mapping[str, Place],
+) -> str:
+    """The TOML text of a marker set; lists: the tables `aliases` and `segments`."""
+    lines = [f"title = {_toml(title)}", f"markers = {_list_text(names)}"]
+    if pairs:
+        lines.append(f"pairs = {_list_text(pairs)}")
+    for table, entries in lists.items():
+        if entries:
+            lines += ["", f"[{table}]", *(f"{_key(name)} = {_list_text(others)}" for name, others in entries.items())]
+    if places:
+        lines += ["", "[places]", *_place_lines(places, pairs)]
+    return "\n".join(lines) + "\n"
+
+
+def _place_lines(places: Mapping[str, Place], pairs: Sequence[tuple[str, str]]) -> list[str]:
+    """One line a marker; none for the right one of a pair that mirrors its left one."""
+    lines = []
+    left_of, paired = {right: left for left, right in pairs}, {name for pair in pairs for name in pair}
+    for name, place in places.items():
+        left = left_of.get(name, "")
+        if left in places and places[left].mirrored() == place:
+            continue
+        # A marker of a pair has its side from the pair.
+        segment = place.plain_segment if name in paired else place.segment
+        plate = place.plate.removeprefix(f"{place.side} ") if name in paired and place.side else place.plate
+        entry = f"segment = {_toml(segment)}, place = [{', '.join(map(_number_text, place.at))}], spread = {_number_text(place.spread)}"
+        entry += (", wand = true" if place.wand else "") + (f", plate = {_toml(plate)}" if plate else "")
+        lines.append(f"{_key(name)} = {{ {entry} }}")
+    return lines
+
+
+def _number_text(value: float) -> str:
+    """A number as TOML has it: 0.02, not 2e-2 without a point."""
+    text = repr(float(value))
+    return text if "." in text or "e" in text else f"{text}.0"
+
+
+def _list_text(values: Sequence[Any]) -> str:
+    """A list in one line, or one that goes on below where it is long."""
+    items = [_toml(list(value) if isinstance(value, tuple) else value) for value in values]
+    line = f"[{', '.join(items)}]"
+    if len(line) <= _WIDTH:
+        return line
+    rows, row = [], "   "
+    for item in items:
+        if len(row) + len(item) + 2 > _WIDTH:
+            rows.append(row)
+            row = "   "
+        row += f" {item},"
+    return "\n".join(["[", *rows, row, "]"])
+
+
+def _toml(value: Any) -> str:
+    """A text or a list of texts; TOML's basic strings are JSON's, but for the delete character, which it wants escaped."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _key(name: str) -> str:
+    bare = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
+    return name if bare else _toml(name)

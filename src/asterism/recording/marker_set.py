@@ -100,6 +100,21 @@ class MarkerSet:
             columns[index[name]] = column
         return columns
 
+    def to_toml(self) -> str:
+        """The set as the text of its TOML file, which `from_toml` reads back.
+
+        The place of a pair's right marker is left out where it mirrors the left one's.
+
+        >>> print(MarkerSet(("LKNE", "RKNE"), title="Knees", pairs=(("LKNE", "RKNE"),)).to_toml())
+        title = "Knees"
+        markers = ["LKNE", "RKNE"]
+        pairs = [["LKNE", "RKNE"]]
+        <BLANKLINE>
+        """
+        from asterism.recording._marker_set_file import text_of
+
+        return text_of(self.title, self.names, self.pairs, {"aliases": self.aliases, "segments": self.segments}, self.places)
+
     @classmethod
     def load(cls, source: str | Path | MarkerSet | Sequence[str]) -> MarkerSet:
         """A shipped set by name ("helen-hayes"), a TOML file by path, a list of names, or a marker set.
@@ -147,7 +162,7 @@ def shipped_marker_sets() -> tuple[str, ...]:
     """Names of the marker sets that come with Asterism.
 
     >>> shipped_marker_sets()[:3]
-    ('cast', 'helen-hayes', 'helen-hayes-medial')
+    ('cast', 'cleveland-clinic', 'clouthier')
     """
     folder = resources.files("asterism").joinpath("marker_sets")
     return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml")))

@@ -14,15 +14,19 @@ from asterism.labelling.body.model import BodyModel
 from asterism.labelling.partial.matrix import PartialSolvers
 from asterism.labelling.training.calibration import MAX_SLOPE, PIECES, Calibration, LabelCalibration
 from asterism.labelling.training.learning import TrainingConfig, TrainingState
-from asterism.labelling.training.model_file import reading, write_arrays
+from asterism.labelling.training.model_file import VIRTUAL_SINCE, reading, write_arrays
 from asterism.labelling.training.model_state import ModelState
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.training.state_checks import check_state
 from asterism.labelling.whole.certainty import Certainty
+from asterism.labelling.whole.verdict import RigidDistances, VerdictRules
 from asterism.recording import Floats, Ints, MarkerSet, Place
 
 _SOLVER_PREFIXES = {"partial-solvers": "partial_", "thesis": "thesis_"}
 """How the arrays of a model's partial solvers begin, by the rules that use them."""
+
+_DISTANCES = ("first", "second", "median", "moving", "limit", "unit")
+"""What of `RigidDistances` is in the file."""
 
 
 def save_state(state: ModelState, path: str | os.PathLike[str]) -> None:
@@ -68,8 +72,11 @@ def _arrays(state: ModelState) -> dict[str, Any]:
             arrays[f"time_calibration_{i}"] = np.stack([calibration.margin, calibration.right])
     if state.general_body is not None:
         arrays |= {f"general_{name}": array for name, array in state.general_body.to_arrays().items()}
-    if state.training is not None:
+    # Virtual people are in no sample: whoever knows the marker set can make them again.
+    if state.training is not None and state.training.sample.clips:
         arrays |= {f"sample_{name}": array for name, array in state.training.sample.to_arrays().items()}
+    if state.distances is not None:
+        arrays |= {f"distances_{name}": np.asarray(getattr(state.distances, name)) for name in _DISTANCES}
     return arrays
 
 
@@ -83,9 +90,11 @@ def load_state(path: str | os.PathLike[str]) -> ModelState:
         _check_shapes(len(marker_set), arrays["markers"], body, anchors)
         calibrations, least_confidence = _two_curves(arrays, "calibration"), float(head["least_confidence"])
         sample = _with_prefix(arrays, "sample_")
+        config = TrainingConfig.from_dict(head["recipe"]) if head.get("recipe") else None
         training = None
-        if sample:
-            training = TrainingState(Sample.from_arrays(sample, len(marker_set)), TrainingConfig.from_dict(head["recipe"]))
+        # A model of virtual people alone has no sample, and learns on; one of an earlier Asterism does not.
+        if config is not None and (sample or head["version"] >= VIRTUAL_SINCE):
+            training = TrainingState(Sample.from_arrays(sample, len(marker_set)) if sample else Sample(), config)
         state = ModelState(
             marker_set=marker_set,
             markers=arrays["markers"],
@@ -101,6 +110,7 @@ def load_state(path: str | os.PathLike[str]) -> ModelState:
             training=training,
             general_body=_body(arrays, "general_") if "general_mean" in arrays else None,
             frame_calibration=_label_calibration(arrays, "frame"),
+            distances=_distances(arrays, len(arrays["markers"])),
         )
         # Then what only the whole can show, such as solvers of other markers.
         check_state(state)
@@ -158,6 +168,18 @@ def _label_calibration(arrays: dict[str, Any], name: str) -> LabelCalibration | 
     if weights.shape != (2, 2, 1 + PIECES) or not 0.0 <= share <= 1.0:
         raise ValueError("shapes disagree")
     return LabelCalibration(weights[0], weights[1], share)
+
+
+def _distances(arrays: dict[str, Any], markers: int) -> RigidDistances | None:
+    """The near-rigid distances of a model file; None where they are those of its sample."""
+    given = _with_prefix(arrays, "distances_")
+    if not given:
+        return None
+    first, second, median = given["first"], given["second"], given["median"]
+    pairs_fit = first.shape == second.shape == median.shape[1:] and len(median) > 0 and not np.isinf(median).any()
+    if not pairs_fit or not ((first >= 0) & (first < second) & (second < markers)).all() or not float(given["unit"]) > 0:
+        raise ValueError("its distances disagree")
+    return RigidDistances(first, second, median, bool(given["moving"]), float(given["limit"]), float(given["unit"]), VerdictRules())
 
 
 def _solvers(arrays: dict[str, Any]) -> dict[str, PartialSolvers]:
