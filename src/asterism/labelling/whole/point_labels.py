@@ -169,9 +169,9 @@ def _certainty(
     certainty, least = labels.confidence(body.certainty, body.frame_certainty)
     certainty = np.minimum(certainty, confidence_limit(verdict))
     if labels.found.held is not None:
-        # of the only people that are known, none is known to wear the markers otherwise
-        own = body.distances is not None and verdict is not None and body.distances.is_own_person(verdict.scatter)
-        certainty = np.minimum(certainty, labels.found.held.limits(labels.label, rules.twins, with_exchanges=not own))
+        # few people say little of where markers sit on others: to their model all near ones may be exchanged
+        many = body.distances is None or not body.distances.few_people
+        certainty = np.minimum(certainty, labels.found.held.limits(labels.label, rules.twins, with_exchanges=many))
     return certainty, least
 
 

@@ -61,7 +61,7 @@ class HeldLabels:
         """What labels (P,), columns of all bodies, may be as certain as: (P,), 1 for none."""
         if not with_exchanges:
             return twin_limits(self.lead, label, rules)
-        of_exchange = expit(rules.exchange_prior + self.over_exchanges / rules.exchange_scale)
+        of_exchange = expit(self.over_exchanges / rules.exchange_scale)
         return np.minimum(twin_limits(self.lead, label, rules), np.append(of_exchange, 1.0)[label])
 
 
@@ -157,7 +157,7 @@ def _exchanges(labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets
     in_one = np.empty((len(local), min(1, len(begins) - 1)))
     if in_one.size:
         # in the frame with most labels nearly all permutations are far behind
-        labelled = np.bincount(np.repeat(np.arange(len(begins) - 1), np.diff(begins)), own[track] != NULL)
+        labelled = np.bincount(np.repeat(np.arange(len(begins) - 1), np.diff(begins)), own[track] != NULL, minlength=len(begins) - 1)
         here = slice(*begins[int(labelled.argmax()) :][:2])
         one_frame = np.array([0, len(track[here])])
         score_permutations(xyz[here], one_frame, track[here], own, local, False, labeller.body, labeller.settings, in_one)

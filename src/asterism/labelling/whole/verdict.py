@@ -140,9 +140,10 @@ class RigidDistances:
         most = max((scatter for scatter in rest if not np.isnan(scatter)), default=0.0)
         return replace(found, limit=float(np.clip(rules.left_out_factor * most, rules.min_limit, rules.max_limit)))
 
-    def is_own_person(self, scatter: float) -> bool:
-        """Whether a body with this scatter is one of the few people who taught the model."""
-        return len(self.median) < self.rules.min_people and scatter <= self.rules.own_scatter
+    @property
+    def few_people(self) -> bool:
+        """Whether so few people taught the model that it says little of how people differ."""
+        return len(self.median) < self.rules.min_people
 
     def spread_of_people(self) -> Floats:
         """How much the log of each distance differs among the training's people, sizes set aside: (N,) standard deviations.
