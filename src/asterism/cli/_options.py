@@ -50,9 +50,22 @@ Files = Annotated[
 ]
 Model = Annotated[Path, typer.Option("--model", "-m", metavar="FILE", help="The model that `asterism train` wrote.", show_default=False)]
 Models = Annotated[
-    list[Path],
+    list[Path] | None,
     typer.Option(
-        "--model", "-m", metavar="FILE", help="The model that `asterism train` wrote; once for each body in the room.", show_default=False
+        "--model",
+        "-m",
+        metavar="FILE",
+        help="The model that `asterism train` wrote; once for each body in the room. Else one of virtual people who wear the marker set.",
+        show_default=False,
+    ),
+]
+WornSets = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--markers",
+        metavar="SET",
+        help="Without a model, the set worn: a shipped one such as plug-in-gait, or a TOML file; once for each body. Else it is found.",
+        show_default=False,
     ),
 ]
 Markers = Annotated[
