@@ -17,7 +17,7 @@ CHECKED_BY: dict[str, str] = {
     f"{_BODY}._refine_kernels.refine": "test_body_search.py::test_refinement",
     f"{_BODY}._search_kernels.propose": "test_body_search.py::test_proposals_of_an_anchor",
     f"{_BODY}._search_kernels.find_labellings": "test_body_search.py::test_the_labellings_that_anchors_lead_to",
-    f"{_BODY}._search_kernels.add_twins": "test_body_search.py::test_the_labellings_that_anchors_lead_to via find_labellings",
+    f"{_BODY}._search_kernels.add_twins": "test_body_search.py::test_the_labellings_that_anchors_lead_to",
     f"{_BODY}._frame_kernels.nearest_changes": "test_body_search.py::test_the_nearest_changes",
     f"{_BODY}._frame_kernels.retry_doubtful": "test_body_search.py::test_doubtful_labels_are_tried_again",
     f"{_BODY}._score_kernels.rescore": "test_body_search.py::test_rescoring_finds_the_outliers",

@@ -39,6 +39,8 @@ class VerdictRules:
     max_limit        least scatter that never fits
     min_people       people of the training from which their differences widen the limit
     left_out_factor  the limit as a multiple of the largest scatter of a person of the training against all others, between these two
+    at_large_fit     share of virtual people who fit the others. Of ten sets of `movement` the real people scatter by 0.04 to 0.11, virtual
+                     ones by 0.10 to 0.15 in 19 of 20, and real ones with a third of the names exchanged by 0.10 to 0.7
     crowded_limit    largest scatter that fits where fewer people taught the model and many points are left over: among many points some
                      always fit
     own_scatter      largest scatter of a person of the training in another movement: 0.01 in those measured, and 0.02 of the nearest other
@@ -74,6 +76,7 @@ class VerdictRules:
     max_limit: float = 0.09
     min_people: int = 5
     left_out_factor: float = 1.5
+    at_large_fit: float = 0.95
     crowded_limit: float = 0.035
     own_scatter: float = 0.018
     many_people: int = 20
@@ -119,8 +122,11 @@ class RigidDistances:
     spread: Floats | None = None
 
     @classmethod
-    def of_training(cls, frames: Floats, people: Ints, unit: float, rules: VerdictRules) -> RigidDistances:
-        """frames (N, M, 3) m, NaN where missing; people (N,) whose each is; unit: `length_scale` of the body. O(P frames M^2)."""
+    def of_training(cls, frames: Floats, people: Ints, unit: float, rules: VerdictRules, *, at_large: bool = False) -> RigidDistances:
+        """frames (N, M, 3) m, NaN where missing; people (N,) whose each is; unit: `length_scale` of the body. O(P frames M^2 + P^2 N).
+
+        at_large: virtual people, who differ as people of all laboratories do, are among these, so that their differences are the limit.
+        """
         first, second = np.triu_indices(frames.shape[1], 1)
         medians, stds = [], []
         for person in np.unique(people):
@@ -137,7 +143,10 @@ class RigidDistances:
             spread = found.spread_of_people()
             return replace(found, spread=spread, limit=rules.many_limit * float(np.median(spread)) if len(spread) else rules.min_limit)
         rest = [replace(found, median=np.delete(found.median, p, axis=0)).nearest(found.median[p])[0] for p in range(len(medians))]
-        most = max((scatter for scatter in rest if not np.isnan(scatter)), default=0.0)
+        known = [scatter for scatter in rest if not np.isnan(scatter)]
+        if at_large:
+            return replace(found, limit=float(max(rules.min_limit, np.quantile(known or [0.0], rules.at_large_fit))))
+        most = max(known, default=0.0)
         return replace(found, limit=float(np.clip(rules.left_out_factor * most, rules.min_limit, rules.max_limit)))
 
     @property
