@@ -25,9 +25,9 @@ from asterism.recording import (
     without_subject,
 )
 from asterism.recording.place import LIMBS, SEGMENTS, other_side
-from asterism.views._place_skeleton import LENGTHS, scales_of
-from asterism.views.place_fit import RULES as FIT_RULES
-from asterism.views.place_fit import PlacedBody, PlaceFitRules, fit_places
+from asterism.skeleton.joints import LENGTHS, scales_of
+from asterism.skeleton.place_fit import RULES as FIT_RULES
+from asterism.skeleton.place_fit import PlacedBody, PlaceFitRules, fit_places
 
 
 @dataclass(frozen=True)

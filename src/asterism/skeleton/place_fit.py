@@ -9,7 +9,7 @@ import numpy as np
 
 from asterism.geometry import fit_rigid, rotation_from_vector
 from asterism.recording import Floats, Place
-from asterism.views._place_skeleton import LENGTH_NAMES, SPREAD, TURNS, USUAL, PosedSegments, pose_segments, scales_of
+from asterism.skeleton.joints import LENGTH_NAMES, SPREAD, TURNS, USUAL, PosedSegments, pose_segments, scales_of
 
 
 @dataclass(frozen=True)
