@@ -74,6 +74,20 @@ def test_a_marker_seen_off_its_place_is_told():
     assert ("place-far-from-landmark", "LKNE") in {(finding.code, finding.where) for finding in told}
 
 
+@pytest.mark.parametrize(
+    ("turn", "what"),
+    [
+        (lambda points: points * [-1.0, 1.0, 1.0], "of 12 markers .* far from where their names say: left and right are exchanged"),
+        (lambda points: points * 1000.0, r"8\d\d\.\d\d times as far apart as on a person of 1.70 m; check the unit"),
+        (lambda points: points * 0.1, r"0\.09 times as far apart"),
+    ],
+    ids=["mirrored", "mm", "dm"],
+)
+def test_what_is_no_person_ends_in_one_sentence(turn, what: str):
+    with pytest.raises(AsterismError, match=what):
+        learn_places(MarkerSet(walk().labels), [replace(walk(), positions=turn(walk().positions))])
+
+
 def test_three_people_tell_how_far_hands_place_a_marker():
     people = [replace(person, metadata={"subject": str(i)}) for i, person in enumerate(map(walk, (1, 2, 3)))]
     learned = learn_places(MarkerSet(walk().labels, pairs=MarkerSet.load("plug-in-gait-lower").pairs), people)
