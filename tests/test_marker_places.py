@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -15,6 +16,9 @@ from asterism.labelling.training.state_file import _marker_set, _plain_marker_se
 from asterism.recording import Labelling, MarkerSet, Place, canonical, landmarks, shipped_marker_sets
 from asterism.recording._marker_set_file import fields_of
 from asterism.recording.place import SEGMENTS
+from asterism.skeleton import BuildRules, WearRules, virtual_people
+from asterism.skeleton.build import random_build
+from asterism.skeleton.worn import put_on
 
 LEGS = """
 markers = ["LTHI", "LKNE", "RTHI", "RKNE", "RBAK", "SACR"]
@@ -211,3 +215,39 @@ def test_whatever_stands_there_is_a_place_or_one_sentence(table: object):
         assert "\n" not in str(problem) or any("\n" in str(part) for part in (table if isinstance(table, dict) else [table]))
     else:
         assert all(isinstance(place, Place) for place in fields["places"].values())
+
+
+@cache
+def worn_by(name: str) -> np.ndarray:
+    """(people, M, 3) m, each marker in its segment's axes, on five virtual people of 1.2 to 2.0 m."""
+    marker_set, rules = MarkerSet.load(name), BuildRules()
+    rng = np.random.default_rng(1)
+    return np.array([put_on(rng, random_build(rng, height, rules), marker_set, WearRules()).at for height in np.linspace(1.2, 2.0, 5)])
+
+
+@pytest.mark.parametrize("name", shipped_marker_sets())
+def test_virtual_people_wear_every_shipped_set(name: str):
+    """Each marker is seen in every frame, and no two of them lie within a marker's diameter of each other on most people."""
+    recordings = virtual_people(name, people=2, frames=20, seed=1)
+    assert {recording.labels for recording in recordings} == {MarkerSet.load(name).names}
+    assert all(np.isfinite(recording.positions).all() for recording in recordings)
+    segments = np.array([place.segment for place in MarkerSet.load(name).places.values()])
+    apart = np.median(np.linalg.norm(worn_by(name)[:, :, None] - worn_by(name)[:, None], axis=3), axis=0)
+    apart[segments[:, None] != segments] = 1.0
+    np.fill_diagonal(apart, 1.0)
+    assert apart.min() > DIAMETER
+
+
+@pytest.mark.parametrize("name", [name for name in shipped_marker_sets() if any(p.plate for p in MarkerSet.load(name).places.values())])
+def test_a_plate_keeps_its_shape_on_everybody(name: str):
+    """It is scaled with the body and put on as one: distances between its markers have one ratio to the table's in each direction."""
+    places = MarkerSet.load(name).places
+    for plate in {place.plate for place in places.values() if place.plate}:
+        on = [i for i, place in enumerate(places.values()) if place.plate == plate]
+        table = np.array([place.at for place in places.values() if place.plate == plate])
+        for person in worn_by(name):
+            # Each axis has a scale of its own, so offsets from the first marker are multiples of the table's.
+            moved, meant = person[on[1:]] - person[on[0]], table[1:] - table[0]
+            some = np.abs(meant) > 0.004
+            ratio = [moved[:, axis][some[:, axis]] / meant[:, axis][some[:, axis]] for axis in range(3)]
+            assert all(np.ptp(of_axis) < 1e-9 for of_axis in ratio if len(of_axis))

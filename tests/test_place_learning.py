@@ -15,9 +15,12 @@ from asterism.errors import AsterismError
 from asterism.recording import MarkerSet, Place, Recording
 from asterism.simulation import simulate_walks
 from asterism.simulation.body import SIDED
-from asterism.views import learn_places, marker_set_of, with_landmarks
-from asterism.views._place_skeleton import JOINTS, TURNS, pose_segments
-from asterism.views.place_fit import fit_places
+from asterism.skeleton import learn_places, marker_set_of, with_landmarks
+from asterism.skeleton.angles import ANGLES, COLUMN
+from asterism.skeleton.build import BuildRules, random_build
+from asterism.skeleton.joints import JOINTS, LENGTH_NAMES, TURNS, pose_segments, scales_of
+from asterism.skeleton.kinematics import pose
+from asterism.skeleton.place_fit import fit_places
 
 WANDS = ("LTHI", "LTIB", "RTHI", "RTIB")
 
@@ -69,6 +72,20 @@ def test_a_marker_seen_off_its_place_is_told():
     assert learn_places(MarkerSet(walk().labels), [walk()]).findings == ()
     told = learn_places(MarkerSet(walk().labels), [replace(walk(), positions=away)]).findings
     assert ("place-far-from-landmark", "LKNE") in {(finding.code, finding.where) for finding in told}
+
+
+@pytest.mark.parametrize(
+    ("turn", "what"),
+    [
+        (lambda points: points * [-1.0, 1.0, 1.0], "of 12 markers .* far from where their names say: left and right are exchanged"),
+        (lambda points: points * 1000.0, r"8\d\d\.\d\d times as far apart as on a person of 1.70 m; check the unit"),
+        (lambda points: points * 0.1, r"0\.09 times as far apart"),
+    ],
+    ids=["mirrored", "mm", "dm"],
+)
+def test_what_is_no_person_ends_in_one_sentence(turn, what: str):
+    with pytest.raises(AsterismError, match=what):
+        learn_places(MarkerSet(walk().labels), [replace(walk(), positions=turn(walk().positions))])
 
 
 def test_three_people_tell_how_far_hands_place_a_marker():
@@ -146,6 +163,20 @@ def test_the_skeleton_is_its_own_mirror_image():
         assert np.allclose(mirror @ one.rotations[name] @ mirror, other_one.rotations[flipped])
 
 
+def test_places_are_read_on_the_skeleton_that_virtual_people_have():
+    """Upright with straight arms, of any build without a short limb: each segment has one origin and one set of axes in both."""
+    build = random_build(np.random.default_rng(7), 1.55, BuildRules(asymmetry=0.0, short_limb=0.0))
+    angles = np.zeros((1, len(ANGLES)))
+    angles[0, COLUMN["lean"]] = np.radians(9.0)
+    virtual = pose(build, angles)
+    sizes = np.log([build.size, *(build.share[name] for name in LENGTH_NAMES)])
+    degrees = np.array([[turn.usual if turn.name.endswith("carrying angle") else 0.0 for turn in TURNS]])
+    laid = pose_segments(sizes, np.eye(3)[None], np.zeros((1, 3)), degrees)
+    for joint in JOINTS:
+        assert np.allclose(laid.origins[joint.segment], virtual.origin[joint.segment]), joint.segment
+        assert np.allclose(laid.rotations[joint.segment], virtual.axes[joint.segment]), joint.segment
+
+
 def test_a_posed_skeleton_is_found_again():
     """Markers of a raised arm and a bent knee, of a person of 1.9 m: the misses are below 1 mm, the size within 3 %."""
     places = [MarkerSet.load("plug-in-gait").places[name] for name in MarkerSet.load("plug-in-gait").names]
@@ -155,8 +186,6 @@ def test_a_posed_skeleton_is_found_again():
     sizes = np.zeros(8)
     sizes[0] = np.log(1.9 / 1.7)
     posed = pose_segments(sizes, np.tile(np.eye(3), (4, 1, 1)), np.zeros((4, 3)), degrees)
-    from asterism.views._place_skeleton import scales_of
-
     points = np.stack(
         [posed.rotations[p.segment] @ (np.array(p.at) * scales_of(sizes, p.segment)) + posed.origins[p.segment] for p in places], axis=1
     )

@@ -52,7 +52,7 @@ class MarkerModel:
     >>> from asterism.labelling import TrainingRules
     >>> from asterism.simulation import simulate_walks
     >>> *people, ann = simulate_walks(4, frames=60, markers="helen-hayes", seed=0)
-    >>> quick = TrainingRules(folds=2, trial_frames=10, stretches=1, stretch_frames=30)  # for the example only
+    >>> quick = TrainingRules(virtual_people=0, folds=2, trial_frames=10, stretches=1, stretch_frames=30)  # for the example only
     >>> model = MarkerModel.fit(people, training=quick)
     >>> labelling = model.label(ann)
     >>> right = labelling.indices == np.arange(15)  # the clouds have the points in the order of the markers
@@ -109,7 +109,12 @@ class MarkerModel:
         training: TrainingRules | None = None,
         progress: Progress | None = None,
     ) -> MarkerModel:
-        """Learn from labelled recordings.
+        """Learn from labelled recordings, starting from virtual people where it is known where the markers sit.
+
+        Virtual people (`virtual_model`) know bodies, postures and movements that the recordings do not show; the recordings know how these
+        people wear the markers. `training.virtual_people` is their number, 0 for none. The places are those of the marker set, else of the
+        shipped set that knows at least half of its names; a marker without a place is put where the recordings show it.
+        `about["virtual_people"]` says from how many the model started. The confidence is calibrated on real people only.
 
         target_hit_rate  share of the labels given that should be right, from 0.5 to below 1
         miner            "bottom-up", "top-down" or "genetic" also searches the partial solvers that the rules "partial-solvers" and

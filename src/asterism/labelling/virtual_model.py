@@ -21,19 +21,16 @@ from asterism.labelling.marker_model import MarkerModel
 from asterism.labelling.training.learning import TrainingConfig, TrainingRules
 from asterism.labelling.training.model_file import FORMAT_VERSION
 from asterism.labelling.training.train import train_on_virtual_people
-from asterism.labelling.training.virtual import check_places
+from asterism.labelling.training.virtual import VIRTUAL_PEOPLE, check_places
 from asterism.progress import Progress
 from asterism.recording import MarkerSet
-
-PEOPLE = 80
-"""Virtual people of a model. With 20, 40 and 80 of them 1, 10 and 60 % of the labels of real people reach 0.99; training takes seconds."""
 
 _SOURCES = ("skeleton", "labelling/body", "labelling/training")
 """Rooms whose sources decide what a model of virtual people is."""
 
 
 def virtual_model(
-    marker_set: str | Path | MarkerSet | Sequence[str], *, people: int = PEOPLE, seed: int = 0, progress: Progress | None = None
+    marker_set: str | Path | MarkerSet | Sequence[str], *, people: int = VIRTUAL_PEOPLE, seed: int = 0, progress: Progress | None = None
 ) -> MarkerModel:
     """A model that needs no labelled file: of virtual people who wear the markers of this set.
 
@@ -51,7 +48,7 @@ def virtual_model(
     if len(worn) < 4:
         raise AsterismError(f"{worn.title or 'the marker set'} has {len(worn)} markers; four are the fewest that can be told apart.")
     if people < 2:
-        raise AsterismError(f"{people} virtual people are no population; give two or more, such as {PEOPLE}.")
+        raise AsterismError(f"{people} virtual people are no population; give two or more, such as {VIRTUAL_PEOPLE}.")
     config = TrainingConfig(seed, rules=TrainingRules(virtual_people=people))
     path = cache_folder() / "models" / f"virtual-{_key(worn, config)}.model"
     kept = _kept(path, worn)

@@ -111,9 +111,14 @@ def put_on(rng: np.random.Generator, build: Build, marker_set: MarkerSet, rules:
         spot = np.array(place.at) * (1.0, sign, 1.0)
         pair = left_of.get(name, name)
         if place.wand:
-            height, side = shared.setdefault(("wand", pair), np.append(vary(rules.wand_height, 1), vary(rules.wand_side, 1)))
+            # a plate is put on as one, so its markers share their height and how far they stand off
+            thing = place.plate.removeprefix(f"{place.side} ") or pair
+            height, side = shared.setdefault(("wand", thing), np.append(vary(rules.wand_height, 1), vary(rules.wand_side, 1)))
+            outwards = vary(rules.wand_length, 1)
+            if place.plate:
+                outwards = shared.setdefault(("outwards", place.plate), outwards)
             spot[2] += height + 0.5 * sign * side
-            spot[1] += max(-0.02, float(vary(rules.wand_length, 1)[0]))
+            spot[1] += max(-0.02, float(outwards[0]))
         spot *= _scale(build, place)
         # what lies in the middle of the body is as far left as right, whoever puts it there
         common = shared.setdefault(("segment", segment), vary(rules.together)) * (1.0, bool(place.side), 1.0)

@@ -4,7 +4,6 @@ from asterism.views.body import ArticulatedBody, BodyMarker, Bone, Capsule, Hing
 from asterism.views.body_file import load_body, save_body, shipped_bodies
 from asterism.views.body_fit import fit_body
 from asterism.views.label import label_views
-from asterism.views.place_learning import LearnedPlaces, learn_places, marker_set_of, with_landmarks
 from asterism.views.result import ViewsLabelling
 from asterism.views.rules import ViewsRules
 
@@ -14,15 +13,11 @@ __all__ = [
     "Bone",
     "Capsule",
     "Hinge",
-    "LearnedPlaces",
     "ViewsLabelling",
     "ViewsRules",
     "fit_body",
     "label_views",
-    "learn_places",
     "load_body",
-    "marker_set_of",
     "save_body",
     "shipped_bodies",
-    "with_landmarks",
 ]

@@ -52,7 +52,7 @@ def place(options: BodyPlaceOptions) -> None:
     from asterism import formats
     from asterism.errors import AsterismError
     from asterism.findings import exit_status
-    from asterism.views import learn_places
+    from asterism.skeleton import learn_places
 
     output = options.output
     # `--markers` knows a file from a shipped set by its suffix
@@ -92,7 +92,7 @@ def _wanted(options: BodyPlaceOptions, recordings: Sequence[Recording]) -> Marke
     """The set whose places are wanted, with the landmarks that were given."""
     from asterism.errors import AsterismError
     from asterism.recording import MarkerSet
-    from asterism.views import marker_set_of, with_landmarks
+    from asterism.skeleton import marker_set_of, with_landmarks
 
     if options.markers is None:
         marker_set = marker_set_of(recordings, title=options.output.stem)

@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 from asterism.errors import AsterismError
 from asterism.recording import Floats, Ints, MarkerSet, Place, Recording, worn_marker_sets
 
+VIRTUAL_PEOPLE = 80
+"""Virtual people who teach a model. With 20, 40 and 80 of them 1, 10 and 60 % of the labels of real people reached a confidence of 0.99,
+with 39 markers; forty are learned from in 3 s, eighty in 5 s."""
+
 RATE = 50.0
 """Frames per second of virtual people. Not tuned: bodies are learned from single frames."""
 

@@ -1,7 +1,7 @@
 """SegmentJoint angles and bone lengths in; the segments of `asterism.recording.Place`, turned and moved, out.
 
-The skeleton is the one of the places: 17 segments, each with axes x ahead, y left, z up when one stands upright. Its only purpose is to
-read where markers sit, so joints have usual angles and a spread about them instead of limits.
+The skeleton is that of virtual people (`kinematics`), a test compares the two. It is to be laid on a person's markers, so each joint turns
+with the segment above it, and has usual angles and a spread about them instead of limits: feet with the shank, shoulders with the girdle.
 """
 
 from __future__ import annotations
@@ -12,17 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.recording import Floats
+from asterism.skeleton.build import BONES
 
-LENGTHS: Mapping[str, float] = {
-    "hips": 0.168,
-    "thigh": 0.418,
-    "shank": 0.415,
-    "trunk": 0.405,
-    "shoulders": 0.345,
-    "upper arm": 0.295,
-    "forearm": 0.255,
-}
-"""m, of a body of 1.70 m: between the hip joints, three bones, lumbar spine to neck, between the shoulder joints, two bones."""
+LENGTHS: Mapping[str, float] = {name: BONES[name] for name in ("hips", "thigh", "shank", "trunk", "shoulders", "upper arm", "forearm")}
+"""m, of a body of 1.70 m: what of it is found out from a person's markers. Feet and hands grow with the body."""
 
 LENGTH_NAMES = tuple(LENGTHS)
 
