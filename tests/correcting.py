@@ -110,10 +110,10 @@ def served(session: Any) -> Iterator[Browser]:
 
     from asterism.web.app import make_app
     from asterism.web.guard import Guard
-    from asterism.web.serving import Place, _bound
+    from asterism.web.serving import PageAddress, _bound
 
     session.start().join()
-    with _bound(Place()) as listening:
+    with _bound(PageAddress()) as listening:
         port = listening.getsockname()[1]
         app = Guard(make_app(session), "a-token", "127.0.0.1", port)
         server = uvicorn.Server(uvicorn.Config(app, log_level="critical", lifespan="off", access_log=False))

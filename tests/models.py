@@ -27,6 +27,7 @@ from asterism.labelling.partial.solver_search import SearchSettings
 from asterism.labelling.training.trials import TrainingTrial
 
 BRIEF = TrainingRules(
+    virtual_people=0,
     trial_frames=8,
     folds=2,
     trials=(TrainingTrial(), TrainingTrial(0.2), TrainingTrial(0.2, 3)),
@@ -37,6 +38,7 @@ BRIEF = TrainingRules(
 """Training that tries its model on little, so that its confidence is low: for tests of what is learned, not of what is labelled."""
 
 SHORT = TrainingRules(
+    virtual_people=0,
     folds=2,
     trial_frames=30,
     trials=(TrainingTrial(), TrainingTrial(0.2), TrainingTrial(0.34), TrainingTrial(0.2, 3), TrainingTrial(0.2, clutter=3.0, spread=0.03)),

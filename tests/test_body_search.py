@@ -14,7 +14,14 @@ from test_body import LATENTS, MARKERS, POSES, SETTINGS, random_frame, random_mo
 from asterism.labelling.body._frame_kernels import label_clouds, nearest_changes, retry_doubtful
 from asterism.labelling.body._refine_kernels import refine
 from asterism.labelling.body._score_kernels import best_pose, rescore
-from asterism.labelling.body._search_kernels import MAX_LABELLINGS, find_labellings, make_candidates, make_search_workspace, propose
+from asterism.labelling.body._search_kernels import (
+    MAX_LABELLINGS,
+    add_twins,
+    find_labellings,
+    make_candidates,
+    make_search_workspace,
+    propose,
+)
 from asterism.labelling.body._workspace_kernels import FrameLabelling, FrameModel, make_body_workspace
 from asterism.labelling.body.anchors import AnchorRules, Anchors, with_intervals
 from asterism.labelling.body.model import BodyModel
@@ -155,10 +162,11 @@ def test_the_labellings_that_anchors_lead_to(seed, least_found):
     points, _, _ = random_frame(model, rng, least=3)
     workspace = workspace_for(points)
     expected, best_expected = twins.find_labellings(model, anchors, points, rules)
+    arrays, counters = frame_model(model, anchors)._replace(settings=rules), np.zeros(4, dtype=np.int64)
+    count, best = find_labellings(arrays, points, workspace, counters)
     if best_expected is not None and expected[best_expected][0] > -np.inf:
         expected, best_expected = twins.add_twins(model, TWINS, expected, best_expected, points, rules)
-    arrays = frame_model(model, anchors)._replace(settings=rules)
-    count, best = find_labellings(arrays, points, workspace, np.zeros(4, dtype=np.int64))
+        count, best = add_twins(arrays, points, workspace, count, best, counters)
     found = workspace.candidates
     got = {tuple(found.labellings[h].tolist()): (found.votes_needed[h], found.votes[h]) for h in range(count)}
     assert got == {rows: (needed, len(votes)) for rows, (_, needed, votes) in expected.items()}

@@ -34,7 +34,7 @@ def walks() -> list[Recording]:
 
 @pytest.fixture(scope="module")
 def ensemble(walks: list[Recording]) -> asterism.MarkerModel:
-    return trained(walks[:4], miner=None, training=TrainingRules())
+    return trained(walks[:4], miner=None, training=TrainingRules(virtual_people=0))
 
 
 def in_clutter(walk: Recording, clutter: Clutter, hidden: int, seed: int, number_tracks: bool = True) -> tuple[Clouds, Ints]:

@@ -112,7 +112,7 @@ def test_every_command_of_the_page_works_and_labels_are_right(
         if "--names" in words:
             name_them(words[1], people[words[1].removesuffix(".c3d")], words[3])
         if verb == "train":
-            rules = TrainingRules(folds=2, trial_frames=40)
+            rules = TrainingRules(virtual_people=0, folds=2, trial_frames=40)
             trained([asterism.read(words[1], markers="helen-hayes")], miner=None, training=rules).save(Path("mine.model"))
             continue
         given = [f"{SIZE[0]}x{SIZE[1]}" if word == "1280x1024" else word for word in words]

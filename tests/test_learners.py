@@ -19,7 +19,7 @@ from asterism.simulation import simulate_walks
 
 FEW = ("LASI", "RASI", "SACR", "LKNE", "RKNE")
 WALKS = [walk.select(FEW) for walk in simulate_walks(subjects=5, frames=40, seed=3)]
-QUICK = TrainingRules(folds=2, trial_frames=8)
+QUICK = TrainingRules(virtual_people=0, folds=2, trial_frames=8)
 SEARCH = SearchSettings(20, 40, 60, 60, 2, 8, 4, 6)
 
 

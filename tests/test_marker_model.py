@@ -19,7 +19,7 @@ from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, 
 from asterism.recording import subject_of
 from asterism.simulation import simulate_occlusions, simulate_walks
 
-QUICK = {"miner": None, "training": TrainingRules(trial_frames=40, folds=5)}
+QUICK = {"miner": None, "training": TrainingRules(virtual_people=0, trial_frames=40, folds=5)}
 QUICKEST = {"miner": None, "training": BRIEF}
 rooms = settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -472,7 +472,7 @@ def test_the_file_holds_no_pickle(saved):
     with np.load(saved, allow_pickle=False) as file:
         head = json.loads(file["head"].tobytes())
         assert all(file[name].dtype != object for name in file.files)
-    assert (head["format"], head["version"]) == ("asterism-model", 2)
+    assert (head["format"], head["version"]) == ("asterism-model", 3)
 
 
 def test_saving_leaves_nothing_else_behind(small, tmp_path):

@@ -209,7 +209,7 @@ def test_full_solver_with_motion_labels_and_rejects():
 def test_a_model_with_features_of_motion_is_saved_and_read_again(tmp_path):
     features = ("g2", "g4", "g9", "g11", "g16")
     walks = [walk.select(walk.labels[:5]) for walk in WALKS]
-    ensemble = MarkerModel.fit(walks, seed=0, training=TrainingRules(trial_frames=20, folds=2, features=features))
+    ensemble = MarkerModel.fit(walks, seed=0, training=TrainingRules(virtual_people=0, trial_frames=20, folds=2, features=features))
     assert ensemble.about["features"] == list(features)
     ensemble.save(tmp_path / "moving.model")
     again = MarkerModel.load(tmp_path / "moving.model")
@@ -219,4 +219,4 @@ def test_a_model_with_features_of_motion_is_saved_and_read_again(tmp_path):
         assert np.array_equal(one.indices, two.indices)
         assert ((one.indices == truth) | (one.indices < 0)).mean() > 0.98
     with pytest.raises(AsterismError, match="g99"):
-        MarkerModel.fit(walks, training=TrainingRules(features=("g99",)))
+        MarkerModel.fit(walks, training=TrainingRules(virtual_people=0, features=("g99",)))

@@ -70,7 +70,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def model(files: Path) -> MarkerModel:
     recordings = [asterism.read(files / f"{name}.c3d", markers="helen-hayes") for name in ("ann", "ben", "cem")]
-    return trained(recordings, seed=0, miner=None, training=TrainingRules(folds=2, trial_frames=40))
+    return trained(recordings, seed=0, miner=None, training=TrainingRules(virtual_people=0, folds=2, trial_frames=40))
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from asterism.labelling import TrainingRules
 from asterism.labelling.training.people import one_person_each, prefixes_of_people
 from asterism.simulation import simulate_walks
 
-BRIEF = TrainingRules(trial_frames=20, stretches=1, stretch_frames=40)
+BRIEF = TrainingRules(virtual_people=0, trial_frames=20, stretches=1, stretch_frames=40)
 
 ASIDE = np.array([0.0, 2.0, 0.0])
 

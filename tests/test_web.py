@@ -26,7 +26,7 @@ websockets = pytest.importorskip("websockets.sync.client")
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 
-from asterism.web import CorrectionSession, Place, SessionOptions, serve  # noqa: E402
+from asterism.web import CorrectionSession, PageAddress, SessionOptions, serve  # noqa: E402
 
 
 def sitting(folder: Path, count: int = 1, **options: Any) -> CorrectionSession:
@@ -297,13 +297,13 @@ def test_a_port_that_is_taken_is_a_sentence(tmp_path: Path) -> None:
         other.bind(("127.0.0.1", 0))
         other.listen()
         with pytest.raises(AsterismError, match="is taken by another program; give another with --port"):
-            serve(session, Place(port=other.getsockname()[1], browser=False), lambda sentence: None)
+            serve(session, PageAddress(port=other.getsockname()[1], browser=False), lambda sentence: None)
 
 
 def test_a_host_of_another_machine_is_a_sentence(tmp_path: Path) -> None:
     session = CorrectionSession([], model(), SessionOptions((tmp_path / "gait.model",)))
     with pytest.raises(AsterismError, match="no address of this machine"):
-        serve(session, Place(host="192.0.2.7", browser=False), lambda sentence: None)
+        serve(session, PageAddress(host="192.0.2.7", browser=False), lambda sentence: None)
 
 
 def test_without_the_extra_one_sentence_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -317,7 +317,7 @@ def test_without_the_extra_one_sentence_says_what_to_install(tmp_path: Path, mon
     monkeypatch.setattr(builtins, "__import__", missing)
     session = CorrectionSession([], model(), SessionOptions((tmp_path / "gait.model",)))
     with pytest.raises(AsterismError, match=r"pip install asterism\[web\]"):
-        serve(session, Place(browser=False), lambda sentence: None)
+        serve(session, PageAddress(browser=False), lambda sentence: None)
 
 
 def test_a_machine_without_a_browser_gets_the_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

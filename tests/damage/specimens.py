@@ -235,7 +235,13 @@ def _model(folder: Path) -> Specimen:
     path = folder / "walks.model"
     walks = simulate_walks(subjects=3, frames=60, rate=50.0)
     rules = TrainingRules(
-        trial_frames=8, folds=2, trials=(TrainingTrial(),), time_trials=(TrainingTrial(0.2),), stretches=1, stretch_frames=30
+        virtual_people=0,
+        trial_frames=8,
+        folds=2,
+        trials=(TrainingTrial(),),
+        time_trials=(TrainingTrial(0.2),),
+        stretches=1,
+        stretch_frames=30,
     )
     asterism.MarkerModel.fit(walks, seed=0, miner=None, training=rules).save(path)
     clouds = walks[0].frames(slice(0, 3)).clouds()

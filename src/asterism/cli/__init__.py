@@ -64,7 +64,7 @@ _EXAMPLES = {
 """Each verb, which is a function in a module of its name, and its example."""
 _GROUPS: dict[str, tuple[str, Mapping[str, str]]] = {
     "calibrate": ("Make the rig of a set of cameras, and correct it.", calibrate.EXAMPLES),
-    "body": ("Make the model of a body, for `label-views`.", body.EXAMPLES),
+    "body": ("Make the model of a body; learn where markers sit on it.", body.EXAMPLES),
     "garment": ("Print coded garments, and capture a body that wears one.", garment.EXAMPLES),
     "rig": ("Show how exactly a rig measures; plan one.", rig.EXAMPLES),
 }

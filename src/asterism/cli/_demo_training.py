@@ -21,6 +21,7 @@ def train_on_walkers(walks: Sequence[Recording], seed: int) -> MarkerModel:
     from asterism.recording import MarkerSet
 
     rules = TrainingRules(
+        virtual_people=0,
         folds=2,
         trial_frames=10,
         trials=(

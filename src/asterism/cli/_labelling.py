@@ -18,8 +18,13 @@ class LabellingCommand(Protocol):
     """The options that commands which label have in common."""
 
     @property
-    def model(self) -> list[Path]:
-        """The models' files, one for each body."""
+    def model(self) -> list[Path] | None:
+        """The models' files, one for each body; None for a model of virtual people."""
+        ...
+
+    @property
+    def markers(self) -> list[str] | None:
+        """Without a model, the marker sets worn; None where they are to be found."""
         ...
 
     @property
@@ -74,12 +79,23 @@ def file_labeller(
         find_standing=not command.no_static,
         vertical=vertical_axis(command.vertical),
         in_memory=in_memory,
+        markers=command.markers or (),
     )
-    labeller = FileLabeller.of_models(command.model, options, files)
+    labeller = FileLabeller.of_models(command.model, options, files) if command.model else FileLabeller((), options, files)
     # once for the run, not once for each file
     for finding in labeller.findings:
         batch.found(finding)
     return labeller
+
+
+def model_text(command: LabellingCommand) -> str:
+    """The models in words, for a page."""
+    return ", ".join(map(str, command.model)) if command.model else f"virtual people, {', '.join(command.markers or ['markers found'])}"
+
+
+def model_json(command: LabellingCommand) -> Path | list[Path] | None:
+    """The models as JSON says them: one, several, or none."""
+    return command.model[0] if command.model and len(command.model) == 1 else command.model
 
 
 def file_names(command: LabellingCommand) -> KnownLabels | None:
@@ -89,11 +105,17 @@ def file_names(command: LabellingCommand) -> KnownLabels | None:
 
 def check_labelling(command: LabellingCommand, rules: Rules = Rules.WHOLE_BODY) -> None:
     """Raise AsterismError where options contradict each other."""
-    if len(command.model) > 1 and (command.frame_wise or rules is not Rules.WHOLE_BODY):
+    models = command.model or ()
+    bodies = max(len(models), len(command.markers or ()))
+    if models and command.markers:
+        raise AsterismError(f"{models[0]} has its own marker set; leave out --markers, or --model.")
+    if not models and rules is not Rules.WHOLE_BODY:
+        raise AsterismError(f"a model of virtual people has no solvers for the rules {rules.value}; leave out --rules, or give --model.")
+    if bodies > 1 and (command.frame_wise or rules is not Rules.WHOLE_BODY):
         raise AsterismError(
             "several bodies are separated by their tracks over time; leave out --frame-wise and --rules, or give one --model."
         )
-    if len(command.model) > 1 and command.subject:
+    if bodies > 1 and command.subject:
         raise AsterismError("a trial of the subject narrows one model; leave out --subject, or give one --model.")
     if command.subject and rules is not Rules.WHOLE_BODY:
         raise AsterismError(f"the rules {rules.value} do not use a body model that a trial could narrow; leave out --subject, or --rules.")

@@ -50,9 +50,22 @@ Files = Annotated[
 ]
 Model = Annotated[Path, typer.Option("--model", "-m", metavar="FILE", help="The model that `asterism train` wrote.", show_default=False)]
 Models = Annotated[
-    list[Path],
+    list[Path] | None,
     typer.Option(
-        "--model", "-m", metavar="FILE", help="The model that `asterism train` wrote; once for each body in the room.", show_default=False
+        "--model",
+        "-m",
+        metavar="FILE",
+        help="The model that `asterism train` wrote; once for each body in the room. Else one of virtual people who wear the marker set.",
+        show_default=False,
+    ),
+]
+WornSets = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--markers",
+        metavar="SET",
+        help="Without a model, the set worn: a shipped one such as plug-in-gait, or a TOML file; once for each body. Else it is found.",
+        show_default=False,
     ),
 ]
 Markers = Annotated[
@@ -68,6 +81,16 @@ Vertical = Annotated[
     typer.Option(metavar="AXIS", help="What points up: x, y, z, -x, -y, -z or three numbers. Else as the file says.", show_default=False),
 ]
 Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Start of all random choices: same seed, same result.")]
+VirtualPeople = Annotated[
+    int | None,
+    typer.Option(
+        "--virtual-people",
+        metavar="N",
+        min=0,
+        help="Virtual people who teach the body beside the real ones, where the marker set has places. By default 80; 0 for none.",
+        show_default=False,
+    ),
+]
 Workers = Annotated[int, typer.Option(metavar="N", min=1, help="Threads that share the work; the result is the same.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
 Json = Annotated[

@@ -20,6 +20,7 @@ from asterism.cli._options import (
     Subjects,
     Vertical,
     Workers,
+    WornSets,
 )
 
 
@@ -28,7 +29,8 @@ class ReviewOptions:
     """What `asterism review` is asked to do."""
 
     files: Files
-    model: Models
+    model: Models = None
+    markers: WornSets = None
     top: Annotated[int, typer.Option("--top", metavar="N", min=1, help="How many lines to list, of all files together.")] = 20
     keep_labels: Annotated[
         bool, typer.Option("--keep-labels", help="Take labels that a file already has as right; review only the others.")

@@ -21,16 +21,16 @@ def _is_corrected(trial: Trial) -> bool:
 
 def serve_page(options: ReviewOptions) -> None:
     """Serve the page until it is interrupted."""
-    from asterism.web import CorrectionSession, Place, SessionOptions, serve
+    from asterism.web import CorrectionSession, PageAddress, SessionOptions, serve
 
     batch = _console.Batch("opened")
     # what an earlier sitting saved is no raw recording
     found = [trial for trial in trials(options.files, batch, without=options.output) if not _is_corrected(trial)]
     files, targets = [trial.path for trial in found], None if options.output is None else outputs_of(found, options.output)
     labeller = file_labeller(options, files, batch)
-    settings = SessionOptions(options.model, options.output, options.log_folder, options.overwrite, labeller.options)
+    settings = SessionOptions(options.model or (), options.output, options.log_folder, options.overwrite, labeller.options)
     session = CorrectionSession(files, labeller.models, settings, targets)
-    serve(session, Place(options.host, options.port, not options.no_browser), _console.result)
+    serve(session, PageAddress(options.host, options.port, not options.no_browser), _console.result)
     # answers are in the logs in any case; only the files are not written
     unsaved = [trial.path.name for trial in session.trials if trial.has_unsaved]
     if unsaved:

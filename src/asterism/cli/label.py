@@ -12,7 +12,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._folders import Trial, check_output, trials
-from asterism.cli._labelling import check_labelling, file_labeller, file_names
+from asterism.cli._labelling import check_labelling, file_labeller, file_names, model_json, model_text
 from asterism.cli._options import (
     DropComputed,
     Files,
@@ -31,6 +31,7 @@ from asterism.cli._options import (
     Subjects,
     Vertical,
     Workers,
+    WornSets,
 )
 from asterism.errors import AsterismError
 
@@ -52,8 +53,9 @@ class LabelOptions:
     """What `asterism label` is asked to do."""
 
     files: Files
-    model: Models
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the labelled files go.", show_default=False)]
+    model: Models = None
+    markers: WornSets = None
     known_labels: KnownLabelsOption = None
     keep_labels: KeepLabels = False
     drop_computed: DropComputed = False
@@ -86,12 +88,17 @@ class LabelOptions:
             "subject": self.subject,
             "no_static": self.no_static,
             "vertical": self.vertical,
+            "markers": self.markers,
         }
 
 
 @takes(LabelOptions)
 def label(options: LabelOptions) -> None:
     """Label the points of recordings.
+
+    Without --model, the marker set that is worn is found among the shipped ones, by the names of the file or by its points, and a model of
+    virtual people who wear it labels. It is made in seconds, the first time, and kept. The line of a file says which set was taken and how
+    sure that is; --markers decides. Files of one folder are of one person where they agree. `asterism learn` teaches the model corrections.
 
     Names that the file has already count as --known-labels says.
 
@@ -128,7 +135,7 @@ def label(options: LabelOptions) -> None:
         options.json,
         {
             "command": "label",
-            "model": options.model if len(options.model) > 1 else options.model[0],
+            "model": model_json(options),
             **options.how,
             "subject": options.subject[0] if options.subject and len(options.subject) == 1 else options.subject,
             "keep_labels": file_names(options) is KnownLabels.KEEP,
@@ -166,7 +173,7 @@ class _Run:
         # the page shows the points, and the next program may want other axes: both need the whole recording
         in_memory = options.program is not None or options.page is not None
         labeller = file_labeller(options, [trial.path for trial in files], batch, rules=options.rules, in_memory=in_memory)
-        return cls(options, labeller, FinishedFiles(options.output, options.how, options.model), batch, len(files))
+        return cls(options, labeller, FinishedFiles(options.output, options.how, options.model or ()), batch, len(files))
 
     def result(self, trial: Trial, progress: Progress | None) -> _Result:
         """Label one file and write it, or take over what an earlier run has finished."""
@@ -228,6 +235,9 @@ class _Run:
             "frames": len(clouds),
             **asdict(label_shares(labelling, clouds)),
             "markers": _by_marker(labelling, clouds),
+            "marker_set": [one.to_dict() for one in labelled.worn] or None,
+            "worn": ", ".join(one.words for one in labelled.worn) or None,
+            "virtual_people": bool(labelled.worn),
             "subject": labelled.standing,
             "known_labels": labelled.file_names,
             "verdict": None if labelled.verdict is None else labelled.verdict.kind,
@@ -277,7 +287,7 @@ def _report(path: Path, options: LabelOptions, labeller: FileLabeller, results: 
         return
     rows = [result.row for result in (*shown, *(result for result in results if result.shown is None))]
     about = {
-        "model": ", ".join(map(str, options.model)),
+        "model": model_text(options),
         "rules": options.rules.value,
         "keep_labels": file_names(options) is KnownLabels.KEEP,
     }
@@ -286,7 +296,7 @@ def _report(path: Path, options: LabelOptions, labeller: FileLabeller, results: 
         [result.shown for result in shown if result.shown is not None],
         title=f"{len(rows)} labelled recordings" if len(rows) > 1 else f"{rows[0]['file'].name}, labelled",
         files=rows,
-        model_info={**about, **labeller.models[0].about},
+        model_info={**about, **labeller.about},
     )
 
 
@@ -305,6 +315,7 @@ def _line(row: dict[str, Any]) -> str:
     if row.get("finished_before"):
         return f"{row['file']}: labelled by an earlier run{', changed since' if row.get('changed') else ''}; {row['output']} stays"
     by = "" if row["subject"] is None else f", with {row['subject']}"
+    by += f"; {row['worn']}, a model of virtual people" if row["worn"] else ""
     return f"{row['file']}: {row['frames']:,} frames, {shares_text(row)}, {_console.count(row['frames_per_second'])} frames/s{by}"
 
 

@@ -11,7 +11,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._folders import recordings_of
-from asterism.cli._labelling import check_labelling, file_labeller
+from asterism.cli._labelling import check_labelling, file_labeller, model_json, model_text
 from asterism.cli._review_options import ReviewOptions
 from asterism.errors import AsterismError
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 def review(options: ReviewOptions) -> None:
     """List the labels to check first, or correct them.
 
-    The files are labelled as `asterism label` does it, with the same options. Nothing is written to them. A line is
-    a piece of a track between two gaps: one name for it corrects all its frames. The gain is the expected number of its samples whose
-    label is wrong or missing. The list begins where a check corrects most.
+    The files are labelled as `asterism label` does it, with the same options: without --model, by virtual people. Nothing is written to
+    them. A line is a piece of a track between two gaps: one name for it corrects all its frames. The gain is the expected number of its
+    samples whose label is wrong or missing. The list begins where a check corrects most.
 
     With --serve a page opens on which each answer is taken at once, labels the rest again and is kept in a log beside the file. Without a
     browser, --csv writes the list as a table; with the answers filled in, --answers corrects the files.
@@ -85,10 +85,10 @@ def _listed(options: ReviewOptions) -> int:
             [line.entry for line in found.lines],
             totals=(found.pieces, found.gain),
             model_info={
-                "model": ", ".join(map(str, options.model)),
+                "model": model_text(options),
                 "files": len(batch.done),
                 "keep_labels": options.keep_labels,
-                **labeller.models[0].about,
+                **labeller.about,
             },
             marker_set=labeller.marker_set,
         )
@@ -96,7 +96,7 @@ def _listed(options: ReviewOptions) -> int:
         options.json,
         {
             "command": "review",
-            "model": options.model if len(options.model) > 1 else options.model[0],
+            "model": model_json(options),
             "keep_labels": options.keep_labels,
             "frame_wise": options.frame_wise,
             "files": batch.done,

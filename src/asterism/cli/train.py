@@ -24,6 +24,7 @@ from asterism.cli._options import (
     PartialSolvers,
     Seed,
     Vertical,
+    VirtualPeople,
     check_hit_rate,
     feature_names,
     marker_targets,
@@ -33,6 +34,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity, exit_status
 
 if TYPE_CHECKING:
+    from asterism.labelling import TrainingRules
     from asterism.recording import MarkerSet, Recording
 
 
@@ -47,6 +49,7 @@ class TrainOptions:
     marker_target: MarkerTargets = None
     partial_solvers: PartialSolvers = None
     features: Features = None
+    virtual_people: VirtualPeople = None
     seed: Seed = 0
     audit: Annotated[
         bool,
@@ -74,8 +77,8 @@ def train(options: TrainOptions) -> None:
     from asterism.cli._recordings import left_out_markers, marker_set_of, uncovered_markers
 
     marker_set = marker_set_of(options.markers)
-    recordings, absent = _read(options.files, marker_set, options.vertical)
-    from asterism.labelling import MarkerModel, TrainingRules
+    recordings, absent = _read(options.files, marker_set, options.vertical, options.virtual_people)
+    from asterism.labelling import MarkerModel
 
     errors: list[Any] = []
     # one exchanged pair of labels teaches a body that nobody has
@@ -89,7 +92,7 @@ def train(options: TrainOptions) -> None:
             target_hit_rate=options.target_hit_rate,
             miner=None if options.partial_solvers is None else options.partial_solvers.value,
             marker_set=marker_set,
-            training=TrainingRules(features=features, marker_targets=targets),
+            training=_rules(options.virtual_people, features=features, marker_targets=targets),
             progress=progress,
         )
     seconds = time.perf_counter() - started
@@ -123,7 +126,16 @@ def train(options: TrainOptions) -> None:
     raise typer.Exit(exit_status(error.finding for error in errors))
 
 
-def _read(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | None) -> tuple[list[Recording], list[Finding]]:
+def _rules(virtual_people: int | None, **given: Any) -> TrainingRules:
+    """The rules of the training; the usual number of virtual people where none is given."""
+    from asterism.labelling import TrainingRules
+
+    return TrainingRules(**given) if virtual_people is None else TrainingRules(virtual_people=virtual_people, **given)
+
+
+def _read(
+    files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | None, virtual_people: int | None
+) -> tuple[list[Recording], list[Finding]]:
     """The files' recordings: with the set's markers, else each with all its named ones; and which markers some files lack.
 
     Raises AsterismError where a file cannot be used.
@@ -138,11 +150,17 @@ def _read(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | N
     batch.tell_passed_over()
     if batch.failed:
         raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; correct them or leave them out.")
-    return recordings, [] if marker_set is None else _absent_markers(batch.done, recordings, marker_set)
+    return recordings, [] if marker_set is None else _absent_markers(
+        batch.done, recordings, marker_set, by_virtual_people=virtual_people != 0
+    )
 
 
-def _absent_markers(files: Sequence[Path], recordings: Sequence[Recording], marker_set: MarkerSet) -> list[Finding]:
+def _absent_markers(
+    files: Sequence[Path], recordings: Sequence[Recording], marker_set: MarkerSet, *, by_virtual_people: bool
+) -> list[Finding]:
     """The finding that some files lack markers of the set, which are learned from the others; empty where none does.
+
+    by_virtual_people: a marker that no file has is learned from virtual people, where the set says where it sits.
 
     Raises AsterismError where a file has less than half of the markers, or no file has one.
     """
@@ -154,15 +172,17 @@ def _absent_markers(files: Sequence[Path], recordings: Sequence[Recording], mark
         # so few are another set, or other spellings of this one
         if 2 * seen.sum() < len(seen):
             raise AsterismError(f"{path} has {seen.sum()} of the {len(seen)} markers, fewer than half; leave the file out, {mend}")
-    # a marker that nobody shows would be in the model, and never be labelled
-    never = [name for name, count in zip(marker_set.names, shown.sum(axis=0), strict=True) if not count]
+    # a marker that nobody shows, and no virtual person wears, would be in the model, and never be labelled
+    known = marker_set.places if by_virtual_people else {}
+    never = [name for name, count in zip(marker_set.names, shown.sum(axis=0), strict=True) if not count and name not in known]
     if never:
         raise AsterismError(f"no file has the marker {', '.join(never[:6])}{', ...' if len(never) > 6 else ''}; {mend}")
     some = [f"{name} (in {seen.sum()})" for name, seen in zip(marker_set.names, shown.T, strict=True) if not seen.all()]
     if not some:
         return []
     few = ", ".join(some[:8]) + (", ..." if len(some) > 8 else "")
-    sentence = f"not all of the {len(files)} files have each marker, which is learned from those that do: {few}."
+    teachers = "those that do" if shown.any(axis=0).all() else "those that do, or from virtual people"
+    sentence = f"not all of the {len(files)} files have each marker, which is learned from {teachers}: {few}."
     return [Finding("train-markers-absent", Severity.NOTE, "the files", sentence, f"If they are there under other names, {mend}")]
 
 
@@ -191,8 +211,14 @@ def _print(output: Path, markers: int, recordings: int, about: dict[str, Any], s
         f"{output}: {markers} markers, from {counted(recordings, 'recording')} of {counted(people, 'subject')} "
         f"({counted(about['frames'], 'frame')}) in {seconds:.0f} s"
     )
+    virtual = about["virtual_people"]
+    _console.result(
+        f"started from {virtual} virtual people, who know bodies and movements that these do not show."
+        if virtual
+        else "real people only: no virtual ones were asked for, or no marker set says where at least half of these markers sit."
+    )
     # its confidence cannot be tried on anybody else
-    if people == 1:
+    if people == 1 and not virtual:
         _console.result(
             "advice: one person tells little of others, and nothing of postures not shown, where labels can be wrong at a confidence "
             "near 1: look at what it labels first, and let it learn. Recordings of several people need a folder for each."

@@ -15,6 +15,7 @@ from asterism.labelling.reliability import ConfidenceScore, ConfidenceTally, Rel
 from asterism.labelling.review import ReviewItem, apply_answers, review
 from asterism.labelling.together import join_labellings
 from asterism.labelling.training.learning import TrainingRules
+from asterism.labelling.virtual_model import virtual_model
 from asterism.labelling.whole.bodies import SeveralBodies
 
 __all__ = [
@@ -47,6 +48,7 @@ __all__ = [
     "name_groups",
     "remove_errors",
     "review",
+    "virtual_model",
 ]
 
 

@@ -28,6 +28,7 @@ from asterism.labelling.training.people import one_person_each
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.training.state_file import load_state, save_state
 from asterism.labelling.training.train import train_model
+from asterism.labelling.training.virtual import with_known_places
 from asterism.labelling.whole.label import subject_body, subject_body_gain
 from asterism.labelling.whole.point_labels import BodyInRecording
 from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, judge
@@ -51,7 +52,7 @@ class MarkerModel:
     >>> from asterism.labelling import TrainingRules
     >>> from asterism.simulation import simulate_walks
     >>> *people, ann = simulate_walks(4, frames=60, markers="helen-hayes", seed=0)
-    >>> quick = TrainingRules(folds=2, trial_frames=10, stretches=1, stretch_frames=30)  # for the example only
+    >>> quick = TrainingRules(virtual_people=0, folds=2, trial_frames=10, stretches=1, stretch_frames=30)  # for the example only
     >>> model = MarkerModel.fit(people, training=quick)
     >>> labelling = model.label(ann)
     >>> right = labelling.indices == np.arange(15)  # the clouds have the points in the order of the markers
@@ -87,6 +88,8 @@ class MarkerModel:
     def rigid_distances(self) -> RigidDistances | None:
         """The near-rigid distances of the training, by which a recording is judged; None in a model that keeps no sample of it."""
         training, state = self.state.training, self.state
+        if state.distances is not None:
+            return state.distances
         if training is None or not training.sample.clips:
             return None
         frames, people = training.sample.frames()
@@ -106,7 +109,12 @@ class MarkerModel:
         training: TrainingRules | None = None,
         progress: Progress | None = None,
     ) -> MarkerModel:
-        """Learn from labelled recordings.
+        """Learn from labelled recordings, starting from virtual people where it is known where the markers sit.
+
+        Virtual people (`virtual_model`) know bodies, postures and movements that the recordings do not show; the recordings know how these
+        people wear the markers. `training.virtual_people` is their number, 0 for none. The places are those of the marker set, else of the
+        shipped set that knows at least half of its names; a marker without a place is put where the recordings show it.
+        `about["virtual_people"]` says from how many the model started. The confidence is calibrated on real people only.
 
         target_hit_rate  share of the labels given that should be right, from 0.5 to below 1
         miner            "bottom-up", "top-down" or "genetic" also searches the partial solvers that the rules "partial-solvers" and
@@ -127,6 +135,8 @@ class MarkerModel:
         left_out: tuple[str, ...] = ()
         if marker_set is None:
             marker_set, left_out = learned_marker_set(recordings, subjects)
+        if config.rules.virtual_people:
+            marker_set = with_known_places(marker_set)
         state = TrainingState(Sample(), config).with_recordings(recordings, subjects, marker_set)
         return cls(train_model(marker_set, state, progress, left_out=left_out))
 

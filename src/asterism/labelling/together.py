@@ -46,6 +46,7 @@ def join_labellings(
         aliases={name: others for marker_set in own for name, others in marker_set.aliases.items()},
         pairs=tuple(pair for marker_set in own for pair in marker_set.pairs),
         segments={name: members for marker_set in own for name, members in marker_set.segments.items()},
+        places={name: place for marker_set in own for name, place in marker_set.places.items()},
     )
     indices = np.concatenate([labelling.indices for labelling in labellings], axis=1)
     confidence = np.concatenate([labelling.confidence for labelling in labellings], axis=1)
@@ -73,4 +74,5 @@ def _of_subject(marker_set: MarkerSet, subject: str) -> MarkerSet:
         aliases={f"{subject}:{name}": called(others) for name, others in marker_set.aliases.items()},
         pairs=tuple((f"{subject}:{left}", f"{subject}:{right}") for left, right in marker_set.pairs),
         segments={f"{subject}:{name}": called(members) for name, members in marker_set.segments.items()},
+        places={f"{subject}:{name}": place for name, place in marker_set.places.items()},
     )

@@ -5,6 +5,7 @@ from asterism.recording.blobs import Blobs
 from asterism.recording.clouds import NULL, Clouds, Evidence, Labelling
 from asterism.recording.known_labels import Disagreement, check_labels, is_partly_labelled
 from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, without_subject
+from asterism.recording.place import Place, landmarks
 from asterism.recording.processing import ProcessingStep, log_as_text, log_from_text
 from asterism.recording.shares import SURE, LabelShares, LabelStates, label_shares, label_states
 from asterism.recording.trajectories import Event, Recording, keep_labels, subject_of
@@ -25,6 +26,7 @@ __all__ = [
     "LabelStates",
     "Labelling",
     "MarkerSet",
+    "Place",
     "ProcessingStep",
     "Recording",
     "Verdict",
@@ -37,6 +39,7 @@ __all__ = [
     "keep_labels",
     "label_shares",
     "label_states",
+    "landmarks",
     "log_as_text",
     "log_from_text",
     "shipped_marker_sets",

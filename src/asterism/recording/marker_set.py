@@ -14,6 +14,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.recording.arrays import Ints
+from asterism.recording.place import Place
 
 _UNNAMED = re.compile(
     r"|\*.*|\d+|u\d+|x\d{2,}|(?:uname|unnamed|noname|unl|unlab|unlabel|unlabell?ed|unk|unknown|unid|unident|unidentified|ghost)[\s_:#-]*\d*\*?\d*",
@@ -29,6 +30,7 @@ class MarkerSet:
     aliases   for each name its other spellings; case, punctuation and a subject prefix are ignored
     pairs     (left, right) names that mirror each other
     segments  segment name -> names of the markers on it
+    places    marker name -> where it sits on the body, in the order of the names; empty where the set does not say
 
     >>> legs = MarkerSet(("LKNE", "RKNE"), aliases={"LKNE": ("L.Knee",)}, pairs=(("LKNE", "RKNE"),))
     >>> legs.name_of("ann:l_knee"), legs.name_of("C7")
@@ -40,6 +42,7 @@ class MarkerSet:
     aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     pairs: tuple[tuple[str, str], ...] = ()
     segments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    places: Mapping[str, Place] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -57,10 +60,10 @@ class MarkerSet:
             twice = next(name for name in self.names if self.names.count(name) > 1)
             raise AsterismError(f"marker set {self.title or '(unnamed)'}: {twice} is listed twice; keep it once.")
         unlisted = {m for pair in self.pairs for m in pair} | {m for ms in self.segments.values() for m in ms}
-        unlisted = (unlisted | set(self.aliases)) - set(self.names)
+        unlisted = (unlisted | set(self.aliases) | set(self.places)) - set(self.names)
         if unlisted:
             raise AsterismError(
-                f"marker set {self.title or '(unnamed)'}: {sorted(unlisted)[0]} is named in aliases, pairs or segments "
+                f"marker set {self.title or '(unnamed)'}: {sorted(unlisted)[0]} is named in aliases, pairs, segments or places "
                 "but not among the markers; add it there or drop it here."
             )
 
@@ -96,6 +99,21 @@ class MarkerSet:
                 )
             columns[index[name]] = column
         return columns
+
+    def to_toml(self) -> str:
+        """The set as the text of its TOML file, which `from_toml` reads back.
+
+        The place of a pair's right marker is left out where it mirrors the left one's.
+
+        >>> print(MarkerSet(("LKNE", "RKNE"), title="Knees", pairs=(("LKNE", "RKNE"),)).to_toml())
+        title = "Knees"
+        markers = ["LKNE", "RKNE"]
+        pairs = [["LKNE", "RKNE"]]
+        <BLANKLINE>
+        """
+        from asterism.recording._marker_set_file import text_of
+
+        return text_of(self.title, self.names, self.pairs, {"aliases": self.aliases, "segments": self.segments}, self.places)
 
     @classmethod
     def load(cls, source: str | Path | MarkerSet | Sequence[str]) -> MarkerSet:
@@ -135,7 +153,8 @@ class MarkerSet:
             return cls(**fields_of(tomllib.loads(text), origin))
         except (tomllib.TOMLDecodeError, RecursionError, ValueError) as problem:
             raise AsterismError(
-                f"{origin} is not a marker set ({problem}); it is TOML with a list `markers`, if needed `aliases`, `pairs` and `segments`."
+                f"{origin} is not a marker set ({problem}); it is TOML with a list `markers`, "
+                "if needed `aliases`, `pairs`, `segments` and `places`."
             ) from problem
 
 
@@ -143,7 +162,7 @@ def shipped_marker_sets() -> tuple[str, ...]:
     """Names of the marker sets that come with Asterism.
 
     >>> shipped_marker_sets()[:3]
-    ('cast', 'helen-hayes', 'helen-hayes-medial')
+    ('cast', 'cleveland-clinic', 'clouthier')
     """
     folder = resources.files("asterism").joinpath("marker_sets")
     return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml")))

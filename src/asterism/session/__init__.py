@@ -5,6 +5,7 @@ from asterism.session.finished import FinishedFiles
 from asterism.session.labelled import LabelledFile
 from asterism.session.labeller import FileLabeller, body_names, label_file
 from asterism.session.options import CHECK, IGNORE, KEEP, LabellingOptions
+from asterism.session.worn import SetFinder, WornMarkers
 
 __all__ = [
     "CHECK",
@@ -15,6 +16,8 @@ __all__ = [
     "LabelledFile",
     "LabellingOptions",
     "LabellingSettings",
+    "SetFinder",
+    "WornMarkers",
     "body_names",
     "label_file",
 ]

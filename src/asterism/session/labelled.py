@@ -15,6 +15,7 @@ from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabel
 from asterism.recording import Clouds, Labelling, MarkerSet, Recording
 from asterism.recording.verdict import Verdict
 from asterism.session.sources import LabelledCopy
+from asterism.session.worn import WornMarkers
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class LabelledFile:
     seconds     that labelling took, without reading
     about       the recording as it was read. Of one that is not in memory, a frame that shows each column
     copy        the recording under its labels
+    worn        of each body the marker set that was found, or given; empty where a model was given
     """
 
     path: Path
@@ -47,6 +49,7 @@ class LabelledFile:
     seconds: float
     about: Recording
     copy: LabelledCopy
+    worn: tuple[WornMarkers, ...] = ()
 
     @property
     def verdict(self) -> Verdict | None:

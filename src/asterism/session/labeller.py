@@ -1,7 +1,8 @@
 """The one way of a file to its labels: a path, models and options in; a `LabelledFile` out.
 
-A short file is a long one of a single stretch. Each file goes through the same steps: its person's standing trial narrows the model, its
-frames are labelled range by range, and the names that its points have already are held against the labels.
+Where no model is given, the marker set worn is found among the shipped ones, and a model of virtual people labels. A short file is a long
+one of a single stretch. Each file goes through the same steps: its person's standing trial narrows the model, its frames are labelled range
+by range, and the names that its points have already are held against the labels.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
@@ -19,6 +21,7 @@ from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.marker_model import OTHER_SUBJECT_FIT, MarkerModel
 from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller
 from asterism.labelling.stretches import JoinedLabelling, label_in_stretches, stretches_of
+from asterism.labelling.virtual_model import virtual_model
 from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.progress import Progress
 from asterism.recording import Clouds, Disagreement, Labelling, MarkerSet
@@ -27,6 +30,14 @@ from asterism.session.names import choose_name_policy, findings_on_names, join_d
 from asterism.session.options import LabellingOptions
 from asterism.session.sources import FrameSource, open_source
 from asterism.session.standing import StandingTrials
+from asterism.session.worn import BY_POINTS, GIVEN, FindRules, SetFinder, WornMarkers
+
+_FRAMES_TO_FIND = 3000
+"""Frames of a file among which the marker set is looked for: half a minute at 100 Hz. Of a longer file, a person has come into view by then
+or the frames with most points are as good."""
+
+_WORTH_TELLING = 0.01
+"""Probability below which another set is not named."""
 
 _NARROWED_KEPT = 8
 """Narrowed models that are kept. Files of one person follow each other; a model has some megabytes."""
@@ -57,9 +68,9 @@ class _Labels:
 
 @dataclass
 class FileLabeller:
-    """Labels the files of a run with one model, or with one for each body in the volume.
+    """Labels the files of a run with one model, or with one for each body in the volume, or with those of virtual people.
 
-    models   one for each body
+    models   one for each body; none where each file's marker set is to be found, and a model of virtual people to label it
     options  what a person chose for the run
     files    of the run, among which standing trials are looked for
     names    what each body is called where two have markers of one name; by default 1, 2, ...
@@ -73,8 +84,17 @@ class FileLabeller:
     findings: Sequence[Finding] = ()
     _narrowed: dict[Path, MarkerModel | AsterismError] = field(default_factory=dict)
     _compiled: bool = False
+    _of_sets: dict[tuple[str, ...], FileLabeller] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if self.models and self.options.markers:
+            raise AsterismError("a model has its own marker set; give either the model or the markers.")
+        self._finder = SetFinder(self.options.markers, self.files, self.options.vertical, virtual_model)
+        if not self.models:
+            # a set that cannot be used is told before any file is read
+            if self.options.markers:
+                self._of_worn([WornMarkers(str(one), MarkerSet.load(one), GIVEN) for one in self.options.markers], None)
+            return
         # only a model that labels by the body can be narrowed to one, and only where there is one
         # what votes by partial solvers has no body to narrow
         alone = len(self.models) == 1 and self.options.settings.method == "whole-body"
@@ -96,9 +116,16 @@ class FileLabeller:
         return cls([loaded[path] for path in models], replace(options, by=by), files, body_names(models), findings)
 
     @property
-    def marker_set(self) -> MarkerSet:
-        """The names of the markers of all bodies."""
-        return self._plain.marker_set
+    def marker_set(self) -> MarkerSet | None:
+        """The names of the markers of all bodies; None where each file's set is to be found."""
+        return self._plain.marker_set if self.models else None
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What is known of the first model: what it was trained on. Of models of virtual people, the sets that were taken so far."""
+        if self.models:
+            return dict(self.models[0].about)
+        return {"virtual_people_of": ", ".join(dict.fromkeys(name for names in self._of_sets for name in names))}
 
     def label(self, path: Path, progress: Progress | None = None) -> LabelledFile:
         """Label a file.
@@ -107,6 +134,8 @@ class FileLabeller:
         contradict each other.
         """
         path = Path(path)
+        if not self.models:
+            return self._label_worn(path, progress)
         # several bodies are told apart over the whole recording, and a page shows all points: both need it in memory
         source = open_source(path, self.options, by_ranges=self._plain.can_divide and not self.options.in_memory)
         self._compile(source)
@@ -125,6 +154,7 @@ class FileLabeller:
         copy = found.source.finish(found.labelling, policy, self.options.by)
         seconds = time.perf_counter() - started
         findings += found.labelling.findings(str(path))
+        findings += _nothing_labelled(path, found.labelling)
         findings += findings_on_names(path, source.about, found.against, policy)
         return LabelledFile(
             path,
@@ -140,6 +170,30 @@ class FileLabeller:
             found.source.about,
             copy,
         )
+
+    def _label_worn(self, path: Path, progress: Progress | None) -> LabelledFile:
+        """Label a file whose marker set is to be found. Raises AsterismError as `label` does, and where no shipped set is like it."""
+        # finding reads the points of a few frames; of a long file, only of its beginning
+        source = open_source(path, self.options, by_ranges=True)
+        recording = source.frames(slice(0, min(len(source.counts), _FRAMES_TO_FIND)))
+        worn = self._finder.of(path, recording if recording.clouds().counts.any() else source.about)
+        bodies = [*worn, *(one.second for one in worn if one.second is not None and one.second.name != one.name)]
+        labelled = self._of_worn(bodies, progress).label(path, progress)
+        return replace(labelled, worn=tuple(bodies), findings=(*labelled.findings, *findings_on_sets(path, bodies, self._finder.rules)))
+
+    def _of_worn(self, worn: Sequence[WornMarkers], progress: Progress | None) -> FileLabeller:
+        """What labels the files in which these sets are worn, made once."""
+        from asterism import __version__
+
+        names = tuple(one.name for one in worn)
+        if names not in self._of_sets:
+            models = [virtual_model(one.marker_set, progress=progress) for one in worn]
+            by = self.options.by or f"asterism {__version__}, virtual people, {', '.join(names)}"
+            of_bodies = [Path(name).stem for name in names]
+            self._of_sets[names] = FileLabeller(
+                models, replace(self.options, by=by, markers=()), self.files, of_bodies if len(set(of_bodies)) == len(of_bodies) else None
+            )
+        return self._of_sets[names]
 
     def _labels(self, path: Path, source: FrameSource, person: _Person, policy: str | None, progress: Progress | None) -> _Labels:
         """The labels of a source, and the names that contradict them. Raises _OtherSubject where the trial is of somebody else."""
@@ -236,7 +290,7 @@ class FileLabeller:
 
 def label_file(
     path: Path | str,
-    models: MarkerModel | Sequence[MarkerModel],
+    models: MarkerModel | Sequence[MarkerModel] = (),
     options: LabellingOptions | None = None,
     *,
     files: Sequence[Path] = (),
@@ -244,8 +298,11 @@ def label_file(
 ) -> LabelledFile:
     """Label a file as `asterism label` does.
 
-    models: one, or one for each body in the volume. files: of the same session, among which the person's standing trial is looked for.
-    Raises AsterismError where the file cannot be read or labelled, its kind NoMarkers where no frame has a point.
+    models: one, or one for each body in the volume; without any, the marker set is found among the shipped ones, and a model of virtual
+    people labels (`LabelledFile.worn` says which set was taken).
+    files: of the same session, among which the person's standing trial is looked for.
+    Raises AsterismError where the file cannot be read or labelled, or no shipped set is like it, its kind NoMarkers where no frame has a
+    point.
     """
     several = list(models) if isinstance(models, Sequence) else [models]
     if any(isinstance(model, str | Path) for model in several):
@@ -257,6 +314,30 @@ def body_names(models: Sequence[Path]) -> list[str]:
     """What each body is called: its model's file, or a number where two files have one name."""
     names = [path.stem for path in models]
     return names if len(set(names)) == len(names) else [str(i + 1) for i in range(len(names))]
+
+
+def findings_on_sets(path: Path, worn: Sequence[WornMarkers], rules: FindRules) -> list[Finding]:
+    """What a person should know of the marker sets that were found: which may be another, and that there are several."""
+    findings = []
+    for one in worn:
+        if one.by == BY_POINTS and one.probability < rules.sure:
+            rest = ", ".join(f"{name} ({100 * chance:.2g} %)" for name, chance in one.others if chance > _WORTH_TELLING)
+            sentence = f"{path}: the points may be those of {one.name} ({100 * one.probability:.2g} %) or of {rest}; {one.name} was taken."
+            mend = "Name the set with --markers; recordings of one person in one folder are judged together."
+            findings.append(Finding("label-set-unsure", Severity.WARNING, str(path), sentence, mend))
+    if len(worn) > 1 and worn[0].by != GIVEN:
+        sentence = f"{path}: two bodies wear different marker sets, {' and '.join(one.name for one in worn)}; each was labelled."
+        mend = "Where that is wrong, name the set with --markers, once for each body."
+        findings.append(Finding("label-two-sets", Severity.NOTE, str(path), sentence, mend))
+    return findings
+
+
+def _nothing_labelled(path: Path, labelling: Labelling) -> list[Finding]:
+    """The finding that no point of a file got a name."""
+    if (labelling.indices >= 0).any():
+        return []
+    mend = "Check the marker set, the unit of length and the vertical; `asterism info` shows them."
+    return [Finding("label-nothing", Severity.ERROR, str(path), f"{path}: no point got a label.", mend)]
 
 
 def _shows_subject(model: MarkerModel, clouds: Clouds, labelling: Labelling, rules: SubjectRules) -> bool | None:

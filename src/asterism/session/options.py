@@ -9,6 +9,7 @@ from pathlib import Path
 from numpy.typing import ArrayLike
 
 from asterism.labelling.recording_labeller import LabellingSettings
+from asterism.recording import MarkerSet
 
 KEEP, CHECK, IGNORE = "keep", "check", "ignore"
 """What becomes of the names that points of a file have already: they stay; they stay where nothing contradicts them; they play no part."""
@@ -27,6 +28,8 @@ class LabellingOptions:
     by              what labels the files, for their logs, such as the model's file
     in_memory       whether whole recordings are needed, and not only what is written: for a page, or to correct them
     keep_tracklets  whether to keep what labelling again begins with
+    markers         where no model is given: the marker sets that are worn, one for each body: shipped ones by name, files, or sets. Without
+                    any, each file's is found among the shipped ones
     """
 
     settings: LabellingSettings = field(default_factory=LabellingSettings)
@@ -37,3 +40,4 @@ class LabellingOptions:
     by: str = ""
     in_memory: bool = False
     keep_tracklets: bool = False
+    markers: Sequence[str | Path | MarkerSet] = ()

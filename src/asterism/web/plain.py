@@ -23,7 +23,7 @@ def plain_trials(session: CorrectionSession) -> dict[str, Any]:
     out = session.options.output
     return {
         "trials": [_plain_trial(trial) for trial in session.trials],
-        "markers_of_model": list(session.labeller.marker_set.names),
+        "markers_of_model": [] if session.labeller.marker_set is None else list(session.labeller.marker_set.names),
         "out": CORRECTED if out is None else str(out),
     }
 

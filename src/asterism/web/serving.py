@@ -15,7 +15,7 @@ from asterism.web.session import CorrectionSession
 
 
 @dataclass(frozen=True)
-class Place:
+class PageAddress:
     """Where the page is served.
 
     host     the address to bind to; another than the loopback address lets other machines in the same network in, with the token
@@ -28,7 +28,7 @@ class Place:
     browser: bool = True
 
 
-def serve(session: CorrectionSession, place: Place, say: Callable[[str], None]) -> None:
+def serve(session: CorrectionSession, place: PageAddress, say: Callable[[str], None]) -> None:
     """Serve the page of a sitting until it is interrupted.
 
     say: told sentences for the person, the page's address among them.
@@ -76,7 +76,7 @@ def serve(session: CorrectionSession, place: Place, say: Callable[[str], None]) 
             thread.join(timeout=0.1)
 
 
-def _bound(place: Place) -> socket.socket:
+def _bound(place: PageAddress) -> socket.socket:
     """A socket that is bound."""
     try:
         resolved = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)[0]

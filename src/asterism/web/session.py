@@ -36,7 +36,7 @@ CORRECTED = "corrected"
 class SessionOptions:
     """How a sitting works.
 
-    models      the models' files, one for each body
+    models      the models' files, one for each body; none where models of virtual people label
     output      the folder for the corrected files; None for a folder `corrected` beside each
     log_folder  the folder for the logs of corrections; None for beside each file
     overwrite   whether files that were there before may be replaced
@@ -105,6 +105,11 @@ class CorrectionTrial:
     def is_saved(self) -> bool:
         """Whether the labels are in the file `target` as they are now."""
         return self._correction is not None and self._saved == self._correction.revision
+
+    @property
+    def models(self) -> Sequence[MarkerModel]:
+        """What labelled it; empty where that is not done."""
+        return () if self._labelled is None else self._labelled.models
 
     @property
     def has_unsaved(self) -> bool:
@@ -201,7 +206,9 @@ class CorrectionSession:
         Raises AsterismError where two files would be saved to one place, or the output is no folder.
         """
         several = tuple(models) if isinstance(models, Sequence) else (models,)
-        by = options.labelling.by or f"asterism {__version__}, {', '.join(path.name for path in options.models)}"
+        # models of virtual people are known when a file's marker set is, and say themselves who labelled
+        given = f"asterism {__version__}, {', '.join(path.name for path in options.models)}" if options.models else ""
+        by = options.labelling.by or given
         labelling = replace(options.labelling, by=by, in_memory=True, keep_tracklets=True)
         self.labeller = FileLabeller(several, labelling, files, body_names(options.models) if len(several) > 1 else None)
         self.options = options
@@ -234,12 +241,13 @@ class CorrectionSession:
         recordings = [self._taught(number) for number in trials]
         if not recordings:
             raise AsterismError("no trial was chosen; save one, and teach it.")
-        if len(self.labeller.models) > 1:
+        models = self.labeller.models or self.trial(trials[0]).models
+        if len(models) > 1:
             raise AsterismError("a sitting with several models teaches none of them; start again with the one to teach.")
-        target = self._model_target(name)
+        target = self._model_target(name, self.trial(trials[0]))
         # One at a time: two lessons from one model would each forget the other.
         with self._teaching:
-            self.labeller.models[0].learn(recordings).save(target)
+            models[0].learn(recordings).save(target)
         return target
 
     def close(self) -> None:
@@ -269,8 +277,9 @@ class CorrectionSession:
                 raise AsterismError(f"{trial.path.name} should not be learned: {verdict.sentence}")
             return correction.labelled_recording()
 
-    def _model_target(self, name: str | None) -> Path:
-        model = self.options.models[0]
+    def _model_target(self, name: str | None, trial: CorrectionTrial) -> Path:
+        # a model of virtual people is in no folder of the user's: what it learns goes beside the trial
+        model = self.options.models[0] if self.options.models else trial.path.with_name("taught.model")
         if name is None:
             number = 2
             while (target := model.with_name(f"{model.stem}-{number}{model.suffix}")).exists():

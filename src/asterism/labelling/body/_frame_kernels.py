@@ -12,7 +12,7 @@ import numpy as np
 from asterism._jit import kernel
 from asterism.labelling.body._refine_kernels import refine
 from asterism.labelling.body._score_kernels import best_pose, evidence, rescore, score_held_points
-from asterism.labelling.body._search_kernels import MAX_LABELLINGS, find_labellings, make_candidates, make_search_workspace
+from asterism.labelling.body._search_kernels import MAX_LABELLINGS, add_twins, find_labellings, make_candidates, make_search_workspace
 from asterism.labelling.body._workspace_kernels import (
     FrameLabelling,
     FrameModel,
@@ -173,11 +173,11 @@ def label_frame(model, points, workspace, labelling):
     if len(points) < 3:
         return
     body, settings = model.body, frame_settings(model.settings, len(points), len(point_of))
-    count, best = find_labellings(
-        FrameModel(model.solvers, model.anchors, body, settings, model.twins), points, workspace, labelling.counters
-    )
+    own_model = FrameModel(model.solvers, model.anchors, body, settings, model.twins)
+    count, best = find_labellings(own_model, points, workspace, labelling.counters)
     if best < 0 or candidates.scores[best] == -np.inf:
         return
+    count, best = add_twins(own_model, points, workspace, count, best, labelling.counters)
     copy_labels(candidates.labellings[best], point_of)
     labelling.counters[3] = candidates.votes[best]
     top = -np.inf

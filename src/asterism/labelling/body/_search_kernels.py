@@ -254,8 +254,6 @@ def find_labellings(model, points, workspace, counters):
             if best < 0 or candidates.scores[final] > candidates.scores[best]:
                 best = final
     counters[0] = evaluations[0]
-    if best >= 0 and candidates.scores[best] > -np.inf:
-        n_labellings, best = add_twins(model, points, workspace, n_labellings, best, counters)
     return n_labellings, best
 
 

@@ -96,36 +96,39 @@ class BodyModel:
         return full
 
 
-def fit_body(frames: Floats, people: Ints, rules: BodyRules, seed: int) -> BodyModel:
+def fit_body(frames: Floats, people: Ints, rules: BodyRules, seed: int, weights: Floats | None = None) -> BodyModel:
     """Learn a body model from labelled frames.
 
-    frames (N, M, 3) m, z up, NaN where missing, every marker shown somewhere; people (N,) whose frame it is. O(N M^2 + M^3) per key pose.
+    frames (N, M, 3) m, z up, NaN where missing, every marker shown somewhere; people (N,) whose frame it is, from 0; weights (P,) how much
+    each person counts, all alike by default. O(N M^2 + M^3) per key pose.
     """
+    weights = np.ones(int(people.max()) + 1) if weights is None else weights
     mean = frames[np.argmax((~np.isnan(frames[:, :, 0])).sum(axis=1))]
     for _ in range(12):
         placed = align_about_z(frames, mean)
-        mean = _mean_over_people(placed, people)
+        mean = _mean_over_people(placed, people, weights)
     placed = _fill(placed, mean)
     pose_of = _key_poses(placed - placed.mean(axis=1, keepdims=True), people, rules, seed)
     poses = []
     for k in range(pose_of.max() + 1):
         in_pose = pose_of == k
-        centre = _mean_over_people(placed[in_pose], people[in_pose])
-        poses.append((*_pose(_fill(align_about_z(frames[in_pose], centre), centre), people[in_pose], rules), np.log(in_pose.mean())))
+        centre = _mean_over_people(placed[in_pose], people[in_pose], weights)
+        filled = _fill(align_about_z(frames[in_pose], centre), centre)
+        poses.append((*_pose(filled, people[in_pose], rules, weights), np.log(in_pose.mean())))
     means, loads, noises, within, between, weights = zip(*poses, strict=True)
     return BodyModel(np.stack(means), np.stack(loads), np.stack(noises), np.array(weights), np.stack(within), np.stack(between))
 
 
-def _mean_over_people(frames: Floats, people: Ints) -> Floats:
-    """The mean of the people's mean bodies: (M, 3), NaN for a marker that no frame shows."""
+def _mean_over_people(frames: Floats, people: Ints, weights: Floats) -> Floats:
+    """The weighted mean of the people's mean bodies: (M, 3), NaN for a marker that no frame shows."""
     sums, counts = np.zeros(frames.shape[1:]), np.zeros((frames.shape[1], 1))
     for person in np.unique(people):
         own = frames[people == person]
         shown = ~np.isnan(own[:, :, :1])
         count = shown.sum(axis=0)
-        sums += np.where(count > 0, np.where(shown, own, 0.0).sum(axis=0) / np.maximum(count, 1), 0.0)
-        counts += count > 0
-    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+        sums += weights[person] * np.where(count > 0, np.where(shown, own, 0.0).sum(axis=0) / np.maximum(count, 1), 0.0)
+        counts += weights[person] * (count > 0)
+    return np.where(counts > 0, sums / np.where(counts > 0, counts, 1.0), np.nan)
 
 
 def _fill(placed: Floats, mean: Floats) -> Floats:
@@ -161,15 +164,20 @@ def _key_poses(centred: Floats, people: Ints, rules: BodyRules, seed: int) -> In
     return np.argmin(((scaled[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)
 
 
-def _pose(placed: Floats, people: Ints, rules: BodyRules) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+def _pose(placed: Floats, people: Ints, rules: BodyRules, weights: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Mean (M, 3), load (M, 3, r), noise (M, 3, 3), within and between (3M, 3M) of one key pose."""
     markers = placed.shape[1]
-    groups = [placed[people == person].reshape(-1, 3 * markers) for person in np.unique(people)]
+    shown = np.unique(people)
+    groups = [placed[people == person].reshape(-1, 3 * markers) for person in shown]
     means = np.stack([group.mean(axis=0) for group in groups])
-    centre = means.mean(axis=0)
-    within = sum(((group - centre).T @ (group - centre) / len(group) for group in groups), np.zeros((3 * markers, 3 * markers)))
-    within = within / len(groups) - (means - centre).T @ (means - centre) / len(groups)
-    between = (means - centre).T @ (means - centre) / len(groups) * (1.0 + rules.person_extra / len(groups))
+    share = weights[shown] * len(groups) / weights[shown].sum()
+    centre = (share[:, None] * means).mean(axis=0)
+    within = np.zeros((3 * markers, 3 * markers))
+    for group, of_all in zip(groups, share, strict=True):
+        within += of_all * ((group - centre).T @ (group - centre) / len(group))
+    apart_of = (means - centre).T @ (share[:, None] * (means - centre)) / len(groups)
+    within = within / len(groups) - apart_of
+    between = apart_of * (1.0 + rules.person_extra / len(groups))
     mean = centre.reshape(markers, 3)
     apart = mean - mean.mean(axis=0)
     scale = length_scale(mean, rules)

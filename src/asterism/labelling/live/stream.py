@@ -177,7 +177,7 @@ class Stream:
         self._rival, self._margin = np.zeros(0, dtype=np.int64), 0.0
         self._last_search, self._age = -np.inf, 0
         self._twin_lead: Floats | None = None
-        self._twin_challenged, self._twin_markers = False, 0
+        self._twins_compared, self._twin_markers = False, 0
         self._waiting: deque[_WaitingFrame] = deque()
         self._pushed = 0
 
@@ -272,17 +272,17 @@ class Stream:
         explained = carried.score >= usual and carried.labelled >= min(points, markers) - 1
         wait = 0.0 if is_young else (self._rules.search_interval if explained else self._rules.retry_interval) * self.rate
         if self._pushed - self._last_search >= wait and (point_of < 0).all():
-            self._last_search = self._pushed
-            twin = self._better_twin(frame, carried)
-            # by turns, so that a twin that only the body of people at large prefers does not keep every search away
-            self._twin_challenged = twin is not None and not self._twin_challenged
-            return twin if twin is not None and self._twin_challenged else self._search(frame), 0.0
+            # the twins in one push and the search in the next, so that no push waits for both
+            if carried.labelled >= 3 and not self._twins_compared:
+                self._twins_compared = True
+                twin = self._better_twin(frame, carried)
+                return (twin, 0.0) if twin is not None else (point_of, self._margin)
+            self._last_search, self._twins_compared = self._pushed, False
+            return self._search(frame), 0.0
         return point_of, self._margin
 
     def _better_twin(self, frame: _Frame, carried: _RefinedLabelling) -> Ints | None:
         """The best twin of the carried labelling that explains the frame better, (M,), None where none does; keeps the lead over all."""
-        if carried.labelled < 3:
-            return None
         lead, twin = self._against_twins(frame, carried)
         before = self._twin_lead
         # a frame that shows fewer of the same markers says less, and takes nothing back

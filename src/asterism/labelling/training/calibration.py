@@ -130,6 +130,11 @@ class LabelPrior:
     of_several: Weights
     people: float = 2.0
 
+    def alone(self) -> LabelCalibration:
+        """The calibration of a model that was tried on nobody."""
+        known = np.array(self.of_several)
+        return LabelCalibration(known, known, 0.0)
+
 
 IN_FRAMES = LabelPrior(
     ((7.01, 3.99, 0.32, 0.44, 0.00, 0.05, 0.65, 2.68, 6.57), (7.18, 3.53, 0.82, 2.17, 0.04, 0.00, 0.00, 3.14, 4.29)),
@@ -143,6 +148,13 @@ IN_TIME = LabelPrior(
     ((9.32, 0.04, 4.68, 1.36, 0.83, 0.00, 0.60, 0.79, 0.65), (8.63, 0.41, 0.60, 0.85, 1.15, 0.28, 0.00, 0.42, 3.54)),
 )
 """For whole recordings. Fitted likewise; all count alike."""
+
+
+BESIDE_VIRTUAL_IN_FRAMES = LabelPrior(IN_FRAMES.of_several, IN_FRAMES.of_several)
+"""For single frames labelled by models that virtual people taught, alone or beside real ones, on other people."""
+
+BESIDE_VIRTUAL_IN_TIME = LabelPrior(IN_TIME.of_several, IN_TIME.of_several)
+"""For whole recordings of these."""
 
 
 @dataclass(frozen=True)
@@ -188,6 +200,12 @@ class LabelCalibration:
         # With and without points left over are different worlds: a ghost can take a label only where it is.
         own = np.stack([_regression(*trials.in_cells(side)) for side in (0, 1)])
         return cls(own, known, people / (people + prior.people))
+
+
+def curve_of(calibration: LabelCalibration, left_over: int) -> Calibration:
+    """The confidence that labels of the usual fit have by their margin alone, as streams read it. left_over: 0 or 1."""
+    margin = np.linspace(MARGIN_KNOTS[0], MARGIN_KNOTS[-1], 2 * round(MARGIN_KNOTS[-1] - MARGIN_KNOTS[0]) + 1)
+    return Calibration(margin, calibration.confidence(margin, 0.0, left_over))
 
 
 def _regression(margin: Floats, fit: Floats, right: Floats, weight: Floats) -> Floats:

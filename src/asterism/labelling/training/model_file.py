@@ -18,8 +18,11 @@ from asterism.files.npz import arrays_of_npz
 from asterism.labelling.training.model_schema import check_contents
 
 FORMAT = "asterism-model"
-FORMAT_VERSION = 2
-"""1 kept no sample of the training, 2 does."""
+FORMAT_VERSION = 3
+"""1 kept no sample of the training, 2 does, 3 may start from virtual people."""
+
+VIRTUAL_SINCE = 3
+"""From this version on a model without a sample is one of virtual people."""
 
 Contents = tuple[dict[str, Any], dict[str, Any]]
 

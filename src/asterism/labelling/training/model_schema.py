@@ -30,8 +30,15 @@ _SAMPLE = {
 }
 """Arrays of the sample of the training, where there is one."""
 
-_OPEN_ENDED = ("_low", "_high", "_hit_rates")
-"""Ends of names of arrays whose numbers need not be finite: intervals that are open at one side, hit rates that no trial has shown."""
+_DISTANCES = {
+    **{"distances_first": ("i", 1), "distances_second": ("i", 1), "distances_median": ("f", 2)},
+    **{"distances_moving": ("b", 0), "distances_limit": ("f", 0), "distances_unit": ("f", 0)},
+}
+"""Arrays of the near-rigid distances, where the sample of the training does not show them all."""
+
+_OPEN_ENDED = ("_low", "_high", "_hit_rates", "_median")
+"""Ends of names of arrays whose numbers need not be finite: intervals that are open at one side, hit rates that no trial has shown,
+distances of markers that someone did not wear."""
 
 _LARGEST = 1e12
 _MOST_MARKERS = 2000
@@ -49,10 +56,13 @@ def check_contents(head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) 
     if not isinstance(markers, list) or not all(isinstance(name, str) for name in markers) or len(markers) > _MOST_MARKERS:
         raise ValueError("its markers are no list of names")
     # A sample is all or nothing: with its numbers there, the other arrays must be, too.
-    for name, (letter, dimensions) in {**_ARRAYS, **(_SAMPLE if "sample_numbers" in arrays else {})}.items():
+    groups = {**(_SAMPLE if "sample_numbers" in arrays else {}), **(_DISTANCES if "distances_median" in arrays else {})}
+    for name, (letter, dimensions) in {**_ARRAYS, **groups}.items():
         if name not in arrays:
             raise ValueError(f"it lacks {name}")
-        if arrays[name].dtype.kind != letter or arrays[name].ndim != dimensions or not arrays[name].size:
+        # A body may have no near-rigid distance, but all else must be there.
+        empty = not arrays[name].size and name not in _DISTANCES
+        if arrays[name].dtype.kind != letter or arrays[name].ndim != dimensions or empty:
             raise ValueError(f"{name} has {arrays[name].dtype} in {arrays[name].shape}")
     for name, array in arrays.items():
         # NaN fails the comparison as well, so that one test finds both.

@@ -13,6 +13,7 @@ from asterism.labelling.partial.matrix import PartialSolvers
 from asterism.labelling.training.calibration import Calibration, LabelCalibration
 from asterism.labelling.training.learning import TrainingState
 from asterism.labelling.whole.certainty import Certainty
+from asterism.labelling.whole.verdict import RigidDistances
 from asterism.recording import Ints, MarkerSet
 
 
@@ -33,6 +34,7 @@ class ModelState:
     solvers           partial solvers, by the rules that use them: "partial-solvers", "thesis"
     training          sample of the training and its configuration; None in models of an earlier Asterism
     general_body      body of people at large, where `body` was adapted to one subject
+    distances         near-rigid distances of people who are not in the sample of the training: virtual ones; None where that has all
     """
 
     marker_set: MarkerSet
@@ -49,6 +51,7 @@ class ModelState:
     training: TrainingState | None = None
     general_body: BodyModel | None = None
     frame_calibration: LabelCalibration | None = None
+    distances: RigidDistances | None = None
 
     @property
     def body_rules(self) -> BodyRules:

@@ -14,15 +14,19 @@ from asterism.labelling.body.model import BodyModel
 from asterism.labelling.partial.matrix import PartialSolvers
 from asterism.labelling.training.calibration import MAX_SLOPE, PIECES, Calibration, LabelCalibration
 from asterism.labelling.training.learning import TrainingConfig, TrainingState
-from asterism.labelling.training.model_file import reading, write_arrays
+from asterism.labelling.training.model_file import VIRTUAL_SINCE, reading, write_arrays
 from asterism.labelling.training.model_state import ModelState
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.training.state_checks import check_state
 from asterism.labelling.whole.certainty import Certainty
-from asterism.recording import Floats, Ints, MarkerSet
+from asterism.labelling.whole.verdict import RigidDistances, VerdictRules
+from asterism.recording import Floats, Ints, MarkerSet, Place
 
 _SOLVER_PREFIXES = {"partial-solvers": "partial_", "thesis": "thesis_"}
 """How the arrays of a model's partial solvers begin, by the rules that use them."""
+
+_DISTANCES = ("first", "second", "median", "moving", "limit", "unit")
+"""What of `RigidDistances` is in the file."""
 
 
 def save_state(state: ModelState, path: str | os.PathLike[str]) -> None:
@@ -33,13 +37,7 @@ def save_state(state: ModelState, path: str | os.PathLike[str]) -> None:
 def _head(state: ModelState) -> dict[str, Any]:
     """What is plain text in the file."""
     return {
-        "marker_set": {
-            "names": state.marker_set.names,
-            "title": state.marker_set.title,
-            "aliases": dict(state.marker_set.aliases),
-            "pairs": state.marker_set.pairs,
-            "segments": dict(state.marker_set.segments),
-        },
+        "marker_set": _plain_marker_set(state.marker_set),
         "usual_score": state.usual_score,
         "least_confidence": state.least_confidence,
         "least_confidence_in_time": state.certainty.least_confidence,
@@ -74,8 +72,11 @@ def _arrays(state: ModelState) -> dict[str, Any]:
             arrays[f"time_calibration_{i}"] = np.stack([calibration.margin, calibration.right])
     if state.general_body is not None:
         arrays |= {f"general_{name}": array for name, array in state.general_body.to_arrays().items()}
-    if state.training is not None:
+    # Virtual people are in no sample: whoever knows the marker set can make them again.
+    if state.training is not None and state.training.sample.clips:
         arrays |= {f"sample_{name}": array for name, array in state.training.sample.to_arrays().items()}
+    if state.distances is not None:
+        arrays |= {f"distances_{name}": np.asarray(getattr(state.distances, name)) for name in _DISTANCES}
     return arrays
 
 
@@ -89,9 +90,11 @@ def load_state(path: str | os.PathLike[str]) -> ModelState:
         _check_shapes(len(marker_set), arrays["markers"], body, anchors)
         calibrations, least_confidence = _two_curves(arrays, "calibration"), float(head["least_confidence"])
         sample = _with_prefix(arrays, "sample_")
+        config = TrainingConfig.from_dict(head["recipe"]) if head.get("recipe") else None
         training = None
-        if sample:
-            training = TrainingState(Sample.from_arrays(sample, len(marker_set)), TrainingConfig.from_dict(head["recipe"]))
+        # A model of virtual people alone has no sample, and learns on; one of an earlier Asterism does not.
+        if config is not None and (sample or head["version"] >= VIRTUAL_SINCE):
+            training = TrainingState(Sample.from_arrays(sample, len(marker_set)) if sample else Sample(), config)
         state = ModelState(
             marker_set=marker_set,
             markers=arrays["markers"],
@@ -107,10 +110,22 @@ def load_state(path: str | os.PathLike[str]) -> ModelState:
             training=training,
             general_body=_body(arrays, "general_") if "general_mean" in arrays else None,
             frame_calibration=_label_calibration(arrays, "frame"),
+            distances=_distances(arrays, len(arrays["markers"])),
         )
         # Then what only the whole can show, such as solvers of other markers.
         check_state(state)
         return state
+
+
+def _plain_marker_set(marker_set: MarkerSet) -> dict[str, Any]:
+    return {
+        "names": marker_set.names,
+        "title": marker_set.title,
+        "aliases": dict(marker_set.aliases),
+        "pairs": marker_set.pairs,
+        "segments": dict(marker_set.segments),
+        "places": {name: asdict(place) for name, place in marker_set.places.items()},
+    }
 
 
 def _marker_set(plain: dict[str, Any]) -> MarkerSet:
@@ -120,7 +135,14 @@ def _marker_set(plain: dict[str, Any]) -> MarkerSet:
         {name: tuple(others) for name, others in plain["aliases"].items()},
         tuple((left, right) for left, right in plain["pairs"]),
         {name: tuple(members) for name, members in plain["segments"].items()},
+        # Models of an earlier Asterism do not say where markers sit.
+        {name: _place(place) for name, place in plain.get("places", {}).items()},
     )
+
+
+def _place(plain: dict[str, Any]) -> Place:
+    ahead, left, up = plain["at"]
+    return Place(plain["segment"], (float(ahead), float(left), float(up)), float(plain["spread"]), bool(plain["wand"]), str(plain["plate"]))
 
 
 def _certainty(head: dict[str, Any], arrays: dict[str, Any]) -> Certainty | None:
@@ -146,6 +168,20 @@ def _label_calibration(arrays: dict[str, Any], name: str) -> LabelCalibration | 
     if weights.shape != (2, 2, 1 + PIECES) or not 0.0 <= share <= 1.0:
         raise ValueError("shapes disagree")
     return LabelCalibration(weights[0], weights[1], share)
+
+
+def _distances(arrays: dict[str, Any], markers: int) -> RigidDistances | None:
+    """The near-rigid distances of a model file; None where they are those of its sample."""
+    given = _with_prefix(arrays, "distances_")
+    if not given:
+        return None
+    first, second, median = given["first"], given["second"], given["median"]
+    pairs_fit = first.shape == second.shape == median.shape[1:] and len(median) > 0 and not np.isinf(median).any()
+    if not pairs_fit or not ((first >= 0) & (first < second) & (second < markers)).all() or not float(given["unit"]) > 0:
+        raise ValueError("its distances disagree")
+    return RigidDistances(
+        first, second, median, bool(given["moving"]), float(given["limit"]), float(given["unit"]), VerdictRules()
+    ).with_limit()
 
 
 def _solvers(arrays: dict[str, Any]) -> dict[str, PartialSolvers]:

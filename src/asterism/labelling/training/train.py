@@ -8,11 +8,25 @@ from typing import Any
 
 import numpy as np
 
+from asterism.labelling.body.model import BodyModel, length_scale
 from asterism.labelling.features.registry import MANY_MARKERS, THESIS
 from asterism.labelling.partial.matrix import PartialSolvers
 from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, SearchSettings, search_partial_solvers
-from asterism.labelling.training.learning import TrainingConfig, TrainingState, learn_body, least_confidence
+from asterism.labelling.training.calibration import BESIDE_VIRTUAL_IN_FRAMES, BESIDE_VIRTUAL_IN_TIME, curve_of
+from asterism.labelling.training.learning import (
+    TrainingConfig,
+    TrainingState,
+    beside,
+    fit_whole,
+    learn_body,
+    least_confidence,
+    usual_score_of,
+)
 from asterism.labelling.training.model_state import ModelState
+from asterism.labelling.training.sample import Sample
+from asterism.labelling.training.virtual import STRANGERS, STRANGERS_SEED, VirtualFrames, check_places, virtual_frames
+from asterism.labelling.whole.certainty import Certainty, least_confidence_in_time
+from asterism.labelling.whole.verdict import RigidDistances, VerdictRules
 from asterism.progress import Progress
 from asterism.recording import Floats, Ints, MarkerSet
 
@@ -33,14 +47,22 @@ def train_model(
     """
     report = progress or (lambda fraction, what: None)
     config = training.config
-    markers, frames_with_motion, people, stretches = training.training_frames()
+    searching = config.miner is not None and earlier is None
+    virtual, known = None, None
+    # Virtual people who lack most of the markers would teach little beside them.
+    if config.rules.virtual_people and 2 * len(marker_set.places) >= len(marker_set):
+        virtual = virtual_frames(marker_set, config.rules.virtual_people, config.seed)
+        # Partial solvers are searched on real people, who must show their markers.
+        known = None if config.miner is not None else np.nonzero(~np.isnan(virtual.frames[:, :, 0]).all(axis=0))[0]
+    markers, frames_with_motion, people, stretches = training.training_frames(known)
     # The body has no motion in it: only the partial solvers read it.
     frames = np.ascontiguousarray(frames_with_motion[..., :3])
-    searching = config.miner is not None and earlier is None
     # The search for solvers takes about as long as all else together.
     share = 0.5 if searching else 1.0
-    learned = learn_body(frames, people, stretches, config, lambda fraction, what: report(share * fraction, what))
-    about = _about(training, len(frames), left_out)
+    if virtual is not None:
+        virtual = VirtualFrames(np.ascontiguousarray(virtual.frames[:, markers]), virtual.people)
+    learned = learn_body(frames, people, stretches, config, lambda fraction, what: report(share * fraction, what), virtual)
+    about = {**_about(training, len(frames), left_out), "virtual_people": 0 if virtual is None else config.rules.virtual_people}
     solvers: dict[str, PartialSolvers] = {}
     names = [marker_set.names[marker] for marker in markers]
     if searching:
@@ -69,7 +91,55 @@ def train_model(
         solvers=solvers,
         training=training,
         frame_calibration=learned.frame_calibration,
+        distances=None
+        if virtual is None
+        else _distances(learned.body, *beside(virtual, frames, people, config.rules, config.seed)[:2], config),
     )
+
+
+def train_on_virtual_people(marker_set: MarkerSet, config: TrainingConfig, progress: Progress | None = None) -> ModelState:
+    """A model of `config.rules.virtual_people` virtual people alone, for a set that says of every marker where it sits.
+
+    Its confidence is that of models of virtual people on real ones, see `BESIDE_VIRTUAL_IN_FRAMES`: nobody is left out and tried.
+    Raises AsterismError where a marker has no place.
+    """
+    report = progress or (lambda fraction, what: None)
+    check_places(marker_set)
+    rules, count = config.rules, config.rules.virtual_people
+    report(0.0, "drawing virtual people")
+    shown = virtual_frames(marker_set, count, config.seed)
+    strangers = virtual_frames(marker_set, STRANGERS, config.seed + STRANGERS_SEED)
+    report(0.2, "learning the body")
+    body, anchors = fit_whole(shown.frames, shown.people, config)
+    report(0.9, "taking the usual score")
+    usual_score = usual_score_of(body, strangers.frames, rules, np.random.default_rng(config.seed))
+    about = {
+        **_about(TrainingState(Sample(), config), len(shown.frames), ()),
+        "partial_solvers": {},
+        "virtual_people": count,
+    }
+    in_frames = BESIDE_VIRTUAL_IN_FRAMES.alone()
+    report(1.0, "done")
+    return ModelState(
+        marker_set=marker_set,
+        markers=np.arange(len(marker_set), dtype=np.int64),
+        body=body,
+        anchors=anchors,
+        usual_score=usual_score,
+        calibrations=(curve_of(in_frames, 0), curve_of(in_frames, 1)),
+        least_confidence=least_confidence(config.target_hit_rate),
+        frame_settings=rules.frames,
+        certainty=Certainty(BESIDE_VIRTUAL_IN_TIME.alone(), least_confidence_in_time(config.target_hit_rate)),
+        about=about,
+        training=TrainingState(Sample(), config),
+        frame_calibration=in_frames,
+        distances=_distances(body, shown.frames, shown.people, config),
+    )
+
+
+def _distances(body: BodyModel, frames: Floats, people: Ints, config: TrainingConfig) -> RigidDistances:
+    """The near-rigid distances of people of whom no sample is kept."""
+    return RigidDistances.of_training(frames, people, length_scale(body.mean[0], config.rules.body), VerdictRules())
 
 
 def _about(training: TrainingState, frames: int, left_out: Sequence[str]) -> dict[str, Any]:

@@ -1,0 +1,169 @@
+"""A marker set and a person's build in; where each marker sits on this person, and how skin moves it, out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.recording import Floats, MarkerSet, Place
+from asterism.skeleton.angles import ANGLES
+from asterism.skeleton.build import Build
+
+USUAL_SPREAD = 0.008
+"""m, spread of a marker on a bony point: what is common to the markers of a segment counts for such a one."""
+
+SKIN = {
+    "pelvis": 0.006,
+    "thorax": 0.008,
+    "head": 0.002,
+    "clavicle": 0.008,
+    "upper arm": 0.012,
+    "forearm": 0.007,
+    "hand": 0.003,
+    "thigh": 0.012,
+    "shank": 0.007,
+    "foot": 0.003,
+}
+"""m per rad of a joint next to it, how far skin slides over bone (standard deviation among places and people). Within what fluoroscopy and
+bone pins show: up to 30 mm on thighs, a few on shanks (Leardini et al., Gait Posture 21, 2005)."""
+
+
+_BESIDE = (
+    (("raise", "spread", "turn"), ("upper arm", "clavicle", "thorax")),
+    (("elbow",), ("upper arm", "forearm")),
+    (("palm",), ("forearm",)),
+    (("wrist", "deviate"), ("hand", "forearm")),
+    (("shrug",), ("clavicle",)),
+    (("hip", "out", "twist"), ("thigh", "pelvis")),
+    (("knee",), ("thigh", "shank")),
+    (("pitch", "yaw"), ("foot",)),
+    (("lean", "side", "spin"), ("pelvis", "thorax")),
+    (("nod", "look", "cock"), ("head",)),
+)
+"""Joint angles, and the segments next to their joint."""
+
+
+@dataclass(frozen=True)
+class WearRules:
+    """How hands put markers on people, in metres unless said otherwise (standard deviations; draws beyond 2.5 of them are cut).
+
+    together     all markers of a segment: tables and people differ in what they call the segment. At half or double, 0.5 points fewer
+                 right labels of markers on trunk and head
+    symmetric    a marker and its mirror image, beside each marker's own spread
+    own          times each marker's spread, by itself
+    wand_height  of a rod or a marker placed by eye, share of the limb's length, both sides alike
+    wand_side    the same, right against left: laboratories put them at different heights to tell sides apart
+    wand_length  outwards
+    skin         times `SKIN`
+    """
+
+    together: float = 0.008
+    symmetric: float = 0.008
+    own: float = 1.0
+    wand_height: float = 0.14
+    wand_side: float = 0.10
+    wand_length: float = 0.025
+    skin: float = 1.0
+
+
+@dataclass(frozen=True)
+class Worn:
+    """The markers of one person.
+
+    segments  (M,) segment of each marker: "left thigh"
+    at        (M, 3) m, in the segment's axes
+    slide     (M, 3, A) m per rad of each joint angle
+    along     (M,) where on a limb: 0 at the upper joint, 1 at the lower one; 0 on other segments. Markers of one plate have one
+    """
+
+    segments: tuple[str, ...]
+    at: Floats
+    slide: Floats
+    along: Floats
+
+
+def places_of(marker_set: MarkerSet) -> tuple[Place, ...]:
+    """Where each marker of the set sits. Raises AsterismError where the set does not say so of all."""
+    absent = [name for name in marker_set.names if name not in marker_set.places]
+    if absent:
+        raise AsterismError(
+            f"marker set {marker_set.title or '(unnamed)'} does not say where {absent[0]} sits, so that no virtual person can wear it; "
+            "add it to the table [places] of its TOML file."
+        )
+    return tuple(marker_set.places[name] for name in marker_set.names)
+
+
+def put_on(rng: np.random.Generator, build: Build, marker_set: MarkerSet, rules: WearRules) -> Worn:
+    """The markers of the set, put on one person. O(M A)."""
+
+    def vary(std: float, count: int = 3) -> Floats:
+        return np.clip(rng.normal(size=count), -2.5, 2.5) * std
+
+    left_of = {right: left for left, right in marker_set.pairs}
+    shared: dict[object, Floats] = {}
+    at = np.empty((len(marker_set), 3))
+    places = places_of(marker_set)
+    for m, (name, place) in enumerate(zip(marker_set.names, places, strict=True)):
+        segment, sign = place.plain_segment, -1.0 if place.side == "right" else 1.0
+        # everything is drawn for the left side; the right one is its mirror image
+        spot = np.array(place.at) * (1.0, sign, 1.0)
+        pair = left_of.get(name, name)
+        if place.wand:
+            # a plate is put on as one, so its markers share their height and how far they stand off
+            thing = place.plate.removeprefix(f"{place.side} ") or pair
+            height, side = shared.setdefault(("wand", thing), np.append(vary(rules.wand_height, 1), vary(rules.wand_side, 1)))
+            outwards = vary(rules.wand_length, 1)
+            if place.plate:
+                outwards = shared.setdefault(("outwards", place.plate), outwards)
+            spot[2] += height + 0.5 * sign * side
+            spot[1] += max(-0.02, float(outwards[0]))
+        spot *= _scale(build, place)
+        # what lies in the middle of the body is as far left as right, whoever puts it there
+        common = shared.setdefault(("segment", segment), vary(rules.together)) * (1.0, bool(place.side), 1.0)
+        # small segments have their bony points close to each other
+        common = common * (0.5 if segment in ("foot", "hand", "head") else 1.0)
+        one_side = shared.setdefault(("segment", place.segment), vary(0.3 * rules.together))
+        both = shared.setdefault(("pair", pair), vary(rules.symmetric * place.spread / USUAL_SPREAD))
+        # markers of one plate are put on together
+        own = vary(rules.own * place.spread)
+        if place.plate:
+            both = 0.0 * both
+            own = shared.setdefault(("plate", place.plate), own)
+        spot = spot + common + one_side + both + own
+        if segment == "foot":
+            # a marker of 8 mm radius does not sink into the floor
+            spot[2] = max(spot[2], 0.008 - build.bones["ankle"])
+        at[m] = spot * (1.0, sign, 1.0)
+    slide = rng.normal(size=(len(places), 3, len(ANGLES)))
+    of_segment = {segment: np.array([segment in moves_skin_of(angle) for angle in ANGLES]) for segment in {p.segment for p in places}}
+    together: dict[str, Floats] = {}
+    for m, place in enumerate(places):
+        # a plate slides as one
+        if place.plate:
+            slide[m] = together.setdefault(place.plate, slide[m].copy())
+        slide[m] *= rules.skin * SKIN[place.plain_segment] * of_segment[place.segment]
+    along = np.array([-spot[2] / build.bones[place.segment] if place.limb else 0.0 for spot, place in zip(at, places, strict=True)])
+    for plate in {place.plate for place in places if place.plate}:
+        members = [m for m, place in enumerate(places) if place.plate == plate]
+        along[members] = along[members].mean()
+    return Worn(tuple(place.segment for place in places), at, slide, along)
+
+
+def _scale(build: Build, place: Place) -> Floats:
+    """What lengths (ahead, left, up) of the table become on this person."""
+    segment, size, girth = place.plain_segment, build.size, build.girth
+    head = size * build.share["head"] ** 0.7
+    ahead = {"foot": size, "hand": size, "head": head}.get(segment, girth)
+    # shoulders widen with the bones, waists and limbs with the flesh
+    across = size * build.share["shoulders"] if segment == "clavicle" or (segment == "thorax" and place.at[1]) else girth
+    up = build.bones[place.segment] if place.limb else size * (build.share["trunk"] if segment == "thorax" else 1.0)
+    return np.array([ahead, head if segment == "head" else across, head if segment == "head" else up])
+
+
+def moves_skin_of(angle: str) -> frozenset[str]:
+    """The segments whose skin slides with a joint angle, those next to the joint."""
+    side, _, plain = angle.rpartition(" ")
+    beside = next((segments for angles, segments in _BESIDE if plain in angles), ())
+    return frozenset(name if name in ("pelvis", "thorax", "head") else f"{side} {name}" for name in beside)
