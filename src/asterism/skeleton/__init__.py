@@ -6,7 +6,7 @@ says, moved as hands and skin move them. No recording of a real person is in it.
 
 from asterism.skeleton.build import BuildRules
 from asterism.skeleton.people import MOVEMENTS, VirtualRules, virtual_people
-from asterism.skeleton.place_learning import LearnedPlaces, learn_places, marker_set_of, with_landmarks
+from asterism.skeleton.place_learning import LearnedPlaces, learn_places, marker_set_of, place_by_name, with_landmarks
 from asterism.skeleton.worn import WearRules
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "WearRules",
     "learn_places",
     "marker_set_of",
+    "place_by_name",
     "virtual_people",
     "with_landmarks",
 ]
