@@ -75,11 +75,13 @@ class Worn:
     segments  (M,) segment of each marker: "left thigh"
     at        (M, 3) m, in the segment's axes
     slide     (M, 3, A) m per rad of each joint angle
+    along     (M,) where on a limb: 0 at the upper joint, 1 at the lower one; 0 on other segments. Markers of one plate have one
     """
 
     segments: tuple[str, ...]
     at: Floats
     slide: Floats
+    along: Floats
 
 
 def places_of(marker_set: MarkerSet) -> tuple[Place, ...]:
@@ -142,7 +144,11 @@ def put_on(rng: np.random.Generator, build: Build, marker_set: MarkerSet, rules:
         if place.plate:
             slide[m] = together.setdefault(place.plate, slide[m].copy())
         slide[m] *= rules.skin * SKIN[place.plain_segment] * of_segment[place.segment]
-    return Worn(tuple(place.segment for place in places), at, slide)
+    along = np.array([-spot[2] / build.bones[place.segment] if place.limb else 0.0 for spot, place in zip(at, places, strict=True)])
+    for plate in {place.plate for place in places if place.plate}:
+        members = [m for m, place in enumerate(places) if place.plate == plate]
+        along[members] = along[members].mean()
+    return Worn(tuple(place.segment for place in places), at, slide, along)
 
 
 def _scale(build: Build, place: Place) -> Floats:
