@@ -25,6 +25,8 @@ CHECKED_BY: dict[str, str] = {
     f"{_WHOLE}._kernels.settle_dominant": "test_track_kernels.py::test_what_dominates_is_in_the_best_of_all_labellings",
     f"{_WHOLE}._kernels.best_split": "test_track_kernels.py::test_where_a_tracklet_goes_over_to_another_marker",
     f"{_WHOLE}._twin_kernels.score_twins": "test_track_kernels.py::test_twins_of_labelled_frames",
+    f"{_WHOLE}._twin_kernels.near_exchanges": "test_track_kernels.py::test_which_exchanges_of_labels_are_near",
+    f"{_WHOLE}._twin_kernels.score_permutations": "test_track_kernels.py::test_permutations_of_labelled_frames",
     f"{_WHOLE}._short_kernels.label_short": "test_track_kernels.py::test_points_of_short_tracklets",
     f"{_WHOLE}._short_kernels.take_best_pairs": "test_track_kernels.py::test_the_best_pairs_of_a_frame",
     f"{_PARTIAL}._matrix_kernels.check_marker": "test_partial_twins.py::test_check_marker_on_all_placements_of_four_markers",

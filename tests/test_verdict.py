@@ -82,6 +82,25 @@ def test_what_is_no_body_is_said_and_gets_no_label(ensemble: asterism.MarkerMode
     assert not time or ((labelling.indices < 0).all() and labelling.confidence.max() <= 0.5)
 
 
+def test_a_model_of_many_people_counts_each_distance_by_how_much_it_differs_among_them() -> None:
+    """Of 30 people every second marker sits anywhere within 90 mm: so does it on the next person. Labels given at random do not fit."""
+    rng = np.random.default_rng(5)
+    spread = np.where(np.arange(20) % 2, 0.09, 0.003)[:, None]
+    people = np.stack([BODY * rng.uniform(0.8, 1.2) + rng.normal(0.0, 1.0, (20, 3)) * spread for _ in range(32)])
+    frames = np.repeat(people, 10, axis=0)
+    many = RigidDistances.of_training(frames[:300], np.repeat(np.arange(30), 10), 1.0, VerdictRules())
+    few = RigidDistances.of_training(frames[:100], np.repeat(np.arange(10), 10), 1.0, VerdictRules())
+    counts, random = np.full(10, 20), rng.permutation(20)
+    for person in (30, 31):
+        next_one = np.repeat(people[person][None], 10, axis=0)
+        assert judge(next_one, counts, many).fits
+        assert not judge(next_one[:, random], counts, many).fits
+        assert not judge(next_one, counts, few).fits
+        distance = np.linalg.norm(next_one[:, many.first] - next_one[:, many.second], axis=2)
+        distance[0, 3:] = np.nan
+        np.testing.assert_allclose(many.scatters_of(distance), [many.nearest(some)[0] for some in distance])
+
+
 def test_single_frames_of_markers_placed_elsewhere_are_not_certain(ensemble: asterism.MarkerModel, walks: list[Recording]) -> None:
     """Each frame by what it shows itself: half of the frames get the labels that all of them get."""
     clouds = placed_elsewhere(walks[4]).clouds()

@@ -13,56 +13,59 @@ def assign_greedily(scores, first_ghost_cost, point_of):
 
     IN  scores (M, n) nats; first_ghost_cost nats that may be paid to leave no point over
     OUT point_of (M,), -1 for none
-    O(M n + labels * entries above -first_ghost_cost).
+    O(M n + labels * M), and n more each time that another marker takes the point that was best for one: O(M^2 n) at worst.
 
-    Bounds: each pair of a marker and a point is an entry once: M n. A label takes a marker and a point: min(M, n).
+    Bounds: each label takes a marker and a point: min(M, n).
     """
     markers, n = scores.shape
     point_of[:] = -1
-    entry_marker = np.empty(markers * n, dtype=np.int64)
-    entry_row = np.empty(markers * n, dtype=np.int64)
-    entries = 0
-    for m in range(markers):
-        for c in range(n):
-            # What costs more than a ghost can never be worth a label.
-            if scores[m, c] > -first_ghost_cost:
-                entry_marker[entries], entry_row[entries] = m, c
-                entries += 1
+    best_point, best_score = np.empty(markers, dtype=np.int64), np.empty(markers)
     taken = np.zeros(n, dtype=np.bool_)
+    for m in range(markers):
+        best_point[m], best_score[m] = _best_free_point(scores, m, taken, first_ghost_cost)
     given, positive = 0, -1
     order = np.empty(min(markers, n), dtype=np.int64)
     credit = first_ghost_cost
     while True:
-        # Entries whose marker or point is given fall out, so that each round is shorter.
-        best, chosen, kept = -first_ghost_cost, -1, 0
-        for e in range(entries):
-            m, c = entry_marker[e], entry_row[e]
-            if point_of[m] >= 0 or taken[c]:
-                continue
-            entry_marker[kept], entry_row[kept] = m, c
-            if scores[m, c] > best:
-                best, chosen = scores[m, c], kept
-            kept += 1
-        entries = kept
+        # The first of equals, by marker and then by point, so that their order decides.
+        best, m = -first_ghost_cost, -1
+        for o in range(markers):
+            if best_score[o] > best:
+                best, m = best_score[o], o
         # From here on labels cost more than they are worth, unless they leave no ghost.
-        if positive < 0 and (chosen < 0 or best <= 0.0):
+        if positive < 0 and (m < 0 or best <= 0.0):
             positive = given
-        if chosen < 0:
+        # With more points than markers, some are left over whatever is paid.
+        if m < 0 or (best <= 0.0 and n > markers):
             break
         if best <= 0.0:
             # They may cost together what the first ghost costs.
             credit += best
             if credit <= 0.0:
                 break
-        m = entry_marker[chosen]
-        point_of[m] = entry_row[chosen]
-        taken[point_of[m]] = True
-        order[given] = m
+        c = best_point[m]
+        point_of[m], taken[c], order[given] = c, True, m
         given += 1
+        best_score[m] = -np.inf
+        for o in range(markers):
+            # Whoever liked the same point best looks for another one.
+            if best_score[o] > -np.inf and best_point[o] == c:
+                best_point[o], best_score[o] = _best_free_point(scores, o, taken, first_ghost_cost)
     # Points are left all the same: then nothing was saved, and the costly labels are taken back.
     if given < n:
         for g in range(positive, given):
             point_of[order[g]] = -1
+
+
+@kernel
+def _best_free_point(scores, m, taken, first_ghost_cost):
+    """The point that is best for marker m among those not taken, and its score; -1 and -inf where each costs more than a ghost. O(n)."""
+    chosen, best = -1, -np.inf
+    for c in range(len(taken)):
+        # What costs more than a ghost can never be worth a label.
+        if scores[m, c] > -first_ghost_cost and scores[m, c] > best and not taken[c]:
+            chosen, best = c, scores[m, c]
+    return chosen, best
 
 
 @kernel

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from asterism.labelling.body._search_kernels import MAX_LABELLINGS
 from asterism.labelling.body._workspace_kernels import AnchorArrays, BodyArrays, FrameLabelling, FrameModel, FrameSettings
 from asterism.labelling.body.anchors import Anchors
 from asterism.labelling.body.model import BodyModel
-from asterism.labelling.body.twins import twins_of
+from asterism.labelling.body.twins import permutations_of, twins_of
 from asterism.labelling.features.search_kernels import SolverArrays
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints
@@ -129,6 +130,11 @@ class BodyLabeller:
     def from_model(cls, model: BodyModel, anchors: Anchors, settings: FrameSettings) -> BodyLabeller:
         """Bring a body model and its anchors into the arrays that the kernels read."""
         return cls(model, anchors.solvers(), anchors.arrays(model), model.arrays(), settings, twins_of(model))
+
+    @cached_property
+    def permutations(self) -> Ints:
+        """(W, M) permutations of few markers beside one another, see `permutations_of`."""
+        return permutations_of(self.model)
 
     def label(self, clouds: Clouds, workers: int = 1, progress: Progress | None = None) -> LabelledFrames:
         """The best labelling of each frame alone. The result depends neither on the order of the points nor on `workers`."""

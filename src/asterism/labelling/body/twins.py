@@ -36,6 +36,10 @@ SAME_SHAPE = 0.5
 """A turned group is a twin where its markers come to lie within this share of its radius of one another's places. At 1 every
 permutation is one, at 0.25 not even a third of a turn of a pelvis is."""
 
+BESIDE = 3
+"""Markers beside each one among which all permutations are looked at: with them a plate of four, a hand, a foot and its shank. Their number
+grows with the factorial: at 2 a head of four markers cannot be turned, at 6 a marker has 5,000 permutations."""
+
 STEPS = 36
 """Headings of the plane of symmetry that are tried: every 5 degrees."""
 
@@ -62,6 +66,21 @@ def twins_of(model: BodyModel, unit: float = 1.0) -> Ints:
     for group in groups:
         found += _group_turns(mean, group)
     return _different(found, len(mean))
+
+
+def permutations_of(model: BodyModel) -> Ints:
+    """All permutations of three or four of each marker and the `BESIDE` whose distances to it are the steadiest, as `twins_of`: (W, M)."""
+    steady, table = _distance_std(model), dict[bytes, Ints]()
+    markers = len(steady)
+    np.fill_diagonal(steady, -1.0)
+    groups = {tuple(sorted(near[: BESIDE + 1])) for near in np.argsort(steady, axis=1, kind="stable").tolist()}
+    for group in sorted(groups):
+        for order in permutations(group):
+            if sum(one != other for one, other in zip(group, order, strict=True)) >= 3:
+                permutation = np.arange(markers)
+                permutation[list(group)] = order
+                table[permutation.tobytes()] = permutation
+    return np.array(list(table.values()), dtype=np.int64).reshape(-1, markers)
 
 
 def mirror_twin(mean: Floats) -> Ints:

@@ -269,3 +269,38 @@ def frame_scatters(distance, log_reference, softness, min_pairs, out):
             # The nearest reference: a pose is enough like one of them.
             if np.isnan(out[t]) or scatter < out[t]:
                 out[t] = scatter
+
+
+@kernel
+def frame_deviations(distance, log_reference, spread, most, min_pairs, out):
+    """How far the distances of each frame are off a reference, in standard deviations: the root mean square, sizes of bodies set aside.
+
+    IN  distance (T, N) m, NaN where not known; log_reference (N,) logs of the reference's distances, NaN where not known; spread (N,)
+        standard deviation of each log; most standard deviations that one distance counts at most
+    OUT out (T,) NaN where fewer than `min_pairs` distances can be compared
+    O(T N log N). Twin: `RigidDistances.nearest`, frame by frame.
+
+    Bounds: a ratio for each pair: N.
+    """
+    frames, pairs = distance.shape
+    ratio, each = np.empty(pairs), np.empty(pairs)
+    for t in range(frames):
+        out[t] = np.nan
+        known = 0
+        for i in range(pairs):
+            apart = distance[t, i]
+            # Written so that NaN stays NaN.
+            if apart < LEAST_DISTANCE:
+                apart = LEAST_DISTANCE
+            value = np.log(apart) - log_reference[i]
+            if not np.isnan(value):
+                ratio[known], each[known] = value, spread[i]
+                known += 1
+        if known < min_pairs:
+            continue
+        # The median ratio is the size, which is set aside.
+        middle, total = np.median(ratio[:known]), 0.0
+        for i in range(known):
+            deviation = min(abs(ratio[i] - middle) / each[i], most)
+            total += deviation * deviation
+        out[t] = np.sqrt(total / known)

@@ -28,7 +28,7 @@ from asterism.labelling.whole.bodies import find_bodies, follow_bodies, votes_of
 from asterism.labelling.whole.plausibility import compare_with_training, ghost_penalty
 from asterism.labelling.whole.scene import RecordingScene, SceneScores, labels_of_body, marker_offsets
 from asterism.labelling.whole.settings import RecordingLabellingSettings
-from asterism.labelling.whole.turned import hold_against_twins
+from asterism.labelling.whole.turned import HeldLabels, hold_against_twins
 from asterism.labelling.whole.upright import turned, upright_turns
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints
@@ -51,7 +51,7 @@ class SceneLabelling:
     by_body (J,) nats, the margin before labels whose distances are off lost theirs
     stages  labels (J,) after each stage, by name
     rough   number of tracklets that could not all be compared exactly, see `assignment.py`
-    lead    (L,) nats a frame by which the labels of each column beat those of the body's twins, see `turned.py`; None where not compared
+    held    how far the labels are ahead of the body's twins and of exchanges, see `turned.py`; None where not compared
     turns   (E, 3, 3) rotations that set the body upright in each sampled frame, see `upright.py`; None where none is turned
     """
 
@@ -65,7 +65,7 @@ class SceneLabelling:
     stages: dict[str, Ints] = field(default_factory=dict)
     turns: Floats | None = None
     rough: int = 0
-    lead: Floats | None = None
+    held: HeldLabels | None = None
 
     def turns_of(self, frames: int) -> Floats | None:
         """The rotation of each of so many frames of the recording (T, 3, 3), the identity for those not sampled; None as `turns`."""
@@ -123,10 +123,9 @@ def label_scene(
     def relabel(start: Ints) -> Ints:
         return _coordinate_ascent(labellers, state.scores, start, rules).label
 
-    label, lead = hold_against_twins(labellers, upright, state.label, relabel, rules.twins, rules)
-    if not np.array_equal(label, state.label):
-        state = _coordinate_ascent(labellers, state.scores, label, rules)
-        stages["twin"] = state.label
+    held = hold_against_twins(labellers, upright, state.label, relabel, rules.twins, rules)
+    state = _coordinate_ascent(labellers, state.scores, held.label, rules, held.excess)
+    stages["twin"] = state.label
     for turn in range(rules.adapt_rounds):
         if ((state.label != NULL) & (state.margin > rules.no_adapt_margin)).all():
             break
@@ -135,7 +134,7 @@ def label_scene(
             _adapted_body(labeller, number, upright, state, rules, subject_rules, body_rules) for number, labeller in enumerate(labellers)
         ]
         arrays[:] = state.arrays  # one set for all: memory that is new costs as much as the scores
-        trial = _coordinate_ascent(labellers, _scores(labellers, adapted, upright, arrays), state.label, rules)
+        trial = _coordinate_ascent(labellers, _scores(labellers, adapted, upright, arrays), state.label, rules, held.excess)
         firm = (state.label != NULL) & (state.margin >= rules.adapt_margin)
         if trial.total < state.total or not np.array_equal(trial.label[firm], state.label[firm]):
             state = replace(state, scores=_scores(labellers, bodies, upright, arrays))
@@ -145,7 +144,7 @@ def label_scene(
     report(1.0, "labelled")
     found = _judged(labellers, bodies, upright, state, rules, body_rules)
     arrays[:] = state.arrays
-    return replace(found, scene=scene, stages=stages, turns=turns, lead=lead)
+    return replace(found, scene=scene, stages=stages, turns=turns, held=held)
 
 
 def _judged(
@@ -261,33 +260,52 @@ def _scores(
 
 
 def _coordinate_ascent(
-    labellers: Sequence[BodyLabeller], scores: list[SceneScores], label: Ints, rules: RecordingLabellingSettings
+    labellers: Sequence[BodyLabeller],
+    scores: list[SceneScores],
+    label: Ints,
+    rules: RecordingLabellingSettings,
+    excess: Floats | None = None,
 ) -> _JointLabels:
-    """Relabel until nothing changes."""
-    scene = scores[0].scene
+    """Relabel until nothing changes, or labels come back.
+
+    Two labels that are exchanged may be exchanged again in the next round, as leave-one-out scores take both points for what they are
+    labelled. Of labels that give points to the same tracklets the best are taken, by the joint evidence of all points.
+    excess (L, L): see `HeldLabels`; none where not known.
+    """
+    scene, visited = scores[0].scene, list[tuple[float, Ints, Floats, list[Ints], float, int]]()
     for _ in range(rules.max_rounds):
-        gain, poses = _gains(labellers, scores, label, rules)
+        gain, poses, joint = _gains(labellers, scores, label, rules)
+        if excess is not None:
+            given = label != NULL
+            gain[given] -= excess[label[given]] * scene.independent[given, None]
         gain, found, total = _with_ghost_credit(gain, scene, labellers, rules)
-        if np.array_equal(found.label, label):
+        visited.append((joint, label, gain, poses, total, int(found.rough.sum())))
+        if any(np.array_equal(found.label, one[1]) for one in visited):
             break
         label = found.label
-    margin, rival = margins_of(gain, found.label, scene.first, scene.last, np.argsort(scene.first, kind="stable"))
-    return _JointLabels(found.label, margin, rival, marker_offsets(labellers), poses, total, scores, int(found.rough.sum()))
+    same = [one for one in visited if np.array_equal(one[1] == NULL, visited[-1][1] == NULL)]
+    joint, label, gain, poses, total, rough = max(reversed(same), key=lambda one: one[0])
+    margin, rival = margins_of(gain, label, scene.first, scene.last, np.argsort(scene.first, kind="stable"))
+    return _JointLabels(label, margin, rival, marker_offsets(labellers), poses, total, scores, rough)
 
 
 def _gains(
     labellers: Sequence[BodyLabeller], scores: Sequence[SceneScores], label: Ints, rules: RecordingLabellingSettings
-) -> tuple[Floats, list[Ints]]:
-    """Each tracklet's gain for each column, given the labels of all others (J, L) in nats; key poses (E,) by body."""
+) -> tuple[Floats, list[Ints], float]:
+    """Each tracklet's gain for each column, given the labels of all others (J, L) in nats; key poses (E,) by body; and the evidence.
+
+    The evidence is the joint one of all labels, nats over all sampled frames; a frame with fewer than three labels has none.
+    """
     offsets, scene = marker_offsets(labellers), scores[0].scene
-    gain, poses = np.zeros((len(scene.first), offsets[-1])), []
+    gain, poses, joint = np.zeros((len(scene.first), offsets[-1])), [], 0.0
     for number, of_body in enumerate(scores):
         scored = of_body.of(labels_of_body(label, offsets, number))
         sums, counts = np.zeros((len(scene.first), scored.scores.shape[1])), np.zeros(len(scene.first))
         sum_scores(scene.sampled_track, scored.scores, rules.min_score, rules.max_score, sums, counts)
         gain[:, offsets[number] : offsets[number + 1]] = sums * (scene.independent / np.maximum(counts, 1.0))[:, None]
         poses.append(scored.poses.copy())
-    return gain, poses
+        joint += float(np.nansum(scored.totals))
+    return gain, poses, joint
 
 
 def _with_ghost_credit(

@@ -220,7 +220,7 @@ def label_if_foreign(
     if verdict is None or reference is None:
         return None
     names, rules = [body.names[marker] for marker in body.markers], settings.foreign
-    few = len(reference.median) < reference.rules.min_people and not verdict.scatter <= reference.rules.own_scatter
+    few = reference.few_people and not verdict.scatter <= reference.rules.own_scatter
     crowded = few and verdict.surplus >= reference.rules.min_surplus * len(names)
     if verdict.fits and not crowded and forward_travel(found, names, rules) > rules.backward:
         return None

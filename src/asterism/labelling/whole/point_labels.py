@@ -19,7 +19,6 @@ from asterism.labelling.whole.foreign import ForeignConfidence
 from asterism.labelling.whole.joint import SceneLabelling
 from asterism.labelling.whole.scene import labels_of_body
 from asterism.labelling.whole.settings import RecordingLabellingSettings
-from asterism.labelling.whole.turned import twin_limits
 from asterism.labelling.whole.verdict import MIN_FRAMES, RigidDistances, RivalCounts, VerdictRules, confidence_limit, judge, judge_scene
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from asterism.recording.verdict import Verdict
@@ -169,8 +168,10 @@ def _certainty(
     """How certain each label is, and below which it is taken back: (P,) each."""
     certainty, least = labels.confidence(body.certainty, body.frame_certainty)
     certainty = np.minimum(certainty, confidence_limit(verdict))
-    if labels.found.lead is not None:
-        certainty = np.minimum(certainty, twin_limits(labels.found.lead, labels.label, rules.twins))
+    if labels.found.held is not None:
+        # few people say little of where markers sit on others: to their model all near ones may be exchanged
+        many = body.distances is None or not body.distances.few_people
+        certainty = np.minimum(certainty, labels.found.held.limits(labels.label, rules.twins, with_exchanges=many))
     return certainty, least
 
 

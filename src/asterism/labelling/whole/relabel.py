@@ -30,6 +30,7 @@ from asterism.labelling.whole.point_labels import BodyInRecording, PointLabels, 
 from asterism.labelling.whole.scene import RecordingScene, marker_offsets, prepare_scene, score_again, score_scene, with_fewer_samples
 from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.labelling.whole.short import tracklets_of
+from asterism.labelling.whole.turned import hold_against_twins
 from asterism.labelling.whole.upright import turned
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
@@ -226,8 +227,11 @@ def _ascent(before: LabelledTracklets, problem: _RelabelProblem) -> SceneLabelli
     penalty, doubtful = _lost_margin(before, problem, label)
     by_body = margin - penalty
     margin = np.where(doubtful, np.minimum(by_body, -before.settings.no_adapt_margin), by_body)
-    turns = before.long.found.turns if scene is before.upright else None
-    return SceneLabelling(scene, label, margin, rival, before.long.found.bodies, 0.0, by_body, turns=turns, lead=before.long.found.lead)
+    turns, held = before.long.found.turns if scene is before.upright else None, before.long.found.held
+    if not np.array_equal(label, problem.start):
+        rules = replace(before.settings.twins, rounds=0)
+        held = hold_against_twins([before.body.labeller], scene, label, lambda given: given, rules, before.settings)
+    return SceneLabelling(scene, label, margin, rival, before.long.found.bodies, 0.0, by_body, turns=turns, held=held)
 
 
 def _score(scores: Floats, scene: RecordingScene, label: Ints, changed: NDArray[np.bool_] | None, before: LabelledTracklets) -> None:

@@ -5,18 +5,22 @@ exchanged for those of each twin of the body (`body/twins.py`), completed with t
 joint evidence of the whole frame, by the body of people at large. A person stands in one posture, and wears the markers in one way: what
 one frame says for the labels against a twin, the next one repeats. So a twin that is behind by few nats a frame limits the confidence,
 however many frames there are.
+
+The same holds for two markers that may have each other's points, and for one that may have the point of a hidden one: a marker that was
+placed elsewhere is one event for the whole recording. So every exchange of near labels is scored by the joint evidence, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import expit
 
 from asterism.labelling.body._search_kernels import LAID
 from asterism.labelling.body.labeller import BodyLabeller
-from asterism.labelling.whole._twin_kernels import TwinScores, score_twins
+from asterism.labelling.whole._twin_kernels import TwinScores, near_exchanges, score_permutations, score_twins
 from asterism.labelling.whole.scene import RecordingScene, labels_of_body, marker_offsets, score_scene, with_fewer_samples
 from asterism.labelling.whole.settings import RecordingLabellingSettings, TwinRules
 from asterism.recording import NULL, Floats, Ints
@@ -37,6 +41,30 @@ def joint_evidence(labellers: Sequence[BodyLabeller], scene: RecordingScene, lab
     return total
 
 
+@dataclass(frozen=True)
+class HeldLabels:
+    """Labels of a scene that were held against their twins and exchanges.
+
+    label   (J,) columns of all bodies, -1 for none: those given where nothing is better
+    lead    (L,) nats a frame by which each column is ahead of the best twin that labels most of its points otherwise, 0 or more, infinite
+            where there is none
+    over_exchanges  (L,) the same over exchanges of few markers
+    excess  (L, L) nats a frame by which the leave-one-out score of a column's points as another column is too high for an exchange
+    """
+
+    label: Ints
+    lead: Floats
+    over_exchanges: Floats
+    excess: Floats
+
+    def limits(self, label: Ints, rules: TwinRules, *, with_exchanges: bool) -> Floats:
+        """What labels (P,), columns of all bodies, may be as certain as: (P,), 1 for none."""
+        if not with_exchanges:
+            return twin_limits(self.lead, label, rules)
+        of_exchange = expit(self.over_exchanges / rules.exchange_scale)
+        return np.minimum(twin_limits(self.lead, label, rules), np.append(of_exchange, 1.0)[label])
+
+
 def hold_against_twins(
     labellers: Sequence[BodyLabeller],
     scene: RecordingScene,
@@ -44,15 +72,14 @@ def hold_against_twins(
     relabel: Callable[[Ints], Ints],
     rules: TwinRules,
     settings: RecordingLabellingSettings,
-) -> tuple[Ints, Floats]:
-    """Hold the labels (J,) of a scene, columns of all bodies, against the twins of each body.
+) -> HeldLabels:
+    """Hold the labels (J,) of a scene, columns of all bodies, against the twins of each body and against exchanges of two labels.
 
-    relabel: labels the scene from given labels (J,) on until they no longer change. Gives labels (J,), those given where no twin is better,
-    and by how many nats a frame each column (L,) is ahead of the best twin that labels most of its points otherwise, infinite where there
-    is none. O(frames) calls of `score_twins`, and one `relabel` where a twin is better.
+    relabel: labels the scene from given labels (J,) on until they no longer change. O(frames) calls of `score_twins` and of
+    `score_exchanges`, and one `relabel` where a twin is better.
     """
     few, offsets = with_fewer_samples(scene, rules.frames, settings), marker_offsets(labellers)
-    lead = np.full(offsets[-1], np.inf)
+    lead, over_exchanges, excess = np.full(offsets[-1], np.inf), np.full(offsets[-1], np.inf), np.zeros((offsets[-1], offsets[-1]))
     for number, labeller in enumerate(labellers):
         columns = slice(offsets[number], offsets[number + 1])
         for turn in range(rules.rounds + 1):
@@ -63,7 +90,98 @@ def hold_against_twins(
             if joint_evidence(labellers, few, other) <= joint_evidence(labellers, few, label):
                 break
             label = other
-    return label, np.maximum(lead, 0.0)
+        for turn in range(rules.rounds + 1):
+            exchanges = _exchanges(labeller, few, label, offsets, number, rules)
+            best = None if turn == rules.rounds else exchanges.best()
+            if best is None:
+                break
+            other = _permuted(label, best, offsets[number])
+            if joint_evidence(labellers, few, other) <= joint_evidence(labellers, few, label):
+                break
+            label = other
+        excess[columns, columns], over_exchanges[columns] = exchanges.excess, exchanges.lead()
+    return HeldLabels(label, np.maximum(lead, 0.0), np.maximum(over_exchanges, 0.0), excess)
+
+
+def _own_points(few: RecordingScene, label: Ints, own: Ints) -> tuple[Floats, Ints, Ints]:
+    """The points that may be one body's, in all sampled frames: xyz (P, 3) m, where each frame's begin (E + 1,), and their tracklets (P,).
+
+    label (J,) of all bodies, own (J,) of this one: the points of other bodies are theirs.
+    """
+    points = np.nonzero((label == NULL)[few.sampled_track] | (own != NULL)[few.sampled_track])[0]
+    counts = np.bincount(few.sampled_frame[points], minlength=len(few.sampled_frames))
+    begins = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return np.ascontiguousarray(few.sampled_xyz[points]), begins, few.sampled_track[points]
+
+
+@dataclass(frozen=True)
+class Exchanges:
+    """Permutations of few markers of a body that its labels were held against.
+
+    table   (W, M) for each marker the one whose point it takes
+    behind  (W,) nats a frame by which each is behind the labels
+    excess  (M, M) see `HeldLabels`
+    """
+
+    table: Ints
+    behind: Floats
+    excess: Floats
+
+    def lead(self) -> Floats:
+        """By how many nats a frame each marker (M,) is ahead of the best that gives its point to another one; infinite without any."""
+        moved = self.table != np.arange(self.table.shape[1])
+        return np.where(moved, self.behind[:, None], np.inf).min(axis=0, initial=np.inf)
+
+    def best(self) -> Ints | None:
+        """All that are better than the labels as one permutation (M,), the best first, each marker in one; None where there is none."""
+        found = np.arange(self.table.shape[1])
+        for w in np.argsort(self.behind, kind="stable"):
+            moved = self.table[w] != np.arange(len(found))
+            if self.behind[w] < 0.0 and (found[moved] == np.nonzero(moved)[0]).all():
+                found[moved] = self.table[w, moved]
+        return None if (found == np.arange(len(found))).all() else found
+
+
+def _exchanges(labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets: Ints, number: int, rules: TwinRules) -> Exchanges:
+    """Hold the labels of the body with this number against exchanges of two markers, and permutations of three or four side by side."""
+    own, markers = labels_of_body(label, offsets, number), labeller.body.mean.shape[1]
+    xyz, begins, track = _own_points(few, label, own)
+    apart, near = np.empty((markers, markers)), np.empty((markers, markers))
+    both, shown = np.empty((markers, markers), dtype=np.int64), np.empty((markers, markers), dtype=np.int64)
+    near_exchanges(xyz, begins, track, own, labeller.body, labeller.settings, apart, near, both, shown)
+    close = (shown > 0) & (near < rules.exchange_gap * shown)
+    one, other = np.nonzero(np.triu(close | close.T))
+    pairs = np.tile(np.arange(markers), (len(one), 1))
+    pairs[np.arange(len(one)), one], pairs[np.arange(len(one)), other] = other, one
+    local = labeller.permutations
+    in_one = np.empty((len(local), min(1, len(begins) - 1)))
+    if in_one.size:
+        # in the frame with most labels nearly all permutations are far behind
+        labelled = np.bincount(np.repeat(np.arange(len(begins) - 1), np.diff(begins)), own[track] != NULL, minlength=len(begins) - 1)
+        here = slice(*begins[int(labelled.argmax()) :][:2])
+        one_frame = np.array([0, len(track[here])])
+        score_permutations(xyz[here], one_frame, track[here], own, local, False, labeller.body, labeller.settings, in_one)
+    table = np.concatenate([pairs, local[(in_one < rules.exchange_gap).any(axis=1)]])
+    behind = np.empty((len(table), len(begins) - 1))
+    score_permutations(xyz, begins, track, own, table, True, labeller.body, labeller.settings, behind)
+    seen = ~np.isnan(behind)
+    mean = np.where(seen, behind, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+    mean[~seen.any(axis=1)] = np.inf
+    excess = np.zeros((markers, markers))
+    for a, b, ahead in ((one, other, mean[: len(one)]), (other, one, mean[: len(one)])):
+        known = (shown[a, b] > 0) & np.isfinite(ahead) & np.isfinite(apart[a, b])
+        a, b = a[known], b[known]
+        # where both have points, half of it for each of the two
+        excess[a, b] = (ahead[known] - apart[a, b] / shown[a, b]) * (1.0 - 0.5 * both[a, b] / shown[a, b])
+    return Exchanges(table, mean, excess)
+
+
+def _permuted(label: Ints, permutation: Ints, first: int) -> Ints:
+    """The labels (J,) of all bodies, those of the body whose columns begin with `first` permuted: (M,), whose point each marker takes."""
+    own = (label >= first) & (label < first + len(permutation))
+    better = label.copy()
+    better[own] = np.argsort(permutation)[label[own] - first] + first
+    return better
 
 
 def _lead_over_twins(
@@ -74,12 +192,8 @@ def _lead_over_twins(
     And the labels (J,) of the best twin that is ahead, None where there is none.
     """
     own = labels_of_body(label, offsets, number)
-    # the points of other bodies are theirs
-    points = np.nonzero((label == NULL)[few.sampled_track] | (own != NULL)[few.sampled_track])[0]
-    frames, markers = len(few.sampled_frames), int(offsets[number + 1] - offsets[number])
-    begins = np.concatenate([[0], np.cumsum(np.bincount(few.sampled_frame[points], minlength=frames))]).astype(np.int64)
-    track = few.sampled_track[points]
-    lead, point_of = compare_with_twins(labeller, np.ascontiguousarray(few.sampled_xyz[points]), begins, track, own, rules)
+    markers, (xyz, begins, track) = int(offsets[number + 1] - offsets[number]), _own_points(few, label, own)
+    lead, point_of = compare_with_twins(labeller, xyz, begins, track, own, rules)
     if point_of is None:
         return lead, None
     # each tracklet becomes what the twin says of it in most of the frames

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import expit, logit
 
-from asterism.labelling.whole._distance_kernels import LEAST_DISTANCE, frame_scatters
+from asterism.labelling.whole._distance_kernels import LEAST_DISTANCE, frame_deviations, frame_scatters
 from asterism.labelling.whole.scene import RecordingScene, labels_of_body
 from asterism.recording import NULL, Floats, Ints
 from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, Verdict
@@ -39,13 +39,18 @@ class VerdictRules:
     max_limit        least scatter that never fits
     min_people       people of the training from which their differences widen the limit
     left_out_factor  the limit as a multiple of the largest scatter of a person of the training against all others, between these two
-    at_large_fit     share of virtual people who fit the others. Of ten sets of `movement` the real people scatter by 0.04 to 0.11, virtual
-                     ones by 0.10 to 0.15 in 19 of 20, and real ones with a third of the names exchanged by 0.10 to 0.7
     crowded_limit    largest scatter that fits where fewer people taught the model and many points are left over: among many points some
                      always fit
     own_scatter      largest scatter of a person of the training in another movement: 0.01 in those measured, and 0.02 of the nearest other
                      person. Not tuned
-    body_scatter     scatter from which it is another body
+    many_people      people of the training from which each distance is held against how much it differs among them: its standard deviation
+                     is then known to a sixth. At half of it, to a quarter; at twice, only large trainings are judged so
+    many_limit       root mean square of these deviations that fits, in standard deviations. Right labels of sets for choosing by virtual
+                     people reach 1.64, labels given at random begin at 1.6 and are at 2.3 or more in 95 of 100. At half of it half of all
+                     people are foreign, at twice nobody is
+    most_deviation   standard deviations that one distance counts at most, so that one displaced marker makes nobody foreign. At half of it
+                     right and random labels overlap, at twice nothing changes but for that
+    body_scatter     scatter from which it is another body; with many people, this is twice the limit
     body_size        factor between the sizes from which it is another body
     body_labelled    share of the markers, or of the points if fewer, below which what does not fit is another body
     moving_lost      the same from which a movement is foreign to a training of standing trials
@@ -69,9 +74,11 @@ class VerdictRules:
     max_limit: float = 0.09
     min_people: int = 5
     left_out_factor: float = 1.5
-    at_large_fit: float = 0.95
     crowded_limit: float = 0.035
     own_scatter: float = 0.018
+    many_people: int = 20
+    many_limit: float = 1.75
+    most_deviation: float = 4.0
     body_scatter: float = 0.3
     body_size: float = 1.7
     body_labelled: float = 0.5
@@ -98,6 +105,8 @@ class RigidDistances:
     limit          the largest scatter that fits
     unit           `length_scale` of the body
     rules          by which they were chosen
+    spread         (N,) standard deviation of the log of each distance among many people, sizes set aside; None where few taught the model.
+                   With many people, a scatter is the root mean square deviation in these, times their median
     """
 
     first: Ints
@@ -107,13 +116,11 @@ class RigidDistances:
     limit: float
     unit: float
     rules: VerdictRules
+    spread: Floats | None = None
 
     @classmethod
-    def of_training(cls, frames: Floats, people: Ints, unit: float, rules: VerdictRules, *, at_large: bool = False) -> RigidDistances:
-        """frames (N, M, 3) m, NaN where missing; people (N,) whose each is; unit: `length_scale` of the body. O(P frames M^2 + P^2 N).
-
-        at_large: virtual people, who differ as people of all laboratories do, are among these, so that their differences are the limit.
-        """
+    def of_training(cls, frames: Floats, people: Ints, unit: float, rules: VerdictRules) -> RigidDistances:
+        """frames (N, M, 3) m, NaN where missing; people (N,) whose each is; unit: `length_scale` of the body. O(P frames M^2 + P^2 N)."""
         first, second = np.triu_indices(frames.shape[1], 1)
         medians, stds = [], []
         for person in np.unique(people):
@@ -123,15 +130,40 @@ class RigidDistances:
         std = _quietly(np.nanmax, np.stack(stds), axis=0)
         rigid = std < rules.max_rigid_std * unit
         moving = bool((std > 1.5 * rules.max_rigid_std * unit).mean() > 0.2)
-        found = cls(first[rigid], second[rigid], np.stack(medians)[:, rigid], moving, rules.min_limit, unit, rules)
-        if len(medians) < rules.min_people:
-            return found
-        rest = [replace(found, median=np.delete(found.median, p, axis=0)).nearest(found.median[p])[0] for p in range(len(medians))]
-        known = [scatter for scatter in rest if not np.isnan(scatter)]
-        if at_large:
-            return replace(found, limit=float(max(rules.min_limit, np.quantile(known or [0.0], rules.at_large_fit))))
-        most = max(known, default=0.0)
-        return replace(found, limit=float(np.clip(rules.left_out_factor * most, rules.min_limit, rules.max_limit)))
+        return cls(first[rigid], second[rigid], np.stack(medians)[:, rigid], moving, rules.min_limit, unit, rules).with_limit()
+
+    def with_limit(self) -> RigidDistances:
+        """These distances, with the largest scatter that fits, and the spread where many people taught the model, as the people's say."""
+        rules, people = self.rules, len(self.median)
+        if people >= rules.many_people and len(self.first):
+            spread = self._spread_of_people()
+            return replace(self, spread=spread, limit=rules.many_limit * float(np.median(spread)))
+        if self.few_people:
+            return replace(self, spread=None, limit=rules.min_limit)
+        rest = [replace(self, median=np.delete(self.median, p, axis=0)).nearest(self.median[p])[0] for p in range(people)]
+        most = max((scatter for scatter in rest if not np.isnan(scatter)), default=0.0)
+        return replace(self, spread=None, limit=float(np.clip(rules.left_out_factor * most, rules.min_limit, rules.max_limit)))
+
+    @property
+    def few_people(self) -> bool:
+        """Whether so few people taught the model that it says little of how people differ."""
+        return len(self.median) < self.rules.min_people
+
+    def _spread_of_people(self) -> Floats:
+        """How much the log of each distance differs among the training's people, sizes set aside: (N,) standard deviations.
+
+        People who do not differ at all allow what few people do, `VerdictRules.min_limit`. A distance that few of them show differs as
+        others do.
+        """
+        logs = log_distances(self.median)
+        typical = _quietly(np.nanmean, logs, axis=0)
+        apart = logs - typical
+        apart -= _quietly(np.nanmedian, apart.T, axis=0)[:, None]
+        variance = _quietly(np.nanvar, apart, axis=0)
+        known = (~np.isnan(apart)).sum(axis=0) >= self.rules.min_people
+        variance[~known] = np.median(variance[known]) if known.any() else 0.0
+        least = self.rules.min_limit / self.rules.many_limit
+        return np.asarray(np.sqrt(variance + least**2 * (1.0 + (self.softness / np.exp(typical)) ** 2)))
 
     @property
     def max_rigid_std(self) -> float:
@@ -140,10 +172,15 @@ class RigidDistances:
 
     @cached_property
     def log_references(self) -> Floats:
-        """The logs of the distances (R, N) that a body may be near to: the people's mean, then each of several people."""
+        """The logs of the distances (R, N) that a body may be near to: the people's mean, then each of several, unless they are many."""
         logs = log_distances(self.median)
         mean = _quietly(np.nanmean, logs, axis=0)
-        return np.stack([mean, *(logs if len(logs) > 1 else ())])
+        return np.stack([mean, *(logs if len(logs) > 1 and self.spread is None else ())])
+
+    @property
+    def body_scatter(self) -> float:
+        """Scatter from which it is another body."""
+        return self.rules.body_scatter if self.spread is None else 2.0 * self.limit
 
     @property
     def softness(self) -> float:
@@ -157,6 +194,9 @@ class RigidDistances:
     def scatters_of(self, distance: Floats) -> Floats:
         """The scatter of each row of distances: (T, N) m in, (T,) out."""
         out = np.empty(len(distance))
+        if self.spread is not None:
+            frame_deviations(distance, self.log_references[0], self.spread, self.rules.most_deviation, self.rules.min_pairs, out)
+            return np.asarray(out * np.median(self.spread))
         frame_scatters(distance, self.log_references, self.softness, self.rules.min_pairs, out)
         return out
 
@@ -187,6 +227,9 @@ class RigidDistances:
             if known.sum() < rules.min_pairs:
                 continue
             middle = float(np.median(ratio[known]))
+            if self.spread is not None:
+                apart = np.minimum(np.abs(ratio[known] - middle) / self.spread[known], rules.most_deviation)
+                return float(np.sqrt((apart**2).mean()) * np.median(self.spread)), middle, mean
             # a distance of 10 cm may be off by a centimetre as a long one may be by some per cent
             weight = 1.0 / np.sqrt(1.0 + (self.softness / np.maximum(distance[known], LEAST_DISTANCE)) ** 2)
             scatter = 1.4826 * float(np.median(np.abs(ratio[known] - middle) * weight))
@@ -213,7 +256,7 @@ def judge(positions: Floats, counts: Ints, reference: RigidDistances) -> Verdict
     if np.isnan(scatter):
         # a body whose markers move against each other, where enough of their distances are seen
         kind = OTHER_BODY if comparable and known.sum() >= 2 * rules.min_pairs else _kind_by_points(verdict, counts, markers, rules)
-    elif _is_other_body(verdict, lost if reference.moving else 0.0, rules):
+    elif _is_other_body(verdict, lost if reference.moving else 0.0, reference.body_scatter, rules):
         kind = OTHER_BODY
     elif scatter > verdict.limit:
         kind = OTHER_MARKERS if surplus >= rules.min_surplus * markers else OTHER_PERSON
@@ -224,10 +267,13 @@ def judge(positions: Floats, counts: Ints, reference: RigidDistances) -> Verdict
     return replace(verdict, kind=kind)
 
 
-def _is_other_body(verdict: Verdict, lost: float, rules: VerdictRules) -> bool:
-    """Whether the distances are no person's. lost: share of the training's near-rigid distances that are not rigid here."""
+def _is_other_body(verdict: Verdict, lost: float, most: float, rules: VerdictRules) -> bool:
+    """Whether the distances are no person's.
+
+    lost: share of the training's near-rigid distances that are not rigid here; most: the largest scatter of a person.
+    """
     return (
-        verdict.scatter > rules.body_scatter
+        verdict.scatter > most
         or abs(np.log(verdict.size)) > np.log(rules.body_size)
         or lost > rules.body_lost
         or (verdict.scatter > verdict.limit and verdict.labelled < rules.body_labelled)

@@ -7,7 +7,7 @@ belong to (`fit`); the files of one folder are of one person where they agree.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -17,8 +17,10 @@ from numpy.typing import ArrayLike
 from scipy.special import softmax
 
 from asterism.errors import AsterismError, NoMarkers
+from asterism.labelling import MarkerModel
 from asterism.recording import Clouds, Floats, MarkerSet, Recording, shipped_marker_sets, worn_marker_sets
 from asterism.recording.marker_set import is_unnamed
+from asterism.session.worn.compare import compare
 from asterism.session.worn.fit import FitRules, FrameFit, fit_frame
 from asterism.session.worn.shapes import BodyShapes, body_shapes
 
@@ -30,13 +32,17 @@ GIVEN, BY_NAMES, BY_POINTS = "given", "names", "points"
 class FindRules:
     """How the evidence of frames becomes a probability. Chosen on the recordings of `movement`.
 
-    frames       of a file that are looked at
+    frames       of a file that are looked at; the better half of them counts, since a posture that virtual people do not know explains none
     gap          m, half an arm's length: points this far from all others are of another person or thing. At half, a raised arm without an
                  elbow marker is a body of its own
     fewest       points that a body shows at least; four hold no body in place
     temperature  nats of a frame that count as one: the frames of a file show one body with its markers placed once. At half, one file of
                  ten is called sure and is not; at double, sets that differ by two markers are never told apart
-    sure         probability from which nothing is asked
+    sure         probability from which nothing is asked; below it, or where points are left over, models of the likely sets label some
+                 frames
+    likely       probability from which a set is held to be likely
+    candidates   likely sets at most: each costs seconds where its model is not kept yet
+    left_over    points that no marker explains, as a share of the set's markers, from which sets are compared in any case
     worn         share of a set's markers that the points show at least, or of the points if they are fewer; below it, nothing shipped is
                  worn
     explained    share of the points that belong to it at least
@@ -44,11 +50,14 @@ class FindRules:
     agree        nats by which a file's own set may beat that of the folder
     """
 
-    frames: int = 3
+    frames: int = 6
     gap: float = 0.35
     fewest: int = 8
     temperature: float = 3.0
     sure: float = 0.95
+    likely: float = 0.003
+    candidates: int = 3
+    left_over: float = 0.3
     worn: float = 0.6
     explained: float = 0.25
     beside: int = 3
@@ -116,11 +125,13 @@ class SetFinder:
     given     sets that a person named: shipped ones, files, or marker sets; one for each body. Nothing is looked for then
     files     of the run
     vertical  what points up
+    model_of  gives the model of virtual people who wear a shipped set, to compare sets that cannot be told apart otherwise
     """
 
     given: Sequence[str | Path | MarkerSet] = ()
     files: Sequence[Path] = ()
     vertical: ArrayLike | str | None = None
+    model_of: Callable[[str], MarkerModel] | None = None
     rules: FindRules = field(default_factory=FindRules)
     _evidence: dict[Path, _Evidence | None] = field(default_factory=dict)
 
@@ -137,7 +148,7 @@ class SetFinder:
         own = self._evidence_of(path, recording)
         if own is None:
             raise NoMarkers(f"{path} has no frame with {self.rules.fewest} points or more; name the marker set with --markers.")
-        return (self._decided(path, self._pooled(path, own), own),)
+        return (self._decided(path, self._compared(recording, self._pooled(path, own), own), own),)
 
     def _by_names(self, recording: Recording) -> WornMarkers | None:
         """The set of which most markers are named; None where the names are of none."""
@@ -177,6 +188,20 @@ class SetFinder:
                     for name, nats in other.nats.items():
                         total[name] += nats - other.nats[top]
         return total
+
+    def _compared(self, recording: Recording, nats: Mapping[str, float], own: _Evidence) -> Mapping[str, float]:
+        """The evidence, and what models of the likely sets find where it is in doubt."""
+        found, rules = _most_probable(nats, own, self.rules), self.rules
+        left_over = own.points - found.shown
+        if self.model_of is None or (found.probability >= rules.sure and left_over < rules.left_over * len(found.marker_set)):
+            return nats
+        # where many points are left over, sets of many markers explain some of them by chance
+        apart = -rules.temperature * math.log(rules.likely) * (1.0 if left_over < rules.left_over * len(found.marker_set) else 3.0)
+        likely = [name for name in sorted(nats, key=lambda name: -nats[name]) if nats[name] > nats[found.name] - apart][: rules.candidates]
+        if len(likely) < 2:
+            return nats
+        said = compare(recording.clouds(), likely, self.model_of)
+        return {name: own + said[name] if name in said else -math.inf for name, own in nats.items()}
 
     def _evidence_of(self, path: Path, recording: Recording) -> _Evidence | None:
         """What a file's points say; None where no frame shows enough of them."""
@@ -221,7 +246,8 @@ def evidence_of(clouds: Clouds, rules: FindRules | None = None, shapes: BodyShap
 
 
 def _mean(fits: Sequence[tuple[int, FrameFit]], second: _Evidence | None = None) -> _Evidence:
-    """The mean of what frames say."""
+    """The mean of what the better half of the frames say: those in which a body is found best."""
+    fits = sorted(fits, key=lambda each: -max(each[1].evidence.values()) / each[0])[: (len(fits) + 1) // 2]
     names = fits[0][1].evidence
     worst = min((nats for _, fit in fits for nats in fit.evidence.values() if math.isfinite(nats)), default=0.0)
     nats = {name: float(np.mean([max(fit.evidence[name], worst - 10.0) for _, fit in fits])) for name in names}
