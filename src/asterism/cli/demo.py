@@ -119,8 +119,8 @@ def demo(options: DemoOptions) -> None:
     _write(files, model, trials[-1])
     without = _without_model(files.unlabelled, trials[-1])
     show(
-        f"Without any model: {without['worn']} and virtual people give {without['right']:,} of {without['visible']:,} markers in view their "
-        f"own point, and {without['wrong']} another one."
+        f"Without any model: {without['worn']} and virtual people give {without['right']:,} of {without['visible']:,} markers in view "
+        f"their own point, and {without['wrong']} another one."
     )
     show(f"Open {files.report} in a browser, and {files.labelled} in any C3D viewer. Label a file yourself:")
     show(f"  asterism label {files.unlabelled} -o {options.output / 'labelled'}")
