@@ -4,8 +4,8 @@ Three kinds of evidence are combined. A person's recordings are laid on each oth
 under other names. The markers' own paths (`paths`): where two labels are exchanged, both columns jump, and the jumps vanish when the points
 are exchanged back. And other people's bodies: a body model that was learned without this person (without this recording, where all are of
 one person) says by how many nats an exchange explains each frame better. The last two go into one chain per pair of markers with two
-states, as labelled and exchanged. The most likely path through the chain is computed exactly. A change of state costs more than a correct recording
-gains by chance.
+states, as labelled and exchanged. The most likely path through the chain is computed exactly. A change of state costs more than a correct
+recording gains by chance.
 """
 
 from __future__ import annotations
