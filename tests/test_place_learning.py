@@ -15,7 +15,7 @@ from asterism.errors import AsterismError
 from asterism.recording import MarkerSet, Place, Recording
 from asterism.simulation import simulate_walks
 from asterism.simulation.body import SIDED
-from asterism.skeleton import learn_places, marker_set_of, with_landmarks
+from asterism.skeleton import learn_places, marker_set_of, place_by_name, with_landmarks
 from asterism.skeleton.angles import ANGLES, COLUMN
 from asterism.skeleton.build import BuildRules, random_build
 from asterism.skeleton.joints import JOINTS, LENGTH_NAMES, TURNS, pose_segments, scales_of
@@ -250,3 +250,21 @@ def test_exchanged_elbows_of_a_real_person_are_told(data: Path):
         recording = formats.read(data / f"movement/qtm-fullbody/{trial}.c3d", markers="landmarks-73")
         told[trial] = {f.where for f in learn_places(MarkerSet.load("landmarks-73"), [recording]).findings}
     assert told == {"ech_anat_pose": {"LLHE", "LMHE", "RLHE", "RMHE"}, "ech_right_knee": set()}
+
+
+def test_usual_names_say_where_markers_sit():
+    usual = MarkerSet(("LKNE", "RKNE", "L.ASIS", "hat", "LTIB", "RTIB"), aliases={"hat": ("HeadTop",)})
+    placed = place_by_name(usual)
+    assert list(placed.places) == ["LKNE", "RKNE", "L.ASIS", "hat", "LTIB", "RTIB"]
+    assert placed.places["L.ASIS"] == MarkerSet.load("helen-hayes").places["LASI"]
+    # What the set says itself comes first.
+    own = Place("pelvis", (0.1, 0.1, 0.1))
+    assert place_by_name(replace(usual, places={"LKNE": own})).places["LKNE"] == own
+
+
+def test_a_cluster_has_no_place_by_its_name_alone():
+    """LTH1 of a few sets that differ; but in a set that is worn as it ships, every name is known."""
+    names = ("LASI", "RASI", "SACR", "LTHI", "LHEE", "RHEE", "LTOE", "LANK", "LTH1", "LTH2", "nose ring")
+    assert set(names) - set(place_by_name(MarkerSet(names)).places) == {"LTH1", "LTH2", "nose ring"}
+    shipped = MarkerSet.load("cast")
+    assert place_by_name(replace(shipped, places={})).places == shipped.places

@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 
 from asterism import AsterismError
 from asterism.recording import MarkerSet
-from asterism.skeleton import MOVEMENTS, BuildRules, VirtualRules, virtual_people
-from asterism.skeleton.angles import ANGLES, ANKLE_DEG, COLUMN, LIMITS_DEG, shank_tilt
+from asterism.recording.place import other_side
+from asterism.skeleton import MOVEMENTS, BuildRules, VirtualRules, WearRules, virtual_people
+from asterism.skeleton.angles import ANGLES, ANKLE_DEG, COLUMN, LIMITS_DEG, mirrored, shank_tilt
 from asterism.skeleton.build import random_build
 from asterism.skeleton.kinematics import markers, pose
+from asterism.skeleton.postures import like_a_recorded_one, recorded_postures
 from asterism.skeleton.worn import Worn
 
 
@@ -73,7 +75,7 @@ def test_a_forearm_turns_gradually_from_the_elbow_to_the_wrist() -> None:
     build = random_build(np.random.default_rng(0), 1.7, BuildRules(proportion=0.0, asymmetry=0.0, short_limb=0.0))
     along = np.array([0.0, 0.5, 1.0])
     at = np.stack([np.zeros(3), np.full(3, 0.04), -along * build.bones["left forearm"]], axis=1)
-    worn = Worn(("left forearm",) * 3, at, np.zeros((3, 3, len(ANGLES))), along)
+    worn = Worn(("left forearm",) * 3, at, np.zeros((3, 3, len(ANGLES))), along, np.zeros(3))
     angles = np.zeros((2, len(ANGLES)))
     angles[1, COLUMN["left palm"]] = np.radians(90.0)
     positions = markers(worn, pose(build, angles), angles)
@@ -104,6 +106,52 @@ def test_markers_of_one_plate_move_as_one() -> None:
             first = recording.positions[:, own[0]]
             for m in own[1:]:
                 assert np.ptp(np.linalg.norm(recording.positions[:, m] - first, axis=1)) < 1e-9
+
+
+def test_a_plate_is_as_large_on_a_child_as_on_a_tall_adult() -> None:
+    marker_set = MarkerSet.load("cast")
+    plate = next(place.plate for place in marker_set.places.values() if place.plate)
+    first, last = [m for m, name in enumerate(marker_set.names) if marker_set.places[name].plate == plate][::3]
+    sizes = {
+        (float(recording.metadata["height"]), round(float(np.linalg.norm(positions[first] - positions[last])), 9))
+        for recording in virtual_people(marker_set, 3, 20, rules=VirtualRules(noise=0.0))
+        for positions in recording.positions[:1]
+    }
+    heights, lengths = zip(*sizes, strict=True)
+    assert max(heights) - min(heights) > 0.2
+    assert np.ptp(lengths) < 1e-6
+
+
+def test_rods_swing_while_they_move_and_other_markers_do_not() -> None:
+    still, swinging = (
+        virtual_people("helen-hayes", 1, 60, rules=VirtualRules(wear=WearRules(swing=swing), share=(("run", 1.0),), noise=0.0))[0]
+        for swing in (0.0, 0.003)
+    )
+    moved = np.abs(swinging.positions - still.positions).max(axis=(0, 2))
+    rods = [place.wand for place in MarkerSet.load("helen-hayes").places.values()]
+    assert (moved[rods] > 0.001).all()
+    assert (moved[rods] < 0.03).all()
+
+
+def test_a_posture_in_the_mirror_is_the_posture_of_the_mirrored_body() -> None:
+    build = random_build(np.random.default_rng(1), 1.7, BuildRules(asymmetry=0.0, short_limb=0.0))
+    angles = like_a_recorded_one(np.random.default_rng(2), ())[None]
+    seen, other = pose(build, angles), pose(build, mirrored(angles))
+    for segment in seen.origin:
+        assert other.origin[other_side(segment)] == pytest.approx(seen.origin[segment] * (1.0, -1.0, 1.0), abs=1e-9)
+
+
+def test_recorded_postures_are_within_limits_and_can_be_left_out() -> None:
+    recorded = recorded_postures()
+    for rows in recorded.values():
+        assert rows.shape[1] == len(ANGLES)
+    all_of_them, without = (
+        virtual_people("helen-hayes", 1, 200, rules=VirtualRules(share=(("move", 1.0),), without=left_out))[0]
+        for left_out in ((), tuple(recorded)[:-1])
+    )
+    assert not np.array_equal(all_of_them.positions, without.positions)
+    with pytest.raises(AsterismError, match="no recorded postures of nobody"):
+        VirtualRules(without=("nobody",))
 
 
 @pytest.mark.parametrize("arguments", [{"people": 0}, {"frames": 2}, {"rate": 0.0}, {"rate": float("nan")}])

@@ -7,7 +7,7 @@ says, moved as hands and skin move them. Of real people they have typical postur
 from asterism.skeleton.build import BuildRules
 from asterism.skeleton.movements import MOVEMENTS
 from asterism.skeleton.people import VirtualRules, virtual_people
-from asterism.skeleton.place_learning import LearnedPlaces, learn_places, marker_set_of, with_landmarks
+from asterism.skeleton.place_learning import LearnedPlaces, learn_places, marker_set_of, place_by_name, with_landmarks
 from asterism.skeleton.worn import WearRules
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "WearRules",
     "learn_places",
     "marker_set_of",
+    "place_by_name",
     "virtual_people",
     "with_landmarks",
 ]

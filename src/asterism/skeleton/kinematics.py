@@ -9,7 +9,7 @@ import numpy as np
 
 from asterism.recording import Floats
 from asterism.recording.place import LIMBS
-from asterism.skeleton.angles import ANGLES, COLUMN
+from asterism.skeleton.angles import ANGLES, COLUMN, slow_curves
 from asterism.skeleton.build import BONES, Build
 from asterism.skeleton.worn import Worn
 
@@ -26,6 +26,9 @@ _SOFT_FLOOR = 0.01
 _SMOOTHED = 0.1
 """s, over which the path of the body over the floor is smoothed, to both sides: weight goes from foot to foot, and does not jump."""
 
+
+_ROD_HZ = (4.0, 9.0)
+"""At which rods of 5 to 10 cm with a marker at the end swing on skin."""
 
 _TOUCHING = (
     ("foot", (-0.050, 0.0, -0.078)),
@@ -172,6 +175,18 @@ def markers(worn: Worn, segments: Segments, angles: Floats) -> Floats:
         own = [m for m, name in enumerate(worn.segments) if name == segment]
         out[:, own] = _untwisted(at[:, own], worn.along[own], segment, angles) @ segments.axes[segment].swapaxes(1, 2)
         out[:, own] += segments.origin[segment][:, None]
+    return out
+
+
+def swung(worn: Worn, positions: Floats, rate: float, rng: np.random.Generator) -> Floats:
+    """The positions (T, M, 3) m with rods that swing about where they stand, all the more the faster they are moved."""
+    rods = np.nonzero(worn.swing)[0]
+    if not len(rods) or len(positions) < 2:
+        return positions
+    speed = np.linalg.norm(np.gradient(positions[:, rods], 1.0 / rate, axis=0), axis=2)
+    swing = slow_curves(np.arange(len(positions)) / rate, rng, 3 * len(rods), *_ROD_HZ).reshape(len(positions), -1, 3)
+    out = positions.copy()
+    out[:, rods] += worn.swing[rods, None] * np.minimum(speed, 1.0)[:, :, None] * swing
     return out
 
 

@@ -10,8 +10,9 @@ from asterism.errors import AsterismError
 from asterism.recording import Floats, MarkerSet, Recording
 from asterism.skeleton.angles import habits, limited
 from asterism.skeleton.build import BuildRules, random_build
-from asterism.skeleton.kinematics import about, markers, on_the_floor, pose
+from asterism.skeleton.kinematics import about, markers, on_the_floor, pose, swung
 from asterism.skeleton.movements import BY_STEPS, MOVEMENTS, heading, moving
+from asterism.skeleton.postures import recorded_postures
 from asterism.skeleton.worn import WearRules, places_of, put_on
 
 ACT = "act"
@@ -29,7 +30,7 @@ class VirtualRules:
     wear   how the markers are put on them
     share  of a person's frames in each of `MOVEMENTS`, or "act" for any of those that go step by step
     take   frames of one recording of each: postures of people who stand, and ways of walking, are one for each recording
-    without  sources of recorded postures that are left out (`recorded.toml`), for an honest judgement on people of these
+    without  sources of recorded postures that are left out (`recorded.toml`), but not all, for an honest judgement on people of these
     noise  m, standard deviation of each coordinate: what cameras add
     """
 
@@ -44,6 +45,9 @@ class VirtualRules:
         unknown = {name for name, _ in (*self.share, *self.take)} - {*MOVEMENTS, ACT}
         if unknown:
             raise AsterismError(f"virtual people do not know how to {min(unknown)}; choose among {', '.join((*MOVEMENTS, ACT))}.")
+        strangers = set(self.without) - set(recorded_postures())
+        if strangers:
+            raise AsterismError(f"there are no recorded postures of {min(strangers)}; leave out some of {', '.join(recorded_postures())}.")
 
 
 def virtual_people(
@@ -90,7 +94,8 @@ def virtual_people(
             segments = pose(build, angles)
             path = on_the_floor(segments.touch, rate)
             path[:, 2] += motion.above
-            positions = markers(worn, segments, angles) + path[:, None]
+            swings = np.random.default_rng([seed, number, kind, take, 1])
+            positions = swung(worn, markers(worn, segments, angles) + path[:, None], rate, swings)
             positions = _in_the_room(positions, rate, own) + own.normal(0.0, rules.noise, positions.shape)
             about_it = {
                 "file": f"virtual {number:03d} {does} {take}",

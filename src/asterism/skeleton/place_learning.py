@@ -20,6 +20,7 @@ from asterism.recording import (
     Recording,
     canonical,
     is_unnamed,
+    landmarks,
     shipped_marker_sets,
     subject_of,
     without_subject,
@@ -110,19 +111,33 @@ def learn_places(
     return LearnedPlaces(replace(marker_set, places=places_of), known, len(people), float(np.median(misses)), tuple(findings))
 
 
-def _guesses(marker_set: MarkerSet, rules: PlaceRules) -> tuple[dict[str, Place], dict[str, float]]:
-    """Markers whose place is about known, and how far it is doubted, m."""
+def _guesses(marker_set: MarkerSet, rules: PlaceRules, loose_names: float = 0.0) -> tuple[dict[str, Place], dict[str, float]]:
+    """Markers whose place is about known, and how far it is doubted, m.
+
+    loose_names: share of the names that a set must know for its markers to count that are on no landmark.
+    """
     guessed, doubts = dict(marker_set.places), {name: rules.own * place.spread for name, place in marker_set.places.items()}
     spelled = {name: (name, *marker_set.aliases.get(name, ())) for name in marker_set.names}
     # Names mean different things in different sets: the set with most names in common is asked first.
-    shipped = sorted(_shipped(), key=lambda other: -sum(any(other.name_of(s) for s in spelled[name]) for name in marker_set.names))
+    common = {other.title: np.mean([any(map(other.name_of, spelled[name])) for name in marker_set.names]) for other in _shipped()}
+    shipped = sorted(_shipped(), key=lambda other: -common[other.title])
     for name in marker_set.names:
         for other in shipped:
             meant = next((found for s in spelled[name] if (found := other.name_of(s)) is not None and found in other.places), None)
-            if name not in guessed and meant is not None:
-                guessed[name] = replace(other.places[meant], plate="")
-                doubts[name] = rules.loose if other.places[meant].plate else rules.named
+            if name in guessed or meant is None:
+                continue
+            place = other.places[meant]
+            if common[other.title] < loose_names and not _on_landmark(place):
+                continue
+            # A plate of a set that is not wholly worn is a group of markers.
+            guessed[name] = place if common[other.title] == 1.0 else replace(place, plate="")
+            doubts[name] = rules.loose if place.plate else rules.named
     return guessed, doubts
+
+
+def _on_landmark(place: Place) -> bool:
+    left = place.mirrored() if place.side == "right" or (not place.side and place.at[1] < 0) else place
+    return any((known.segment, known.at) == (left.plain_segment, left.at) for known in landmarks().values())
 
 
 @cache
@@ -378,6 +393,18 @@ def _supported(places: Mapping[str, Place], guessed: Mapping[str, Place], marker
         )
         for segment in alone
     ]
+
+
+def place_by_name(marker_set: MarkerSet) -> MarkerSet:
+    """The set with places for those markers without one whose names, or aliases, a shipped set knows; others stay without.
+
+    Names of markers on no landmark count only from a set that knows four fifths of the names: LTH1 is somewhere else in each laboratory.
+
+    >>> place_by_name(MarkerSet(("LKNE", "RKNE", "hat"))).places["RKNE"].segment
+    'right thigh'
+    """
+    guessed, _ = _guesses(marker_set, RULES, loose_names=0.8)
+    return replace(marker_set, places={name: guessed[name] for name in marker_set.names if name in guessed})
 
 
 def with_landmarks(marker_set: MarkerSet, given: Mapping[str, str]) -> MarkerSet:

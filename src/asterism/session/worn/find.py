@@ -21,7 +21,7 @@ from asterism.labelling import MarkerModel
 from asterism.recording import Clouds, Floats, MarkerSet, Recording, shipped_marker_sets, worn_marker_sets
 from asterism.recording.marker_set import is_unnamed
 from asterism.session.worn.compare import compare
-from asterism.session.worn.fit import FitRules, FrameFit, fit_frame
+from asterism.session.worn.fit import FitRules, FrameFit, as_a_thing, fit_frame
 from asterism.session.worn.shapes import BodyShapes, body_shapes
 
 GIVEN, BY_NAMES, BY_POINTS = "given", "names", "points"
@@ -33,9 +33,10 @@ class FindRules:
     """How the evidence of frames becomes a probability. Chosen on the recordings of `movement`.
 
     frames       of a file that are looked at; the better half of them counts, since a posture that virtual people do not know explains none
-    gap          m, half an arm's length: points this far from all others are of another person or thing. At half, a raised arm without an
-                 elbow marker is a body of its own
+    gap          m, more than from the hip to the next marker of the thigh: points this far from all others are of another person or thing.
+                 At half, a thigh without markers parts legs from pelvis; at double, people who pass each other are one
     fewest       points that a body shows at least; four hold no body in place
+    second       share of the points of the largest body that another one has at least: legs alone beside a whole body have 0.38
     temperature  nats of a frame that count as one: the frames of a file show one body with its markers placed once. At half, one file of
                  ten is called sure and is not; at double, sets that differ by two markers are never told apart
     sure         probability from which nothing is asked; below it, or where points are left over, models of the likely sets label some
@@ -45,20 +46,24 @@ class FindRules:
     left_over    points that no marker explains, as a share of the set's markers, from which sets are compared in any case
     worn         share of a set's markers that the points show at least, or of the points if they are fewer; below it, nothing shipped is
                  worn
+    better       nats a point by which a body must explain the points better than a thing of their size does, whose points are
+                 anywhere in it. People in 40 recordings have 1.3 or more, trays of points and a mouse less than 0
     explained    share of the points that belong to it at least
     beside       files of a folder that are looked at besides
     agree        nats by which a file's own set may beat that of the folder
     """
 
     frames: int = 6
-    gap: float = 0.35
+    gap: float = 0.5
     fewest: int = 8
+    second: float = 0.3
     temperature: float = 3.0
     sure: float = 0.95
     likely: float = 0.003
     candidates: int = 3
     left_over: float = 0.3
     worn: float = 0.6
+    better: float = 0.5
     explained: float = 0.25
     beside: int = 3
     agree: float = 12.0
@@ -110,11 +115,13 @@ class WornMarkers:
 
 @dataclass(frozen=True)
 class _Evidence:
-    """What a file's points say of the sets: nats of a frame, and the markers shown, by set; points of a frame. Second: of another body."""
+    """What a file's points say of the sets: nats of a frame, and the markers shown, by set; points of a frame; nats a point by which the
+    best set explains them better than a thing of their size does. Second: of another body."""
 
     nats: Mapping[str, float]
     shown: Mapping[str, int]
     points: int
+    better: float
     second: _Evidence | None = None
 
 
@@ -213,8 +220,11 @@ class SetFinder:
         """The most probable set. Raises AsterismError where it explains too little of the points, or too few of its markers are shown."""
         found, rules = _most_probable(nats, own, self.rules), self.rules
         markers = len(found.marker_set)
-        if found.shown < rules.worn * min(markers, own.points) or found.shown < rules.explained * own.points:
-            few = ", ".join(f"{name} ({own.shown[name]} of {len(_shipped()[name])} markers)" for name in (found.name, *dict(found.others)))
+        few_markers = found.shown < rules.worn * min(markers, own.points) or own.better < rules.better
+        if few_markers or found.shown < rules.explained * own.points:
+            few = ", ".join(
+                f"{name} ({own.shown[name]} of {len(_shipped()[name])} markers)" for name in (found.name, *dict(found.others[:2]))
+            )
             raise AsterismError(
                 f"{path}: its {own.points} points are like no shipped marker set; the nearest are {few}. Name one of them with --markers, "
                 "write one of your own (`asterism body place` makes it from a labelled trial), or train on labelled files."
@@ -232,12 +242,12 @@ def evidence_of(clouds: Clouds, rules: FindRules | None = None, shapes: BodyShap
     # frames that show most, far from each other
     full = np.nonzero(counts >= max(rules.fewest, np.quantile(counts, 0.5)))[0]
     chosen = full[np.unique(np.linspace(0, len(full) - 1, rules.frames + 2).round().astype(int)[1:-1])]
-    fits, seconds = list[tuple[int, FrameFit]](), list[tuple[int, FrameFit]]()
+    fits, seconds = list[tuple[Floats, FrameFit]](), list[tuple[Floats, FrameFit]]()
     for frame in chosen:
         points = clouds.xyz[clouds.offsets[frame] : clouds.offsets[frame + 1]] @ turn.T
         bodies = _apart(points, rules)
         for place, body in zip((fits, seconds), bodies, strict=False):
-            place.append((len(body), fit_frame(body, shapes or _shapes(), FitRules())))
+            place.append((body, fit_frame(body, shapes or _shapes(), FitRules())))
     if not fits:
         return None
     # a second body is there where most frames show it
@@ -245,14 +255,15 @@ def evidence_of(clouds: Clouds, rules: FindRules | None = None, shapes: BodyShap
     return _mean(fits, second)
 
 
-def _mean(fits: Sequence[tuple[int, FrameFit]], second: _Evidence | None = None) -> _Evidence:
+def _mean(fits: Sequence[tuple[Floats, FrameFit]], second: _Evidence | None = None) -> _Evidence:
     """The mean of what the better half of the frames say: those in which a body is found best."""
-    fits = sorted(fits, key=lambda each: -max(each[1].evidence.values()) / each[0])[: (len(fits) + 1) // 2]
+    fits = sorted(fits, key=lambda each: -max(each[1].evidence.values()) / len(each[0]))[: (len(fits) + 1) // 2]
     names = fits[0][1].evidence
     worst = min((nats for _, fit in fits for nats in fit.evidence.values() if math.isfinite(nats)), default=0.0)
     nats = {name: float(np.mean([max(fit.evidence[name], worst - 10.0) for _, fit in fits])) for name in names}
     shown = {name: int(np.median([fit.matched[name] for _, fit in fits])) for name in names}
-    return _Evidence(nats, shown, int(np.median([count for count, _ in fits])), second)
+    better = float(np.median([(max(fit.evidence.values()) - as_a_thing(points)) / len(points) for points, fit in fits]))
+    return _Evidence(nats, shown, int(np.median([len(points) for points, _ in fits])), better, second)
 
 
 def _most_probable(nats: Mapping[str, float], own: _Evidence, rules: FindRules) -> WornMarkers:
@@ -283,7 +294,7 @@ def _apart(points: Floats, rules: FindRules) -> list[Floats]:
         return [points]
     large = sizes[order[0]]
     # hands and feet far from their neighbours belong to a body; another body has as many points
-    others = [g for g in order[1:] if sizes[g] >= 0.5 * large]
+    others = [g for g in order[1:] if sizes[g] >= rules.second * large]
     if not others:
         return [points]
     return [points[group == g] for g in (order[0], *others)]

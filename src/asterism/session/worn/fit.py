@@ -21,6 +21,9 @@ _ANKLE_AT_MOST, _FOOT = 0.12, 0.05
 """m: the lowest marker of a body on the floor is at most so high; where it is higher, or below the floor, the body is put with it at this
 height. Of a body in the air, or upper bodies alone, the refinement finds the height."""
 
+_THINNEST = 0.05
+"""m, thickness of a thing whose markers lie in a plane: twice a marker's height and where it is held."""
+
 _FEWEST = 4
 """Points that hold a body in place."""
 
@@ -93,9 +96,11 @@ def _starts(points: Floats, shapes: BodyShapes, rules: FitRules) -> list[tuple[F
     # the floor may be elsewhere than the file says: the lowest point is a foot's, some centimetres up
     middle = np.array([*np.median(points[:, :2], axis=0), 0.0])
     low = float(np.quantile(points[:, 2], 0.02))
-    lift = np.array([0.0, 0.0, 0.0 if 0.0 < low < _ANKLE_AT_MOST else _FOOT - low])
-    turns = [_about_z(angle) for angle in np.arange(rules.headings) * (2 * np.pi / rules.headings)]
-    stack = np.concatenate([(some - middle) @ turn.T + lift for turn in turns])
+    # an upper body alone is as high as the file says
+    lifts = [0.0] if 0.0 < low < _ANKLE_AT_MOST else [_FOOT - low, 0.0]
+    angles = np.arange(rules.headings) * (2 * np.pi / rules.headings)
+    turns = [(_about_z(angle), np.array([0.0, 0.0, lift])) for lift in lifts for angle in angles]
+    stack = np.concatenate([(some - middle) @ turn.T + lift for turn, lift in turns])
     cost = np.empty((len(bodies), len(turns)))
     shifts = np.stack([np.array([*np.median(body[:, :2], axis=0), 0.0]) for body in bodies])
     for t, body in enumerate(bodies):
@@ -104,7 +109,8 @@ def _starts(points: Floats, shapes: BodyShapes, rules: FitRules) -> list[tuple[F
     refined = []
     for place in np.argsort(cost, axis=None, kind="stable")[: rules.starts]:
         t, h = divmod(int(place), len(turns))
-        refined.append(_refined((points - middle) @ turns[h].T + lift + shifts[t], shapes.templates[t], shapes, rules))
+        turn, lift = turns[h]
+        refined.append(_refined((points - middle) @ turn.T + lift + shifts[t], shapes.templates[t], shapes, rules))
     refined.sort(key=lambda each: -each[0])
     return [(placed, latents) for _, placed, latents in refined[: rules.kept]]
 
@@ -161,6 +167,13 @@ def number_of_extras(extras: float) -> float:
     """Nats of a set of so many points in any order that are no markers: files without any are half, and many are as likely as few."""
     # n points of one kind have n! orders, of which the density of a set is the sum; extra points come in patterns, so that half counts
     return math.log(0.5) if extras < 0.5 else _ORDERS * float(gammaln(extras + 1)) - 2.0 * math.log(extras + 1) + math.log(0.5 / 0.645)
+
+
+def as_a_thing(points: Floats) -> float:
+    """Log density (nats) of points (N, 3) m that are anywhere in a box of their size: no body, but a prop, an animal or nothing."""
+    # a box with even density is the square root of 12 standard deviations long
+    sides = np.maximum(np.sqrt(12.0 * np.linalg.eigvalsh(np.cov(points.T))), _THINNEST)
+    return number_of_extras(len(points)) - len(points) * float(np.log(sides).sum())
 
 
 def _posterior(points: Floats, columns: Ints, variance: Floats, shapes: BodyShapes) -> tuple[Floats, float]:
