@@ -47,8 +47,8 @@ class FindRules:
     worn         share of a set's markers that the points show at least, or of the points if they are fewer; below it, nothing shipped is
                  worn
     better       nats a point by which a body must explain the points better than a thing of their size does, whose points are
-                 anywhere in it. People in 20 recordings of shipped sets have 1.3 or more, trays of points and a mouse less than 0; one leg has
-                 0.4. Half and twice of it change none of these but the leg
+                 anywhere in it. People in 20 recordings of shipped sets have 1.3 or more, trays of points and a mouse less than 0; one
+                 leg has 0.4. Half and twice of it change none of these but the leg
     explained    share of the points that belong to it at least
     beside       files of a folder that are looked at besides
     agree        nats by which a file's own set may beat that of the folder
