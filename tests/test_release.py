@@ -92,7 +92,7 @@ def test_a_script_that_does_not_give_its_row_has_failed(tmp_path: Path, monkeypa
 
     monkeypatch.setattr(release.subprocess, "run", run)
     failed = release.measure(key.KEY[:1], tmp_path, quick=False)
-    assert "gave no row 'gaps, 1 hidden" in failed[key.KEY[0].script]
+    assert f"gave no row '{key.KEY[0].rows[0]}'" in failed[key.KEY[0].script]
 
 
 def test_the_page_shows_what_was_measured_what_was_missed_and_what_is_not_there() -> None:
