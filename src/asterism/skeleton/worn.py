@@ -34,7 +34,7 @@ bone pins show: up to 30 mm on thighs, a few on shanks (Leardini et al., Gait Po
 THIN = {"forearm": 0.25, "hand": 0.25}
 """Segments that are flat where markers sit: the share of all errors that counts to the side, from palm to back of the hand. Of nine arms of
 five recorded people, the finger's marker lies 12 mm (standard deviation 8) on the back's side of the plane of wrist and elbow; with 1 here
-it would be 27, and a third of the hands on the palm's side; with 0.25 it is 10 to 12. At half, nothing changes: the wrist's angle remains."""
+it would be 27, and a third of the hands on the palm's side; with 0.25 it is 10 to 12, at half 9 to 11, at double 13 to 15."""
 
 _BESIDE = (
     (("raise", "spread", "turn"), ("upper arm", "clavicle", "thorax")),
