@@ -12,8 +12,10 @@ Row = Callable[[BenchmarkRun], Iterator[Figure]]
 
 _SCRIPTS = {
     "labelling": "files.conformance solver.full_solver thesis.thesis thesis.thesis_main",
-    "recordings": "speed.speed bodies.bodies stream.stream loop.loop gaps.gaps gaps.full_body gaps.flicker gaps.volume "
-    "gaps.riding gaps.baselines ablation.ablation dirt.dirt movement.movement movement.laboratories",
+    "recordings": "speed.speed bodies.bodies stream.stream loop.loop gaps.gaps gaps.full_body gaps.flicker "
+    "movement.movement movement.laboratories",
+    "virtual": "rows.fifteen rows.thirty_nine rows.others rows.raw rows.taught rows.more_points "
+    "rows.virtual_standing rows.virtual_standing_all",
     "dirt": "reliability.reliability standing.standing",
     "cameras": "boards.stereo boards.charuco detection.detection detection.centroids "
     "detection.particles reconstruction.speed reconstruction.ghosts walk.walk wand.real_wand wand.wand wand.wand_rigs",
@@ -21,7 +23,7 @@ _SCRIPTS = {
     "garment": "pattern.speed capture.whole_speed reading.hard_images capture.dense",
     "hostile": "long_recordings.long_recordings damaged_files.damaged_files",
     "motion": "paper.toy gait.knee angles.sparse angles.dense coverage.coverage",
-    "house": "startup.startup training.training install.install install.ci",
+    "house": "startup.startup install.install install.ci",
 }
 CHAPTERS = {
     chapter: {script.partition(".")[2].replace("_", "-"): script for script in scripts.split()} for chapter, scripts in _SCRIPTS.items()

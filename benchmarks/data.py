@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -28,6 +29,10 @@ CHOOSING = ("HC002", "HC003", "HC030", "HC031", "HC033", "HC039")
 
 CHOOSING_SETS = ("running42", "vicon53", "clinical-lower", "cmu41", "pig39", "optitrack-lower", "optitrack-wheelchair")
 """The sets of movement that constants are chosen on; those of sprintbasket, which is one of optitrack-wheelchair, are not."""
+
+
+OURS = Path(__file__).with_name("exchanged.toml")
+"""Wrong names that were found here, with the evidence."""
 
 
 @dataclass(frozen=True)
@@ -89,37 +94,33 @@ def _simulated(markers: str | tuple[str, ...]) -> dict[str, tuple[Recording, ...
 
 
 def true_names(path: Path, markers: str | list[str] | None = None) -> Recording:
-    """A recording with its markers as they are named in truth: names that `corrections.json` says are exchanged are put right."""
-    pairs = [pair for named, some in corrections().items() if _lies_in(path, named) for pair in some]
-    if not pairs:
+    """A recording with its markers as they are named in truth: names that `corrections` tells are put right."""
+    found = [names for named, names in corrections() if _lies_in(path, named)]
+    if not found:
         return read(path, markers=markers)
-    recording = exchanged(read(path), pairs)
+    names = {label: marker for some in found for label, marker in some.items()}
+    recording = read(path)
+    recording = replace(recording, labels=tuple(names.get(label, label) for label in recording.labels))
     return recording if markers is None else with_columns(recording, MarkerSet.load(markers))
 
 
 @cache
-def corrections() -> dict[str, tuple[tuple[str, str], ...]]:
-    """By file or folder: pairs of markers whose names are exchanged there, from `corrections.json` beside the recordings, if it exists."""
+def corrections() -> tuple[tuple[str, dict[str, str]], ...]:
+    """File or folder, and the marker that each wrong label there is: `corrections.json` with the recordings, and `OURS`."""
+    ours = tomllib.loads(OURS.read_text(encoding="utf-8"))["exchanged"]
     path = folder() / "corrections.json"
-    if not path.exists():
-        return {}
-    found = json.loads(path.read_text(encoding="utf-8"))
-    return {
-        re.sub(r" \(.*\)$", "", named): tuple((one, other) for one, other in entry["exchange"])
-        for named, entry in found.items()
+    theirs = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    pairs = [
+        (re.sub(r" \(.*\)$", "", named), {name: other for pair in entry["exchange"] for name, other in (pair, pair[::-1])})
+        for named, entry in theirs.items()
         if isinstance(entry, dict)
-    }
+    ]
+    return (*pairs, *((entry["file"], entry["names"]) for entry in ours))
 
 
 def _lies_in(path: Path, named: str) -> bool:
     place = folder() / named
     return path == place or place in path.parents
-
-
-def exchanged(recording: Recording, pairs: Sequence[tuple[str, str]]) -> Recording:
-    """A recording in which each pair of labels has changed places."""
-    other = {name: partner for pair in pairs for name, partner in (pair, pair[::-1])}
-    return replace(recording, labels=tuple(other.get(label, label) for label in recording.labels))
 
 
 def file_of(recording: Recording) -> Path:

@@ -223,6 +223,67 @@ def test_progress_rises_to_one(walks):
     assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] == 1.0
 
 
+# --- one person's recordings laid on each other
+
+UPPER = ("LFHD", "RFHD", "LBHD", "RBHD", "C7", "CLAV", "STRN", "T10", "LSHO", "RSHO", "LELB", "RELB", "LASI", "RASI", "SACR")
+
+
+@pytest.fixture(scope="module")
+def trials():
+    """Three walks of one person with a head of four markers, which nearly is a rectangle, as heads are."""
+    return simulate_walks(subjects=1, frames=120, rate=100.0, seed=4, markers=UPPER, trials=3)
+
+
+def test_a_head_turned_round_in_one_of_three_trials_is_told_there(trials):
+    damaged = exchanged(exchanged(trials[1], 0, 119, "LFHD", "LBHD"), 0, 119, "RFHD", "RBHD")
+    found = told(audit(among(trials, 1, damaged), subjects=["Ann"] * 3))
+    pairs = [{"LFHD", "LBHD"}, {"RFHD", "RBHD"}]
+    assert [(where, first, last, kind) for where, first, last, _, kind in found] == [(1, 0, 119, "exchanged")] * 2
+    assert sorted(map(sorted, (markers for *_, markers, _ in found))) == sorted(map(sorted, pairs))
+    assert told(audit(trials, subjects=["Ann"] * 3)) == []
+
+
+def test_three_names_that_go_round_on_a_stiff_part_are_one_finding(trials):
+    damaged = exchanged(trials[2], 0, 119, "LFHD", "RFHD", "RBHD")
+    assert told(audit(among(trials, 2, damaged), subjects=["Ann"] * 3)) == [(2, 0, 119, {"LFHD", "RFHD", "RBHD"}, "exchanged")]
+
+
+def test_of_two_trials_that_contradict_each_other_both_are_hints_that_nothing_removes(trials):
+    given_ = [trials[0], exchanged(trials[1], 0, 119, "LFHD", "RBHD")]
+    found = audit(given_, subjects=["Ann"] * 2)
+    assert [(error.recording, set(error.markers), error.damage) for error in found] == [
+        (0, {"LFHD", "RBHD"}, False),
+        (1, {"LFHD", "RBHD"}, False),
+    ]
+    assert {error.finding.code for error in found} == {"audit-different"} and "here or in another recording of Ann" in found[0].description
+    np.testing.assert_array_equal(remove_errors(given_, found)[1].positions, given_[1].positions)
+
+
+def test_shapes_laid_on_each_other_misfit_as_by_least_squares():
+    from scipy.spatial.transform import Rotation
+
+    from asterism.labelling.audit.stiff import compared
+
+    rng = np.random.default_rng(3)
+    shape = rng.normal(0.0, 0.08, (4, 3))
+    poses = Rotation.random(60, random_state=rng).as_matrix()
+    one, other = shape @ poses[:30].transpose(0, 2, 1), shape[[2, 1, 0, 3]] @ poses[30:].transpose(0, 2, 1) + [1.0, 2.0, 0.0]
+    [found] = compared(one, other)
+    assert found.moved == {0, 2} and found.cycles() == [(0, 2)] and found.exchanged < 1e-9
+    middle, mixed = shape - shape.mean(axis=0), shape[[2, 1, 0, 3]] - shape.mean(axis=0)
+    assert found.named == pytest.approx(Rotation.align_vectors(middle, mixed)[1] / 2.0)
+    mirrored = (shape * [-1.0, 1.0, 1.0]) @ poses[30:].transpose(0, 2, 1)
+    assert all(not said.moved or said.exchanged > 1e-3 for said in compared(one, mirrored)), "a mirror image is another shape"
+
+
+def test_markers_that_nobody_wears_there_are_one_hint_where_they_are_many(walks):
+    positions = walks[0].positions.copy()
+    legs = [column for column, label in enumerate(walks[0].labels) if label[1:] in ("KNE", "TIB", "ANK")]
+    positions[:, legs] += [0.0, 0.0, 0.3]
+    hints = [error for error in audit(among(walks, 0, replace(walks[0], positions=positions)), subjects=PEOPLE) if error.recording == 0]
+    assert [error.kind for error in hints if error.kind == "misplaced"] == ["misplaced"]
+
+
 # --- leaving it out
 
 
@@ -338,6 +399,26 @@ def test_the_command_says_where_and_leaves_with_1(folder, capsys):
     [finding] = json.loads(capsys.readouterr().out)["errors"]
     assert finding["file"].endswith("damaged.c3d")
     assert (finding["first_frame"], finding["last_frame"], finding["markers"]) == (71, 73, ["LTHI", "LKNE"])
+
+
+def test_errors_come_before_hints_and_the_same_one_here_and_there_once(capsys):
+    from pathlib import Path
+
+    from asterism.cli.audit import ranked, show
+    from asterism.labelling.audit import LabelError
+
+    def error(first, markers, kind, gain):
+        return LabelError(0, "a.c3d", "Ann", first, first + 3, markers, kind, gain, f"{' and '.join(markers)} {kind} for 4 frames")
+
+    some = [
+        error(0, ("A",), "misplaced", 900.0),
+        error(5, ("B", "C"), "exchanged", 20.0),
+        error(9, ("D", "E"), "exchanged", 30.0),
+        error(50, ("B", "C"), "exchanged", 25.0),
+    ]
+    assert [[one.first_frame for one in group] for group in ranked(some)] == [[5, 50], [9], [0]]
+    show(some, [Path("a.c3d")])
+    assert "1 times more, here and there" in " ".join(capsys.readouterr().out.split())
 
 
 def test_the_command_leaves_with_0_where_nothing_is_wrong(folder, capsys):

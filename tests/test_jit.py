@@ -49,12 +49,12 @@ def write_package(folder: Path, factor: float, decorator: str = "") -> None:
         (package / name).write_text(text)
 
 
-def run(folder: Path, **environment: str) -> list[str]:
+def run(folder: Path, code: str = MAIN, **environment: str) -> list[str]:
     """Lines that a new process prints which calls the package's kernel."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
     source = str(Path(asterism.__file__).parents[1])
     kept |= {"PYTHONPATH": os.pathsep.join([str(folder), source]), "PYTHONDONTWRITEBYTECODE": "1"} | environment
-    result = subprocess.run([sys.executable, "-c", MAIN], env=kept, capture_output=True, text=True, check=False)
+    result = subprocess.run([sys.executable, "-c", code], env=kept, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     return result.stdout.split("\n")[:-1]
 
@@ -67,7 +67,7 @@ def test_a_changed_callee_is_seen(tmp_path):
     write_package(tmp_path, 3.0)
     assert run(tmp_path) == ["compiles True", "18.0"]
     after = set((tmp_path / "tiny" / "__pycache__").glob("*.nbc"))
-    assert len(before) == len(after) == 2
+    assert len(before) == len(after) == 3, "what the caller links, what others link of the caller, and its program"
     assert not before & after, "what was compiled from the old sources is removed"
 
 
@@ -94,9 +94,10 @@ def test_equal_sources_in_another_folder_share_a_cache(tmp_path):
 def test_damaged_files_compile_again(tmp_path):
     write_package(tmp_path, 2.0)
     run(tmp_path)
-    inner, outer = sorted((tmp_path / "tiny" / "__pycache__").glob("*.nbc"))
+    inner, linked, program = sorted((tmp_path / "tiny" / "__pycache__").glob("*.nbc"))
     inner.write_bytes(b"nothing that was ever compiled")
-    outer.write_bytes(outer.read_bytes()[:-1])
+    linked.write_bytes(b"")
+    program.write_bytes(program.read_bytes()[:-1])
     assert run(tmp_path) == ["compiles True", "12.0"]
     assert run(tmp_path) == ["12.0"]
 
@@ -142,8 +143,10 @@ def test_what_another_process_compiles_is_waited_for(comes: bool, tmp_path: Path
 
     write_package(tmp_path, 2.0)
     run(tmp_path)
-    _, outer = sorted((tmp_path / "tiny" / "__pycache__").glob("*.nbc"))
+    (outer,) = (tmp_path / "tiny" / "__pycache__").glob("*.run.nbc")
     aside = outer.rename(tmp_path / "aside")
+    for linked in outer.parent.glob("outer_kernels.total*.link.nbc"):
+        linked.unlink()
     source = str(Path(asterism.__file__).parents[1])
     kept = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
     kept["PYTHONPATH"] = os.pathsep.join([str(tmp_path), source])
@@ -159,3 +162,49 @@ def test_what_another_process_compiles_is_waited_for(comes: bool, tmp_path: Path
             lock.close()
             assert process.stdout.read().split() == ["12.0", str(int(comes))]
     assert process.wait() == 0 and outer.exists()
+
+
+PAIR = """
+from typing import NamedTuple
+
+import numpy as np
+from asterism._jit import kernel
+
+
+class Pair(NamedTuple):
+    first: np.ndarray
+    second: np.ndarray
+
+
+@kernel
+def make_pair(n):
+    return Pair(np.zeros(n), np.ones(n))
+
+
+@kernel
+def total(n):
+    pair = make_pair(n)
+    return pair.first.sum() + pair.second.sum()
+"""
+CALLS = """
+from tiny.pair_kernels import make_pair, total
+
+print(total(2), make_pair(2))
+print(len(make_pair.nopython_signatures), sum(total.stats.cache_hits.values()) + sum(make_pair.stats.cache_hits.values()))
+"""
+
+
+def test_a_kernel_that_kernels_and_python_call_is_the_same_when_it_was_kept(tmp_path: Path) -> None:
+    """What Python gets is made of constants that only the kernel's own program brings along, not the one that it is linked into."""
+    write_package(tmp_path, 2.0)
+    (tmp_path / "tiny" / "pair_kernels.py").write_text(PAIR)
+    pair = "2.0 Pair(first=array([0., 0.]), second=array([1., 1.]))"
+    assert run(tmp_path, code=CALLS) == [pair, "1 0"]
+    assert run(tmp_path, code=CALLS) == [pair, "1 2"]
+
+
+def test_only_what_python_calls_becomes_machine_code(tmp_path: Path) -> None:
+    write_package(tmp_path, 2.0)
+    run(tmp_path)
+    programs = [path.name.partition("-")[0] for path in (tmp_path / "tiny" / "__pycache__").glob("*.run.nbc")]
+    assert programs == ["outer_kernels.total"]

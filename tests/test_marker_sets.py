@@ -18,6 +18,7 @@ COUNTS = {
     "cmu": 41,
     "hamner-running": 42,
     "helen-hayes": 15,
+    "helen-hayes-full-body": 25,
     "helen-hayes-medial": 19,
     "ior-gait": 22,
     "landmarks-49": 49,
@@ -58,6 +59,9 @@ MIDDLE = {
     "RBAK", "SACR", "SEL", "SJN", "STR", "STRN", "SUP", "SXS", "SpineThoracic12", "SpineThoracic2", "SpineTop",
     "Sternum", "T10", "T12", "T2", "T6", "T7", "TV2", "TV7", "Top.Head", "V.Sacral", "WaistBack", "WaistCBack",
     "r_sh4", "r_thigh5",
+    "Front.Head",
+    "Rear.Head",
+    "R.Offset",
 }
 # fmt: on
 """Markers of no pair: in the middle of the body, or on one side alone."""
@@ -193,6 +197,7 @@ def test_what_is_missing_and_extra_is_told():
         ("gait/HC002/straight.c3d", "plug-in-gait-oxford-foot", 0),
         ("gait-events/opensim/subject01_walk1.trc", "cleveland-clinic", 0),
         ("movement/pig39/rom_static.c3d", "vicon-35", 0),
+        ("conformance/trc/init100.trc", "helen-hayes-full-body", 3),
         ("movement/clouthier62/labelled/KneeltoProne01.c3d", "clouthier", 0),
         ("movement/fullbody61/markers_Squat2.trc", "leuven", 0),
         ("movement/lab51-multiactivity/DJ1.trc", "opencap-lab", 0),

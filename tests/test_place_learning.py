@@ -15,7 +15,7 @@ from asterism.errors import AsterismError
 from asterism.recording import MarkerSet, Place, Recording
 from asterism.simulation import simulate_walks
 from asterism.simulation.body import SIDED
-from asterism.skeleton import learn_places, marker_set_of, with_landmarks
+from asterism.skeleton import learn_places, marker_set_of, place_by_name, with_landmarks
 from asterism.skeleton.angles import ANGLES, COLUMN
 from asterism.skeleton.build import BuildRules, random_build
 from asterism.skeleton.joints import JOINTS, LENGTH_NAMES, TURNS, pose_segments, scales_of
@@ -72,6 +72,20 @@ def test_a_marker_seen_off_its_place_is_told():
     assert learn_places(MarkerSet(walk().labels), [walk()]).findings == ()
     told = learn_places(MarkerSet(walk().labels), [replace(walk(), positions=away)]).findings
     assert ("place-far-from-landmark", "LKNE") in {(finding.code, finding.where) for finding in told}
+
+
+@pytest.mark.parametrize(
+    ("turn", "what"),
+    [
+        (lambda points: points * [-1.0, 1.0, 1.0], "of 12 markers .* far from where their names say: left and right are exchanged"),
+        (lambda points: points * 1000.0, r"8\d\d\.\d\d times as far apart as on a person of 1.70 m; check the unit"),
+        (lambda points: points * 0.1, r"0\.09 times as far apart"),
+    ],
+    ids=["mirrored", "mm", "dm"],
+)
+def test_what_is_no_person_ends_in_one_sentence(turn, what: str):
+    with pytest.raises(AsterismError, match=what):
+        learn_places(MarkerSet(walk().labels), [replace(walk(), positions=turn(walk().positions))])
 
 
 def test_three_people_tell_how_far_hands_place_a_marker():
@@ -236,3 +250,21 @@ def test_exchanged_elbows_of_a_real_person_are_told(data: Path):
         recording = formats.read(data / f"movement/qtm-fullbody/{trial}.c3d", markers="landmarks-73")
         told[trial] = {f.where for f in learn_places(MarkerSet.load("landmarks-73"), [recording]).findings}
     assert told == {"ech_anat_pose": {"LLHE", "LMHE", "RLHE", "RMHE"}, "ech_right_knee": set()}
+
+
+def test_usual_names_say_where_markers_sit():
+    usual = MarkerSet(("LKNE", "RKNE", "L.ASIS", "hat", "LTIB", "RTIB"), aliases={"hat": ("HeadTop",)})
+    placed = place_by_name(usual)
+    assert list(placed.places) == ["LKNE", "RKNE", "L.ASIS", "hat", "LTIB", "RTIB"]
+    assert placed.places["L.ASIS"] == MarkerSet.load("helen-hayes").places["LASI"]
+    # What the set says itself comes first.
+    own = Place("pelvis", (0.1, 0.1, 0.1))
+    assert place_by_name(replace(usual, places={"LKNE": own})).places["LKNE"] == own
+
+
+def test_a_cluster_has_no_place_by_its_name_alone():
+    """LTH1 of a few sets that differ; but in a set that is worn as it ships, every name is known."""
+    names = ("LASI", "RASI", "SACR", "LTHI", "LHEE", "RHEE", "LTOE", "LANK", "LTH1", "LTH2", "nose ring")
+    assert set(names) - set(place_by_name(MarkerSet(names)).places) == {"LTH1", "LTH2", "nose ring"}
+    shipped = MarkerSet.load("cast")
+    assert place_by_name(replace(shipped, places={})).places == shipped.places

@@ -8,9 +8,15 @@ from models import trained
 from standing import MARKER_SET, standing_clouds
 
 import asterism
-from asterism.labelling.body.twins import twins_of
-from asterism.recording import Clouds, Labelling
+from asterism.labelling.body.subject import SubjectRules
+from asterism.labelling.body.twins import permutations_of, twins_of
+from asterism.labelling.whole.joint import label_scene
+from asterism.labelling.whole.scene import RecordingScene, prepare_scene
+from asterism.labelling.whole.settings import RecordingLabellingSettings
+from asterism.labelling.whole.turned import Exchanges, hold_against_twins, joint_evidence
+from asterism.recording import Clouds, Ints, Labelling
 from asterism.simulation import simulate_walks
+from asterism.tracking.linking import find_tracklets
 
 NAMES = MARKER_SET.names
 
@@ -64,3 +70,66 @@ def test_a_twin_gives_no_point_twice(walkers: asterism.MarkerModel) -> None:
         given = twin[twin >= 0]
         assert len(np.unique(given)) == len(given)
         assert (twin != np.arange(len(NAMES))).sum() >= 3
+
+
+def walk_of_a_stranger(frames: int = 60) -> tuple[RecordingScene, Ints]:
+    """A walk of a person whom the model does not know, every marker in view, and the right labels (J,) of its tracklets."""
+    walk = simulate_walks(subjects=1, frames=frames, seed=300)[0]
+    clouds = walk.clouds()
+    scene = prepare_scene(clouds, find_tracklets(clouds), RecordingLabellingSettings())
+    right = np.empty(len(scene.first), dtype=np.int64)
+    right[scene.track] = [NAMES.index(walk.labels[column]) for column in clouds.columns[scene.order]]
+    return scene, right
+
+
+CHANGES = [("LANK", "LHEE"), ("RTHI", "RKNE"), ("RTIB", "RANK", "RHEE"), ("RASI", "LASI", "SACR"), ("LANK", "LTOE", "LHEE")]
+
+
+@pytest.mark.parametrize("markers", CHANGES, ids=" ".join)
+def test_exchanged_neighbours_are_held_against_their_exchange(walkers: asterism.MarkerModel, markers: tuple[str, ...]) -> None:
+    """Labels that go round among two or three neighbours are mended; the right ones stay, and are ahead of every other way."""
+    scene, right = walk_of_a_stranger()
+    settings, labeller = RecordingLabellingSettings(), walkers.body_labeller
+    columns = [NAMES.index(name) for name in markers]
+    exchanged = np.arange(len(NAMES))
+    exchanged[columns] = columns[1:] + columns[:1]
+    for start in (exchanged[right], right):
+        held = hold_against_twins([labeller], scene, start, lambda label: label, settings.twins, settings)
+        np.testing.assert_array_equal(held.label, right)
+        assert (held.over_exchanges[columns] > 0.0).all()
+        limits = held.limits(right, settings.twins, with_exchanges=True)
+        assert (limits <= held.limits(right, settings.twins, with_exchanges=False)).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_ascent_does_not_end_below_where_it_began(walkers: asterism.MarkerModel, seed: int) -> None:
+    """By the joint evidence of labels that give points to the same tracklets, begun with some of the labels exchanged."""
+    scene, right = walk_of_a_stranger()
+    settings, rng, start = RecordingLabellingSettings(), np.random.default_rng(seed), right.copy()
+    some = rng.choice(len(right), 2 + seed, replace=False)
+    start[some] = right[np.roll(some, 1)]
+    found = label_scene([walkers.body_labeller], scene, settings, SubjectRules(), walkers.state.body_rules, start=start)
+    for label in (found.stages["tracks"], found.stages["twin"], found.label):
+        np.testing.assert_array_equal(label >= 0, right >= 0)
+        assert joint_evidence([walkers.body_labeller], scene, label) >= joint_evidence([walkers.body_labeller], scene, start) - 1e-6
+    np.testing.assert_array_equal(found.label, right)
+
+
+def test_better_permutations_are_taken_best_first_and_each_marker_once() -> None:
+    table = np.array([[1, 0, 2, 3, 4], [0, 2, 1, 3, 4], [0, 1, 2, 4, 3], [2, 0, 1, 3, 4]])
+    exchanges = Exchanges(table, np.array([-1.0, -3.0, 2.0, 5.0]), np.zeros((5, 5)))
+    found = exchanges.best()
+    assert found is not None
+    assert found.tolist() == [0, 2, 1, 3, 4], "the first is worse than the second, with which it shares a marker"
+    assert exchanges.lead().tolist() == [-1.0, -3.0, -3.0, 2.0, 2.0]
+    assert Exchanges(table, np.ones(4), np.zeros((5, 5))).best() is None
+    assert np.isinf(Exchanges(table[:0], np.ones(0), np.zeros((5, 5))).lead()).all()
+
+
+def test_permutations_move_three_or_four_neighbours(walkers: asterism.MarkerModel) -> None:
+    table = permutations_of(walkers.state.body)
+    moved = (table != np.arange(len(NAMES))).sum(axis=1)
+    assert set(moved) == {3, 4}
+    assert (np.sort(table, axis=1) == np.arange(len(NAMES))).all()
+    assert len(np.unique(table, axis=0)) == len(table)
+    assert {"RASI": "LASI", "LASI": "SACR", "SACR": "RASI"} in [named(row) for row in table]

@@ -135,7 +135,14 @@ def test_a_set_without_places_is_told_how_to_get_them():
         virtual_model(["one", "two", "three", "four"])
 
 
-@pytest.mark.parametrize(("given", "words"), [({"people": 1}, "no population"), ({"marker_set": ["SACR"]}, "sits")])
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"people": 1}, "no population"),
+        ({"marker_set": ["SACR"]}, "four are the fewest"),
+        ({"marker_set": ["nose", "ear", "chin", "eye"]}, "sit"),
+    ],
+)
 def test_what_makes_no_model_is_refused(given, words):
     with pytest.raises(AsterismError, match=words):
         virtual_model(**{"marker_set": "helen-hayes", **given})

@@ -10,10 +10,8 @@ from functools import partial
 from asterism.recording import Ints, Labelling
 from asterism.simulation import Clutter
 from benchmarks.benchmark_run import BenchmarkRun
-from benchmarks.data import GAIT_BODY, file_of, gait, spread
+from benchmarks.data import GAIT_BODY, file_of, gait
 from benchmarks.figures import Figure
-from benchmarks.peer import KeyPoses
-from benchmarks.recordings.contradictions import believable
 from benchmarks.recordings.walks import (
     HELEN_HAYES,
     Condition,
@@ -25,15 +23,10 @@ from benchmarks.recordings.walks import (
     samples,
     unnumbered,
     unseen_model,
-    unseen_training,
 )
-from benchmarks.score import Tally, some_frames
+from benchmarks.score import Tally
 
-WHOLE, BARE, POSES = "whole recording", "without numbers", "key poses"
-CONSISTENT = f"{WHOLE}, without parts whose hand labels contradict the standing trial or the body"
-"""See `contradictions`: what the labels are compared with is wrong itself there."""
-POSES_FRAMES = 8
-"""Frames of each cloud that the slow peer gets, evenly spread; each frame stands alone for it."""
+WHOLE, BARE = "whole recording", "without numbers"
 
 GAPS = {"1 hidden": Condition(1), "3 hidden": Condition(3), "5 hidden": Condition(5), "3 hidden + 3 ghosts": Condition(3, 3)}
 FLICKER = {
@@ -41,15 +34,6 @@ FLICKER = {
     "3 flickering, 80 mm, 3 hidden": Condition(3, clutter=Clutter(3.0, 1, "beside", 0.08)),
     "3 flickering, 30 mm, 3 hidden": Condition(3, clutter=Clutter(3.0, 1, "beside", 0.03)),
     "3 there for 3 frames, 30 mm, 3 hidden": Condition(3, clutter=Clutter(3.0, 3, "beside", 0.03)),
-}
-VOLUME = {
-    "10 flickering in the volume, 3 hidden": Condition(3, clutter=Clutter(10.0, 1, "fixed")),
-    "30 flickering in the volume, 3 hidden": Condition(3, clutter=Clutter(30.0, 1, "fixed")),
-}
-RIDING = {
-    "3 riding, 3 hidden": Condition(3, 3),
-    "6 riding, 5 hidden": Condition(5, 6),
-    "3 riding, 0 hidden, a marker displaced": Condition(0, 3, displaced=True),
 }
 ASKED = {
     "gaps, 1 hidden": (">= 0.9999", "<= 0.00005"),
@@ -61,11 +45,6 @@ ASKED = {
     "clutter, 3 flickering, 80 mm, 3 hidden": (">= 0.995", "<= 0.001"),
     "clutter, 3 flickering, 30 mm, 3 hidden": (">= 0.995", "<= 0.001"),
     "clutter, 3 there for 3 frames, 30 mm, 3 hidden": (">= 0.995", "<= 0.001"),
-    "clutter, 10 flickering in the volume, 3 hidden": (">= 0.998", "<= 0.0005"),
-    "clutter, 30 flickering in the volume, 3 hidden": (">= 0.995", "<= 0.0005"),
-    "clutter, 3 riding, 3 hidden": (">= 0.999", "<= 0.001"),
-    "clutter, 6 riding, 5 hidden": (">= 0.99", "<= 0.003"),
-    "clutter, 3 riding, 0 hidden, a marker displaced": (">= 0.995", "<= 0.001"),
 }
 """Right and wrong, as the issues ask."""
 
@@ -83,27 +62,12 @@ def gaps(benchmark: BenchmarkRun) -> Iterator[Figure]:
 def full_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """All physical markers of the gait subjects, two of them left out in turn."""
     conditions = {name: GAPS[name] for name in ("3 hidden", "3 hidden + 3 ghosts")}
-    yield from _measured(benchmark, _Task(f"{len(GAIT_BODY)} markers", conditions, _believed, GAIT_BODY, 1), full_body_subjects())
+    yield from _measured(benchmark, _Task(f"{len(GAIT_BODY)} markers", conditions, _whole, GAIT_BODY, 1), full_body_subjects())
 
 
 def flicker(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Points beside markers for one frame or three, with and without track numbers."""
     yield from _measured(benchmark, _Task("clutter", FLICKER, _bare_too), reporting())
-
-
-def volume(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Points anywhere in the volume for one frame."""
-    yield from _measured(benchmark, _Task("clutter", VOLUME, _bare_too), reporting())
-
-
-def riding(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Points that ride with a marker for 0.05 to 0.5 s; one marker of each person worn oddly."""
-    yield from _measured(benchmark, _Task("clutter", RIDING, _bare_too), reporting())
-
-
-def baselines(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """The peer on the very clouds of `gaps`: key poses, frame by frame, nothing asked."""
-    yield from _measured(benchmark, _Task("gaps", GAPS, _key_poses), list(gait()))
 
 
 def summed(outcomes: Iterable[Tallies]) -> Tallies:
@@ -130,7 +94,7 @@ def _measured(benchmark: BenchmarkRun, task: _Task, subjects: Sequence[str]) -> 
     subjects = subjects[: 1 if benchmark.quick else None]
     for (condition, method), tally in summed(benchmark.each(partial(_left_out, task=task), subjects)).items():
         row = f"{task.start}, {condition}"
-        right, wrong = ASKED.get(row, ("none", "none")) if method != POSES else ("none", "none")
+        right, wrong = ASKED.get(row, ("none", "none"))
         yield tally.figure(f"{row}, {method}: right", right, tally.right_share)
         yield tally.figure(f"{row}, {method}: wrong", wrong, tally.false_assignments)
         yield tally.figure(f"{row}, {method}: missed", "none", tally.missed_share)
@@ -157,24 +121,3 @@ def _bare_too(benchmark: BenchmarkRun, subject: str, markers: Markers) -> Callab
     model = unseen_model(benchmark, subject, markers)
     ways = ((WHOLE, lambda clouds: clouds), (BARE, unnumbered))
     return lambda one: ((way, label_whole(model, change(one.clouds), one.truth), one.truth) for way, change in ways)
-
-
-def _believed(benchmark: BenchmarkRun, subject: str, markers: Markers) -> Callable[[Sample], Iterator[Counted]]:
-    model = unseen_model(benchmark, subject, markers)
-
-    def labels(one: Sample) -> Iterator[Counted]:
-        labelling = label_whole(model, one.clouds, one.truth)
-        yield WHOLE, labelling, one.truth
-        yield CONSISTENT, *believable(labelling, one.truth, one.walk)
-
-    return labels
-
-
-def _key_poses(benchmark: BenchmarkRun, subject: str, markers: Markers) -> Callable[[Sample], Iterator[Counted]]:
-    poses = KeyPoses.fit(unseen_training(benchmark, subject, markers)[1])
-
-    def labels(one: Sample) -> Iterator[Counted]:
-        few, truth = some_frames(one.clouds, one.truth, spread(len(one.truth), POSES_FRAMES))
-        yield POSES, poses.label(few), truth
-
-    return labels

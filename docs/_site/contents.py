@@ -19,7 +19,18 @@ from sphinx.errors import ExtensionError
 
 GUIDE = {
     "First steps": ["from-the-box", "commands", "python", "gallery/README"],
-    "How it works": ["how-it-works", "labelling", "recordings", "confidence", "cameras", "views", "garment", "motion", "thesis"],
+    "How it works": [
+        "how-it-works",
+        "labelling",
+        "virtual-people",
+        "recordings",
+        "confidence",
+        "cameras",
+        "views",
+        "garment",
+        "motion",
+        "thesis",
+    ],
     "Look it up": ["reference", "findings", "formats", "marker-sets", "conventions", "glossary"],
     "Figures": ["figures"],
     "Project": ["project/contributing", "project/changes", "project/security"],

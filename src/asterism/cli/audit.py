@@ -76,20 +76,28 @@ def as_numbered(error: LabelError, recordings: Sequence[Recording]) -> LabelErro
     return replace(error, first_frame=error.first_frame + first, last_frame=error.last_frame + first)
 
 
+def ranked(errors: Sequence[LabelError]) -> list[list[LabelError]]:
+    """The same markers wrong in the same way in one file, as one entry; errors before hints, the most evidence first."""
+    groups: dict[tuple[int, str, tuple[str, ...]], list[LabelError]] = {}
+    for error in errors:
+        groups.setdefault((error.recording, error.kind, error.markers), []).append(error)
+    return sorted(groups.values(), key=lambda some: (not some[0].damage, -sum(error.gain for error in some)))
+
+
 def show(errors: list[LabelError], files: list[Path]) -> None:
     """The errors as a table, and a line with their number."""
     damage = sum(error.damage for error in errors)
     if errors:
         rows = [
             (
-                str(files[error.recording]),
-                error.kind if error.damage else f"{error.kind} (hint)",
-                error.description,
-                str(error.first_frame),
-                str(error.last_frame),
-                _console.count(error.gain),
+                str(files[some[0].recording]),
+                some[0].kind if some[0].damage else f"{some[0].kind} (hint)",
+                some[0].description if len(some) == 1 else f"{some[0].description}, and {len(some) - 1} times more, here and there",
+                str(some[0].first_frame),
+                str(some[-1].last_frame),
+                _console.count(sum(error.gain for error in some)),
             )
-            for error in errors
+            for some in ranked(errors)
         ]
         _console.table("Wrong labels", ("file", "kind", "description", "first frame", "last", "evidence"), rows, left=3)
     hints = len(errors) - damage

@@ -71,7 +71,8 @@ def demo(options: DemoOptions) -> None:
 
     Ten people of different sizes walk for three seconds, 15 markers each. Eight train a model. It labels the recordings of the other two
     as `asterism label` does, each as a whole: markers vanish for up to a second and come back under new track numbers, and ghosts
-    come and go. Leaves a report, the model, and an unlabelled and a labelled C3D. Files of an earlier demo are replaced.
+    come and go. At last the same file is labelled without any training: the marker set is found, and virtual people label. Leaves a report,
+    the model, and an unlabelled and a labelled C3D. Files of an earlier demo are replaced.
 
     `asterism demo cameras` begins one step earlier: eight simulated cameras see a waved wand and a walker who hides markers; the rig is
     calibrated from nothing, points are reconstructed and labelled, and everything is compared with the truth. The exit status is 1 where a
@@ -116,8 +117,13 @@ def demo(options: DemoOptions) -> None:
     if options.json != "-":
         _print([trial.row for trial in trials])
     _write(files, model, trials[-1])
+    without = _without_model(files.unlabelled, trials[-1])
+    show(
+        f"Without any model: {without['worn']} and virtual people give {without['right']:,} of {without['visible']:,} markers in view "
+        f"their own point, and {without['wrong']} another one."
+    )
     show(f"Open {files.report} in a browser, and {files.labelled} in any C3D viewer. Label a file yourself:")
-    show(f"  asterism label {files.unlabelled} --model {files.model} -o {options.output / 'labelled'}")
+    show(f"  asterism label {files.unlabelled} -o {options.output / 'labelled'}")
     _console.write_json(
         options.json,
         {
@@ -125,6 +131,7 @@ def demo(options: DemoOptions) -> None:
             "seed": options.seed,
             "whole_recordings": True,
             "conditions": [trial.row for trial in trials],
+            "without_model": without,
             "report": files.report,
             "model": files.model,
             "unlabelled": files.unlabelled,
@@ -187,6 +194,40 @@ def _labelled(model: MarkerModel, walks: Sequence[Recording], hidden: int, ghost
     shares = {key: value / sum(states.values()) for key, value in states.items()}
     row = {"hidden": hidden, "ghosts": ghosts, **counts, "shares": shares, "frames_per_second": frames / seconds}
     return _DemoTrial(row, clouds, labelling, truth)
+
+
+def _without_model(path: Path, trial: _DemoTrial) -> dict[str, Any]:
+    """The file labelled as by somebody who has trained nothing: the set taken, and how many labels are right and wrong."""
+    import numpy as np
+
+    from asterism import formats
+    from asterism.recording import Labelling
+    from asterism.session import label_file
+
+    labelled = label_file(path)
+    names = labelled.labelling.names
+    truth = Labelling(trial.truth, np.ones(trial.truth.shape), _marker_names()).positions(trial.clouds)
+    given = labelled.labelling.positions(formats.read(path).clouds())
+    # of a set that was not worn, only the markers of the same names can be right
+    shown = np.full((len(truth), len(names), 3), np.nan)
+    for column, name in enumerate(names):
+        if name in _marker_names():
+            shown[:, column] = truth[:, _marker_names().index(name)]
+    there = ~np.isnan(given[:, :, 0])
+    # a file keeps millimetres to six digits
+    right = there & (np.abs(given - shown).max(axis=2) < 1e-4)
+    return {
+        "worn": labelled.worn[0].words,
+        "visible": int((trial.truth >= 0).sum()),
+        "right": int(right.sum()),
+        "wrong": int((there & ~right).sum()),
+    }
+
+
+def _marker_names() -> tuple[str, ...]:
+    from asterism.recording import MarkerSet
+
+    return MarkerSet.load(MARKERS).names
 
 
 def _write(files: _Files, model: MarkerModel, trial: _DemoTrial) -> None:

@@ -30,7 +30,7 @@ from asterism.cli._options import (
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
-    from asterism.labelling import Condition, Evaluation
+    from asterism.labelling import Condition, Evaluation, MarkerModel
     from asterism.labelling.reliability import ConfidenceScore
 
 
@@ -39,7 +39,12 @@ class EvaluateOptions:
     """What `asterism evaluate` is asked to do."""
 
     files: Files
-    model: Annotated[Path | None, typer.Option("--model", "-m", metavar="FILE", help="The model to test.", show_default=False)] = None
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            "--model", "-m", metavar="FILE", help="The model to test. Else that of virtual people who wear --markers.", show_default=False
+        ),
+    ] = None
     leave_one_subject_out: Annotated[
         bool, typer.Option("--leave-one-subject-out", help="Instead of a model: train on all subjects but one, test on that one, for each.")
     ] = False
@@ -70,6 +75,8 @@ def evaluate(options: EvaluateOptions) -> None:
     Perfect: share of frames without an error. Log score: how little the confidence said of what came, as the mean of -ln of the
     probability that it gave to it; in brackets that of the best constant confidence. Less is better.
 
+    Without --model, --markers names the set whose virtual people label: none of them was ever recorded.
+
     With --leave-one-subject-out the figures hold for people that the model has not seen; --markers, --target-hit-rate and --partial-solvers
     belong to it. Rules other than whole-body need partial solvers, searched bottom-up where nothing else is said.
     """
@@ -77,7 +84,7 @@ def evaluate(options: EvaluateOptions) -> None:
     from asterism import labelling
     from asterism.cli._recordings import read_labelled
 
-    model = None if options.model is None else labelling.MarkerModel.load(options.model)
+    model = None if options.leave_one_subject_out else _model(options)
     batch = _console.Batch("read")
     # under the names of the model, or of the training that is to come
     recordings = read_labelled(
@@ -104,7 +111,8 @@ def evaluate(options: EvaluateOptions) -> None:
     if options.report is not None:
         from asterism.report import evaluation_report
 
-        said = {"model": options.model or "each subject left out in turn", **settings}
+        people = "each subject left out in turn" if options.leave_one_subject_out else f"virtual people, {options.markers}"
+        said = {"model": options.model or people, **settings}
         # the page names what the option means
         said["recordings_as_a_whole"] = said.pop("time")
         evaluation_report(options.report, evaluation, settings=said)
@@ -127,8 +135,13 @@ def evaluate(options: EvaluateOptions) -> None:
 def _settings(options: EvaluateOptions) -> dict[str, Any]:
     """The settings of the evaluation. Raises AsterismError where options contradict each other or an output exists."""
     # people whom the model has learned would flatter it: the choice is the user's, and must be made
-    if (options.model is None) == (not options.leave_one_subject_out):
-        raise AsterismError("evaluate takes either --model FILE or --leave-one-subject-out; give one of them.")
+    given = options.model is not None or options.markers is not None
+    if (options.model is not None and options.leave_one_subject_out) or (not given and not options.leave_one_subject_out):
+        raise AsterismError(
+            "evaluate takes one of --model FILE, --leave-one-subject-out, and --markers SET alone for a model of virtual people; give one."
+        )
+    if options.model is None and not options.leave_one_subject_out and options.rules is not Rules.WHOLE_BODY:
+        raise AsterismError(f"a model of virtual people has no solvers for the rules {options.rules.value}; leave out --rules.")
     if options.model is not None and options.markers is not None:
         raise AsterismError(f"{options.model} has its own marker set; leave out --markers.")
     check_hit_rate(options.target_hit_rate)
@@ -138,6 +151,17 @@ def _settings(options: EvaluateOptions) -> dict[str, Any]:
     # the votes of partial solvers know no time
     in_time = options.rules is Rules.WHOLE_BODY and not options.frame_wise
     return {"occlusions": occlusions, "ghosts": ghosts, "seed": options.seed, "rules": options.rules.value, "time": in_time}
+
+
+def _model(options: EvaluateOptions) -> MarkerModel:
+    """The model to test: the one that was given, or that of virtual people."""
+    from asterism import labelling
+
+    if options.model is not None:
+        return labelling.MarkerModel.load(options.model)
+    assert options.markers is not None
+    with _console.progress("making a model of virtual people") as progress:
+        return labelling.virtual_model(options.markers, progress=progress)
 
 
 def _print(evaluation: Evaluation) -> None:

@@ -24,6 +24,7 @@ from asterism.labelling.training.train import train_on_virtual_people
 from asterism.labelling.training.virtual import VIRTUAL_PEOPLE, check_places
 from asterism.progress import Progress
 from asterism.recording import MarkerSet
+from asterism.skeleton import place_by_name
 
 _SOURCES = ("skeleton", "labelling/body", "labelling/training")
 """Rooms whose sources decide what a model of virtual people is."""
@@ -34,7 +35,7 @@ def virtual_model(
 ) -> MarkerModel:
     """A model that needs no labelled file: of virtual people who wear the markers of this set.
 
-    marker_set  one that says where each marker sits (`MarkerSet.places`); the name of a shipped one, or a file
+    marker_set  one that says where each marker sits (`MarkerSet.places`), or whose names shipped sets know; a shipped one's name, or a file
     people      virtual people who teach it
     seed        other people with another seed
 
@@ -43,7 +44,8 @@ def virtual_model(
     `about["virtual_people"]` is the number of people. The same arguments give the same model, bit for bit.
     Raises AsterismError where the set does not say of each marker where it sits, has fewer than four markers, or `people` is below two.
     """
-    worn = MarkerSet.load(marker_set)
+    # A set with the usual names needs no table: what a shipped set calls so sits there.
+    worn = place_by_name(MarkerSet.load(marker_set))
     check_places(worn)
     if len(worn) < 4:
         raise AsterismError(f"{worn.title or 'the marker set'} has {len(worn)} markers; four are the fewest that can be told apart.")

@@ -21,6 +21,7 @@ from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.marker_model import OTHER_SUBJECT_FIT, MarkerModel
 from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller
 from asterism.labelling.stretches import JoinedLabelling, label_in_stretches, stretches_of
+from asterism.labelling.virtual_model import virtual_model
 from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.progress import Progress
 from asterism.recording import Clouds, Disagreement, Labelling, MarkerSet
@@ -88,7 +89,7 @@ class FileLabeller:
     def __post_init__(self) -> None:
         if self.models and self.options.markers:
             raise AsterismError("a model has its own marker set; give either the model or the markers.")
-        self._finder = SetFinder(self.options.markers, self.files, self.options.vertical)
+        self._finder = SetFinder(self.options.markers, self.files, self.options.vertical, virtual_model)
         if not self.models:
             # a set that cannot be used is told before any file is read
             if self.options.markers:
@@ -183,7 +184,6 @@ class FileLabeller:
     def _of_worn(self, worn: Sequence[WornMarkers], progress: Progress | None) -> FileLabeller:
         """What labels the files in which these sets are worn, made once."""
         from asterism import __version__
-        from asterism.labelling.virtual_model import virtual_model
 
         names = tuple(one.name for one in worn)
         if names not in self._of_sets:

@@ -1,8 +1,8 @@
 """A random generator in; a body out: the sizes of its segments and the positions of the markers on its skin.
 
 Every segment has axes x forward, y left, z up when the body stands upright with hanging arms. The tables give a body of
-`REFERENCE_HEIGHT` in metres, left side only: the right side mirrors y. Lengths are rounded shares of stature near those of
-the anthropometric tables of biomechanics textbooks; marker places were measured by eye on a skeleton.
+`REFERENCE_HEIGHT` in metres, left side only: the right side mirrors y. Lengths are those of virtual people; marker places were
+measured by eye on a skeleton.
 """
 
 from __future__ import annotations
@@ -13,19 +13,10 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.recording import Floats, MarkerSet
+from asterism.skeleton.build import BONES, REFERENCE_HEIGHT
 
-REFERENCE_HEIGHT = 1.70
-
-LENGTHS = {
-    "hips": 0.168,  # between the hip joints
-    "thigh": 0.418,
-    "shank": 0.415,
-    "ankle": 0.078,  # height of the ankle joint over the sole
-    "trunk": 0.405,  # from the pelvis' upper end to the neck
-    "shoulders": 0.345,
-    "upper arm": 0.295,
-    "forearm": 0.255,
-}
+LENGTHS = {name: length for name, length in BONES.items() if name != "hand"}
+"""m, of a body of `REFERENCE_HEIGHT`. Its hands end the forearms."""
 
 HEEL, BALL = (-0.050, 0.0), (0.125, 0.0)
 """Where the sole touches the floor: (forward, left) of the ankle joint."""

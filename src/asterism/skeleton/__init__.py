@@ -1,12 +1,13 @@
 """A marker set in; labelled recordings of virtual people who wear it out. And a labelled recording in; where its markers sit, out.
 
 The body of a virtual person is a skeleton of 19 segments, posed by joint angles within human limits; its markers sit where the marker set
-says, moved as hands and skin move them. No recording of a real person is in it.
+says, moved as hands and skin move them. Of real people they have typical postures and habits, in numbers, and nothing else.
 """
 
 from asterism.skeleton.build import BuildRules
-from asterism.skeleton.people import MOVEMENTS, VirtualRules, virtual_people
-from asterism.skeleton.place_learning import LearnedPlaces, learn_places, marker_set_of, with_landmarks
+from asterism.skeleton.movements import MOVEMENTS
+from asterism.skeleton.people import VirtualRules, virtual_people
+from asterism.skeleton.place_learning import LearnedPlaces, learn_places, marker_set_of, place_by_name, with_landmarks
 from asterism.skeleton.worn import WearRules
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "WearRules",
     "learn_places",
     "marker_set_of",
+    "place_by_name",
     "virtual_people",
     "with_landmarks",
 ]

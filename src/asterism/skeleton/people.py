@@ -8,13 +8,15 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.recording import Floats, MarkerSet, Recording
+from asterism.skeleton.angles import habits, limited
 from asterism.skeleton.build import BuildRules, random_build
-from asterism.skeleton.kinematics import about, markers, on_the_floor, pose
-from asterism.skeleton.movements import heading, moving, running, standing, walking
+from asterism.skeleton.kinematics import about, markers, on_the_floor, pose, swung
+from asterism.skeleton.movements import BY_STEPS, MOVEMENTS, heading, moving
+from asterism.skeleton.postures import recorded_postures
 from asterism.skeleton.worn import WearRules, places_of, put_on
 
-MOVEMENTS = {"walk": walking, "run": running, "stand": standing, "move": moving}
-"""What virtual people do, by name."""
+ACT = "act"
+"""In `VirtualRules`: one of the movements of the book, drawn for each recording."""
 
 FEWEST_FRAMES = 5
 """Frames of one recording: fewer have no path over the floor."""
@@ -26,21 +28,26 @@ class VirtualRules:
 
     build  how they differ in build
     wear   how the markers are put on them
-    share  of a person's frames in each of `MOVEMENTS`
+    share  of a person's frames in each of `MOVEMENTS`, or "act" for any of those that go step by step
     take   frames of one recording of each: postures of people who stand, and ways of walking, are one for each recording
+    without  sources of recorded postures that are left out (`recorded.toml`), but not all, for an honest judgement on people of these
     noise  m, standard deviation of each coordinate: what cameras add
     """
 
     build: BuildRules = field(default_factory=BuildRules)
     wear: WearRules = field(default_factory=WearRules)
-    share: tuple[tuple[str, float], ...] = (("walk", 0.3), ("run", 0.1), ("stand", 0.2), ("move", 0.4))
-    take: tuple[tuple[str, int], ...] = (("walk", 50), ("run", 50), ("stand", 12), ("move", 1000))
+    share: tuple[tuple[str, float], ...] = (("walk", 0.2), ("run", 0.1), ("stand", 0.2), ("move", 0.4), ("act", 0.1))
+    take: tuple[tuple[str, int], ...] = (("walk", 50), ("run", 50), ("stand", 12), ("move", 1000), ("act", 10))
+    without: tuple[str, ...] = ()
     noise: float = 0.0005
 
     def __post_init__(self) -> None:
-        unknown = {name for name, _ in (*self.share, *self.take)} - set(MOVEMENTS)
+        unknown = {name for name, _ in (*self.share, *self.take)} - {*MOVEMENTS, ACT}
         if unknown:
-            raise AsterismError(f"virtual people do not know how to {min(unknown)}; choose among {', '.join(MOVEMENTS)}.")
+            raise AsterismError(f"virtual people do not know how to {min(unknown)}; choose among {', '.join((*MOVEMENTS, ACT))}.")
+        strangers = set(self.without) - set(recorded_postures())
+        if strangers:
+            raise AsterismError(f"there are no recorded postures of {min(strangers)}; leave out some of {', '.join(recorded_postures())}.")
 
 
 def virtual_people(
@@ -77,14 +84,21 @@ def virtual_people(
         rng = np.random.default_rng([seed, number])
         build = random_build(rng, low + (high - low) * (places[number] + rng.random()) / people, rules.build)
         worn = put_on(rng, build, worn_set, rules.wear)
+        held = habits(rng)
         for kind, (name, count, take) in enumerate(_takes(rules, frames)):
             own = np.random.default_rng([seed, number, kind, take])
-            angles = MOVEMENTS[name](np.arange(count) / rate, own)
+            does = str(own.choice(BY_STEPS)) if name == ACT else name
+            time = np.arange(count) / rate
+            motion = moving(time, own, without=rules.without) if does == "move" else MOVEMENTS[does](time, own)
+            angles = limited(motion.angles + held)
             segments = pose(build, angles)
-            positions = markers(worn, segments, angles) + on_the_floor(segments.soles, rate)[:, None]
+            path = on_the_floor(segments.touch, rate)
+            path[:, 2] += motion.above
+            swings = np.random.default_rng([seed, number, kind, take, 1])
+            positions = swung(worn, markers(worn, segments, angles) + path[:, None], rate, swings)
             positions = _in_the_room(positions, rate, own) + own.normal(0.0, rules.noise, positions.shape)
             about_it = {
-                "file": f"virtual {number:03d} {name} {take}",
+                "file": f"virtual {number:03d} {does} {take}",
                 "format": "virtual",
                 "units": "m",
                 "subject": f"V{number:03d}",
@@ -96,7 +110,7 @@ def virtual_people(
 
 def _takes(rules: VirtualRules, frames: int) -> list[tuple[str, int, int]]:
     """Movement, number of frames and number of each recording of one person."""
-    total, length = sum(share for _, share in rules.share), dict(rules.take)
+    total, length = sum(share for _, share in rules.share), {name: 50 for name in MOVEMENTS} | dict(rules.take)
     found = []
     for name, share in rules.share:
         count = round(frames * share / total)

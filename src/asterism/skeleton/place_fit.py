@@ -79,6 +79,18 @@ def fit_places(positions: Floats, places: Sequence[Place], doubt: Floats, rules:
     return problem.solve(min(begun, key=lambda body: body.cost), rules.steps)
 
 
+def size_against_standing(positions: Floats, places: Sequence[Place]) -> float:
+    """How much farther markers (T, M, 3) lie from their middle than on a body of 1.70 m that stands; of the frame that shows most."""
+    frame = positions[int(np.argmax(np.isfinite(positions[:, :, 0]).sum(axis=1)))]
+    seen = np.isfinite(frame[:, 0])
+    sizes, still = np.zeros(1 + len(LENGTH_NAMES)), np.zeros((1, 3))
+    posed = pose_segments(sizes, np.eye(3)[None], still, USUAL[None])
+    standing = [
+        posed.rotations[p.segment][0] @ (np.array(p.at) * scales_of(sizes, p.segment)) + posed.origins[p.segment][0] for p in places
+    ]
+    return _radius(frame[seen]) / _radius(np.array(standing)[seen])
+
+
 class _Problem:
     """The measured frames with all that is known beforehand."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -10,19 +11,34 @@ from importlib import resources
 import numpy as np
 
 from asterism.recording import Floats
-from asterism.skeleton.angles import ANGLES, ARM, COLUMN, LEG, limited
+from asterism.skeleton.angles import ANGLES, ARM, COLUMN, LEG, MOVABLE, limited, mirrored
 
 _SPREAD_DEG = {"turn": 14, "palm": 25, "wrist": 12, "deviate": 6, "shrug": 4, "out": 4, "twist": 5, "yaw": 6, "pitch": 3}
 """How far people are from a posture of the book, by angle: degrees, standard deviation. Hands turn freely, feet stand on the floor."""
 
 
+_BETWEEN_CENTRES_DEG = 8.0
+"""How far postures are from the centre of their cluster: degrees, standard deviation, as the mean within clusters of the recorded ones is.
+At half, what lies between the centres is foreign; at double, centres are no more than the book's."""
+
+
 @dataclass(frozen=True)
 class Posture:
-    """Postures by name: of arms, legs and trunk."""
+    """Postures by name: of arms, legs and trunk, and how the body as a whole lies."""
 
     arms: str
     legs: str
     trunk: str
+    whole: str = "upright"
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a movement: the posture to which it leads, s that it takes, and m by which the body is then above the floor."""
+
+    posture: Posture
+    seconds: float
+    above: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -31,15 +47,19 @@ class PostureBook:
 
     arms, legs  name -> ((angles) of the first side, (angles) of the other) in degrees, in the order of `ARM` and `LEG`
     trunk       name -> tilt, lean, side, spin in degrees
+    whole       name -> lie, roll in degrees
     together    postures that go together
     share       (len(together),) how often each is taken, with a sum of 1
+    movements   name -> steps, again and again
     """
 
     arms: dict[str, tuple[tuple[float, ...], tuple[float, ...]]]
     legs: dict[str, tuple[tuple[float, ...], tuple[float, ...]]]
     trunk: dict[str, tuple[float, ...]]
+    whole: dict[str, tuple[float, ...]]
     together: tuple[Posture, ...]
     share: Floats
+    movements: dict[str, tuple[Step, ...]]
 
     def standing(self) -> tuple[tuple[Posture, ...], Floats]:
         """Postures in which one stands upright, and their shares."""
@@ -54,8 +74,31 @@ def posture_book() -> PostureBook:
     table = tomllib.loads(resources.files("asterism").joinpath("skeleton", "postures.toml").read_text(encoding="utf-8"))
     arms, legs = ({name: (tuple(rows[0]), tuple(rows[-1])) for name, rows in table[part].items()} for part in ("arms", "legs"))
     share = np.array([float(row[3]) for row in table["together"]])
-    trunk = {name: tuple(row) for name, row in table["trunk"].items()}
-    return PostureBook(arms, legs, trunk, tuple(Posture(*row[:3]) for row in table["together"]), share / share.sum())
+    trunk, whole = ({name: tuple(row) for name, row in table[part].items()} for part in ("trunk", "whole"))
+    together = tuple(Posture(*row[:3], *row[4:]) for row in table["together"])
+    movements = {name: tuple(_step(*row) for row in rows) for name, rows in table["movements"].items()}
+    return PostureBook(arms, legs, trunk, whole, together, share / share.sum(), movements)
+
+
+def _step(arms: str, legs: str, trunk: str, seconds: float, whole: str = "upright", above: float = 0.0) -> Step:
+    return Step(Posture(arms, legs, trunk, whole), seconds, above)
+
+
+@cache
+def recorded_postures() -> dict[str, Floats]:
+    """Source -> (N, A) rad, postures that recorded people took: the centres of clusters in `recorded.toml`."""
+    table = tomllib.loads(resources.files("asterism").joinpath("skeleton", "recorded.toml").read_text(encoding="utf-8"))
+    return {source: limited(np.radians(np.array(rows, dtype=np.float64))) for source, rows in table.items()}
+
+
+def like_a_recorded_one(rng: np.random.Generator, without: Collection[str]) -> Floats:
+    """(A,) rad, a posture near one that somebody took who was recorded, with left and right exchanged in half of the draws.
+
+    without: sources of `recorded_postures` that are left out.
+    """
+    rows = np.concatenate([rows for source, rows in recorded_postures().items() if source not in without])
+    angles = rows[rng.integers(len(rows))] + np.radians(_BETWEEN_CENTRES_DEG) * rng.normal(size=len(ANGLES)) * MOVABLE
+    return limited(mirrored(angles) if rng.random() < 0.5 else angles)
 
 
 def any_posture(rng: np.random.Generator, apart: float) -> Posture:
@@ -70,13 +113,13 @@ def any_posture(rng: np.random.Generator, apart: float) -> Posture:
     return Posture(arms, legs, trunk)
 
 
-def taken(rng: np.random.Generator, posture: Posture, looseness: float = 1.0) -> Floats:
-    """(A,) rad, the posture as one person takes it, with left and right exchanged in half of the draws.
+def taken(rng: np.random.Generator, posture: Posture, looseness: float = 1.0, exchanged: bool | None = None) -> Floats:
+    """(A,) rad, the posture as one person takes it.
 
-    looseness: times the spread of people about the book's angles.
+    looseness: times the spread of people about the book's angles; exchanged: whether left and right are, in half of the draws by default.
     """
     book = posture_book()
-    exchanged = rng.random() < 0.5
+    exchanged = rng.random() < 0.5 if exchanged is None else exchanged
     degrees = np.zeros(len(ANGLES))
     for rows, names in ((book.arms[posture.arms], ARM), (book.legs[posture.legs], LEG)):
         # what both sides share of the deviation, and what each has of its own
@@ -95,4 +138,8 @@ def taken(rng: np.random.Generator, posture: Posture, looseness: float = 1.0) ->
     degrees[COLUMN["nod"]] = -0.5 * degrees[COLUMN["lean"]] + 12.0 * looseness * rng.normal()
     degrees[COLUMN["look"]] = 18.0 * looseness * rng.normal()
     degrees[COLUMN["cock"]] = 6.0 * looseness * rng.normal()
+    lie, roll = book.whole[posture.whole]
+    tipped = bool(lie or roll)
+    degrees[COLUMN["lie"]] = lie + 8.0 * tipped * looseness * rng.normal()
+    degrees[COLUMN["roll"]] = mirror * roll + 8.0 * tipped * looseness * rng.normal()
     return limited(np.radians(degrees))

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.geometry import rotation_from_vector
 from asterism.recording import Floats, MarkerSet, Place
 from asterism.skeleton.angles import ANGLES
-from asterism.skeleton.build import Build
+from asterism.skeleton.build import BONES, Build
 
 USUAL_SPREAD = 0.008
 """m, spread of a marker on a bony point: what is common to the markers of a segment counts for such a one."""
@@ -56,7 +57,10 @@ class WearRules:
     wand_height  of a rod or a marker placed by eye, share of the limb's length, both sides alike
     wand_side    the same, right against left: laboratories put them at different heights to tell sides apart
     wand_length  outwards
+    plate_turn   rad, of a plate about each axis, as it is strapped on. At half, a plate that sits askew is foreign; at double, plates of
+                 four are hard to tell from themselves upside down
     skin         times `SKIN`
+    swing        m, how far a rod's end swings while it moves at 1 m/s or faster
     """
 
     together: float = 0.008
@@ -65,7 +69,9 @@ class WearRules:
     wand_height: float = 0.14
     wand_side: float = 0.10
     wand_length: float = 0.025
+    plate_turn: float = 0.12
     skin: float = 1.0
+    swing: float = 0.003
 
 
 @dataclass(frozen=True)
@@ -75,11 +81,15 @@ class Worn:
     segments  (M,) segment of each marker: "left thigh"
     at        (M, 3) m, in the segment's axes
     slide     (M, 3, A) m per rad of each joint angle
+    along     (M,) where on a limb: 0 at the upper joint, 1 at the lower one; 0 on other segments. Markers of one plate have one
+    swing     (M,) m, how far each marker swings: 0 but for rods
     """
 
     segments: tuple[str, ...]
     at: Floats
     slide: Floats
+    along: Floats
+    swing: Floats
 
 
 def places_of(marker_set: MarkerSet) -> tuple[Place, ...]:
@@ -103,10 +113,11 @@ def put_on(rng: np.random.Generator, build: Build, marker_set: MarkerSet, rules:
     shared: dict[object, Floats] = {}
     at = np.empty((len(marker_set), 3))
     places = places_of(marker_set)
+    middle_of = {plate: _middle(places, plate) for plate in {place.plate for place in places if place.plate}}
     for m, (name, place) in enumerate(zip(marker_set.names, places, strict=True)):
         segment, sign = place.plain_segment, -1.0 if place.side == "right" else 1.0
         # everything is drawn for the left side; the right one is its mirror image
-        spot = np.array(place.at) * (1.0, sign, 1.0)
+        spot = np.array(middle_of[place.plate] if place.plate else place.at) * (1.0, sign, 1.0)
         pair = left_of.get(name, name)
         if place.wand:
             # a plate is put on as one, so its markers share their height and how far they stand off
@@ -130,6 +141,9 @@ def put_on(rng: np.random.Generator, build: Build, marker_set: MarkerSet, rules:
             both = 0.0 * both
             own = shared.setdefault(("plate", place.plate), own)
         spot = spot + common + one_side + both + own
+        if place.plate:
+            turn = shared.setdefault(("turn", place.plate), vary(rules.plate_turn))
+            spot = spot + rotation_from_vector(turn) @ (_on_plate(place, middle_of[place.plate]) * (1.0, sign, 1.0))
         if segment == "foot":
             # a marker of 8 mm radius does not sink into the floor
             spot[2] = max(spot[2], 0.008 - build.bones["ankle"])
@@ -142,7 +156,24 @@ def put_on(rng: np.random.Generator, build: Build, marker_set: MarkerSet, rules:
         if place.plate:
             slide[m] = together.setdefault(place.plate, slide[m].copy())
         slide[m] *= rules.skin * SKIN[place.plain_segment] * of_segment[place.segment]
-    return Worn(tuple(place.segment for place in places), at, slide)
+    along = np.array([-spot[2] / build.bones[place.segment] if place.limb else 0.0 for spot, place in zip(at, places, strict=True)])
+    for plate in {place.plate for place in places if place.plate}:
+        members = [m for m, place in enumerate(places) if place.plate == plate]
+        along[members] = along[members].mean()
+    # a plate is too heavy to swing like a rod
+    swing = np.array([rules.swing * (place.wand and not place.plate) for place in places])
+    return Worn(tuple(place.segment for place in places), at, slide, along, swing)
+
+
+def _middle(places: tuple[Place, ...], plate: str) -> tuple[float, float, float]:
+    """The mean place of the markers of a plate."""
+    ahead, left, up = np.mean([place.at for place in places if place.plate == plate], axis=0)
+    return (float(ahead), float(left), float(up))
+
+
+def _on_plate(place: Place, middle: tuple[float, float, float]) -> Floats:
+    """(3,) m, from the middle of a plate to one of its markers: a plate is as large on a child as on a tall adult."""
+    return (np.array(place.at) - middle) * (1.0, 1.0, BONES[place.plain_segment] if place.limb else 1.0)
 
 
 def _scale(build: Build, place: Place) -> Floats:

@@ -1,10 +1,11 @@
 """The audit: labelled recordings in; their wrong labels out.
 
-Two kinds of evidence are combined. The markers' own paths (`paths`): where two labels are exchanged, both columns jump, and the jumps
-vanish when the points are exchanged back. And other people's bodies: a body model that was learned without this person (without this
-recording, where all are of one person) says by how many nats an exchange explains each frame better. Both go into one chain per pair of
-markers with two states, as labelled and exchanged. The most likely path through the chain is computed exactly. A change of state costs
-more than a correct recording gains by chance.
+Three kinds of evidence are combined. A person's recordings are laid on each other (`stiff`): a part that keeps its shape fits as named, or
+under other names. The markers' own paths (`paths`): where two labels are exchanged, both columns jump, and the jumps vanish when the points
+are exchanged back. And other people's bodies: a body model that was learned without this person (without this recording, where all are of
+one person) says by how many nats an exchange explains each frame better. The last two go into one chain per pair of markers with two
+states, as labelled and exchanged. The most likely path through the chain is computed exactly. A change of state costs more than a correct
+recording gains by chance.
 """
 
 from __future__ import annotations
@@ -13,12 +14,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
 from asterism.labelling.audit._kernels import exchange_gains
-from asterism.labelling.audit.errors import ALWAYS, EXCHANGED, MISPLACED, ErrorRun, LabelError, joined, sentence
+from asterism.labelling.audit.errors import ALWAYS, DIFFERENT, EXCHANGED, MISPLACED, ErrorRun, LabelError, joined, sentence
 from asterism.labelling.audit.paths import exchanges, jumps, pairs_of
+from asterism.labelling.audit.stiff import LaidOnEachOther, laid_on_each_other, stiff_pairs
 from asterism.labelling.body._score_kernels import NO_TAIL
 from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.labeller import FrameLabellingSettings
@@ -112,6 +117,10 @@ class _BodyEvidence:
         """(P,) nats, the median of each pair's known gains, 0 where few are known."""
         return _medians(np.where(self.gains == 0.0, np.nan, self.gains.astype(np.float64)).T)
 
+    def gains_nearly_always(self) -> NDArray[np.bool_]:
+        """(P,) pairs that gain in nearly all frames; one without evidence does not speak against an exchange of all the others."""
+        return np.asarray(np.where(self.gains == 0.0, True, self.gains > 0.0).mean(axis=1) > 0.95)
+
     def usual_scores(self) -> Floats:
         """(M,) nats, the median of each marker's score, 0 where few are known."""
         return _medians(self.scores, 10)
@@ -153,6 +162,9 @@ def audit(
     several = people.max() > 0
     groups = people % rules.folds if several else np.arange(len(frames))
     runs: dict[int, list[ErrorRun]] = {}
+    named, settled = _by_stiff_parts(frames, people)
+    # A body that learned from wrong names would call the right ones wrong.
+    frames = [_put_right(positions, own) for positions, own in zip(frames, named, strict=True)]
     for number in np.unique(groups).tolist():
         # The body must not have seen the person whom it judges.
         left_out = np.nonzero(groups == number)[0].tolist()
@@ -165,7 +177,9 @@ def audit(
             report(len(runs) / len(frames), "comparing paths")
             # Another recording of the same person tells an unusual body from an exchange.
             siblings = [usual[j] for j in usual if j != i and people[j] == people[i] and several]
-            runs[i] = _find_runs(_Case(frames[i], recordings[i].rate, reference, evidence.get(i), siblings, rules))
+            case = _Case(frames[i], recordings[i].rate, reference, evidence.get(i), siblings, named[i], settled[i], several, rules)
+            runs[i] = _find_runs(case)
+    _drop_decided(runs, people)
     report(1.0, "done")
     return [_error(run, i, recording, given[i], labels) for i, recording in enumerate(recordings) for run in runs[i]]
 
@@ -240,6 +254,9 @@ class _Case:
     reference  a body learned from others, or None where there is too little
     evidence   what it says of the recording, or None
     siblings   (P,) each: the usual gains of this person's other recordings
+    named      what this person's other recordings say of its names, see `stiff`; the positions are put right accordingly
+    settled    (P,) pairs of which they say enough
+    several    whether the reference is other people; otherwise it is this person in other postures, which says nothing of a whole recording
     """
 
     positions: Floats
@@ -247,21 +264,28 @@ class _Case:
     reference: _ReferenceBody | None
     evidence: _BodyEvidence | None
     siblings: Sequence[Floats]
+    named: Sequence[ErrorRun]
+    settled: NDArray[np.bool_]
+    several: bool
     rules: AuditRules
 
 
 def _find_runs(case: _Case) -> list[ErrorRun]:
     """All that is wrong with one recording."""
     positions, rate, rules, reference, evidence = case.positions, case.rate, case.rules, case.reference, case.evidence
-    runs: list[ErrorRun] = []
+    runs = list(case.named)
     # Slightly against an exchange, where the body says nothing: ties go to the labels as they are.
     emission = np.full((len(pairs_of(positions.shape[1])), len(positions)), -1e-3)
     if reference is not None and evidence is not None:
-        runs, positions, evidence = _exchanged_throughout(case, reference, evidence)
+        found, positions, evidence = _exchanged_throughout(case, positions, reference, evidence)
+        runs += found
         usual = evidence.usual_gains()
         # a positive usual gain can be a body of other proportions: then only what differs from the rest of the recording counts
         other_proportions = (usual > 0.0) & (usual < rules.always)
-        if case.siblings:
+        if not case.several:
+            # The same person in other postures fits an exchange throughout as well as a posture.
+            other_proportions |= evidence.gains_nearly_always()
+        elif case.siblings:
             other_proportions &= np.mean(case.siblings, axis=0) >= 0.0
         # Neighbouring frames repeat the same evidence: they count together as one per `correlation`.
         weight = min(1.0, len(positions) / len(evidence.frames) / (rules.correlation * rate))
@@ -269,30 +293,97 @@ def _find_runs(case: _Case) -> list[ErrorRun]:
         emission[:, evidence.frames] += weight * np.where(other_proportions, -1.0, 1.0)[:, None] * gains
     # Whole-recording exchanges are undone first, so that the rest is judged on paths that are right.
     exchanged, corrected = exchanges(positions, emission, rules.switch, rules.min_gain)
+    if not case.several:
+        # Where nothing leaps, only the body says so, and it is this person's own in other postures.
+        shown = ~np.isnan(positions[:, :, 0])
+        exchanged = [run for run in exchanged if not _whole(run, shown)]
     runs += exchanged
     runs += jumps(corrected, rate, rules.jump_distance, rules.jump_speed, rules.jump_errors, rules.longest_jump)
     # Markers are judged where the exchanges put them, or every exchange would look misplaced, too.
-    if reference is not None and evidence is not None:
+    if reference is not None and evidence is not None and case.several:
         level = (reference.score(corrected) if exchanged else evidence).usual_scores()
-        runs += [ErrorRun(0, len(positions) - 1, (int(m),), MISPLACED, -float(level[m])) for m in np.nonzero(level < rules.misplaced)[0]]
+        runs += _misplaced(corrected, level, rules.misplaced)
     return sorted(joined(runs), key=lambda run: (run.first, run.last, run.markers))
 
 
-def _exchanged_throughout(case: _Case, reference: _ReferenceBody, evidence: _BodyEvidence) -> tuple[list[ErrorRun], Floats, _BodyEvidence]:
+def _by_stiff_parts(frames: Sequence[Floats], people: Ints) -> tuple[list[list[ErrorRun]], list[NDArray[np.bool_]]]:
+    """For each recording: markers that carry each other's names in all of it, as the person's other recordings show; and settled pairs."""
+    pairs = pairs_of(frames[0].shape[1])
+    named: list[list[ErrorRun]] = [[] for _ in frames]
+    settled = [np.zeros(len(pairs), dtype=bool) for _ in frames]
+    for person in np.unique(people).tolist():
+        own = np.nonzero(people == person)[0].tolist()
+        laid: LaidOnEachOther = laid_on_each_other([frames[i] for i in own])
+        for place, i in enumerate(own):
+            settled[i] = laid.settled(place, pairs)
+        for one in laid.contradictions():
+            kind = EXCHANGED if one.certain else DIFFERENT
+            for i in (own[place] for place in one.recordings):
+                named[i] += [ErrorRun(0, len(frames[i]) - 1, cycle, kind, one.names.gain) for cycle in one.names.cycles()]
+    return named, settled
+
+
+def _put_right(positions: Floats, runs: Sequence[ErrorRun]) -> Floats:
+    """The positions with exchanged pairs exchanged back; of three and more that pass their names round, nothing is kept."""
+    positions = positions.copy()
+    for run in runs:
+        if run.kind == EXCHANGED and len(run.markers) == 2:
+            positions[:, run.markers] = positions[:, run.markers[::-1]]
+        elif run.kind == EXCHANGED:
+            positions[:, run.markers] = np.nan
+    return positions
+
+
+def _drop_decided(runs: dict[int, list[ErrorRun]], people: Ints) -> None:
+    """Where a body has told which of two recordings is wrong, neither is told to differ from the other any more."""
+    whole = {(int(people[i]), run.markers) for i, some in runs.items() for run in some if run.kind == EXCHANGED and run.first == 0}
+    for i, some in runs.items():
+        runs[i] = [run for run in some if run.kind != DIFFERENT or (int(people[i]), run.markers) not in whole]
+
+
+def _whole(run: ErrorRun, shown: NDArray[np.bool_]) -> bool:
+    """Whether a run holds all frames that show all of its markers, shown (T, M)."""
+    frames = np.nonzero(shown[:, run.markers].all(axis=1))[0]
+    return len(frames) > 0 and run.first <= frames[0] and run.last >= frames[-1]
+
+
+def _misplaced(positions: Floats, level: Floats, least: float) -> list[ErrorRun]:
+    """Markers whose usual score (M,) is below `least`, as one hint for each stiff part; one for all where they are a third of the body.
+
+    A posture or a build that nobody else shows moves many markers at once, and says nothing of each.
+    """
+    low = np.nonzero(level < least)[0]
+    parts = [low] if 3 * len(low) > np.count_nonzero(level) and len(low) > 2 else _parts(low, stiff_pairs([positions])[0])
+    return [ErrorRun(0, len(positions) - 1, tuple(part.tolist()), MISPLACED, -float(level[part].min())) for part in parts if len(part)]
+
+
+def _parts(markers: Ints, together: NDArray[np.bool_]) -> list[Ints]:
+    """The markers in groups that hang together by pairs (M, M)."""
+    _, number = connected_components(csr_array(together[np.ix_(markers, markers)]), directed=False)
+    return [markers[number == part] for part in np.unique(number)]
+
+
+def _exchanged_throughout(
+    case: _Case, positions: Floats, reference: _ReferenceBody, evidence: _BodyEvidence
+) -> tuple[list[ErrorRun], Floats, _BodyEvidence]:
     """Pairs that are exchanged in nearly every frame, the largest gain first; the corrected positions, and the evidence for these."""
-    positions, rules = case.positions, case.rules
+    rules = case.rules
     runs: list[ErrorRun] = []
+    if not case.several:
+        return runs, positions, evidence
     pairs = pairs_of(positions.shape[1])
     for _ in range(positions.shape[1]):
         usual = evidence.usual_gains()
-        # A frame without evidence must not speak against an exchange of all the others.
-        nearly_all = np.where(evidence.gains == 0.0, True, evidence.gains > 0.0).mean(axis=1) > 0.95
-        best = int(np.argmax(np.where(nearly_all, usual, 0.0)))
-        if not nearly_all[best] or usual[best] < rules.always:
+        nearly_all = evidence.gains_nearly_always()
+        # Only where every recording of the person shows it, the body may differ instead of the labels.
+        in_all = np.all(np.array([np.ones(len(pairs)), *case.siblings]) > 0.0, axis=0)
+        # A pair that keeps its place in a stiff part of the person's other recordings is exchanged in all of them or in none.
+        able = nearly_all & (in_all | ~case.settled)
+        best = int(np.argmax(np.where(able, usual, 0.0)))
+        if not able[best] or usual[best] < rules.always:
             break
         a, b = pairs[best].tolist()
-        # Only where every recording of the person shows it, the body may differ instead of the labels.
-        everywhere = all(level[best] > 0.0 for level in case.siblings)
+        everywhere = bool(in_all[best])
         gain = float(usual[best]) * max(1.0, len(positions) / case.rate / rules.correlation)
         runs.append(ErrorRun(0, len(positions) - 1, (a, b), ALWAYS if everywhere else EXCHANGED, gain))
         positions = positions.copy()

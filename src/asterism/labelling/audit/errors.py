@@ -11,6 +11,7 @@ EXCHANGED = "exchanged"
 ALWAYS = "consistently exchanged against the others"
 JUMP = "jump"
 MISPLACED = "misplaced"
+DIFFERENT = "named differently in another recording"
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,9 @@ class LabelError:
     kind         "exchanged": their points carry each other's names in these frames, as their paths show, the body, or both;
                  "consistently exchanged against the others": in all recordings of this person, as other people's bodies show;
                  "jump": the label leaves its marker's path and comes back;
-                 "misplaced": the marker is throughout where nobody else wears it. A hint: it may have been worn so
+                 "misplaced": the markers are throughout where nobody else wears them. A hint: they may have been worn so
+                 "named differently in another recording": laid on the same person's other recording, a stiff part fits under other names
+                 only. A hint: one of the two is wrong, and nothing says which
     gain         nats by which the corrected labels explain the frames better
     description  a sentence for people
     """
@@ -44,7 +47,7 @@ class LabelError:
     @property
     def damage(self) -> bool:
         """Whether training should leave out these samples; it keeps those of a hint."""
-        return self.kind != MISPLACED
+        return self.kind not in (MISPLACED, DIFFERENT)
 
     @property
     def finding(self) -> Finding:
@@ -57,6 +60,14 @@ class LabelError:
             return Finding("audit-always-exchanged", Severity.WARNING, where, sentence, "Exchange the labels in all trials of the person.")
         if self.kind == JUMP:
             return Finding("audit-jump", Severity.WARNING, where, sentence, "Remove the label in these frames.")
+        if self.kind == DIFFERENT:
+            return Finding(
+                "audit-different",
+                Severity.WARNING,
+                where,
+                sentence,
+                "Look which of the recordings is right, and exchange the labels in the other.",
+            )
         return Finding("audit-misplaced", Severity.NOTE, where, sentence, "Check where the marker was worn.")
 
 
@@ -100,4 +111,8 @@ def sentence(kind: str, names: Sequence[str], seconds: float, frames: int, whole
         return f"{listed} {among} against all other people, in every recording of {subject}"
     if kind == JUMP:
         return f"{listed} leaves its path {duration}"
-    return f"{listed} is {duration} where nobody else wears it"
+    if kind == DIFFERENT:
+        return f"{listed} carry each other's names here or in another recording of {subject}"
+    return (
+        f"{listed} is {duration} where nobody else wears it" if len(names) == 1 else f"{listed} are {duration} where nobody else wears them"
+    )

@@ -115,8 +115,8 @@ def fit_body(frames: Floats, people: Ints, rules: BodyRules, seed: int, weights:
         centre = _mean_over_people(placed[in_pose], people[in_pose], weights)
         filled = _fill(align_about_z(frames[in_pose], centre), centre)
         poses.append((*_pose(filled, people[in_pose], rules, weights), np.log(in_pose.mean())))
-    means, loads, noises, within, between, weights = zip(*poses, strict=True)
-    return BodyModel(np.stack(means), np.stack(loads), np.stack(noises), np.array(weights), np.stack(within), np.stack(between))
+    means, loads, noises, within, between, shares = zip(*poses, strict=True)
+    return BodyModel(np.stack(means), np.stack(loads), np.stack(noises), np.array(shares), np.stack(within), np.stack(between))
 
 
 def _mean_over_people(frames: Floats, people: Ints, weights: Floats) -> Floats:

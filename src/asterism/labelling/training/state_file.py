@@ -179,7 +179,9 @@ def _distances(arrays: dict[str, Any], markers: int) -> RigidDistances | None:
     pairs_fit = first.shape == second.shape == median.shape[1:] and len(median) > 0 and not np.isinf(median).any()
     if not pairs_fit or not ((first >= 0) & (first < second) & (second < markers)).all() or not float(given["unit"]) > 0:
         raise ValueError("its distances disagree")
-    return RigidDistances(first, second, median, bool(given["moving"]), float(given["limit"]), float(given["unit"]), VerdictRules())
+    return RigidDistances(
+        first, second, median, bool(given["moving"]), float(given["limit"]), float(given["unit"]), VerdictRules()
+    ).with_limit()
 
 
 def _solvers(arrays: dict[str, Any]) -> dict[str, PartialSolvers]:

@@ -139,7 +139,7 @@ def train_on_virtual_people(marker_set: MarkerSet, config: TrainingConfig, progr
 
 def _distances(body: BodyModel, frames: Floats, people: Ints, config: TrainingConfig) -> RigidDistances:
     """The near-rigid distances of people of whom no sample is kept."""
-    return RigidDistances.of_training(frames, people, length_scale(body.mean[0], config.rules.body), VerdictRules(), at_large=True)
+    return RigidDistances.of_training(frames, people, length_scale(body.mean[0], config.rules.body), VerdictRules())
 
 
 def _about(training: TrainingState, frames: int, left_out: Sequence[str]) -> dict[str, Any]:

@@ -39,8 +39,6 @@ class VerdictRules:
     max_limit        least scatter that never fits
     min_people       people of the training from which their differences widen the limit
     left_out_factor  the limit as a multiple of the largest scatter of a person of the training against all others, between these two
-    at_large_fit     share of virtual people who fit the others. Of ten sets of `movement` the real people scatter by 0.04 to 0.11, virtual
-                     ones by 0.10 to 0.15 in 19 of 20, and real ones with a third of the names exchanged by 0.10 to 0.7
     crowded_limit    largest scatter that fits where fewer people taught the model and many points are left over: among many points some
                      always fit
     own_scatter      largest scatter of a person of the training in another movement: 0.01 in those measured, and 0.02 of the nearest other
@@ -76,7 +74,6 @@ class VerdictRules:
     max_limit: float = 0.09
     min_people: int = 5
     left_out_factor: float = 1.5
-    at_large_fit: float = 0.95
     crowded_limit: float = 0.035
     own_scatter: float = 0.018
     many_people: int = 20
@@ -122,11 +119,8 @@ class RigidDistances:
     spread: Floats | None = None
 
     @classmethod
-    def of_training(cls, frames: Floats, people: Ints, unit: float, rules: VerdictRules, *, at_large: bool = False) -> RigidDistances:
-        """frames (N, M, 3) m, NaN where missing; people (N,) whose each is; unit: `length_scale` of the body. O(P frames M^2 + P^2 N).
-
-        at_large: virtual people, who differ as people of all laboratories do, are among these, so that their differences are the limit.
-        """
+    def of_training(cls, frames: Floats, people: Ints, unit: float, rules: VerdictRules) -> RigidDistances:
+        """frames (N, M, 3) m, NaN where missing; people (N,) whose each is; unit: `length_scale` of the body. O(P frames M^2 + P^2 N)."""
         first, second = np.triu_indices(frames.shape[1], 1)
         medians, stds = [], []
         for person in np.unique(people):
@@ -136,35 +130,40 @@ class RigidDistances:
         std = _quietly(np.nanmax, np.stack(stds), axis=0)
         rigid = std < rules.max_rigid_std * unit
         moving = bool((std > 1.5 * rules.max_rigid_std * unit).mean() > 0.2)
-        found = cls(first[rigid], second[rigid], np.stack(medians)[:, rigid], moving, rules.min_limit, unit, rules)
-        if len(medians) < rules.min_people:
-            return found
-        if len(medians) >= rules.many_people:
-            spread = found.spread_of_people()
-            return replace(found, spread=spread, limit=rules.many_limit * float(np.median(spread)) if len(spread) else rules.min_limit)
-        rest = [replace(found, median=np.delete(found.median, p, axis=0)).nearest(found.median[p])[0] for p in range(len(medians))]
-        known = [scatter for scatter in rest if not np.isnan(scatter)]
-        if at_large:
-            return replace(found, limit=float(max(rules.min_limit, np.quantile(known or [0.0], rules.at_large_fit))))
-        most = max(known, default=0.0)
-        return replace(found, limit=float(np.clip(rules.left_out_factor * most, rules.min_limit, rules.max_limit)))
+        return cls(first[rigid], second[rigid], np.stack(medians)[:, rigid], moving, rules.min_limit, unit, rules).with_limit()
+
+    def with_limit(self) -> RigidDistances:
+        """These distances, with the largest scatter that fits, and the spread where many people taught the model, as the people's say."""
+        rules, people = self.rules, len(self.median)
+        if people >= rules.many_people and len(self.first):
+            spread = self._spread_of_people()
+            return replace(self, spread=spread, limit=rules.many_limit * float(np.median(spread)))
+        if self.few_people:
+            return replace(self, spread=None, limit=rules.min_limit)
+        rest = [replace(self, median=np.delete(self.median, p, axis=0)).nearest(self.median[p])[0] for p in range(people)]
+        most = max((scatter for scatter in rest if not np.isnan(scatter)), default=0.0)
+        return replace(self, spread=None, limit=float(np.clip(rules.left_out_factor * most, rules.min_limit, rules.max_limit)))
 
     @property
     def few_people(self) -> bool:
         """Whether so few people taught the model that it says little of how people differ."""
         return len(self.median) < self.rules.min_people
 
-    def spread_of_people(self) -> Floats:
+    def _spread_of_people(self) -> Floats:
         """How much the log of each distance differs among the training's people, sizes set aside: (N,) standard deviations.
 
-        People who do not differ at all allow what few people do, `VerdictRules.min_limit`.
+        People who do not differ at all allow what few people do, `VerdictRules.min_limit`. A distance that few of them show differs as
+        others do.
         """
         logs = log_distances(self.median)
-        apart = logs - _quietly(np.nanmean, logs, axis=0)
+        typical = _quietly(np.nanmean, logs, axis=0)
+        apart = logs - typical
         apart -= _quietly(np.nanmedian, apart.T, axis=0)[:, None]
+        variance = _quietly(np.nanvar, apart, axis=0)
+        known = (~np.isnan(apart)).sum(axis=0) >= self.rules.min_people
+        variance[~known] = np.median(variance[known]) if known.any() else 0.0
         least = self.rules.min_limit / self.rules.many_limit
-        typical = np.exp(_quietly(np.nanmean, logs, axis=0))
-        return np.asarray(np.sqrt(np.nanvar(apart, axis=0) + least**2 * (1.0 + (self.softness / typical) ** 2)))
+        return np.asarray(np.sqrt(variance + least**2 * (1.0 + (self.softness / np.exp(typical)) ** 2)))
 
     @property
     def max_rigid_std(self) -> float:

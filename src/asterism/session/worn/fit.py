@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,33 +11,53 @@ from scipy.spatial import cKDTree
 from scipy.special import gammaln
 
 from asterism.recording import Floats, Ints
-from asterism.session.worn.shapes import BodyShapes
+from asterism.session.worn.shapes import BodyShapes, farthest
 
 _ORDERS = 0.5
 """Share that counts of the freedom of extra points. With 1, a foot alone explains 64 points best; with 0, the largest set does."""
 
 
+_ANKLE_AT_MOST, _FOOT = 0.12, 0.05
+"""m: the lowest marker of a body on the floor is at most so high; where it is higher, or below the floor, the body is put with it at this
+height. Of a body in the air, or upper bodies alone, the refinement finds the height."""
+
+_THINNEST = 0.05
+"""m, thickness of a thing whose markers lie in a plane: twice a marker's height and where it is held."""
+
+_FEWEST = 4
+"""Points that hold a body in place."""
+
+
 @dataclass(frozen=True)
 class FitRules:
-    """How a frame is held against marker sets. All chosen on recordings of `movement`, by the share of files whose set is found.
+    """How a frame is held against marker sets. Chosen on recordings of `movement`, by the share of files whose set is found.
 
-    headings   directions in which each posture is tried. 24 find no more, 8 lose turned bodies
-    starts     postures that are refined: the best of different headings and shapes
-    reach      m beyond which a point is on no marker while a posture is sought
-    rounds     of refinement
-    extra      log density (nats per m3) of a point that is no marker of the set, beside what their number costs: the skin of a body has a
-               room of 0.1 m3, which is 2.3. Half and twice that room move sets with more markers by 0.7 nats a point
-    missing    log odds against a marker of the set that no point shows: 0.05 of the markers are out of view
-    noise      m, standard deviation of a point's place besides, while few points hold the body
+    headings  directions in which each posture is tried: every 30 degrees. Not tuned; twice as many take twice as long
+    coarse    places of markers by which postures are compared, and points of the frame: enough for each segment to have some. Not tuned
+    starts    postures that are refined; `kept` of them are held against each set
+    reach     m beyond which a point is on no marker while a posture is sought
+    rounds    of refinement
+    extra     log density (nats per m3) of a point that is no marker of the set, beside what their number costs: the skin of a body has a
+              room of 0.1 m3, which is 2.3. Half and twice that room move sets with more markers by 0.7 nats a point
+    missing   log odds against a marker of the set that no point shows: 0.05 of the markers are out of view
+    noise     m, standard deviation of a point's place besides, while few points hold the body
+    astray    share of the markers that lie `far` (m) off: in a posture that virtual people do not know, or placed elsewhere. Without them a
+              raised hand costs a marker that is missing and a point that is extra
+    hopeless  nats behind the best set from which a set is not held against further postures
     """
 
     headings: int = 12
-    starts: int = 6
+    coarse: tuple[int, int] = (300, 24)
+    starts: int = 14
+    kept: int = 4
     reach: float = 0.15
     rounds: int = 4
     extra: float = 2.3
     missing: float = -3.0
     noise: float = 0.01
+    astray: float = 0.05
+    far: float = 0.08
+    hopeless: float = 60.0
 
 
 @dataclass(frozen=True)
@@ -47,102 +66,114 @@ class FrameFit:
 
     evidence  nats: of sets, the difference of two is the log odds of the one against the other
     matched   markers that have a point
-    mirrored  nats: the same of the mirrored points, under the best set; what exceeds the best evidence speaks for a mirrored recording
     """
 
     evidence: dict[str, float]
     matched: dict[str, int]
-    mirrored: float = float("-inf")
 
 
-def fit_frame(points: Floats, shapes: BodyShapes, rules: FitRules | None = None, sets: Sequence[str] | None = None) -> FrameFit:
+def fit_frame(points: Floats, shapes: BodyShapes, rules: FitRules | None = None) -> FrameFit:
     """Hold the points (N, 3) m, z up, against the sets. O(templates headings N + starts sets N^3)."""
     rules = rules or FitRules()
-    names = list(shapes.columns) if sets is None else list(sets)
+    names = list(shapes.columns)
     evidence, matched = dict.fromkeys(names, float("-inf")), dict.fromkeys(names, 0)
-    for placed, latents in _starts(points, shapes, rules, names):
+    for placed, latents in _starts(points, shapes, rules):
+        best = max(evidence.values())
         for name in names:
+            if best - evidence[name] > rules.hopeless and math.isfinite(evidence[name]):
+                continue
             found, count = _explained(placed, latents, shapes, shapes.columns[name], rules)
             if found > evidence[name]:
                 evidence[name], matched[name] = found, count
     return FrameFit(evidence, matched)
 
 
-def _starts(points: Floats, shapes: BodyShapes, rules: FitRules, names: Sequence[str]) -> list[tuple[Floats, Floats]]:
+def _starts(points: Floats, shapes: BodyShapes, rules: FitRules) -> list[tuple[Floats, Floats]]:
     """Points in the axes of a body, and its latents, for the postures that explain them best as points on any marker of any of the sets."""
-    some = np.unique(np.concatenate([shapes.columns[name] for name in names]))
-    bodies = shapes.bodies(shapes.templates)[:, some]
+    places, most = shapes.coarse[: rules.coarse[0]], rules.coarse[1]
+    bodies = shapes.mean[places] + np.einsum("uxk,tk->tux", shapes.basis[places], shapes.templates, optimize=True)
+    some = points[farthest(points, most)]
     # the floor may be elsewhere than the file says: the lowest point is a foot's, some centimetres up
     middle = np.array([*np.median(points[:, :2], axis=0), 0.0])
     low = float(np.quantile(points[:, 2], 0.02))
-    lifts = [0.0] if 0.0 < low < 0.12 else [0.05 - low, 0.0]
-    turned = []
-    for lift in lifts:
-        for angle in np.arange(rules.headings) * (2 * np.pi / rules.headings):
-            turned.append((points - middle) @ _about_z(angle).T + (0.0, 0.0, lift))
-    stack = np.stack(turned)
-    cost = np.empty((len(bodies), len(stack)))
+    # an upper body alone is as high as the file says
+    lifts = [0.0] if 0.0 < low < _ANKLE_AT_MOST else [_FOOT - low, 0.0]
+    angles = np.arange(rules.headings) * (2 * np.pi / rules.headings)
+    turns = [(_about_z(angle), np.array([0.0, 0.0, lift])) for lift in lifts for angle in angles]
+    stack = np.concatenate([(some - middle) @ turn.T + lift for turn, lift in turns])
+    cost = np.empty((len(bodies), len(turns)))
+    shifts = np.stack([np.array([*np.median(body[:, :2], axis=0), 0.0]) for body in bodies])
     for t, body in enumerate(bodies):
-        shift = np.array([*np.median(body[:, :2], axis=0), 0.0])
-        distance, _ = cKDTree(body - shift).query((stack).reshape(-1, 3), distance_upper_bound=rules.reach)
-        cost[t] = np.minimum(distance.reshape(len(stack), -1), rules.reach).__pow__(2).mean(axis=1)
-    order = np.argsort(cost, axis=None)[: 4 * rules.starts]
+        distance, _ = cKDTree(body - shifts[t], balanced_tree=False, compact_nodes=False).query(stack, distance_upper_bound=rules.reach)
+        cost[t] = np.square(np.minimum(distance, rules.reach)).reshape(len(turns), -1).mean(axis=1)
     refined = []
-    for t, h in zip(*np.unravel_index(order, cost.shape), strict=True):
-        shift = np.array([*np.median(bodies[t][:, :2], axis=0), 0.0])
-        placed, latents = stack[h] + shift, shapes.templates[t]
-        refined.append(_refined(placed, latents, shapes, some, rules))
+    for place in np.argsort(cost, axis=None, kind="stable")[: rules.starts]:
+        t, h = divmod(int(place), len(turns))
+        turn, lift = turns[h]
+        refined.append(_refined((points - middle) @ turn.T + lift + shifts[t], shapes.templates[t], shapes, rules))
     refined.sort(key=lambda each: -each[0])
-    return [(placed, latents) for _, placed, latents in refined[: rules.starts]]
+    return [(placed, latents) for _, placed, latents in refined[: rules.kept]]
 
 
-def _refined(placed: Floats, latents: Floats, shapes: BodyShapes, some: Ints, rules: FitRules) -> tuple[float, Floats, Floats]:
+def _refined(placed: Floats, latents: Floats, shapes: BodyShapes, rules: FitRules) -> tuple[float, Floats, Floats]:
     """Points and latents after rounds in which each point pulls the nearest marker of any set; first the score."""
-    score = float("-inf")
+    places = shapes.coarse
+    mean, basis, variance = shapes.mean[places], shapes.basis[places], shapes.variance[places]
     for number in range(rules.rounds):
-        body = shapes.mean[some] + shapes.basis[some] @ latents
-        distance, nearest = cKDTree(body).query(placed)
-        reach = rules.reach / (1.0 + number / 2)
-        near = distance < reach
-        if near.sum() < 4:
+        distance, nearest = cKDTree(mean + basis @ latents).query(placed)
+        near = distance < rules.reach
+        if near.sum() < _FEWEST:
             return float("-inf"), placed, latents
-        placed = _aligned(placed, body[nearest], near)
-        noise = shapes.variance[some][nearest[near]] + (0.03 / (1 + number)) ** 2
-        latents, _ = _posterior(placed[near], some[nearest[near]], noise, shapes)
-    body = shapes.mean[some] + shapes.basis[some] @ latents
-    distance, _ = cKDTree(body).query(placed)
-    score = -float(np.minimum(distance / 0.03, 3.0).__pow__(2).sum()) - 0.5 * float(latents @ latents)
+        placed = _aligned(placed, placed[near], (mean + basis @ latents)[nearest[near]])
+        # at first a point may be some other marker's: its place says little
+        noise = variance[nearest[near]] + (rules.far / (2 + 2 * number)) ** 2
+        latents, _ = _posterior(placed[near], places[nearest[near]], noise, shapes)
+    distance, _ = cKDTree(mean + basis @ latents).query(placed)
+    score = -0.5 * float(np.minimum(distance / 0.02, 4.0).__pow__(2).sum()) - 0.5 * float(latents @ latents)
     return score, placed, latents
 
 
 def _explained(placed: Floats, latents: Floats, shapes: BodyShapes, columns: Ints, rules: FitRules) -> tuple[float, int]:
     """The evidence of a set for the points, and how many of its markers have one."""
-    basis, mean, variance = shapes.basis[columns], shapes.mean[columns], shapes.variance[columns] + rules.noise**2
+    basis, mean, near = shapes.basis[columns], shapes.mean[columns], shapes.variance[columns] + rules.noise**2
+    far = near + rules.far**2
+    usual, seldom = math.log1p(-rules.astray) - 1.5 * np.log(2 * np.pi * near), math.log(rules.astray) - 1.5 * np.log(2 * np.pi * far)
     best, count, extras = float("-inf"), 0, max(1, len(placed) - len(columns))
     for _ in range(rules.rounds):
         body = mean + basis @ latents
         squared = ((body[:, None] - placed[None]) ** 2).sum(axis=2)
         # what a marker on this point gains over a marker that is missing and a point that is extra
-        another = rules.extra + _ORDERS * np.log(max(1.0, extras))
-        gain = -0.5 * squared / variance[:, None] - 1.5 * np.log(2 * np.pi * variance)[:, None] - another - rules.missing
+        another = rules.extra + _ORDERS * math.log(extras)
+        as_usual, astray = usual[:, None] - 0.5 * squared / near[:, None], seldom[:, None] - 0.5 * squared / far[:, None]
+        gain = np.maximum(as_usual, astray) - another - rules.missing
         markers, points = linear_sum_assignment(-np.maximum(gain, 0.0))
         taken = gain[markers, points] > 0.0
         markers, points = markers[taken], points[taken]
-        if len(points) < 4:
+        if len(points) < _FEWEST:
             break
-        placed = _aligned(placed, body[markers], None, points)
-        latents, fitted = _posterior(placed[points], columns[markers], variance[markers], shapes)
+        placed = _aligned(placed, placed[points], body[markers])
+        strays = astray[markers, points] > as_usual[markers, points]
+        latents, fitted = _posterior(placed[points], columns[markers], np.where(strays, far[markers], near[markers]), shapes)
+        fitted += float(np.where(strays, math.log(rules.astray), math.log1p(-rules.astray)).sum())
         extras = len(placed) - len(points)
-        found = fitted + rules.extra * extras + _number_of_extras(extras) + rules.missing * (len(columns) - len(points))
+        found = fitted + rules.extra * extras + number_of_extras(extras) + rules.missing * (len(columns) - len(points))
+        extras = max(1, extras)
         if found > best:
             best, count = found, len(points)
     return best, count
 
 
-def _number_of_extras(extras: int) -> float:
+def number_of_extras(extras: float) -> float:
     """Nats of a set of so many points in any order that are no markers: files without any are half, and many are as likely as few."""
     # n points of one kind have n! orders, of which the density of a set is the sum; extra points come in patterns, so that half counts
-    return math.log(0.5) if not extras else _ORDERS * float(gammaln(extras + 1)) - 2.0 * math.log(extras + 1) + math.log(0.5 / 0.645)
+    return math.log(0.5) if extras < 0.5 else _ORDERS * float(gammaln(extras + 1)) - 2.0 * math.log(extras + 1) + math.log(0.5 / 0.645)
+
+
+def as_a_thing(points: Floats) -> float:
+    """Log density (nats) of points (N, 3) m that are anywhere in a box of their size: no body, but a prop, an animal or nothing."""
+    # a box with even density is the square root of 12 standard deviations long
+    sides = np.maximum(np.sqrt(12.0 * np.linalg.eigvalsh(np.cov(points.T))), _THINNEST)
+    return number_of_extras(len(points)) - len(points) * float(np.log(sides).sum())
 
 
 def _posterior(points: Floats, columns: Ints, variance: Floats, shapes: BodyShapes) -> tuple[Floats, float]:
@@ -158,13 +189,11 @@ def _posterior(points: Floats, columns: Ints, variance: Floats, shapes: BodyShap
     return latents, float(fitted + 0.5 * np.log(weight / (2 * np.pi)).sum())
 
 
-def _aligned(placed: Floats, wanted: Floats, near: Floats | None, points: Ints | None = None) -> Floats:
-    """All points turned about the vertical and moved so that these lie best on what is wanted."""
-    chosen = placed[near] if points is None else placed[points]
-    target = wanted[near] if points is None else wanted
-    a, b = chosen.mean(axis=0), target.mean(axis=0)
-    u, v = chosen - a, target - b
-    angle = np.arctan2((u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum(), (u[:, :2] * v[:, :2]).sum())
+def _aligned(placed: Floats, chosen: Floats, wanted: Floats) -> Floats:
+    """All points turned about the vertical and moved so that the chosen ones lie best on what is wanted."""
+    a, b = chosen.mean(axis=0), wanted.mean(axis=0)
+    u, v = chosen - a, wanted - b
+    angle = math.atan2(float((u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum()), float((u[:, :2] * v[:, :2]).sum()))
     return (placed - a) @ _about_z(angle).T + b
 
 

@@ -26,6 +26,9 @@ LATENTS = 48
 TEMPLATES = 240
 """Postures from which a fit starts, far from each other. Not tuned: twice as many take twice as long."""
 
+COARSE = 400
+"""Of all places on the body, those by which a posture is sought: 3 to 4 cm from each other. Not tuned; all 1,200 take thrice as long."""
+
 FLOOR = 0.012
 """m, standard deviation by which any marker differs besides: hands place a marker 6 to 21 mm off (Della Croce et al. 1999)."""
 
@@ -38,6 +41,7 @@ class BodyShapes:
     basis      (U, 3, K) m: a body is mean + basis @ u, u ~ N(0, I)
     variance   (U,) m2 per coordinate, of what the latents leave
     templates  (T, K) latents of postures
+    coarse     (C,) markers that lie apart from each other on the body, the farthest first
     columns    for each set the columns of its markers
     """
 
@@ -45,12 +49,8 @@ class BodyShapes:
     basis: Floats
     variance: Floats
     templates: Floats
+    coarse: Ints
     columns: Mapping[str, Ints]
-
-    def bodies(self, latents: Floats) -> Floats:
-        """The markers (T, U, 3) of bodies with latents (T, K)."""
-        found: Floats = self.mean + np.einsum("uxk,tk->tux", self.basis, latents)
-        return found
 
 
 def body_shapes(marker_sets: Mapping[str, MarkerSet], seed: int = 0) -> BodyShapes:
@@ -66,7 +66,7 @@ def body_shapes(marker_sets: Mapping[str, MarkerSet], seed: int = 0) -> BodyShap
         kept = _learned(together, seed)
         _keep(path, kept)
     mean, basis, variance, templates = (part.astype(np.float64) for part in kept)
-    return BodyShapes(mean, basis, variance, templates, columns)
+    return BodyShapes(mean, basis, variance, templates, farthest(mean, COARSE), columns)
 
 
 def _together(marker_sets: Mapping[str, MarkerSet]) -> MarkerSet:
@@ -97,7 +97,7 @@ def _learned(together: MarkerSet, seed: int) -> tuple[Floats, ...]:
     left = rest - latents @ basis.T
     variance = np.mean(left.reshape(len(frames), -1, 3) ** 2, axis=(0, 2)) + FLOOR**2
     assert scale.shape == (LATENTS,)
-    chosen = _spread(latents * scale, TEMPLATES)
+    chosen = farthest(latents * scale, TEMPLATES)
     return (
         mean.astype(np.float32),
         basis.reshape(*mean.shape, LATENTS).astype(np.float32),
@@ -119,7 +119,7 @@ def _facing_ahead(frames: Floats, together: MarkerSet) -> Floats:
     return np.stack([cos[:, None] * x + sin[:, None] * y, cos[:, None] * y - sin[:, None] * x, frames[:, :, 2]], axis=2)
 
 
-def _spread(points: Floats, count: int) -> Ints:
+def farthest(points: Floats, count: int) -> Ints:
     """Points that lie far from each other: each next one the farthest from those chosen. O(count N)."""
     chosen, distance = [0], np.linalg.norm(points - points[0], axis=1)
     while len(chosen) < min(count, len(points)):

@@ -1,0 +1,172 @@
+"""The rows of the chapter: no labelled file, one person taught beside virtual ones, more points, virtual people who stand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+import asterism
+from asterism.labelling import TrainingRules, virtual_model
+from asterism.recording import MarkerSet
+from asterism.simulation import simulate_gaps_and_ghosts
+from asterism.skeleton import VirtualRules, virtual_people
+from benchmarks.benchmark_run import BenchmarkRun
+from benchmarks.data import gait, people_and_trials
+from benchmarks.figures import Figure
+from benchmarks.recordings.walks import label_whole
+from benchmarks.virtual.judged import Counts, counted, judged, line_of, summed
+from benchmarks.virtual.worn import Worn, markers_only, recordings_of, sets
+
+LONGEST, SHORT = 300, 100
+"""Frames of a file that are labelled, from its middle, and where a file is labelled many times."""
+TOLD = 0.99
+"""Files of which fewer markers are right, or some labels wrong, are told in the log."""
+FIFTEEN, THIRTY_NINE = "helen-hayes", "plug-in-gait"
+RIGHT = {"walks": ">= 0.997", "statics": ">= 0.99", "movements": ">= 0.97"}
+ADDED, PEOPLE, STANDING = 50, 80, 300
+"""Files to which points are added back; virtual people beside real ones; virtual people who stand."""
+
+
+def fifteen(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """15 markers, no labelled file, by how many are hidden; and how far its confidence holds."""
+    total = Counts()
+    for hidden, asked in ((0, ">= 0.998"), (3, ">= 0.995"), (5, ">= 0.99")):
+        counts = _labelled(benchmark, recordings_of(FIFTEEN), hidden)
+        total += counts
+        row = f"no labelled file, 15 markers, {hidden} hidden"
+        yield from _figures(row, counts, asked, "<= 0.0002")
+        yield Figure(f"{row}: files below 95 % right", "<= 0", counts.below, "files", counts.files)
+    yield from _reliability("no labelled file, 15 markers", total)
+
+
+def thirty_nine(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """39 markers, no labelled file: walks, statics with raised arms, movements; nothing and three hidden."""
+    total = Counts()
+    for kind, asked in RIGHT.items():
+        counts = summed(_labelled(benchmark, recordings_of(THIRTY_NINE, kind=kind), hidden) for hidden in (0, 3))
+        total += counts
+        yield from _figures(f"no labelled file, 39 markers, {kind}", counts, asked, "<= 0.0005")
+    yield from _reliability("no labelled file, 39 markers", total)
+
+
+def others(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """Every other shipped set that a recording wears, nothing and three hidden: each, and all together."""
+    total = Counts()
+    for name in [name for name in sets() if name not in (FIFTEEN, THIRTY_NINE)][: 1 if benchmark.quick else None]:
+        counts = summed(_labelled(benchmark, recordings_of(name), hidden) for hidden in (0, 3))
+        total += counts
+        yield from _figures(f"no labelled file, {name}, {len(MarkerSet.load(name))} markers", counts, ">= 0.97", "<= 0.002")
+    yield from _figures("no labelled file, all other sets", total, ">= 0.97", "<= 0.002")
+    yield from _reliability("no labelled file, all other sets", total)
+
+
+def raw(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """Every file that has points beside the set's markers, as recorded: gaps, ghosts, other markers, up to 109 points."""
+    total = Counts()
+    for name in (FIFTEEN, THIRTY_NINE) if benchmark.quick else sets():
+        counts = _labelled(benchmark, [worn for worn in recordings_of(name) if _has_more(worn)], raw=True)
+        total += counts
+        if counts.files:
+            yield from _figures(f"no labelled file, raw, {name}", counts, ">= 0.97", "<= 0.003")
+    yield from _figures("no labelled file, raw, all sets", total, ">= 0.97", "<= 0.003")
+
+
+def taught(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """One person of pig39 taught, with virtual people beside and alone, and strangers of other laboratories labelled."""
+    strangers = [worn for worn in recordings_of(THIRTY_NINE) if worn.person != "pig39 test"]
+    train = [markers_only(worn, 10_000) for worn in recordings_of(THIRTY_NINE) if worn.person == "pig39 test"]
+    if benchmark.quick:
+        strangers = strangers[:2]
+    for how, rules, asked in (
+        ("and virtual people", TrainingRules(virtual_people=PEOPLE), (">= 0.98", "<= 0.002")),
+        ("alone", TrainingRules(virtual_people=0), ("none", "none")),
+    ):
+        model = benchmark.fit(train, ["one"] * len(train), marker_set=MarkerSet.load(THIRTY_NINE), training=rules)
+        counts = summed(_each(benchmark, model, strangers))
+        yield from _figures(f"one person taught {how}, 39 markers, strangers", counts, *asked)
+
+
+def more_points(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """Five of 15 markers hidden throughout and added back one by one: how far the share right falls below its best so far."""
+    model, files = virtual_model(FIFTEEN), _spread(recordings_of(FIFTEEN), 4 if benchmark.quick else ADDED)
+    falls = []
+    for number, worn in enumerate(files):
+        trial = markers_only(worn, SHORT)
+        order = np.random.default_rng(number).permutation(np.nonzero(trial.visible.any(axis=0))[0])[:5]
+        best, fall = 0.0, 0.0
+        for shown in range(len(order) + 1):
+            positions = trial.positions.copy()
+            positions[:, order[shown:]] = np.nan
+            clouds, truth = simulate_gaps_and_ghosts(replace(trial, positions=positions), 0, 0, seed=number)
+            share = counted(label_whole(model, clouds, truth), truth).right_share
+            best, fall = max(best, share), max(fall, best - share)
+        falls.append(fall)
+    row = "more points, 15 markers, five added back one by one"
+    yield Figure(
+        f"{row}: files of which the share right falls by more than 0.01", "<= 0", int((np.array(falls) > 0.01).sum()), "files", len(falls)
+    )
+    yield Figure(f"{row}: largest fall", "<= 0.01", max(falls), "fraction", len(falls))
+
+
+def virtual_standing(benchmark: BenchmarkRun, people: int = STANDING) -> Iterator[Figure]:
+    """Virtual people who stand, labelled by a model of all children: sure and wrong, and turned round."""
+    names, recordings = people_and_trials(gait())
+    model = benchmark.fit(recordings, names)
+    stands = VirtualRules(share=(("stand", 1.0),), take=(("stand", 12),))
+    trials = virtual_people(FIFTEEN, people=10 if benchmark.quick else people, frames=12, seed=1, rules=stands)
+    total, turned = Counts(), 0
+    for number, trial in enumerate(trials):
+        clouds, truth = simulate_gaps_and_ghosts(trial, 0, 0, seed=number)
+        one = counted(label_whole(model, clouds, truth), truth)
+        total, turned = summed([total, one]), turned + int(2 * (one.given - one.right) > one.given)
+    row = f"virtual people who stand, {len(trials):,}, by a model of children"
+    yield Figure(f"{row}: labels sure and wrong", "<= 0", total.sure_and_wrong, "labels", total.given)
+    yield Figure(f"{row}: mostly wrong", "<= 0", turned, "recordings", len(trials))
+    yield Figure(f"{row}: right", "none", total.right_share, "fraction", total.visible)
+
+
+def virtual_standing_all(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """The same with 10,000 people; some twenty minutes."""
+    yield from virtual_standing(benchmark, 10_000)
+
+
+def _labelled(benchmark: BenchmarkRun, files: list[Worn], hidden: int = 0, raw: bool = False) -> Counts:
+    """The counts of files that all wear one set, by its model of virtual people."""
+    chosen = _spread(files, 2) if benchmark.quick else files
+    return summed(_each(benchmark, virtual_model(chosen[0].markers), chosen, hidden, raw)) if chosen else Counts()
+
+
+def _each(benchmark: BenchmarkRun, model: asterism.MarkerModel, files: list[Worn], hidden: int = 0, raw: bool = False) -> Iterator[Counts]:
+    for worn in files:
+        counts = judged(model, worn, hidden, raw=raw, longest=SHORT if raw or benchmark.quick else LONGEST)
+        if counts.right_share < TOLD or counts.given > counts.right:
+            benchmark.report(line_of(f"{worn.markers}, {worn.person}, {worn.file}, {hidden} hidden", counts))
+        yield counts
+
+
+def _has_more(worn: Worn) -> bool:
+    return len(worn.everything().labels) > len(MarkerSet.load(worn.markers))
+
+
+def _spread(files: list[Worn], most: int) -> list[Worn]:
+    return [files[int(place)] for place in np.unique(np.linspace(0, len(files) - 1, min(len(files), most)).round())]
+
+
+def _figures(row: str, counts: Counts, right: str, wrong: str) -> Iterator[Figure]:
+    if counts.files:
+        yield Figure(f"{row}: right", right, counts.right_share, "fraction", counts.visible)
+        yield Figure(f"{row}: wrong", wrong, counts.wrong_share, "fraction", max(counts.given, 1))
+        yield Figure(
+            f"{row}: labels sure and wrong", "<= 0" if right != "none" else "none", counts.sure_and_wrong, "labels", max(counts.given, 1)
+        )
+
+
+def _reliability(row: str, counts: Counts) -> Iterator[Figure]:
+    """Of each bin as many must be right as its lower end says; of the surest all but one of 10,000."""
+    for (given, right), (name, asked) in zip(
+        counts.bins.tolist(), (("0.90 to 0.95", ">= 0.9"), ("0.95 to 0.99", ">= 0.95"), ("0.99 or more", ">= 0.9999")), strict=True
+    ):
+        if given:
+            yield Figure(f"{row}, all: right at {name}", asked, right / given, "fraction", given)

@@ -1,0 +1,138 @@
+"""Without a model: which marker set is worn is found by names or points, and every door labels with virtual people."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import asterism
+from asterism import AsterismError
+from asterism.cli import main
+from asterism.recording import MarkerSet, Recording
+from asterism.session import LabellingOptions, SetFinder, label_file
+from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN
+from asterism.skeleton import virtual_people
+
+
+@pytest.fixture(scope="module", autouse=True)
+def kept_models(tmp_path_factory: pytest.TempPathFactory) -> object:
+    """Models are made once for this file, in a folder of its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ASTERISM_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@cache
+def person(markers: str) -> Recording:
+    """Somebody whom no model has seen, standing and walking."""
+    recordings = virtual_people(MarkerSet.load(markers), people=2, frames=200, seed=4711)
+    return max(recordings, key=len)
+
+
+def anonymous(recording: Recording, keep: list[int] | None = None) -> Recording:
+    positions = recording.positions if keep is None else recording.positions[:, keep]
+    labels = tuple(f"*{m + 1}" for m in range(positions.shape[1]))
+    return Recording(positions, labels, recording.rate, recording.vertical)
+
+
+def found(recording: Recording) -> object:
+    (worn,) = SetFinder().of(Path("walk.c3d"), recording)
+    return worn
+
+
+@pytest.mark.parametrize("markers", ["helen-hayes", "plug-in-gait", "optitrack-rizzoli-lower", "vicon-53"])
+def test_a_set_is_found_by_its_points(markers: str) -> None:
+    worn = found(anonymous(person(markers)))
+    assert (worn.name, worn.by) == (markers, BY_POINTS)
+    assert worn.shown >= 0.8 * len(MarkerSet.load(markers))
+    total = worn.probability + sum(chance for _, chance in worn.others)
+    assert 0.5 < worn.probability <= 1.0 and total <= 1.0 + 1e-9
+
+
+def test_the_room_does_not_matter() -> None:
+    """A body that is turned, moved, and upright along another axis wears the same."""
+    one = anonymous(person("optitrack-rizzoli-lower"))
+    turned = one.positions @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]).T + np.array([7.0, -3.0, 0.0])
+    along_y = Recording(turned[:, :, [1, 2, 0]], one.labels, one.rate, "y")
+    assert found(along_y).name == found(one).name == "optitrack-rizzoli-lower"
+
+
+def test_names_decide_where_a_file_has_them() -> None:
+    worn = found(person("helen-hayes"))
+    assert (worn.name, worn.by, worn.shown) == ("helen-hayes", BY_NAMES, 15)
+
+
+def test_what_is_given_is_taken() -> None:
+    (worn,) = SetFinder(["cmu"]).of(Path("walk.c3d"), anonymous(person("helen-hayes")))
+    assert (worn.name, worn.by, worn.probability) == ("cmu", GIVEN, 1.0)
+
+
+def test_props_are_no_body() -> None:
+    """Points of a tray that is carried: the nearest sets are named, and what to do."""
+    path = np.linspace(0.0, 2.0, 100)[:, None, None] * np.array([1.0, 0.0, 0.0])
+    tray = np.random.default_rng(2).uniform(-0.15, 0.15, (1, 12, 3)) + np.array([0.0, 0.0, 1.0]) + path
+    with pytest.raises(AsterismError, match=r"no shipped marker set.*--markers.*body place"):
+        found(Recording(tray, tuple(f"*{m}" for m in range(12)), 100.0))
+
+
+def test_label_needs_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command says which set it took, and how sure it is; the labels are the truth's, and those of Python."""
+    truth = person("optitrack-rizzoli-lower")
+    asterism.write(tmp_path / "walk.c3d", anonymous(truth))
+    status = main(["label", str(tmp_path / "walk.c3d"), "-o", str(tmp_path / "out"), "--json", str(tmp_path / "said.json")])
+    said = capsys.readouterr()
+    assert "optitrack-rizzoli-lower" in said.out and "virtual people" in said.out, said.err
+    row = json.loads((tmp_path / "said.json").read_text())["files"][0]
+    assert row["virtual_people"] and row["marker_set"][0]["name"] == "optitrack-rizzoli-lower"
+    assert status == (1 if "[" in said.err else 0)
+    labelled = asterism.read(tmp_path / "out" / "walk.c3d")
+    names = [name for name in truth.labels if name in labelled.labels]
+    assert len(names) >= 0.9 * len(truth.labels)
+    paths = labelled.positions[:, [labelled.labels.index(name) for name in names]]
+    wanted = truth.positions[:, [truth.labels.index(name) for name in names]]
+    known = ~np.isnan(paths[:, :, 0])
+    assert known.mean() > 0.9 and (np.abs(paths - wanted)[known] < 1e-3).all(axis=1).mean() > 0.98
+    in_python = label_file(tmp_path / "walk.c3d")
+    assert in_python.worn[0].name == "optitrack-rizzoli-lower"
+    by_hand = label_file(tmp_path / "walk.c3d", in_python.models)
+    np.testing.assert_array_equal(in_python.labelling.indices, by_hand.labelling.indices)
+
+
+def test_options_that_contradict_each_other(tmp_path: Path) -> None:
+    asterism.write(tmp_path / "walk.c3d", anonymous(person("helen-hayes")))
+    files = ["label", str(tmp_path / "walk.c3d"), "-o", str(tmp_path / "out")]
+    assert main([*files, "--model", "any.model", "--markers", "helen-hayes"]) == 2
+    assert main([*files, "--rules", "thesis"]) == 2
+    assert main([*files, "--markers", "no-such-set"]) == 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_without_any_label_is_no_success(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Points that keep no distance get no name, and the exit status says it."""
+    drift = np.random.default_rng(5).normal(0.0, 0.02, size=(60, 24, 3)).cumsum(axis=0)
+    scattered = np.random.default_rng(6).uniform(0.0, 2.0, size=(24, 3)) + drift
+    asterism.write(tmp_path / "dust.c3d", Recording(scattered, tuple(f"*{m}" for m in range(24)), 100.0))
+    status = main(["label", str(tmp_path / "dust.c3d"), "--markers", "helen-hayes", "-o", str(tmp_path / "out")])
+    assert status == 1
+    labelled = label_file(tmp_path / "dust.c3d", options=LabellingOptions(markers=["helen-hayes"]))
+    nothing = not (labelled.labelling.indices >= 0).any()
+    assert nothing == ("label-nothing" in {finding.code for finding in labelled.findings})
+
+
+def test_files_of_a_folder_are_judged_together(tmp_path: Path) -> None:
+    """A trial that shows less than another of its folder takes the set from it."""
+    whole = anonymous(person("optitrack-rizzoli-lower"))
+    files = [tmp_path / "a.c3d", tmp_path / "b.c3d"]
+    asterism.write(files[0], whole)
+    asterism.write(files[1], replace(whole, positions=whole.positions[:, :20], labels=whole.labels[:20]))
+    alone, together = SetFinder(), SetFinder(files=files)
+    part = asterism.read(files[1])
+    (one,), (other,) = alone.of(files[1], part), together.of(files[1], part)
+    assert other.name == "optitrack-rizzoli-lower"
+    if one.name == other.name:
+        assert other.probability >= one.probability - 1e-9
