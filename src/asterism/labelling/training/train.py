@@ -113,6 +113,8 @@ def train_on_virtual_people(marker_set: MarkerSet, config: TrainingConfig, progr
     body, anchors = fit_whole(shown.frames, shown.people, config)
     report(0.9, "taking the usual score")
     usual_score = usual_score_of(body, strangers.frames, rules, np.random.default_rng(config.seed))
+    # Virtual people show all of their markers, so that each of their frames can be scored.
+    assert usual_score is not None
     about = {
         **_about(TrainingState(Sample(), config), len(shown.frames), ()),
         "partial_solvers": {},
