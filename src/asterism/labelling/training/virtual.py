@@ -93,7 +93,7 @@ def placed_by_neighbours(virtual: VirtualFrames, frames: Floats, seed: int) -> V
     `NEIGHBOUR_SPREAD` away from there for each person. One that is never seen beside three of them stays NaN. O(M^2 N).
     """
     filled, rng = virtual.frames.copy(), np.random.default_rng(seed)
-    placed: NDArray[np.bool_] = ~np.asarray(np.isnan(virtual.frames[:, :, 0]).all(axis=0))
+    placed: NDArray[np.bool_] = np.asarray(~np.isnan(virtual.frames[:, :, 0]).all(axis=0), dtype=np.bool_)
     for marker in np.nonzero(~placed)[0].tolist():
         three = _steadiest_three(frames, marker, placed)
         if three is None:

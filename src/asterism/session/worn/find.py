@@ -156,7 +156,11 @@ class SetFinder:
         own = self._evidence_of(path, recording)
         if own is None:
             raise NoMarkers(f"{path} has no frame with {self.rules.fewest} points or more; name the marker set with --markers.")
-        return (self._decided(path, self._compared(recording, self._pooled(path, own), own), own),)
+        nats = self._pooled(path, own)
+        # no models are made for what is no body: it is refused at once
+        if own.better >= self.rules.better:
+            nats = self._compared(recording, nats, own)
+        return (self._decided(path, nats, own),)
 
     def _by_names(self, recording: Recording) -> WornMarkers | None:
         """The set of which most markers are named; None where the names are of none."""
