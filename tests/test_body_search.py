@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_body import LATENTS, MARKERS, POSES, SETTINGS, random_frame, random_model, ready
 
+from asterism.labelling.body._anchor_kernels import search_anchor
 from asterism.labelling.body._frame_kernels import label_clouds, nearest_changes, retry_doubtful
 from asterism.labelling.body._refine_kernels import refine
 from asterism.labelling.body._score_kernels import best_pose, rescore
@@ -25,6 +26,7 @@ from asterism.labelling.body._search_kernels import (
 from asterism.labelling.body._workspace_kernels import FrameLabelling, FrameModel, make_body_workspace
 from asterism.labelling.body.anchors import AnchorRules, Anchors, with_intervals
 from asterism.labelling.body.model import BodyModel
+from asterism.labelling.features.feature_kernels import point_distances
 from asterism.labelling.features.search_kernels import search
 
 pytestmark = pytest.mark.kernels
@@ -132,6 +134,24 @@ def test_refinement(seed):
     assert score == pytest.approx(expected, rel=1e-7, abs=1e-5)
 
 
+@given(seed=seeds, budget=st.sampled_from([0, 3, 20, 60, 10**6]), room=st.sampled_from([1, 3, 64]))
+@races
+def test_the_search_of_an_anchor_is_that_of_its_partial_solver(seed, budget, room):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng)
+    solvers = anchors_for(model, rng).solvers()
+    points, _, _ = random_frame(model, rng, least=2)
+    distance = workspace_for(points).distance
+    point_distances(points, len(points), distance)
+    for a in range(len(solvers.first_depth) - 1):
+        found, expected = np.full((room, 3), -1), np.full((room, 3), -1)
+        counters, evaluations = np.zeros(2, dtype=np.int64), np.zeros(1, dtype=np.int64)
+        solutions = search(solvers, a, points, np.arange(len(points)), budget, expected, counters)
+        assert search_anchor(solvers, a, points, distance, budget, found, evaluations) == solutions
+        assert evaluations[0] == counters[0]
+        np.testing.assert_array_equal(found[: max(0, solutions)], expected[: max(0, solutions)])
+
+
 @given(seed=seeds)
 @races
 def test_proposals_of_an_anchor(seed):
@@ -143,7 +163,7 @@ def test_proposals_of_an_anchor(seed):
     arrays = frame_model(model, anchors)
     for a, triple in enumerate(anchors.triples):
         counters = np.zeros(2, dtype=np.int64)
-        solutions = max(0, search(arrays.solvers, a, points, workspace.order, 10**6, workspace.triples, counters))
+        solutions = max(0, search(arrays.solvers, a, points, np.arange(len(points)), 10**6, workspace.triples, counters))
         triples = twins.anchor_triples(anchors, a, points)
         assert {tuple(rows) for rows in workspace.triples[:solutions].tolist()} == set(triples)
         expected = twins.propose(model, triple, points, triples, SETTINGS)

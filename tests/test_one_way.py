@@ -18,14 +18,14 @@ import asterism
 from asterism import AsterismError, formats
 from asterism.cli import main
 from asterism.findings import Finding
-from asterism.labelling import MarkerModel, join_labellings, label_together, recording_labeller
+from asterism.labelling import MarkerModel, join_labellings, label_together, recording_labeller, virtual_model
 from asterism.labelling.correction import Ghost
 from asterism.labelling.recording_labeller import LabellingSettings, RecordingLabeller
 from asterism.labelling.stretches import StretchRules
 from asterism.labelling.whole.bodies import SeveralBodiesRules
 from asterism.labelling.whole.settings import ForeignRules, RecordingLabellingSettings
 from asterism.recording import Floats, Labelling, Recording, check_labels, is_partly_labelled, keep_labels
-from asterism.session import FileLabeller, LabelledFile, LabellingOptions, label_file
+from asterism.session import FileLabeller, LabelledFile, LabellingOptions, SetFinder, label_file
 from asterism.simulation import simulate_standing
 
 pytest.importorskip("starlette")
@@ -44,7 +44,7 @@ class Case:
     write    writes the files of the run below a folder, and gives them, the one that is judged first
     words    options of the commands
     options  the same in Python
-    models   how often the model is given
+    models   how often the model is given; 0 where the marker set is found and virtual people label
     codes    findings that must be among those of labelling, so that the case is what it says
     refused  what the refusal says; None where the file is labelled
     by_hand  the same by the model alone, in Python
@@ -162,8 +162,30 @@ def two_by_hand(trained: asterism.MarkerModel, recording: Recording) -> Labellin
     return join_labellings(label_together([trained, trained], recording.clouds()), [trained.marker_set] * 2)[0]
 
 
+def props() -> Recording:
+    """A tray of points that is carried."""
+    path = np.linspace(0.0, 2.0, 60)[:, None, None] * np.array([1.0, 0.0, 0.0])
+    tray = np.random.default_rng(2).uniform(-0.15, 0.15, (1, 12, 3)) + np.array([0.0, 0.0, 1.0]) + path
+    return Recording(tray, tuple(f"*{m + 1}" for m in range(12)), 100.0)
+
+
+def refused_props(_: asterism.MarkerModel, recording: Recording) -> Labelling:
+    """A model alone would label them: nobody is asked there which set is worn."""
+    SetFinder().of(Path("walk.c3d"), recording)
+    raise AssertionError("props are no person")
+
+
 CASES = {
     "one person": Case(only(walk)),
+    "no model": Case(only(walk), models=0, by_hand=lambda _, recording: virtual_model("helen-hayes").label(recording)),
+    "no model, the set given": Case(
+        only(walk),
+        ["--markers", "helen-hayes"],
+        {"markers": ["helen-hayes"]},
+        models=0,
+        by_hand=lambda _, recording: virtual_model("helen-hayes").label(recording),
+    ),
+    "no model, props": Case(only(props), models=0, refused="like no shipped marker set", by_hand=refused_props),
     "two people, one model": Case(only(two_people), codes=frozenset({"label-two-bodies"})),
     "two people, two models": Case(only(two_people), models=2, by_hand=two_by_hand),
     "long": Case(
@@ -194,6 +216,8 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fixtu
     """A folder with the model, in which the commands are called."""
     model().save(tmp_path / "gait.model")
     monkeypatch.chdir(tmp_path)
+    # models of virtual people are made once for all cases
+    monkeypatch.setenv("ASTERISM_CACHE", str(tmp_path.parent / "cache"))
     if "long" in request.node.callspec.params["name"]:
         shorter = partial(StretchRules, whole=2000, points=2500, overlap=0.5)
         monkeypatch.setattr(recording_labeller, "StretchRules", shorter)
@@ -224,7 +248,7 @@ class Doors:
         self.case, self.folder, self.capsys, self.monkeypatch = case, folder, capsys, monkeypatch
         self.files = [path.relative_to(folder) for path in case.write(folder)]
         self.models = [model()] * case.models
-        self.labeller = RecordingLabeller(self.models)
+        self.labeller = RecordingLabeller(self.models or [virtual_model("helen-hayes")])
         self.names = self.labeller.marker_set.names
 
     def command(self, *words: str) -> str | None:

@@ -210,8 +210,11 @@ def rescore(model, k, points, rows, outlier, settings):
     return evidence(model, k, points, rows, outlier, settings), scores, outlier
 
 
-def refine(model, k, points, rows, settings, known=()):
-    """Relabel until nothing changes, or until one of the `known` labellings is reached; unambiguous labels first: score, rows."""
+def refine(model, k, points, rows, settings, known=(), least=-np.inf, marker_gain=0.0):
+    """Relabel until nothing changes, or until one of the `known` labellings is reached; unambiguous labels first: score, rows.
+
+    What falls below `least`, each marker that could have a point taken as marker_gain, is given up.
+    """
     rows, outlier, only_unambiguous = list(rows), np.zeros(len(rows), dtype=bool), True
     for step in range(MAX_ROUNDS):
         if count(rows) < 3:
@@ -220,6 +223,8 @@ def refine(model, k, points, rows, settings, known=()):
         if step == 1:
             k = best_pose(model, points, rows, outlier, settings)
         score, scores, outlier = rescore(model, k, points, rows, outlier, settings)
+        if not only_unambiguous and score + marker_gain * (min(len(rows), len(points)) - count(rows)) < least:
+            return score, previous
         if only_unambiguous:
             rows = assign_unambiguous(scores, settings.assign_margin)
             only_unambiguous = count(rows) > count(previous) and step < MAX_ROUNDS // 2
@@ -352,9 +357,10 @@ def add_twins(model, table, found, best, points, settings):
             open_pairs = min(markers, n) - count(trial)
             if evidence(model, k, points, trial, none, settings) + MARKER_GAIN * open_pairs < top - MAX_TWIN_GAP:
                 continue
-            score, rows = refine(model, k, points, trial, settings, found)
+            score, rows = refine(model, k, points, trial, settings, found, top - MAX_TWIN_GAP, MARKER_GAIN)
             rows = tuple(int(row) for row in rows)
-            if np.isnan(score) or score == -np.inf or rows in found:
+            hopeless = score + MARKER_GAIN * (min(markers, n) - count(rows)) < top - MAX_TWIN_GAP
+            if np.isnan(score) or hopeless or rows in found:
                 continue
             if len(found) == MAX_LABELLINGS:
                 del found[min((other for other in found if other != best), key=lambda other: found[other][0])]

@@ -300,7 +300,7 @@ def score_twins(model, frames, tracks, label, table, settings, gap, marker_gain)
             scores[w, t] = twins_body.evidence(model, k, points, trial, none, rules)
             if scores[w, t] + marker_gain * (min(markers, len(points)) - twins_body.count(trial)) < top - gap:
                 continue
-            refined, better = twins_body.refine(model, k, points, trial, rules)
+            refined, better = twins_body.refine(model, k, points, trial, rules, (), top - gap, marker_gain)
             if refined > -np.inf and list(map(int, better)) != own:
                 scores[w, t], rows[w, t] = refined, better
     return scores, rows

@@ -34,7 +34,6 @@ class LinkedLibrary(JITCodeLibrary):
         """Link what the kernel calls, and leave it at that."""
         self._raise_if_finalized()
         for library in dict.fromkeys(self._linking_libraries):
-            self._reload_init.update(library._reload_init)
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
         self._finalize_dynamic_globals()
         self._finalized = True

@@ -46,21 +46,21 @@ _ARMS_OF_WALKERS = ("hang", "hang", "hang", "away", "carry", "crossed", "hips", 
 
 
 @dataclass(frozen=True)
-class Motion:
+class Movement:
     """What a body does: angles (T, A) rad; above (T,) m, how far its lowest part is from the floor."""
 
     angles: Floats
     above: Floats
 
 
-def standing(time: Floats, rng: np.random.Generator) -> Motion:
+def standing(time: Floats, rng: np.random.Generator) -> Movement:
     """Someone who stands still in one of the usual postures; time (T,) s."""
     postures, share = posture_book().standing()
     posture = postures[rng.choice(len(postures), p=share)]
     return _on_the_floor(taken(rng, posture) + restless(time, rng, np.radians(0.7)))
 
 
-def moving(time: Floats, rng: np.random.Generator, recorded: float = 0.35, apart: float = 0.5, without: Collection[str] = ()) -> Motion:
+def moving(time: Floats, rng: np.random.Generator, recorded: float = 0.35, apart: float = 0.5, without: Collection[str] = ()) -> Movement:
     """Someone who goes from posture to posture, one every 0.8 s or so.
 
     recorded: share of the postures that are near one of a recorded person, but for those of the sources `without`.
@@ -77,7 +77,7 @@ def moving(time: Floats, rng: np.random.Generator, recorded: float = 0.35, apart
     return _on_the_floor(angles + restless(time, rng, np.radians(4.0)))
 
 
-def acting(time: Floats, rng: np.random.Generator, steps: Sequence[Step]) -> Motion:
+def acting(time: Floats, rng: np.random.Generator, steps: Sequence[Step]) -> Movement:
     """Someone who goes through these steps again and again, from anywhere in them on, at a pace of one's own."""
     exchanged, pace = bool(rng.random() < 0.5), rng.uniform(0.7, 1.4)
     # one takes each posture in one's own way, and a little otherwise each time
@@ -90,7 +90,7 @@ def acting(time: Floats, rng: np.random.Generator, steps: Sequence[Step]) -> Mot
         begins.append(begins[-1] + seconds[which[-1]] * rng.uniform(0.85, 1.15))
     # within what hands and feet repeat: an eighth of a second is too short for a rest between two steps
     found = _through(time, np.array(begins), own[which], 1.0)
-    return Motion(limited(found[:, :-1] + restless(time, rng, np.radians(3.0))), np.maximum(found[:, -1], 0.0))
+    return Movement(limited(found[:, :-1] + restless(time, rng, np.radians(3.0))), np.maximum(found[:, -1], 0.0))
 
 
 def _through(time: Floats, begins: Floats, rows: Floats, moved: float) -> Floats:
@@ -103,11 +103,11 @@ def _through(time: Floats, begins: Floats, rows: Floats, moved: float) -> Floats
     return np.asarray(rows[at] + eased * (rows[at + 1] - rows[at]))
 
 
-def _on_the_floor(angles: Floats) -> Motion:
-    return Motion(limited(angles), np.zeros(len(angles)))
+def _on_the_floor(angles: Floats) -> Movement:
+    return Movement(limited(angles), np.zeros(len(angles)))
 
 
-def walking(time: Floats, rng: np.random.Generator) -> Motion:
+def walking(time: Floats, rng: np.random.Generator) -> Movement:
     """Someone who walks, slowly or fast."""
     arms = str(rng.choice(_ARMS_OF_WALKERS))
     swing = 1.0 if arms in ("hang", "away", "runner") else 0.15
@@ -116,7 +116,7 @@ def walking(time: Floats, rng: np.random.Generator) -> Motion:
     return _on_the_floor(_gait(time, rng, posture, GAIT_DEG, cadence, vigour, swing))
 
 
-def running(time: Floats, rng: np.random.Generator) -> Motion:
+def running(time: Floats, rng: np.random.Generator) -> Movement:
     """Someone who runs, from a jog to 7 m/s; with arms as runners have them, or now and then otherwise."""
     vigour = rng.uniform(0.7, 1.35)
     cadence = rng.uniform(1.2, 1.4) + 0.3 * (vigour - 0.7)
@@ -179,7 +179,7 @@ def heading(time: Floats, rng: np.random.Generator) -> Floats:
     return start + rate * time + np.radians(8.0) * slow_curves(time, rng, 1, 0.05, 0.3)[:, 0]
 
 
-def _movements() -> dict[str, Callable[[Floats, np.random.Generator], Motion]]:
+def _movements() -> dict[str, Callable[[Floats, np.random.Generator], Movement]]:
     by_steps = {name: partial(acting, steps=steps) for name, steps in posture_book().movements.items()}
     return {"walk": walking, "run": running, "stand": standing, "move": moving, **by_steps}
 

@@ -13,7 +13,7 @@ import numpy as np
 from asterism.recording import Floats
 from asterism.skeleton.angles import ANGLES, ARM, COLUMN, LEG, MOVABLE, limited, mirrored
 
-_SPREAD_DEG = {"turn": 14, "palm": 25, "wrist": 12, "deviate": 6, "shrug": 4, "out": 4, "twist": 5, "yaw": 6, "pitch": 3}
+_SPREAD_DEG = {"turn": 14, "palm": 25, "wrist": 7, "deviate": 6, "shrug": 4, "out": 4, "twist": 5, "yaw": 6, "pitch": 3}
 """How far people are from a posture of the book, by angle: degrees, standard deviation. Hands turn freely, feet stand on the floor."""
 
 

@@ -13,6 +13,75 @@ from asterism.labelling.body._workspace_kernels import LOG_2PI
 
 
 @kernel
+def search_anchor(solvers, a, points, distance, budget, found, counters):
+    """The points that an anchor's three markers may be: what `features.search_kernels.search` finds with `anchors.CHECKS`, written out.
+
+    IN   solvers SolverArrays of `Anchors.solvers`; a which anchor; points (n, 3) m, z up; distance (n, n) m between them
+         budget, feature evaluations after which the search gives up
+    OUT  found (S, 3) points of the markers, in ascending order; counters (1 or more,), the first: evaluations made (added to)
+    Returns the number of triples found, or -1 where the budget or S did not suffice: then nothing may be concluded.
+    O(n^2), and O(n) for each pair of points that the first two markers may be.
+
+    Bounds: where `found` is full, it returns -1.
+    """
+    n, first = len(points), solvers.first_feature[solvers.first_depth[a]]
+    low, high = solvers.low[first : first + 6], solvers.high[first : first + 6]
+    solutions, evaluations = 0, counters[0]
+    for i in range(n):
+        for j in range(n):
+            if j == i:
+                continue
+            # Height difference and distance of the first two ...
+            evaluations += 1
+            value = points[i, 2] - points[j, 2]
+            if value < low[0] or value > high[0]:
+                continue
+            evaluations += 1
+            value = distance[i, j]
+            if value < low[1] or value > high[1]:
+                continue
+            # Counted, not timed: every machine gives up at the same place.
+            if evaluations > budget:
+                counters[0] = evaluations
+                return -1
+            # ... then of the third from both, and the signed triangle seen from above.
+            for k in range(n):
+                if k in (i, j):
+                    continue
+                evaluations += 1
+                value = points[i, 2] - points[k, 2]
+                if value < low[2] or value > high[2]:
+                    continue
+                evaluations += 1
+                value = distance[i, k]
+                if value < low[3] or value > high[3]:
+                    continue
+                evaluations += 1
+                value = distance[j, k]
+                if value < low[4] or value > high[4]:
+                    continue
+                evaluations += 1
+                value = (points[j, 0] - points[i, 0]) * (points[k, 1] - points[i, 1])
+                value -= (points[j, 1] - points[i, 1]) * (points[k, 0] - points[i, 0])
+                if value < low[5] or value > high[5]:
+                    continue
+                # Some of the triples would conclude what all of them might not.
+                if evaluations > budget or solutions == len(found):
+                    counters[0] = evaluations
+                    return -1
+                found[solutions, 0], found[solutions, 1], found[solutions, 2] = i, j, k
+                solutions += 1
+            if evaluations > budget:
+                counters[0] = evaluations
+                return -1
+        if evaluations > budget:
+            counters[0] = evaluations
+            return -1
+    counters[0] = evaluations
+    return solutions
+
+
+@kernel
 def _place(points, anchor_points, mean, markers, out):
     """Lay an anchor's points onto its markers in a mean body: (cos, sin, from, onto), as `fit_about_z` has them.
 

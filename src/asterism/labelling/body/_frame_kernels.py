@@ -211,7 +211,7 @@ def label_clouds(model, xyz, offsets, first, last, labelling):
     for t in range(first, last):
         points = xyz[offsets[t] : offsets[t + 1]]
         # Frames often have as many points as the one before, and keep its memory.
-        if len(points) != len(workspace.order):
+        if len(points) != len(workspace.body.aligned):
             workspace = make_search_workspace(make_body_workspace(len(points), markers, latents), candidates, proposals)
         row = FrameLabelling(labelling.point_of[t], labelling.margins[t], labelling.counters[t], labelling.fits[t])
         label_frame(model, points, workspace, row)

@@ -11,12 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_anchor
+from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_anchor, search_anchor
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
 from asterism.labelling.body._refine_kernels import refine_until_known
 from asterism.labelling.body._score_kernels import best_pose, evidence
 from asterism.labelling.body._workspace_kernels import BodyWorkspace, copy_labels, count_labelled, index_of
-from asterism.labelling.features.search_kernels import search
+from asterism.labelling.features.feature_kernels import point_distances
 
 MAX_LABELLINGS = 24
 """Labellings of one frame that are kept apart."""
@@ -65,7 +65,7 @@ class AnchorSearchWorkspace(NamedTuple):
 
     body            BodyWorkspace
     candidates      CandidateLabellings
-    order           (n,) order in which points are tried
+    distance        (n, n) m between the points
     triples         (S, 3) points of an anchor's markers, S = max(64, n^2)
     triple_pose     (S,) key pose of each triple
     triple_density  (S,) nats
@@ -76,7 +76,7 @@ class AnchorSearchWorkspace(NamedTuple):
 
     body: BodyWorkspace
     candidates: CandidateLabellings
-    order: np.ndarray
+    distance: np.ndarray
     triples: np.ndarray
     triple_pose: np.ndarray
     triple_density: np.ndarray
@@ -105,14 +105,14 @@ def make_search_workspace(body, candidates, proposals):
 
     Returns SearchWorkspace. O(n^2) memory.
 
-    Bounds: where an anchor has more labellings than `triples` has room for, its search returns -1 and it proposes nothing (`search`).
+    Bounds: where an anchor has more labellings than `triples` has room for, `search_anchor` returns -1 and it proposes nothing.
     """
     n = len(body.aligned)
     triples = max(64, n * n)
     return AnchorSearchWorkspace(
         body,
         candidates,
-        np.arange(n),
+        np.empty((n, n)),
         np.empty((triples, 3), dtype=np.int64),
         np.empty(triples, dtype=np.int64),
         np.empty(triples),
@@ -184,7 +184,8 @@ def find_labellings(model, points, workspace, counters):
     anchors, body, settings, candidates, trial = model.anchors, model.body, model.settings, workspace.candidates, workspace.trial
     markers, n = body.load.shape[1], len(points)
     n_proposals, n_labellings, best, most_labelled, extra_run = 0, 0, -1, 0, 0
-    evaluations = np.zeros(2, dtype=np.int64)
+    evaluations = np.zeros(1, dtype=np.int64)
+    point_distances(points, n, workspace.distance)
     for a in range(len(anchors.markers)):
         labelled = count_labelled(candidates.labellings[best]) if best >= 0 else markers
         # Many markers without a point may be hidden, or this labelling may be of a part of the body only.
@@ -205,7 +206,7 @@ def find_labellings(model, points, workspace, counters):
             extra_run += hidden
         counters[1] += 1
         # Minus one where the search gave up: then nothing may be concluded from this anchor.
-        solutions = search(model.solvers, a, points, workspace.order, settings.max_evaluations, workspace.triples, evaluations)
+        solutions = search_anchor(model.solvers, a, points, workspace.distance, settings.max_evaluations, workspace.triples, evaluations)
         if solutions <= 0:
             continue
         chosen = propose(model, a, points, solutions, workspace)
@@ -229,7 +230,8 @@ def find_labellings(model, points, workspace, counters):
             elif final < 0:
                 copy_labels(trial, candidates.proposals[n_proposals])
                 assign_unambiguous(workspace.body.scores, settings.assign_margin, trial)
-                score, final = refine_until_known(body, k, points, trial, candidates.labellings, n_labellings, settings, workspace.body)
+                known = candidates.labellings
+                score, final = refine_until_known(body, k, points, trial, known, n_labellings, -np.inf, 0.0, settings, workspace.body)
                 counters[2] += 1
                 if final < 0:
                     final = index_of(candidates.labellings, n_labellings, trial)
@@ -339,8 +341,11 @@ def add_twins(model, points, workspace, count, best, counters):
             # Even if each marker without a point earned what a good label does, it would stay behind.
             if score + MARKER_GAIN * (min(markers, n) - labelled) < top - MAX_TWIN_GAP:
                 continue
-            score, known = refine_until_known(body, k, points, trial, candidates.labellings, count, settings, workspace.body)
-            if known >= 0 or score == -np.inf or index_of(candidates.labellings, count, trial) >= 0:
+            known = candidates.labellings
+            least = top - MAX_TWIN_GAP
+            score, row = refine_until_known(body, k, points, trial, known, count, least, MARKER_GAIN, settings, workspace.body)
+            hopeless = score + MARKER_GAIN * (min(markers, n) - count_labelled(trial)) < least
+            if row >= 0 or hopeless or index_of(candidates.labellings, count, trial) >= 0:
                 continue
             place = count
             if count == room:

@@ -76,7 +76,7 @@ def with_known_places(marker_set: MarkerSet) -> MarkerSet:
     for worn in worn_marker_sets(marker_set.names):
         shipped = MarkerSet.load(worn.name)
         meant = {name: shipped.name_of(name) for name in marker_set.names}
-        places = {name: shipped.places[marker] for name, marker in meant.items() if marker in shipped.places}
+        places = {name: shipped.places[marker] for name, marker in meant.items() if marker is not None and marker in shipped.places}
         # Of sets that know as many, the first is the one whose spelling the names have.
         if len(places) > len(known):
             known = places
@@ -93,8 +93,8 @@ def placed_by_neighbours(virtual: VirtualFrames, frames: Floats, seed: int) -> V
     `NEIGHBOUR_SPREAD` away from there for each person. One that is never seen beside three of them stays NaN. O(M^2 N).
     """
     filled, rng = virtual.frames.copy(), np.random.default_rng(seed)
-    placed = ~np.isnan(virtual.frames[:, :, 0]).all(axis=0)
-    for marker in np.nonzero(~placed)[0]:
+    placed: NDArray[np.bool_] = np.asarray(~np.isnan(virtual.frames[:, :, 0]).all(axis=0), dtype=np.bool_)
+    for marker in np.nonzero(~placed)[0].tolist():
         three = _steadiest_three(frames, marker, placed)
         if three is None:
             continue

@@ -11,7 +11,7 @@ import numpy as np
 
 from asterism._jit import kernel
 from asterism.labelling.body._frame_kernels import frame_settings
-from asterism.labelling.body._refine_kernels import refine
+from asterism.labelling.body._refine_kernels import refine_until_known
 from asterism.labelling.body._score_kernels import best_pose, evidence, rescore, score_held_points
 from asterism.labelling.body._search_kernels import LAID, twin_at
 from asterism.labelling.body._workspace_kernels import copy_labels, count_labelled, make_body_workspace
@@ -51,7 +51,7 @@ def score_twins(xyz, offsets, track, label, twins, body, settings, gap, marker_g
     """
     markers, latents, last = body.load.shape[1], body.load.shape[3], len(twins) + LAID
     raw, workspace = np.empty(markers, dtype=np.int64), make_body_workspace(0, markers, latents)
-    out.scores[:] = np.nan
+    out.scores[:], nothing = np.nan, np.empty((0, markers), dtype=np.int64)
     for t in range(len(offsets) - 1):
         first, n = offsets[t], offsets[t + 1] - offsets[t]
         own = out.point_of[last, t]
@@ -85,7 +85,7 @@ def score_twins(xyz, offsets, track, label, twins, body, settings, gap, marker_g
             # Even if each marker without a point earned what a good label does, it would stay behind.
             if score + marker_gain * (min(markers, n) - given) < top - gap:
                 continue
-            refined = refine(body, k, points, trial, own_settings, workspace)
+            refined, _ = refine_until_known(body, k, points, trial, nothing, 0, top - gap, marker_gain, own_settings, workspace)
             if refined == -np.inf or same_labels(trial, own):
                 # it leads back: only as it stands it is another labelling
                 copy_labels(raw, trial)

@@ -139,7 +139,8 @@ class RecordingLabellingSettings:
     """How a recording is labelled as a whole. All were chosen on the gait subjects, each left out in turn (docs/recordings.md).
 
     frame_interval    s between the frames that are sampled: scored, and labelled singly
-    least_voting      sampled frames at least that are labelled singly, and one more for each tracklet that none of them shows. Not tuned
+    least_voting      sampled frames at least that are labelled singly, and one more for each tracklet that none of them shows. With 60 no
+                      label of children with ghosts changes, and time doubles; with 12 one label of a thousand changes, either way
     voting_interval   one in so many sampled frames is labelled singly, where these are more. Not tuned
     crowded           points of long tracklets for each marker, on average, above which single frames are searched briefly
     max_rounds        relabellings after which the labels are taken as they are
@@ -173,7 +174,7 @@ class RecordingLabellingSettings:
     """
 
     frame_interval: float = 0.1
-    least_voting: int = 60
+    least_voting: int = 20
     voting_interval: int = 10
     crowded: float = 1.5
     max_rounds: int = 4

@@ -184,7 +184,7 @@ def _posterior(points: Floats, columns: Ints, variance: Floats, shapes: BodyShap
     scaled = basis * weight[:, None]
     precision = np.eye(basis.shape[1]) + basis.T @ scaled
     pull = scaled.T @ rest
-    latents = np.linalg.solve(precision, pull)
+    latents: Floats = np.linalg.solve(precision, pull).astype(np.float64)
     fitted = 0.5 * (pull @ latents - weight @ rest**2) - 0.5 * np.linalg.slogdet(precision)[1]
     return latents, float(fitted + 0.5 * np.log(weight / (2 * np.pi)).sum())
 

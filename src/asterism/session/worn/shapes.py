@@ -164,7 +164,8 @@ def _keep(path: Path, parts: tuple[Floats, ...]) -> None:
     from asterism.files.atomic import write_atomically
 
     buffer = io.BytesIO()
-    np.savez(buffer, **dict(zip(_PARTS, parts, strict=True)))
+    mean, basis, variance, templates = parts
+    np.savez(buffer, mean=mean, basis=basis, variance=variance, templates=templates)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, buffer.getvalue())
