@@ -14,8 +14,8 @@ _SCRIPTS = {
     "labelling": "files.conformance solver.full_solver thesis.thesis thesis.thesis_main",
     "recordings": "speed.speed bodies.bodies stream.stream loop.loop gaps.gaps gaps.full_body gaps.flicker "
     "movement.movement movement.laboratories",
-    "virtual": "rows.fifteen rows.thirty_nine rows.others rows.raw rows.taught rows.more_points "
-    "rows.virtual_standing rows.virtual_standing_all",
+    "virtual": "rows.fifteen rows.thirty_nine rows.others rows.raw rows.taught rows.more_points rows.set_worn "
+    "rows.first_command rows.virtual_standing rows.virtual_standing_all",
     "dirt": "reliability.reliability standing.standing",
     "cameras": "boards.stereo boards.charuco detection.detection detection.centroids "
     "detection.particles reconstruction.speed reconstruction.ghosts walk.walk wand.real_wand wand.wand wand.wand_rigs",

@@ -57,7 +57,7 @@ def rates(model: MarkerModel, recording: Recording) -> tuple[float, float]:
 def test_a_model_of_virtual_people_labels_a_person_it_has_not_seen(stranger):
     model = virtual_model("helen-hayes", people=FEW)
     right, wrong = rates(model, stranger)
-    assert right > 0.95
+    assert right > 0.9, "one of 15 may be too uncertain to be given"
     assert wrong == 0.0
     assert (model.about["virtual_people"], model.about["subjects"]) == (FEW, [])
 
@@ -212,7 +212,7 @@ def test_a_marker_without_a_place_is_put_where_the_recordings_show_it():
     hidden[:, knee] = np.nan
     placed = placed_by_neighbours(VirtualFrames(hidden, shown.people), others.frames, 0).frames
     away = np.linalg.norm(placed[:, knee] - shown.frames[:, knee], axis=1)
-    assert np.median(away) < 0.08, "the spread of hands and of the neighbours' movement, not metres"
+    assert np.median(away) < 0.12, "the wands beside it sit elsewhere on everybody, by as much"
     rest = [marker for marker in range(15) if marker != knee]
     np.testing.assert_array_equal(placed[:, rest], shown.frames[:, rest])
 

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 import asterism
+from asterism.errors import AsterismError
+from asterism.files.cache import VARIABLE
+from asterism.formats import write
 from asterism.labelling import TrainingRules, virtual_model
 from asterism.recording import MarkerSet
+from asterism.session.worn import SetFinder
 from asterism.simulation import simulate_gaps_and_ghosts
 from asterism.skeleton import VirtualRules, virtual_people
 from benchmarks.benchmark_run import BenchmarkRun
@@ -17,7 +26,7 @@ from benchmarks.data import gait, people_and_trials
 from benchmarks.figures import Figure
 from benchmarks.recordings.walks import label_whole
 from benchmarks.virtual.judged import Counts, counted, judged, line_of, summed
-from benchmarks.virtual.worn import Worn, markers_only, recordings_of, sets
+from benchmarks.virtual.worn import Worn, markers_only, recordings_of, sets, with_extra_points
 
 LONGEST, SHORT = 300, 100
 """Frames of a file that are labelled, from its middle, and where a file is labelled many times."""
@@ -66,7 +75,9 @@ def raw(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Every file that has points beside the set's markers, as recorded: gaps, ghosts, other markers, up to 109 points."""
     total = Counts()
     for name in (FIFTEEN, THIRTY_NINE) if benchmark.quick else sets():
-        counts = _labelled(benchmark, [worn for worn in recordings_of(name) if _has_more(worn)], raw=True)
+        counts = _labelled(
+            benchmark, [worn for worn in recordings_of(name) if len(worn.everything().labels) > len(MarkerSet.load(name))], raw=True
+        )
         total += counts
         if counts.files:
             yield from _figures(f"no labelled file, raw, {name}", counts, ">= 0.97", "<= 0.003")
@@ -90,7 +101,7 @@ def taught(benchmark: BenchmarkRun) -> Iterator[Figure]:
 
 def more_points(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Five of 15 markers hidden throughout and added back one by one: how far the share right falls below its best so far."""
-    model, files = virtual_model(FIFTEEN), _spread(recordings_of(FIFTEEN), 4 if benchmark.quick else ADDED)
+    model, files = virtual_model(FIFTEEN), _few(recordings_of(FIFTEEN), 4 if benchmark.quick else ADDED)
     falls = []
     for number, worn in enumerate(files):
         trial = markers_only(worn, SHORT)
@@ -132,9 +143,47 @@ def virtual_standing_all(benchmark: BenchmarkRun) -> Iterator[Figure]:
     yield from virtual_standing(benchmark, 10_000)
 
 
+def set_worn(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """All points of files without a name in them: whether the largest set is found that they wear and that leaves few points over."""
+    largest: dict[str, Worn] = {}
+    for name in sorted(sets(), key=lambda name: len(MarkerSet.load(name))):
+        seen = [(worn, with_extra_points(worn, SHORT).visible.any(axis=0)) for worn in recordings_of(name)]
+        own = len(MarkerSet.load(name))
+        largest |= {worn.file: worn for worn, points in seen if points[own:].sum() <= 0.1 * own}
+    right, chosen = 0, _few(list(largest.values()), 3 if benchmark.quick else len(largest))
+    for worn in chosen:
+        trial = with_extra_points(worn, SHORT)
+        trial = replace(trial, labels=tuple(f"*{place}" for place in range(len(trial.labels))))
+        try:
+            found = SetFinder(model_of=virtual_model).of(worn.path, trial)[0]
+            told, same = found.words, found.name == worn.markers
+        except AsterismError as problem:
+            told, same = str(problem).partition(":")[2], False
+        right += same
+        if not same:
+            benchmark.report(f"{worn.file} wears {worn.markers}; found {told}")
+    yield Figure("set worn, no name in the file: told right", ">= 0.99", right / len(chosen), "fraction", len(chosen))
+
+
+def first_command(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """`asterism label FILE -o OUT` on a file of 15 markers without names: with empty caches, and then again; processor time."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        trial = markers_only(recordings_of(FIFTEEN)[0], LONGEST)
+        write(folder / "walk.c3d", replace(trial, labels=tuple(f"*{place + 1}" for place in range(len(trial.labels)))))
+        environment = {**os.environ, "NUMBA_CACHE_DIR": f"{folder}/kernels", VARIABLE: f"{folder}/cache"}
+        for which, asked in (("first", "< 30"), ("second", "< 3")):
+            before = os.times()
+            words = [sys.executable, "-m", "asterism", "label", str(folder / "walk.c3d"), "-o", str(folder / which)]
+            subprocess.run(words, env=environment, check=True, capture_output=True)
+            after = os.times()
+            spent = after.children_user + after.children_system - before.children_user - before.children_system
+            yield Figure(f"asterism label FILE -o OUT, no model given, {which} time: processor time", asked, spent, "s", 1)
+
+
 def _labelled(benchmark: BenchmarkRun, files: list[Worn], hidden: int = 0, raw: bool = False) -> Counts:
     """The counts of files that all wear one set, by its model of virtual people."""
-    chosen = _spread(files, 2) if benchmark.quick else files
+    chosen = _few(files, 2) if benchmark.quick else files
     return summed(_each(benchmark, virtual_model(chosen[0].markers), chosen, hidden, raw)) if chosen else Counts()
 
 
@@ -146,11 +195,7 @@ def _each(benchmark: BenchmarkRun, model: asterism.MarkerModel, files: list[Worn
         yield counts
 
 
-def _has_more(worn: Worn) -> bool:
-    return len(worn.everything().labels) > len(MarkerSet.load(worn.markers))
-
-
-def _spread(files: list[Worn], most: int) -> list[Worn]:
+def _few(files: list[Worn], most: int) -> list[Worn]:
     return [files[int(place)] for place in np.unique(np.linspace(0, len(files) - 1, min(len(files), most)).round())]
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from asterism.errors import AsterismError
 from asterism.labelling.body.model import BodyModel, length_scale
 from asterism.labelling.features.registry import MANY_MARKERS, THESIS
 from asterism.labelling.partial.matrix import PartialSolvers
@@ -113,8 +114,8 @@ def train_on_virtual_people(marker_set: MarkerSet, config: TrainingConfig, progr
     body, anchors = fit_whole(shown.frames, shown.people, config)
     report(0.9, "taking the usual score")
     usual_score = usual_score_of(body, strangers.frames, rules, np.random.default_rng(config.seed))
-    # Virtual people show all of their markers, so that each of their frames can be scored.
-    assert usual_score is not None
+    if usual_score is None:
+        raise AsterismError(f"{marker_set.title or 'the marker set'} has too few markers to score a labelled frame by; give four or more.")
     about = {
         **_about(TrainingState(Sample(), config), len(shown.frames), ()),
         "partial_solvers": {},
