@@ -125,7 +125,7 @@ def test_the_module_is_the_command(tmp_path: Path) -> None:
     ("words", "said"),
     [
         (["lable"], "lable"),
-        (["label", "a.c3d"], "--model"),
+        (["label", "a.c3d"], "--output"),
         (["info"], "FILES"),
         (["train", "a.c3d", "-o", "m", "--partial-solvers", "sideways"], "sideways"),
         (["train", "a.c3d", "-o", "m", "--target-hit-rate", "99.9"], "--target-hit-rate 99.9"),

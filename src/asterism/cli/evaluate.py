@@ -138,7 +138,7 @@ def _settings(options: EvaluateOptions) -> dict[str, Any]:
     given = options.model is not None or options.markers is not None
     if (options.model is not None and options.leave_one_subject_out) or (not given and not options.leave_one_subject_out):
         raise AsterismError(
-            "evaluate takes one of --model FILE, --leave-one-subject-out, and --markers SET alone for a model of virtual people; give one."
+            "evaluate takes --model FILE, --leave-one-subject-out, or --markers SET alone for a model of virtual people; give one of them."
         )
     if options.model is None and not options.leave_one_subject_out and options.rules is not Rules.WHOLE_BODY:
         raise AsterismError(f"a model of virtual people has no solvers for the rules {options.rules.value}; leave out --rules.")
