@@ -88,8 +88,7 @@ def taught(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """One person of pig39 taught, with virtual people beside and alone, and strangers of other laboratories labelled."""
     strangers = [worn for worn in recordings_of(THIRTY_NINE) if worn.person != "pig39 test"]
     train = [markers_only(worn, 10_000) for worn in recordings_of(THIRTY_NINE) if worn.person == "pig39 test"]
-    if benchmark.quick:
-        strangers = strangers[:2]
+    strangers = strangers[: 2 if benchmark.quick else None]
     for how, rules, asked in (
         ("and virtual people", TrainingRules(virtual_people=PEOPLE), (">= 0.98", "<= 0.002")),
         ("alone", TrainingRules(virtual_people=0), ("none", "none")),
@@ -139,7 +138,7 @@ def virtual_standing(benchmark: BenchmarkRun, people: int = STANDING) -> Iterato
 
 
 def virtual_standing_all(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """The same with 10,000 people; some twenty minutes."""
+    """The same with 10,000 people; about half an hour."""
     yield from virtual_standing(benchmark, 10_000)
 
 
