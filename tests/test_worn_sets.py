@@ -15,7 +15,8 @@ from asterism import AsterismError
 from asterism.cli import main
 from asterism.recording import MarkerSet, Recording
 from asterism.session import LabellingOptions, SetFinder, label_file
-from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN
+from asterism.session.labeller import findings_on_sets
+from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules
 from asterism.skeleton import virtual_people
 
 
@@ -52,6 +53,20 @@ def test_a_set_is_found_by_its_points(markers: str) -> None:
     assert worn.shown >= 0.8 * len(MarkerSet.load(markers))
     total = worn.probability + sum(chance for _, chance in worn.others)
     assert 0.5 < worn.probability <= 1.0 and total <= 1.0 + 1e-9
+
+
+def test_points_left_over_make_a_set_less_sure() -> None:
+    """Points that no marker explains may be of a set that is not shipped: what is stated falls, and stays a probability."""
+    whole = anonymous(person("optitrack-rizzoli-lower"))
+    beside = whole.positions[:, :12] + np.array([0.0, 0.0, 0.045])
+    more = replace(
+        whole, positions=np.concatenate([whole.positions, beside], axis=1), labels=tuple(f"*{m}" for m in range(len(whole.labels) + 12))
+    )
+    worn = found(more)
+    assert worn.shown < worn.points
+    assert worn.probability <= worn.shown / worn.points < 0.95
+    codes = {finding.code for finding in findings_on_sets(Path("walk.c3d"), [worn], FindRules())}
+    assert "label-set-unsure" in codes
 
 
 def test_the_room_does_not_matter() -> None:

@@ -322,7 +322,10 @@ def findings_on_sets(path: Path, worn: Sequence[WornMarkers], rules: FindRules) 
     for one in worn:
         if one.by == BY_POINTS and one.probability < rules.sure:
             rest = ", ".join(f"{name} ({100 * chance:.2g} %)" for name, chance in one.others if chance > _WORTH_TELLING)
+            rest = rest or "a set that is not shipped"
             sentence = f"{path}: the points may be those of {one.name} ({100 * one.probability:.2g} %) or of {rest}; {one.name} was taken."
+            if one.shown < one.points:
+                sentence += f" Its markers explain {one.shown} of {one.points} points."
             mend = "Name the set with --markers; recordings of one person in one folder are judged together."
             findings.append(Finding("label-set-unsure", Severity.WARNING, str(path), sentence, mend))
     if len(worn) > 1 and worn[0].by != GIVEN:

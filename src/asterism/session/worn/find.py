@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
@@ -234,7 +234,10 @@ class SetFinder:
                 f"{path}: its {own.points} points are like no shipped marker set; the nearest are {few}. Name one of them with --markers, "
                 "write one of your own (`asterism body place` makes it from a labelled trial), or train on labelled files."
             )
-        return found
+        # points of no marker speak for a set that is not shipped: as much as their share of all points
+        share = min(1.0, found.shown / own.points)
+        others = tuple((name, chance * share) for name, chance in found.others)
+        return replace(found, probability=found.probability * share, others=others)
 
 
 def evidence_of(clouds: Clouds, rules: FindRules | None = None, shapes: BodyShapes | None = None) -> _SetEvidence | None:
