@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +96,19 @@ def data() -> Path:
     if not folder:
         pytest.skip("ASTERISM_DATA is not set: no real recordings on this machine")
     return Path(folder)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def kept_virtual_people() -> Iterator[None]:
+    """Models of virtual people and shapes of sets are made once for all files, workers and runs, beside the trained models of tests.
+
+    Their names hold a hash of the sources and of what was asked for, so that none is taken for one of other sources.
+    """
+    import models  # with all of Asterism: not for the process that only hands out tests
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ASTERISM_CACHE", str(models.folder() / "virtual"))
+        yield
 
 
 @pytest.fixture(autouse=True)

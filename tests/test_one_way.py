@@ -217,7 +217,6 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fixtu
     model().save(tmp_path / "gait.model")
     monkeypatch.chdir(tmp_path)
     # models of virtual people are made once for all cases
-    monkeypatch.setenv("ASTERISM_CACHE", str(tmp_path.parent / "cache"))
     if "long" in request.node.callspec.params["name"]:
         shorter = partial(StretchRules, whole=2000, points=2500, overlap=0.5)
         monkeypatch.setattr(recording_labeller, "StretchRules", shorter)

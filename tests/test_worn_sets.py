@@ -20,14 +20,6 @@ from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules
 from asterism.skeleton import virtual_people
 
 
-@pytest.fixture(scope="module", autouse=True)
-def kept_models(tmp_path_factory: pytest.TempPathFactory) -> object:
-    """Models are made once for this file, in a folder of its own."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ASTERISM_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 @cache
 def person(markers: str) -> Recording:
     """Somebody whom no model has seen, standing and walking."""

@@ -246,7 +246,8 @@ def anchor_triples(anchors, a, points):
         return all(low <= value <= high for low, value, high in zip(anchors.low[a], values, anchors.high[a], strict=True))
 
     triples = [triple for triple in permutations(range(len(points)), 3) if allowed(triple)]
-    return triples if len(triples) <= max(64, len(points) ** 2) else []
+    count = len(points)
+    return triples if len(triples) <= max(64, min(count * (count - 1) * (count - 2), 16 * count**2)) else []
 
 
 def all_anchor_scores(model, k, points, rows3, triple, settings):

@@ -33,9 +33,10 @@ from asterism.labelling.whole.upright import turned, upright_turns
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints
 
-CROWDED_SEARCH = {"max_evaluations": 50_000, "votes_needed": 1, "max_votes_needed": 1, "extra_anchors": 1, "proposals_per_anchor": 2}
+CROWDED_SEARCH = {"max_evaluations": 2_000_000, "votes_needed": 1, "max_votes_needed": 1, "extra_anchors": 1, "proposals_per_anchor": 2}
 """The search for the first votes where frames show many ghosts (`RecordingLabellingSettings.crowded`): many frames vote, and labelling them
-together corrects what a short search of one misses. Chosen on six gait subjects in clutter."""
+together corrects what a short search of one misses. Chosen on six gait subjects in clutter, the evaluations on 39 markers of virtual people
+among 78 points: with a quarter of them no anchor comes to an end, with twice as many nothing changes."""
 
 
 @dataclass(frozen=True)
