@@ -55,7 +55,7 @@ def drawn(picture: Path) -> bool:
 
 def test_a_walk_is_labelled_right(picture: Path) -> None:
     # three people teach this model, so that it judges the fourth to be foreign, and gives fewer labels
-    assert script("label_a_walk").main(picture, subjects=4, frames=150) > 0.9
+    assert script("label_a_walk").main(picture, subjects=4, frames=200) > 0.9
     assert drawn(picture)
 
 
