@@ -6,10 +6,11 @@ import glob
 import os
 import re
 import sys
+import warnings
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from inspect import cleandoc
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -120,6 +121,11 @@ def _paragraphs(text: str) -> str:
     return re.sub(r"(?<!\n)\n(?!\n)", " ", cleandoc(text))
 
 
+def _show_warning(message: Warning | str, *_where: Any, **_more: Any) -> None:
+    """A warning of a room as a sentence, without the line of source that Python adds."""
+    _console.notice(str(message))
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Run one command line (by default the process') and return its exit status; see `asterism --help` for the meanings."""
     for stream in (sys.stdout, sys.stderr):
@@ -132,6 +138,7 @@ def main(args: Sequence[str] | None = None) -> int:
         if args is None:
             # only for a process of its own: a caller in Python has its own warnings
             _first_compile.prepare(words)
+            warnings.showwarning = _show_warning
         status = command_line(words)(args=words or ["--help"], prog_name="asterism", standalone_mode=False)
     except AsterismError as problem:
         _console.error(str(problem))

@@ -224,10 +224,13 @@ class _Run:
     def _row(self, trial: Trial, target: Path, labelled: LabelledFile, lost: Sequence[str]) -> dict[str, Any]:
         """What the table and the JSON say of a file that was written, which is complete then."""
         from asterism.cli._recordings import not_carried
+        from asterism.labelling.correction.readiness import DO_NOT_USE
         from asterism.recording import label_shares
 
         for finding in not_carried(target, lost):
             self.batch.found(finding)
+        if labelled.readiness.kind == DO_NOT_USE and (labelled.labelling.indices >= 0).any():
+            self.batch.found(_doubtful(trial.path, labelled.readiness.error))
         labelling, clouds = labelled.labelling, labelled.clouds
         return {
             "file": trial.path,
@@ -309,6 +312,15 @@ def _share(progress: Progress | None, batch: _console.Batch, files: int, path: P
     return lambda fraction, _: progress((before + fraction) / files, path.name)
 
 
+def _doubtful(path: Path, error: float) -> Finding:
+    """The finding that so many labels of a file are probably wrong or missing that it should not be used."""
+    from asterism.findings import Finding, Severity
+
+    sentence = f"{path}: {100 * error:.0f} % of the labels are expected to be wrong or missing, do not use them."
+    mend = "Name the marker set that is worn with --markers, or look at the labels with `asterism review`."
+    return Finding("label-do-not-use", Severity.WARNING, str(path), sentence, mend)
+
+
 def _line(row: dict[str, Any]) -> str:
     from asterism.cli._recordings import shares_text
 
@@ -316,6 +328,8 @@ def _line(row: dict[str, Any]) -> str:
         return f"{row['file']}: labelled by an earlier run{', changed since' if row.get('changed') else ''}; {row['output']} stays"
     by = "" if row["subject"] is None else f", with {row['subject']}"
     by += f"; {row['worn']}, a model of virtual people" if row["worn"] else ""
+    # a single file has no table that would say so
+    by += f"; {row['use']}" if row["readiness"] == "do-not-use" else ""
     return f"{row['file']}: {row['frames']:,} frames, {shares_text(row)}, {_console.count(row['frames_per_second'])} frames/s{by}"
 
 

@@ -61,7 +61,9 @@ def virtual_model(
         path.parent.mkdir(parents=True, exist_ok=True)
         model.save(path)
     except (OSError, AsterismError) as problem:
-        _warn_once(str(path.parent), str(getattr(problem, "strerror", None) or problem))
+        # the cause alone: the sentence around it names the file and the mend, as the warning does
+        cause = problem if isinstance(problem, OSError) else problem.__cause__ or problem
+        _warn_once(str(path.parent), str(getattr(cause, "strerror", None) or cause))
     return model
 
 

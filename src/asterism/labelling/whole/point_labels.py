@@ -127,7 +127,8 @@ def labelling_of(
         rival = np.where(here.label == NULL, rival, NULL)
         _write([of_all[frames] for of_all in out], some, label, rival, chance, certainty >= least, body.markers)
     if verdict is not None:
-        pairs = rivals.exchangeable(len(clouds))
+        # labels that were all taken back are nobody's to compare
+        pairs = rivals.exchangeable(len(clouds)) if (out[0] != NULL).any() else ()
         named = tuple(tuple(body.names[body.markers[marker]] for marker in pair) for pair in pairs)
         verdict = replace(verdict, exchangeable=named, rough=labels.found.rough)
     indices, confidence, candidates = out
