@@ -17,6 +17,7 @@ from asterism.recording import MarkerSet, Recording
 from asterism.session import LabellingOptions, SetFinder, label_file
 from asterism.session.labeller import findings_on_sets
 from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules
+from asterism.simulation import simulate_walks
 from asterism.skeleton import virtual_people
 
 
@@ -143,3 +144,29 @@ def test_files_of_a_folder_are_judged_together(tmp_path: Path) -> None:
     assert other.name == "optitrack-rizzoli-lower"
     if one.name == other.name:
         assert other.probability >= one.probability - 1e-9
+
+
+def test_two_people_who_wear_one_set_are_both_labelled(tmp_path: Path) -> None:
+    one, other = simulate_walks(2, frames=100, markers="helen-hayes", seed=3)
+    both = np.concatenate([one.positions, other.positions + np.array([0.0, 1.5, 0.0])], axis=1)
+    order = np.random.default_rng(0).permutation(both.shape[1])
+    asterism.write(tmp_path / "two.c3d", Recording(both[:, order], tuple(f"*{m}" for m in range(len(order))), one.rate))
+    labelled = label_file(tmp_path / "two.c3d")
+    assert "label-two-sets" in {finding.code for finding in labelled.findings}
+    truth = np.argsort(order)
+    given = labelled.labelling.indices
+    # whose labels come first is free
+    right = max((given == np.roll(truth, shift)).mean() for shift in (0, 15))
+    assert right > 0.99
+
+
+def test_a_single_file_that_should_not_be_used_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A cloud of another kind of body under a set that is named: nothing may look as if all were well."""
+    whole = person("plug-in-gait")
+    upper = [m for m, name in enumerate(whole.labels) if name[1:4] not in ("ASI", "PSI", "THI", "KNE", "TIB", "ANK", "HEE", "TOE")]
+    asterism.write(tmp_path / "upper.c3d", anonymous(whole, upper))
+    status = main(["label", str(tmp_path / "upper.c3d"), "--markers", "helen-hayes-medial", "-o", str(tmp_path / "out")])
+    out, err = capsys.readouterr()
+    assert status == 1
+    assert "do not use" in out
+    assert "[label-do-not-use]" in err or "[label-nothing]" in err

@@ -177,7 +177,7 @@ class FileLabeller:
         source = open_source(path, self.options, by_ranges=True)
         recording = source.frames(slice(0, min(len(source.counts), _FRAMES_TO_FIND)))
         worn = self._finder.of(path, recording if recording.clouds().counts.any() else source.about)
-        bodies = [*worn, *(one.second for one in worn if one.second is not None and one.second.name != one.name)]
+        bodies = [*worn, *(one.second for one in worn if one.second is not None)]
         labelled = self._of_worn(bodies, progress).label(path, progress)
         return replace(labelled, worn=tuple(bodies), findings=(*labelled.findings, *findings_on_sets(path, bodies, self._finder.rules)))
 
@@ -329,7 +329,8 @@ def findings_on_sets(path: Path, worn: Sequence[WornMarkers], rules: FindRules) 
             mend = "Name the set with --markers; recordings of one person in one folder are judged together."
             findings.append(Finding("label-set-unsure", Severity.WARNING, str(path), sentence, mend))
     if len(worn) > 1 and worn[0].by != GIVEN:
-        sentence = f"{path}: two bodies wear different marker sets, {' and '.join(one.name for one in worn)}; each was labelled."
+        names = list(dict.fromkeys(one.name for one in worn))
+        sentence = f"{path}: two bodies wear {'different marker sets, ' if len(names) > 1 else ''}{' and '.join(names)}; each was labelled."
         mend = "Where that is wrong, name the set with --markers, once for each body."
         findings.append(Finding("label-two-sets", Severity.NOTE, str(path), sentence, mend))
     return findings
