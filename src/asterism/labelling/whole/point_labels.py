@@ -19,7 +19,16 @@ from asterism.labelling.whole.foreign import ForeignConfidence
 from asterism.labelling.whole.joint import SceneLabelling
 from asterism.labelling.whole.scene import labels_of_body
 from asterism.labelling.whole.settings import RecordingLabellingSettings
-from asterism.labelling.whole.verdict import MIN_FRAMES, RigidDistances, RivalCounts, VerdictRules, confidence_limit, judge, judge_scene
+from asterism.labelling.whole.verdict import (
+    CERTAIN,
+    MIN_FRAMES,
+    RigidDistances,
+    RivalCounts,
+    VerdictRules,
+    confidence_limit,
+    judge,
+    judge_scene,
+)
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from asterism.recording.verdict import Verdict
 
@@ -99,6 +108,13 @@ class PointLabels:
         )
 
 
+NEIGHBOURS = 2
+"""Markers nearest to one in the mean body, whose name it may have got: one on each side along a limb."""
+
+FRAMES_LOOKED_AT = 20
+"""Frames that tell whether a neighbour is absent and points are left over: it is the same in all of them. Not tuned."""
+
+
 def labelling_of(
     body: BodyInRecording, number: int, clouds: Clouds, labels: PointLabels, offsets: Ints, rules: RecordingLabellingSettings
 ) -> Labelling:
@@ -132,7 +148,35 @@ def labelling_of(
         named = tuple(tuple(body.names[body.markers[marker]] for marker in pair) for pair in pairs)
         verdict = replace(verdict, exchangeable=named, rough=labels.found.rough)
     indices, confidence, candidates = out
+    mine = (labels.label == NULL) | (labels_of_body(labels.label, offsets, number) != NULL)
+    for column in body.markers[beside_left_over(body.labeller.body.mean[0], indices[:, body.markers], clouds, mine)]:
+        given = indices[:, column] != NULL
+        confidence[given, column] = np.minimum(confidence[given, column], CERTAIN)
     return Labelling(indices, confidence, body.names, candidates, verdict)
+
+
+def beside_left_over(mean: Floats, indices: Ints, clouds: Clouds, mine: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Markers (M,) that may have their neighbour's point: the neighbour has none in most frames, and points beside them have no name.
+
+    mean (M, 3) m, the mean body; indices (T, M); mine (P,) points that may be of this body. An elbow that is called a marker of the upper
+    arm fits as well as the right name, once for a person, where hands place the latter anywhere along the arm. But the elbow then has no
+    point, and wrists that belong to it are left over. O(M^2 + F n) for `FRAMES_LOOKED_AT` frames of n points.
+    """
+    apart = np.linalg.norm(mean[:, None] - mean, axis=2)
+    np.fill_diagonal(apart, np.inf)
+    near = np.argsort(apart, axis=1)[:, :NEIGHBOURS]
+    absent = 2 * (indices != NULL).sum(axis=0) < len(indices)
+    suspects = np.nonzero(~absent & absent[near].any(axis=1))[0]
+    found, shown = np.zeros(len(mean), dtype=np.int64), np.zeros(len(mean), dtype=np.int64)
+    some = np.unique(np.linspace(0, len(indices) - 1, min(len(indices), FRAMES_LOOKED_AT)).astype(np.int64)) if len(suspects) else ()
+    for frame in some:
+        points, free = clouds[frame], mine[clouds.offsets[frame] : clouds.offsets[frame + 1]].copy()
+        free[indices[frame][indices[frame] != NULL]] = False
+        for marker in suspects[indices[frame, suspects] != NULL]:
+            shown[marker] += 1
+            reach = 2.0 * max(apart[marker, other] for other in near[marker] if absent[other])
+            found[marker] += bool((np.linalg.norm(points[free] - points[indices[frame, marker]], axis=1) < reach).any())
+    return 2 * found > shown
 
 
 def _write(
