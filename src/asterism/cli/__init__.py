@@ -121,9 +121,16 @@ def _paragraphs(text: str) -> str:
     return re.sub(r"(?<!\n)\n(?!\n)", " ", cleandoc(text))
 
 
-def _show_warning(message: Warning | str, *_where: Any, **_more: Any) -> None:
-    """A warning of a room as a sentence, without the line of source that Python adds."""
-    _console.notice(str(message))
+def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+    """A warning that is written for a person as a sentence, without the line of source that Python adds to it."""
+    if category is UserWarning:
+        _console.notice(str(message))
+    else:
+        # of a library, for whoever looks for its cause
+        _python_shows(message, category, *where, **more)
+
+
+_python_shows = warnings.showwarning
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -7,6 +7,7 @@ Points are rows (..., 3) in metres. A rotation R (3, 3) acts as R @ point, for r
 from asterism.geometry.rays import intersect_rays, nearest_point_to_lines
 from asterism.geometry.rigid import align_about_z, best_rotation, fit_rigid, place_objects
 from asterism.geometry.rotations import (
+    axis_rotations,
     cross_matrix,
     nearest_orthogonal,
     rotate_z_up,
@@ -17,6 +18,7 @@ from asterism.geometry.rotations import (
 
 __all__ = [
     "align_about_z",
+    "axis_rotations",
     "best_rotation",
     "cross_matrix",
     "fit_rigid",

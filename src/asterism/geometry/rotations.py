@@ -53,6 +53,22 @@ def cross_matrix(vector: Floats) -> Floats:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+def axis_rotations(axis: str, angles: Floats) -> Floats:
+    """The rotations (T, 3, 3) about "x", "y" or "z" by angles (T,) rad, right-handed.
+
+    >>> (axis_rotations("z", np.array([np.pi / 2])) @ np.array([1.0, 0.0, 0.0])).round(6) + 0.0
+    array([[0., 1., 0.]])
+    """
+    i = "xyz".index(axis)
+    j, k = (i + 1) % 3, (i + 2) % 3
+    out = np.zeros((len(angles), 3, 3))
+    out[:, i, i] = 1.0
+    out[:, j, j] = out[:, k, k] = np.cos(angles)
+    out[:, k, j] = np.sin(angles)
+    out[:, j, k] = -out[:, k, j]
+    return out
+
+
 def z_up_rotation(vertical: Floats) -> Floats:
     """The shortest rotation (3, 3) that takes the unit vector `vertical` (3,) to +z; half a turn about x where it is -z.
 

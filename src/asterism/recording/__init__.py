@@ -4,7 +4,7 @@ from asterism.recording.arrays import Floats, Ints, as_vertical
 from asterism.recording.blobs import Blobs
 from asterism.recording.clouds import NULL, Clouds, Evidence, Labelling
 from asterism.recording.known_labels import Disagreement, check_labels, is_partly_labelled
-from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, without_subject
+from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, shipped_sets, without_subject
 from asterism.recording.place import Place, landmarks
 from asterism.recording.processing import ProcessingStep, log_as_text, log_from_text
 from asterism.recording.shares import SURE, LabelShares, LabelStates, label_shares, label_states
@@ -43,6 +43,7 @@ __all__ = [
     "log_as_text",
     "log_from_text",
     "shipped_marker_sets",
+    "shipped_sets",
     "subject_of",
     "without_subject",
     "worn_marker_sets",

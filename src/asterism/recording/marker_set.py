@@ -6,7 +6,7 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
 
@@ -166,6 +166,12 @@ def shipped_marker_sets() -> tuple[str, ...]:
     """
     folder = resources.files("asterism").joinpath("marker_sets")
     return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml")))
+
+
+@cache
+def shipped_sets() -> Mapping[str, MarkerSet]:
+    """The marker sets that come with Asterism, by name; each is read once in a process."""
+    return {name: MarkerSet.load(name) for name in shipped_marker_sets()}
 
 
 def canonical(label: str) -> str:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
-from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, without_subject
+from asterism.recording.marker_set import canonical, is_unnamed, shipped_sets, without_subject
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ def worn_marker_sets(labels: Sequence[str], rules: WornSetRules | None = None) -
     rules = rules or WornSetRules()
     named = list(dict.fromkeys(label for label in labels if not is_unnamed(label)))
     scored = []
-    for name, marker_set in _shipped():
+    for name, marker_set in shipped_sets().items():
         marker_of = {label: marker_set.name_of(label) for label in named}
         held = set(marker_of.values())
         found = tuple(marker for marker in marker_set.names if marker in held)
@@ -70,8 +69,3 @@ def worn_marker_sets(labels: Sequence[str], rules: WornSetRules | None = None) -
     # Of equals the larger set, then the name: the order never depends on the files.
     scored.sort(key=lambda pair: (-pair[0], -len(pair[1].found), pair[1].name))
     return tuple(worn for _, worn in scored)
-
-
-@cache
-def _shipped() -> tuple[tuple[str, MarkerSet], ...]:
-    return tuple((name, MarkerSet.load(name)) for name in shipped_marker_sets())

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from asterism.recording import Floats, MarkerSet, canonical, shipped_marker_sets
+from asterism.recording import Floats, MarkerSet, canonical, shipped_sets
 from asterism.recording.marker_set import without_subject
 
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
@@ -45,7 +45,7 @@ def known_set(names: Sequence[str]) -> MarkerSet | None:
 @cache
 def _shipped() -> tuple[MarkerSet, ...]:
     """The shipped sets, the smallest first."""
-    return tuple(sorted((MarkerSet.load(name) for name in shipped_marker_sets()), key=len))
+    return tuple(sorted(shipped_sets().values(), key=len))
 
 
 def marker_sides(names: Sequence[str], marker_set: MarkerSet | None = None) -> list[str]:

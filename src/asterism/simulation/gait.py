@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asterism.geometry import axis_rotations
 from asterism.recording import Floats
 from asterism.simulation.body import BALL, HEEL, Body
 
@@ -95,7 +96,7 @@ def pose(body: Body, style: Style, phase: Floats, foot_turn: tuple[Floats, Float
     # The pelvis is one: it follows the mean of both sides.
     tilt = 0.5 * (angle["pelvis tilt"]["left"] + angle["pelvis tilt"]["right"])
     drop, turn = angle["pelvis drop"]["left"], angle["pelvis turn"]["left"]
-    pelvis = _about("z", -turn) @ _about("x", drop) @ _about("y", tilt)
+    pelvis = axis_rotations("z", -turn) @ axis_rotations("x", drop) @ axis_rotations("y", tilt)
     pelvis_at = np.zeros((frames, 3))
     pelvis_at[:, 1] = style.sway * np.sin(2 * np.pi * (phase - 0.06))
     segments = {"pelvis": (pelvis, pelvis_at)}
@@ -107,11 +108,15 @@ def pose(body: Body, style: Style, phase: Floats, foot_turn: tuple[Floats, Float
         reach = lengths["thigh"] * np.cos(swing) + lengths["shank"] * np.cos(swing - bend)
         sideways = np.arctan2(sign * style.step_width / 2 - hip[:, 1], reach)
         # Turning out is shared between hip and foot.
-        thigh = _about("x", sideways) @ _about("y", -swing) @ _about("z", 0.5 * foot_turn[place] + sign * 0.4 * style.toe_out)
+        thigh = (
+            axis_rotations("x", sideways)
+            @ axis_rotations("y", -swing)
+            @ axis_rotations("z", 0.5 * foot_turn[place] + sign * 0.4 * style.toe_out)
+        )
         knee = hip + thigh @ np.array([0.0, 0.0, -lengths["thigh"]])
-        shank = thigh @ _about("y", bend)
+        shank = thigh @ axis_rotations("y", bend)
         ankle = knee + shank @ np.array([0.0, 0.0, -lengths["shank"]])
-        foot = _about("z", foot_turn[place] + sign * style.toe_out) @ _about("y", -pitch)
+        foot = axis_rotations("z", foot_turn[place] + sign * style.toe_out) @ axis_rotations("y", -pitch)
         segments |= {f"{side} thigh": (thigh, hip), f"{side} shank": (shank, knee), f"{side} foot": (foot, ankle)}
         # Heel and ball are what can touch the floor.
         for end, point in enumerate((HEEL, BALL)):
@@ -125,16 +130,16 @@ def _upper_body(
 ) -> dict[str, tuple[Floats, Floats]]:
     lengths = body.lengths
     twist, drop = angle["trunk turn"]["left"], angle["pelvis drop"]["left"]
-    thorax = _about("z", -twist) @ _about("x", -0.4 * drop) @ _about("y", np.full(len(twist), style.lean))
+    thorax = axis_rotations("z", -twist) @ axis_rotations("x", -0.4 * drop) @ axis_rotations("y", np.full(len(twist), style.lean))
     thorax_at = pelvis_at + pelvis @ (np.array([-0.02, 0.0, 0.10]) * body.size)
-    head = _about("z", -0.3 * twist) @ _about("y", np.full(len(twist), 0.5 * style.lean))
+    head = axis_rotations("z", -0.3 * twist) @ axis_rotations("y", np.full(len(twist), 0.5 * style.lean))
     segments = {"thorax": (thorax, thorax_at), "head": (head, thorax_at + thorax @ np.array([-0.01, 0.0, 1.12 * lengths["trunk"]]))}
     for side, sign in (("left", 1.0), ("right", -1.0)):
         shoulder = thorax_at + thorax @ np.array([-0.01, sign * lengths["shoulders"] / 2, 0.95 * lengths["trunk"]])
         spread = np.full(len(twist), sign * style.abduction)
-        upper = thorax @ _about("x", spread) @ _about("y", -angle["shoulder"][side])
+        upper = thorax @ axis_rotations("x", spread) @ axis_rotations("y", -angle["shoulder"][side])
         elbow = shoulder + upper @ np.array([0.0, 0.0, -lengths["upper arm"]])
-        fore = upper @ _about("y", -np.maximum(angle["elbow"][side], 0.0)) @ _about("x", -0.5 * spread)
+        fore = upper @ axis_rotations("y", -np.maximum(angle["elbow"][side], 0.0)) @ axis_rotations("x", -0.5 * spread)
         segments |= {f"{side} upper arm": (upper, shoulder), f"{side} forearm": (fore, elbow)}
     return segments
 
@@ -163,15 +168,3 @@ def _curve(series: np.ndarray, phase: Floats) -> Floats:
     """(T,) the Fourier series at these phases."""
     turns = np.exp(2j * np.pi * np.outer(phase, np.arange(1, len(series))))
     return np.asarray(series[0].real + 2.0 * (turns @ series[1:]).real, dtype=np.float64)
-
-
-def _about(axis: str, angle: Floats) -> Floats:
-    """(T, 3, 3) right-handed rotations about one axis; angle in rad."""
-    out = np.zeros((len(angle), 3, 3))
-    i = "xyz".index(axis)
-    j, k = (i + 1) % 3, (i + 2) % 3
-    out[:, i, i] = 1.0
-    out[:, j, j] = out[:, k, k] = np.cos(angle)
-    out[:, k, j] = np.sin(angle)
-    out[:, j, k] = -out[:, k, j]
-    return out

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asterism.geometry import axis_rotations
 from asterism.recording import Floats
 from asterism.skeleton.build import BONES
 
@@ -183,21 +184,10 @@ def pose_segments(sizes: Floats, root: Floats, places: Floats, degrees: Floats) 
         origins[joint.segment] = origins[joint.carrier] + rotations[joint.carrier] @ local
         turned = rotations[joint.turns_with]
         for turn in joint.turns:
-            turned = turned @ _about(turn.axis, degrees[:, column])
+            turned = turned @ axis_rotations("xyz"[turn.axis], np.radians(degrees[:, column]))
             column += 1
         rotations[joint.segment] = turned
     return PosedSegments(rotations, origins)
-
-
-def _about(axis: int, degrees: Floats) -> Floats:
-    angle = np.radians(degrees)
-    j, k = (axis + 1) % 3, (axis + 2) % 3
-    out = np.zeros((len(angle), 3, 3))
-    out[:, axis, axis] = 1.0
-    out[:, j, j] = out[:, k, k] = np.cos(angle)
-    out[:, k, j] = np.sin(angle)
-    out[:, j, k] = -out[:, k, j]
-    return out
 
 
 def scales_of(sizes: Floats, segment: str) -> Floats:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asterism.geometry import axis_rotations
 from asterism.recording import Floats
 from asterism.recording.place import LIMBS
 from asterism.skeleton.angles import ANGLES, COLUMN, slow_curves
@@ -73,36 +74,29 @@ class Segments:
     touch: Floats
 
 
-def about(axis: str, angle: Floats) -> Floats:
-    """(T, 3, 3) rotations about x, y or z by angles (T,) rad."""
-    i = "xyz".index(axis)
-    j, k = (i + 1) % 3, (i + 2) % 3
-    out = np.zeros((len(angle), 3, 3))
-    out[:, i, i] = 1.0
-    out[:, j, j] = out[:, k, k] = np.cos(angle)
-    out[:, k, j] = np.sin(angle)
-    out[:, j, k] = -out[:, k, j]
-    return out
-
-
 def pose(build: Build, angles: Floats) -> Segments:
     """The segments of a body in the postures of `angles` (T, A) rad."""
     angle: Mapping[str, Floats] = {name: angles[:, column] for name, column in COLUMN.items()}
     frames, size, bones = len(angles), build.size, build.bones
     axes, origin = dict[str, Floats](), dict[str, Floats]()
-    whole = about("y", angle["lie"]) @ about("z", angle["roll"])
-    pelvis = whole @ about("x", angle["list"]) @ about("y", angle["tilt"])
+    whole = axis_rotations("y", angle["lie"]) @ axis_rotations("z", angle["roll"])
+    pelvis = whole @ axis_rotations("x", angle["list"]) @ axis_rotations("y", angle["tilt"])
     axes["pelvis"], origin["pelvis"] = pelvis, np.zeros((frames, 3))
     # a pelvis leans ahead by 9 degrees in one who stands upright
-    thorax = pelvis @ about("z", angle["spin"]) @ about("x", angle["side"]) @ about("y", angle["lean"] - np.radians(9.0))
+    thorax = (
+        pelvis
+        @ axis_rotations("z", angle["spin"])
+        @ axis_rotations("x", angle["side"])
+        @ axis_rotations("y", angle["lean"] - np.radians(9.0))
+    )
     axes["thorax"], origin["thorax"] = thorax, pelvis @ (np.array([-0.02, 0.0, 0.10]) * size)
-    axes["head"] = thorax @ about("z", angle["look"]) @ about("x", angle["cock"]) @ about("y", angle["nod"])
+    axes["head"] = thorax @ axis_rotations("z", angle["look"]) @ axis_rotations("x", angle["cock"]) @ axis_rotations("y", angle["nod"])
     origin["head"] = origin["thorax"] + thorax @ np.array([0.02 * size, 0.0, 1.08 * bones["trunk"]])
     for side, sign in (("left", 1.0), ("right", -1.0)):
         _pose_arm(build, angle, side, sign, axes, origin)
         _pose_leg(build, angle, side, sign, axes, origin)
         # the foot meets the floor, whatever the shank does
-        foot = about("z", sign * angle[f"{side} yaw"]) @ about("y", -angle[f"{side} pitch"])
+        foot = axis_rotations("z", sign * angle[f"{side} yaw"]) @ axis_rotations("y", -angle[f"{side} pitch"])
         axes[f"{side} foot"] = whole @ foot
     return Segments(axes, origin, _touching(build, axes, origin))
 
@@ -130,17 +124,17 @@ def _pose_arm(
     from_hanging = np.arccos(np.clip(np.cos(lift) * np.cos(spread), -1.0, 1.0))
     girdle = (
         thorax
-        @ about("x", sign * (0.28 * np.maximum(from_hanging - np.radians(30.0), 0.0) + angle[f"{side} shrug"]))
-        @ about("z", -sign * 0.12 * np.clip(lift, np.radians(-40.0), np.radians(110.0)))
+        @ axis_rotations("x", sign * (0.28 * np.maximum(from_hanging - np.radians(30.0), 0.0) + angle[f"{side} shrug"]))
+        @ axis_rotations("z", -sign * 0.12 * np.clip(lift, np.radians(-40.0), np.radians(110.0)))
     )
     root = origin["thorax"] + thorax @ np.array([0.0, sign * 0.02 * size, 0.90 * bones["trunk"]])
     shoulder = root + girdle @ np.array([-0.01 * size, sign * (bones["shoulders"] / 2 - 0.02 * size), 0.05 * bones["trunk"]])
-    upper = thorax @ about("y", -lift) @ about("x", sign * spread) @ about("z", -sign * angle[f"{side} turn"])
+    upper = thorax @ axis_rotations("y", -lift) @ axis_rotations("x", sign * spread) @ axis_rotations("z", -sign * angle[f"{side} turn"])
     elbow = shoulder + upper @ np.array([0.0, 0.0, -bones[f"{side} upper arm"]])
-    bent = upper @ about("x", np.full(len(lift), sign * _CARRYING)) @ about("y", -angle[f"{side} elbow"])
+    bent = upper @ axis_rotations("x", np.full(len(lift), sign * _CARRYING)) @ axis_rotations("y", -angle[f"{side} elbow"])
     wrist = elbow + bent @ np.array([0.0, 0.0, -bones[f"{side} forearm"]])
-    forearm = bent @ about("z", -sign * angle[f"{side} palm"])
-    hand = forearm @ about("x", sign * angle[f"{side} wrist"]) @ about("y", -angle[f"{side} deviate"])
+    forearm = bent @ axis_rotations("z", -sign * angle[f"{side} palm"])
+    hand = forearm @ axis_rotations("x", sign * angle[f"{side} wrist"]) @ axis_rotations("y", -angle[f"{side} deviate"])
     for name, rotation, at in (
         ("clavicle", girdle, root),
         ("upper arm", upper, shoulder),
@@ -156,9 +150,14 @@ def _pose_leg(
     """Add thigh, shank and the ankle of one leg, the axes of the pelvis being known."""
     bones, pelvis = build.bones, axes["pelvis"]
     hip = origin["pelvis"] + pelvis @ np.array([0.0, sign * bones["hips"] / 2, 0.0])
-    thigh = pelvis @ about("x", sign * angle[f"{side} out"]) @ about("y", -angle[f"{side} hip"]) @ about("z", sign * angle[f"{side} twist"])
+    thigh = (
+        pelvis
+        @ axis_rotations("x", sign * angle[f"{side} out"])
+        @ axis_rotations("y", -angle[f"{side} hip"])
+        @ axis_rotations("z", sign * angle[f"{side} twist"])
+    )
     knee = hip + thigh @ np.array([0.0, 0.0, -bones[f"{side} thigh"]])
-    shank = thigh @ about("y", angle[f"{side} knee"])
+    shank = thigh @ axis_rotations("y", angle[f"{side} knee"])
     ankle = knee + shank @ np.array([0.0, 0.0, -bones[f"{side} shank"]])
     axes[f"{side} thigh"], origin[f"{side} thigh"] = thigh, hip
     axes[f"{side} shank"], origin[f"{side} shank"] = shank, knee

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.geometry import axis_rotations
 from asterism.recording import Floats, MarkerSet, Recording
 from asterism.skeleton.angles import habits, limited
 from asterism.skeleton.build import BuildRules, random_build
-from asterism.skeleton.kinematics import about, markers, on_the_floor, pose, swung
+from asterism.skeleton.kinematics import markers, on_the_floor, pose, swung
 from asterism.skeleton.movements import BY_STEPS, MOVEMENTS, heading, moving
 from asterism.skeleton.postures import recorded_postures
 from asterism.skeleton.worn import WearRules, places_of, put_on
@@ -123,5 +124,5 @@ def _takes(rules: VirtualRules, frames: int) -> list[tuple[str, int, int]]:
 
 def _in_the_room(positions: Floats, rate: float, rng: np.random.Generator) -> Floats:
     """The positions (T, M, 3) turned and shifted to where someone is in the room."""
-    turned = positions @ about("z", heading(np.arange(len(positions)) / rate, rng)).swapaxes(1, 2)
+    turned = positions @ axis_rotations("z", heading(np.arange(len(positions)) / rate, rng)).swapaxes(1, 2)
     return np.asarray(turned + np.append(rng.uniform(-0.5, 0.5, 2), 0.0))

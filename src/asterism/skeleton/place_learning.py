@@ -6,7 +6,6 @@ import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from asterism.recording import (
     canonical,
     is_unnamed,
     landmarks,
-    shipped_marker_sets,
+    shipped_sets,
     subject_of,
     without_subject,
 )
@@ -119,8 +118,10 @@ def _guesses(marker_set: MarkerSet, rules: PlaceRules, loose_names: float = 0.0)
     guessed, doubts = dict(marker_set.places), {name: rules.own * place.spread for name, place in marker_set.places.items()}
     spelled = {name: (name, *marker_set.aliases.get(name, ())) for name in marker_set.names}
     # Names mean different things in different sets: the set with most names in common is asked first.
-    common = {other.title: np.mean([any(map(other.name_of, spelled[name])) for name in marker_set.names]) for other in _shipped()}
-    shipped = sorted(_shipped(), key=lambda other: -common[other.title])
+    common = {
+        other.title: np.mean([any(map(other.name_of, spelled[name])) for name in marker_set.names]) for other in shipped_sets().values()
+    }
+    shipped = sorted(shipped_sets().values(), key=lambda other: -common[other.title])
     for name in marker_set.names:
         for other in shipped:
             meant = next((found for s in spelled[name] if (found := other.name_of(s)) is not None and found in other.places), None)
@@ -138,11 +139,6 @@ def _guesses(marker_set: MarkerSet, rules: PlaceRules, loose_names: float = 0.0)
 def _on_landmark(place: Place) -> bool:
     left = place.mirrored() if place.side == "right" or (not place.side and place.at[1] < 0) else place
     return any((known.segment, known.at) == (left.plain_segment, left.at) for known in landmarks().values())
-
-
-@cache
-def _shipped() -> tuple[MarkerSet, ...]:
-    return tuple(MarkerSet.load(name) for name in shipped_marker_sets())
 
 
 def _placed(

@@ -14,6 +14,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.geometry import best_rotation
 from asterism.recording import Floats, Ints
 
 STIFF = 0.012
@@ -196,9 +197,7 @@ def _shape(points: Floats) -> NDArray[np.float64] | None:
 
 def _turns(points: Floats, onto: Floats) -> Floats:
     """The rotations (F, 3, 3), no mirror image among them, that lay shapes (F, K, 3) onto one (K, 3) or as many."""
-    left, _, right = np.linalg.svd(np.swapaxes(points, 1, 2) @ onto)
-    left[:, :, 2] *= np.linalg.det(left @ right)[:, None]
-    return np.asarray(left @ right)
+    return best_rotation(np.swapaxes(points, 1, 2) @ onto)
 
 
 def _misfits(shape: Floats, others: Floats) -> Floats:

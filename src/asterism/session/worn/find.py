@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike
 from scipy.special import softmax
 
 from asterism.errors import AsterismError, NoMarkers
+from asterism.geometry import rotate_z_up
 from asterism.labelling import MarkerModel
-from asterism.recording import Clouds, Floats, MarkerSet, Recording, shipped_marker_sets, worn_marker_sets
+from asterism.recording import Clouds, Floats, MarkerSet, Recording, shipped_sets, worn_marker_sets
 from asterism.recording.marker_set import is_unnamed
 from asterism.session.worn.compare import compare
 from asterism.session.worn.fit import FitRules, FrameFit, as_a_thing, fit_frame
@@ -246,13 +247,12 @@ def evidence_of(clouds: Clouds, rules: FindRules | None = None, shapes: BodyShap
     counts = np.asarray(clouds.counts)
     if counts.max(initial=0) < rules.fewest:
         return None
-    turn = _upright(np.asarray(clouds.vertical, dtype=float))
     # frames that show most, far from each other
     full = np.nonzero(counts >= max(rules.fewest, np.quantile(counts, 0.5)))[0]
     chosen = full[np.unique(np.linspace(0, len(full) - 1, rules.frames + 2).round().astype(int)[1:-1])]
     fits, seconds = list[tuple[Floats, FrameFit]](), list[tuple[Floats, FrameFit]]()
     for frame in chosen:
-        points = clouds.xyz[clouds.offsets[frame] : clouds.offsets[frame + 1]] @ turn.T
+        points = rotate_z_up(clouds[frame], clouds.vertical)
         bodies = _apart(points, rules)
         for place, body in zip((fits, seconds), bodies, strict=False):
             place.append((body, fit_frame(body, shapes or _shapes(), FitRules())))
@@ -308,15 +308,6 @@ def _apart(points: Floats, rules: FindRules) -> list[Floats]:
     return [points[group == g] for g in (order[0], *others)]
 
 
-def _upright(vertical: Floats) -> Floats:
-    """The rotation (3, 3) that turns the vertical to z."""
-    up = vertical / np.linalg.norm(vertical)
-    aside = np.eye(3)[int(np.argmin(np.abs(up)))]
-    x = np.cross(aside, up)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(up, x), up])
-
-
 def _name_of(given: str | Path | MarkerSet) -> str:
     return (given.title or "the given marker set") if isinstance(given, MarkerSet) else str(given)
 
@@ -324,8 +315,7 @@ def _name_of(given: str | Path | MarkerSet) -> str:
 @cache
 def _shipped() -> Mapping[str, MarkerSet]:
     """The shipped sets that say where their markers sit."""
-    loaded = {name: MarkerSet.load(name) for name in shipped_marker_sets()}
-    return {name: one for name, one in loaded.items() if len(one.places) == len(one)}
+    return {name: one for name, one in shipped_sets().items() if len(one.places) == len(one)}
 
 
 @cache
