@@ -15,7 +15,7 @@ from asterism.labelling import MarkerModel, TrainingRules, virtual_model
 from asterism.labelling.training.learning import TrainingConfig, beside, fit_whole
 from asterism.labelling.training.virtual import VirtualFrames, placed_by_neighbours, virtual_frames, with_known_places
 from asterism.recording import MarkerSet, Recording
-from asterism.simulation import simulate_walks
+from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
 from asterism.skeleton import virtual_people
 
 FEW = 12
@@ -248,3 +248,15 @@ def test_all_virtual_people_together_count_for_so_many_real_ones(walks):
 def test_rules_that_cannot_teach_are_refused(given):
     with pytest.raises(AsterismError, match="cannot teach"):
         TrainingRules(**given)
+
+
+def test_ghosts_beside_a_walk_do_not_silence_a_model_of_virtual_people() -> None:
+    """Bodies of any size leave many ways to lay an anchor on 15 points: with room for too few of them, no frame had a label."""
+    walk = simulate_walks(1, frames=200, markers="helen-hayes", seed=6)[0]
+    clouds, truth = simulate_gaps_and_ghosts(walk, hidden=3, ghosts=3, seed=2)
+    model = virtual_model("helen-hayes")
+    shown = truth >= 0
+    assert (model.body_labeller.label(clouds).point_of == truth)[shown].mean() > 0.9
+    given = model.label(clouds).indices
+    assert (given == truth)[shown].mean() > 0.9
+    assert ((given >= 0) & (given != truth)).mean() < 0.01
