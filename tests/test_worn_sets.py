@@ -13,6 +13,7 @@ import pytest
 import asterism
 from asterism import AsterismError
 from asterism.cli import main
+from asterism.labelling import virtual_model
 from asterism.recording import MarkerSet, Recording
 from asterism.session import LabellingOptions, SetFinder, label_file
 from asterism.session.labeller import findings_on_sets
@@ -242,3 +243,35 @@ def test_a_few_frames_are_labelled_by_posture(frames: int, tmp_path: Path, capsy
     assert ("[label-few-frames]" in said.err) == (frames < 5)
     labelled = asterism.read(tmp_path / "out" / "short.c3d", markers=truth.labels)
     assert np.abs(labelled.positions - truth.positions).max() < 1e-3
+
+
+def in_a_corner(recording: Recording, axes: list[int]) -> Recording:
+    """A recording that says that z is up, in a room that begins nowhere at zero, so that only the body tells."""
+    moved = recording.positions - np.nanmin(recording.positions, axis=(0, 1)) + 0.5
+    return Recording(moved[:, :, axes], recording.labels, recording.rate, "z")
+
+
+@pytest.mark.parametrize("door", ["points", "given", "names", "trained"])
+def test_a_wrong_vertical_is_noticed(door: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Labels are those of the file that says what is up; the finding tells what was taken. Who says what is up is believed."""
+    # legs alone, and whole bodies for longer, are labelled as well lying, so that the vertical of the file stays where the set is known
+    markers, frames = ("optitrack-rizzoli-lower", 20) if door == "points" else ("plug-in-gait", 5)
+    truth = person(markers).frames(slice(0, frames))
+    file, straight = (tmp_path / name for name in ("wrong.c3d", "right.c3d"))
+    shown = truth if door == "names" else anonymous(truth)
+    asterism.write(file, in_a_corner(shown, [1, 2, 0]))
+    asterism.write(straight, in_a_corner(shown, [0, 1, 2]))
+    assert asterism.read(file).vertical[2] == 1.0, "the reader itself sees it, so that this tests nothing"
+    words = ["--markers", markers] if door == "given" else []
+    if door == "trained":
+        virtual_model(markers).save(tmp_path / "mine.model")
+        words = ["--model", str(tmp_path / "mine.model")]
+    for path in (file, straight):
+        run("label", path, "-o", tmp_path / "out", "--overwrite", *words)
+        said = capsys.readouterr().err
+        assert ("Say it with --vertical y" in said and "[label-vertical]" in said) == (path is file), said
+    wrong, right = (asterism.read(tmp_path / "out" / path.name, markers=markers).visible for path in (file, straight))
+    np.testing.assert_array_equal(wrong, right)
+    if door == "given":
+        run("label", file, "-o", tmp_path / "out", "--overwrite", "--vertical", "z", *words)
+        assert "[label-vertical]" not in capsys.readouterr().err
