@@ -22,6 +22,9 @@ from asterism.geometry import align_about_z
 from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.recording import Floats, Ints
 
+MOVES = 4
+"""Latent directions, the last ones, that are small moves of the whole body: three shifts, and a turn about the vertical."""
+
 
 @dataclass(frozen=True)
 class BodyRules:
@@ -221,7 +224,7 @@ def factors(mean: Floats, covariance: Floats, rules: BodyRules, *, near: bool = 
     main = vectors[:, ::-1][:, :count] * np.sqrt(np.maximum(values[::-1][:count], 0.0))
     rest = covariance - main @ main.T
     noise = np.stack([rest[3 * m : 3 * m + 3, 3 * m : 3 * m + 3] for m in range(markers)])
-    moves = np.zeros((markers, 3, 4))
+    moves = np.zeros((markers, 3, MOVES))
     moves[:, :, :3] = rules.shift_std * np.eye(3)
     moves[:, 0, 3], moves[:, 1, 3] = -rules.turn_std * mean[:, 1], rules.turn_std * mean[:, 0]
     return np.concatenate([main.reshape(markers, 3, -1), moves], axis=2), noise
