@@ -170,3 +170,75 @@ def test_a_single_file_that_should_not_be_used_says_so(tmp_path: Path, capsys: p
     assert status == 1
     assert "do not use" in out
     assert "[label-do-not-use]" in err or "[label-nothing]" in err
+
+
+def run(*words: str | Path) -> int:
+    return main([str(word) for word in words])
+
+
+@pytest.fixture
+def legs(tmp_path: Path) -> Path:
+    """A walk with points without names."""
+    asterism.write(tmp_path / "walk, anonymous.c3d", anonymous(simulate_walks(1, frames=60, seed=5)[0]))
+    return tmp_path / "walk, anonymous.c3d"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "near"),
+    [
+        ("helenhays", "helen-hayes"),
+        ("PiG", "plug-in-gait"),
+        ("vicon39", "vicon-35, vicon-53"),
+        ("rizoli", "rizzoli-foot"),
+        ("qq", "cast, "),
+    ],
+)
+def test_a_wrong_name_of_a_set_tells_the_nearest(wrong: str, near: str, legs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("label", legs, "-o", legs.parent / "out", "--markers", wrong) == 2
+    said = capsys.readouterr().err
+    assert repr(wrong) in said and near in said
+    # all names only where none is like it
+    assert ("sprint-51" in said) == (wrong == "qq")
+
+
+def test_markers_can_be_listed(legs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Names with commas are a set without aliases: the labels are those of the shipped set of these names."""
+    names = MarkerSet.load("helen-hayes").names
+    files = [legs.parent / of / legs.name for of in ("listed", "shipped")]
+    for file, markers in zip(files, (", ".join(names), "helen-hayes"), strict=True):
+        assert run("label", legs, "-o", file.parent, "--markers", markers) == 0
+    said = capsys.readouterr()
+    assert "list of 15 names" in said.out, said.err
+    listed, shipped = (asterism.read(file, markers=names) for file in files)
+    np.testing.assert_array_equal(listed.positions, shipped.positions)
+    assert run("evaluate", files[0], "--markers", ",".join(names), "--occlusions", "0") == 0
+    assert run("label", legs, "-o", legs.parent / "out", "--markers", "LASI,RASI,SACR,HAT") == 2
+    assert "does not say where HAT sits" in capsys.readouterr().err
+    assert run("label", legs, "-o", legs.parent / "out", "--markers", "mine, with places.toml") == 2
+    assert "nor a TOML file that exists" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("place", ["file/out", "file/deep/out", "/proc/out", "/proc"])
+def test_a_folder_that_cannot_be_written_is_told_first(place: str, legs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Before the labelling, with its name; and nothing is made."""
+    if place.startswith("/proc") and not Path("/proc").is_dir():
+        pytest.skip("this system has no folder that even its owner cannot write")
+    (legs.parent / "file").write_text("")
+    output = legs.parent / place
+    assert run("label", legs, "-o", output) == 2
+    said = capsys.readouterr().err
+    assert str(output) in said and "name another with -o" in said and "%" not in said
+    assert sorted(path.name for path in legs.parent.iterdir()) == ["file", legs.name]
+
+
+@pytest.mark.parametrize("frames", [1, 2, 5])
+def test_a_few_frames_are_labelled_by_posture(frames: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The labels are right and none is called sure; where nothing moves, a note says why."""
+    truth = simulate_walks(1, frames=60, seed=5)[0].frames(slice(20, 20 + frames))
+    asterism.write(tmp_path / "short.c3d", anonymous(truth))
+    run("label", tmp_path / "short.c3d", "-o", tmp_path / "out")
+    said = capsys.readouterr()
+    assert f"{frames} frame{'s' if frames > 1 else ''}, 0.00 % labelled" in said.out
+    assert ("[label-few-frames]" in said.err) == (frames < 5)
+    labelled = asterism.read(tmp_path / "out" / "short.c3d", markers=truth.labels)
+    assert np.abs(labelled.positions - truth.positions).max() < 1e-3

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from asterism.cli import _console
-from asterism.cli._options import KnownLabels, Rules, vertical_axis
+from asterism.cli._options import KnownLabels, Rules, marker_names, vertical_axis
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
+    from asterism.recording import MarkerSet
     from asterism.session import FileLabeller
 
 
@@ -79,13 +80,21 @@ def file_labeller(
         find_standing=not command.no_static,
         vertical=vertical_axis(command.vertical),
         in_memory=in_memory,
-        markers=command.markers or (),
+        markers=worn_sets(command.markers),
     )
     labeller = FileLabeller.of_models(command.model, options, files) if command.model else FileLabeller((), options, files)
     # once for the run, not once for each file
     for finding in labeller.findings:
         batch.found(finding)
     return labeller
+
+
+def worn_sets(given: Sequence[str] | None) -> list[str | MarkerSet]:
+    """What each --markers means to the session room: a shipped set's name, a file, or the set of the names that it lists."""
+    from asterism.recording import MarkerSet
+
+    meant = [marker_names(one) for one in given or ()]
+    return [one if isinstance(one, str) else MarkerSet.load(one or ()) for one in meant]
 
 
 def model_text(command: LabellingCommand) -> str:

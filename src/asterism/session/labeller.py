@@ -23,8 +23,10 @@ from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabel
 from asterism.labelling.stretches import JoinedLabelling, label_in_stretches, stretches_of
 from asterism.labelling.virtual_model import virtual_model
 from asterism.labelling.whole.bodies import SeveralBodies
+from asterism.labelling.whole.verdict import MIN_FRAMES
 from asterism.progress import Progress
 from asterism.recording import Clouds, Disagreement, Labelling, MarkerSet
+from asterism.recording.display import counted
 from asterism.session.labelled import LabelledFile
 from asterism.session.names import choose_name_policy, findings_on_names, join_disagreements, merge_file_names
 from asterism.session.options import LabellingOptions
@@ -154,7 +156,7 @@ class FileLabeller:
         copy = found.source.finish(found.labelling, policy, self.options.by)
         seconds = time.perf_counter() - started
         findings += found.labelling.findings(str(path))
-        findings += _nothing_labelled(path, found.labelling)
+        findings += _nothing_labelled(path, found.labelling) or _few_frames(path, found.labelling)
         findings += findings_on_names(path, source.about, found.against, policy)
         return LabelledFile(
             path,
@@ -342,6 +344,16 @@ def _nothing_labelled(path: Path, labelling: Labelling) -> list[Finding]:
         return []
     mend = "Check the marker set, the unit of length and the vertical; `asterism info` shows them."
     return [Finding("label-nothing", Severity.ERROR, str(path), f"{path}: no point got a label.", mend)]
+
+
+def _few_frames(path: Path, labelling: Labelling) -> list[Finding]:
+    """The finding that a file is too short for its movement to speak for the labels."""
+    frames = len(labelling.indices)
+    if frames >= MIN_FRAMES:
+        return []
+    sentence = f"{path}: {counted(frames, 'frame')} cannot show which distances stay while a body moves; the posture alone gave the labels."
+    mend = "Check them with `asterism review`, or give the whole recording: its other frames make them sure."
+    return [Finding("label-few-frames", Severity.NOTE, str(path), sentence, mend)]
 
 
 def _shows_subject(model: MarkerModel, clouds: Clouds, labelling: Labelling, rules: SubjectRules) -> bool | None:
