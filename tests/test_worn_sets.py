@@ -275,3 +275,26 @@ def test_a_wrong_vertical_is_noticed(door: str, tmp_path: Path, capsys: pytest.C
     if door == "given":
         run("label", file, "-o", tmp_path / "out", "--overwrite", "--vertical", "z", *words)
         assert "[label-vertical]" not in capsys.readouterr().err
+
+
+def test_learn_needs_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It starts from the virtual people by whom `label` labels, who wear the set of the files' names, or the one given."""
+    walk = simulate_walks(1, frames=40, seed=5)[0]
+    asterism.write(tmp_path / "walk.c3d", walk)
+    asterism.write(tmp_path / "bare.c3d", anonymous(walk))
+    found = tmp_path / "found.model"
+    assert run("learn", tmp_path / "walk.c3d", "-o", found) == 0
+    assert "virtual people who wear helen-hayes; learned 1 recording" in capsys.readouterr().out
+    learned = asterism.MarkerModel.load(found)
+    assert learned.about["virtual_people"] == 80 and learned.about["recordings"] == 1
+    capsys.readouterr()
+    # a model has a set; names must be there to be learned; and a model alone teaches nothing
+    for words, why in (
+        ([found, tmp_path / "walk.c3d", "--markers", "cmu"], "has its own marker set"),
+        ([tmp_path / "bare.c3d", "--markers", "helen-hayes"], "no marker of"),
+        ([found], "nothing to learn from"),
+        ([tmp_path / "walk.c3d", "--markers", "helen-haze"], "helen-hayes"),
+    ):
+        assert run("learn", *words, "-o", tmp_path / "other.model") == 2
+        assert why in capsys.readouterr().err
+    assert not (tmp_path / "other.model").exists()

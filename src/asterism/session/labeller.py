@@ -100,7 +100,7 @@ class FileLabeller:
         if not self.models:
             # a set that cannot be used is told before any file is read
             if self.options.markers:
-                self._of_worn([WornMarkers(str(one), MarkerSet.load(one), GIVEN) for one in self.options.markers], None)
+                self._of_worn(self._finder.given_sets(), None)
             return
         # only a model that labels by the body can be narrowed to one, and only where there is one
         # what votes by partial solvers has no body to narrow

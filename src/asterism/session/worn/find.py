@@ -154,7 +154,7 @@ class SetFinder:
         Raises AsterismError where no shipped set is like it.
         """
         if self.given:
-            return tuple(WornMarkers(_name_of(one), MarkerSet.load(one), GIVEN) for one in self.given)
+            return self.given_sets()
         named = self._by_names(recording)
         if named is not None:
             return (named,)
@@ -166,6 +166,10 @@ class SetFinder:
         if own.better >= self.rules.better:
             nats = self._compared(replace(recording, vertical=own.vertical), nats, own)
         return (replace(self._decided(path, nats, own), vertical=own.vertical),)
+
+    def given_sets(self) -> tuple[WornMarkers, ...]:
+        """The sets that a person named. Raises AsterismError where one cannot be read."""
+        return tuple(WornMarkers(_name_of(one), MarkerSet.load(one), GIVEN) for one in self.given)
 
     def _by_names(self, recording: Recording) -> WornMarkers | None:
         """The set of which most markers are named; None where the names are of none."""
