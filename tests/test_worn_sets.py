@@ -13,6 +13,7 @@ import pytest
 import asterism
 from asterism import AsterismError
 from asterism.cli import main
+from asterism.labelling import virtual_model
 from asterism.recording import MarkerSet, Recording
 from asterism.session import LabellingOptions, SetFinder, label_file
 from asterism.session.labeller import findings_on_sets
@@ -170,3 +171,130 @@ def test_a_single_file_that_should_not_be_used_says_so(tmp_path: Path, capsys: p
     assert status == 1
     assert "do not use" in out
     assert "[label-do-not-use]" in err or "[label-nothing]" in err
+
+
+def run(*words: str | Path) -> int:
+    return main([str(word) for word in words])
+
+
+@pytest.fixture
+def legs(tmp_path: Path) -> Path:
+    """A walk with points without names."""
+    asterism.write(tmp_path / "walk, anonymous.c3d", anonymous(simulate_walks(1, frames=60, seed=5)[0]))
+    return tmp_path / "walk, anonymous.c3d"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "near"),
+    [
+        ("helenhays", "helen-hayes"),
+        ("PiG", "plug-in-gait"),
+        ("vicon39", "vicon-35, vicon-53"),
+        ("rizoli", "rizzoli-foot"),
+        ("qq", "cast, "),
+    ],
+)
+def test_a_wrong_name_of_a_set_tells_the_nearest(wrong: str, near: str, legs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("label", legs, "-o", legs.parent / "out", "--markers", wrong) == 2
+    said = capsys.readouterr().err
+    assert repr(wrong) in said and near in said
+    # all names only where none is like it
+    assert ("sprint-51" in said) == (wrong == "qq")
+
+
+def test_markers_can_be_listed(legs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Names with commas are a set without aliases: the labels are those of the shipped set of these names."""
+    names = MarkerSet.load("helen-hayes").names
+    files = [legs.parent / of / legs.name for of in ("listed", "shipped")]
+    for file, markers in zip(files, (", ".join(names), "helen-hayes"), strict=True):
+        assert run("label", legs, "-o", file.parent, "--markers", markers) == 0
+    said = capsys.readouterr()
+    assert "list of 15 names" in said.out, said.err
+    listed, shipped = (asterism.read(file, markers=names) for file in files)
+    np.testing.assert_array_equal(listed.positions, shipped.positions)
+    assert run("evaluate", files[0], "--markers", ",".join(names), "--occlusions", "0") == 0
+    assert run("label", legs, "-o", legs.parent / "out", "--markers", "LASI,RASI,SACR,HAT") == 2
+    assert "does not say where HAT sits" in capsys.readouterr().err
+    assert run("label", legs, "-o", legs.parent / "out", "--markers", "mine, with places.toml") == 2
+    assert "nor a TOML file that exists" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("place", ["file/out", "file/deep/out", "/proc/out", "/proc"])
+def test_a_folder_that_cannot_be_written_is_told_first(place: str, legs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Before the labelling, with its name; and nothing is made."""
+    if place.startswith("/proc") and not Path("/proc").is_dir():
+        pytest.skip("this system has no folder that even its owner cannot write")
+    (legs.parent / "file").write_text("")
+    output = legs.parent / place
+    assert run("label", legs, "-o", output) == 2
+    said = capsys.readouterr().err
+    assert str(output) in said and "name another with -o" in said and "%" not in said
+    assert sorted(path.name for path in legs.parent.iterdir()) == ["file", legs.name]
+
+
+@pytest.mark.parametrize("frames", [1, 2, 5])
+def test_a_few_frames_are_labelled_by_posture(frames: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The labels are right and none is called sure; where nothing moves, a note says why."""
+    truth = simulate_walks(1, frames=60, seed=5)[0].frames(slice(20, 20 + frames))
+    asterism.write(tmp_path / "short.c3d", anonymous(truth))
+    run("label", tmp_path / "short.c3d", "-o", tmp_path / "out")
+    said = capsys.readouterr()
+    assert f"{frames} frame{'s' if frames > 1 else ''}, 0.00 % labelled" in said.out
+    assert ("[label-few-frames]" in said.err) == (frames < 5)
+    labelled = asterism.read(tmp_path / "out" / "short.c3d", markers=truth.labels)
+    assert np.abs(labelled.positions - truth.positions).max() < 1e-3
+
+
+def in_a_corner(recording: Recording, axes: list[int]) -> Recording:
+    """A recording that says that z is up, in a room that begins nowhere at zero, so that only the body tells."""
+    moved = recording.positions - np.nanmin(recording.positions, axis=(0, 1)) + 0.5
+    return Recording(moved[:, :, axes], recording.labels, recording.rate, "z")
+
+
+@pytest.mark.parametrize("door", ["points", "given", "names", "trained"])
+def test_a_wrong_vertical_is_noticed(door: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Labels are those of the file that says what is up; the finding tells what was taken. Who says what is up is believed."""
+    # legs alone, and whole bodies for longer, are labelled as well lying, so that the vertical of the file stays where the set is known
+    markers, frames = ("optitrack-rizzoli-lower", 20) if door == "points" else ("plug-in-gait", 5)
+    truth = person(markers).frames(slice(0, frames))
+    file, straight = (tmp_path / name for name in ("wrong.c3d", "right.c3d"))
+    shown = truth if door == "names" else anonymous(truth)
+    asterism.write(file, in_a_corner(shown, [1, 2, 0]))
+    asterism.write(straight, in_a_corner(shown, [0, 1, 2]))
+    assert asterism.read(file).vertical[2] == 1.0, "the reader itself sees it, so that this tests nothing"
+    words = ["--markers", markers] if door == "given" else []
+    if door == "trained":
+        virtual_model(markers).save(tmp_path / "mine.model")
+        words = ["--model", str(tmp_path / "mine.model")]
+    for path in (file, straight):
+        run("label", path, "-o", tmp_path / "out", "--overwrite", *words)
+        said = capsys.readouterr().err
+        assert ("Say it with --vertical y" in said and "[label-vertical]" in said) == (path is file), said
+    wrong, right = (asterism.read(tmp_path / "out" / path.name, markers=markers).visible for path in (file, straight))
+    np.testing.assert_array_equal(wrong, right)
+    if door == "given":
+        run("label", file, "-o", tmp_path / "out", "--overwrite", "--vertical", "z", *words)
+        assert "[label-vertical]" not in capsys.readouterr().err
+
+
+def test_learn_needs_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It starts from the virtual people by whom `label` labels, who wear the set of the files' names, or the one given."""
+    walk = simulate_walks(1, frames=40, seed=5)[0]
+    asterism.write(tmp_path / "walk.c3d", walk)
+    asterism.write(tmp_path / "bare.c3d", anonymous(walk))
+    found = tmp_path / "found.model"
+    assert run("learn", tmp_path / "walk.c3d", "-o", found) == 0
+    assert "virtual people who wear helen-hayes; learned 1 recording" in capsys.readouterr().out
+    learned = asterism.MarkerModel.load(found)
+    assert learned.about["virtual_people"] == 80 and learned.about["recordings"] == 1
+    capsys.readouterr()
+    # a model has a set; names must be there to be learned; and a model alone teaches nothing
+    for words, why in (
+        ([found, tmp_path / "walk.c3d", "--markers", "cmu"], "has its own marker set"),
+        ([tmp_path / "bare.c3d", "--markers", "helen-hayes"], "no marker of"),
+        ([found], "nothing to learn from"),
+        ([tmp_path / "walk.c3d", "--markers", "helen-haze"], "helen-hayes"),
+    ):
+        assert run("learn", *words, "-o", tmp_path / "other.model") == 2
+        assert why in capsys.readouterr().err
+    assert not (tmp_path / "other.model").exists()

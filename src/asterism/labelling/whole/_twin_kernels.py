@@ -12,7 +12,7 @@ import numpy as np
 from asterism._jit import kernel
 from asterism.labelling.body._frame_kernels import frame_settings
 from asterism.labelling.body._refine_kernels import refine_until_known
-from asterism.labelling.body._score_kernels import best_pose, evidence, rescore, score_held_points
+from asterism.labelling.body._score_kernels import best_pose, rescore
 from asterism.labelling.body._search_kernels import LAID, twin_at
 from asterism.labelling.body._workspace_kernels import copy_labels, count_labelled, make_body_workspace
 from asterism.labelling.whole._kernels import points_of_markers
@@ -94,21 +94,21 @@ def score_twins(xyz, offsets, track, label, twins, body, settings, gap, marker_g
 
 
 @kernel
-def near_exchanges(xyz, offsets, track, label, body, settings, apart, near, both, shown):
+def score_exchanges(xyz, offsets, track, label, body, settings, apart, both, shown):
     """By how much leave-one-out scores prefer the labels to each exchange of two, or to a hidden marker that takes another one's point.
 
     A leave-one-out score as another marker takes the point for what it is labelled, too, beside which it lies as no other marker does.
-    So it tells which exchanges are near, and not whether they are better.
+    So it does not tell which exchanges are better.
 
     IN  xyz (P, 3) m, z up; offsets (E + 1,); track (P,) tracklet of each point; label (J,) marker of each tracklet, -1 for none; body
         BodyArrays; settings FrameSettings
-    OUT apart (M, M) nats, the sum over the frames that show the first marker, by scores as `score_frames` gives them; near (M, M) the same,
-        hidden markers scored without the point that is asked for; both, shown (M, M) frames that show both markers, and the first one
+    OUT apart (M, M) nats, the sum over the frames that show the first marker, by scores as `score_frames` gives them; both, shown (M, M)
+        frames that show both markers, and the first one
     O(E (M r^2 + r^3 + M n + M^2)); memory for one frame.
     """
     markers, latents = body.load.shape[1], body.load.shape[3]
     own, workspace = np.empty(markers, dtype=np.int64), make_body_workspace(0, markers, latents)
-    apart[:], near[:], both[:], shown[:] = 0.0, 0.0, 0, 0
+    apart[:], both[:], shown[:] = 0.0, 0, 0
     for t in range(len(offsets) - 1):
         first, n = offsets[t], offsets[t + 1] - offsets[t]
         # Two points leave the body's turn open.
@@ -121,51 +121,14 @@ def near_exchanges(xyz, offsets, track, label, body, settings, apart, near, both
         workspace.outlier[:] = False
         k, _ = best_pose(body, points, own, own_settings, workspace)
         rescore(body, k, points, own, own_settings, workspace)
-        scores, held = workspace.scores, workspace.scores.copy()
-        score_held_points(body, k, own, -np.inf, own_settings, workspace, held)
+        scores = workspace.scores
         for a in range(markers):
             for b in range(markers):
                 if own[a] < 0 or a == b:
                     continue
                 shown[a, b] += 1
                 apart[a, b] += scores[a, own[a]] - scores[b, own[a]]
-                near[a, b] += held[a, own[a]] - held[b, own[a]]
                 # Both have a point, and each takes the other's.
                 if own[b] >= 0:
                     both[a, b] += 1
                     apart[a, b] += scores[b, own[b]] - scores[a, own[b]]
-                    near[a, b] += held[b, own[b]] - held[a, own[b]]
-
-
-@kernel
-def score_permutations(xyz, offsets, track, label, table, every_pose, body, settings, out):
-    """Score frames as their labels have them, and as each permutation of the markers has them, as it stands.
-
-    IN  xyz, offsets, track, label, body, settings: see `near_exchanges`; table (W, M) for each marker the one whose point it takes;
-        every_pose whether the best key pose is looked for each time, or the labels' own one is kept
-    OUT out (W, E) nats by which the labels are ahead; NaN where a permutation leaves a frame as it is, or less than three are labelled
-    O(E W K (M r^2 + r^3)); memory for one frame.
-    """
-    markers, latents = body.load.shape[1], body.load.shape[3]
-    own, trial = np.empty(markers, dtype=np.int64), np.empty(markers, dtype=np.int64)
-    workspace = make_body_workspace(0, markers, latents)
-    out[:] = np.nan
-    for t in range(len(offsets) - 1):
-        first, n = offsets[t], offsets[t + 1] - offsets[t]
-        if points_of_markers(track[first : first + n], label, own) < 3:
-            continue
-        if n != len(workspace.aligned):
-            workspace = make_body_workspace(n, markers, latents)
-        points, own_settings = xyz[first : first + n], frame_settings(settings, n, markers)
-        workspace.outlier[:] = False
-        k, top = best_pose(body, points, own, own_settings, workspace)
-        for w in range(len(table)):
-            for m in range(markers):
-                trial[m] = own[table[w, m]]
-            if same_labels(trial, own):
-                continue
-            if every_pose:
-                _, score = best_pose(body, points, trial, own_settings, workspace)
-            else:
-                score = evidence(body, k, points, trial, own_settings, workspace)
-            out[w, t] = top - score

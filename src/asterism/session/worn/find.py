@@ -6,6 +6,7 @@ belong to (`fit`); the files of one folder are mostly of one person.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -19,9 +20,13 @@ from asterism.errors import AsterismError, NoMarkers
 from asterism.geometry import rotate_z_up
 from asterism.recording import Clouds, Floats, Ints, MarkerSet, Recording, shipped_sets, worn_marker_sets
 from asterism.recording.marker_set import is_unnamed
+from asterism.session.upright import other_verticals
 from asterism.session.worn.fit import FitRules, FrameFit, fit_frame
 from asterism.session.worn.shapes import BodyShapes, body_shapes
 from asterism.tracking import find_tracklets
+
+_EVEN = 0.5
+"""Probability that any shipped set is worn, below which none is taken."""
 
 GIVEN, BY_NAMES, BY_POINTS = "given", "names", "points"
 """Why a marker set was taken: a person said so; the file's names are its; the points lie as its markers do."""
@@ -88,6 +93,7 @@ class WornMarkers:
     same_names    probability that a point's name is right by which set ever: sets share most names, and differ in a few points
     shown, points its markers that the points show in a frame, and the points of that frame; of names, those found and all
     second        the set of a second body in view, where there is one
+    vertical      what points up where the points lie as its markers do; None where the file's names or a person decided
     """
 
     name: str
@@ -99,6 +105,7 @@ class WornMarkers:
     shown: int = 0
     points: int = 0
     second: WornMarkers | None = None
+    vertical: Floats | None = None
 
     @property
     def words(self) -> str:
@@ -128,12 +135,24 @@ class WornMarkers:
 class SetEvidence:
     """What a file's points say of the S shipped sets.
 
-    fits    of the frames that count, the best first
-    second  of another body
+    every     fit of a frame
+    vertical  what points up
+    second    of another body
     """
 
-    fits: tuple[FrameFit, ...]
+    every: tuple[FrameFit, ...]
+    vertical: Floats
     second: SetEvidence | None = None
+
+    @property
+    def fits(self) -> list[FrameFit]:
+        """Those that count: the better half, in which a body is found best."""
+        return sorted(self.every, key=lambda fit: -fit.better)[: (len(self.every) + 1) // 2]
+
+    @property
+    def nats(self) -> Floats:
+        """(S,) the mean evidence of a frame."""
+        return np.mean([fit.nats for fit in self.fits], axis=0)
 
     @property
     def seen(self) -> Ints:
@@ -143,12 +162,12 @@ class SetEvidence:
 
     def chances(self, certainty: Certainty) -> tuple[Floats, float]:
         """The log probabilities (S,) of the sets if one of them is worn, and the probability of that."""
-        seen, sizes = self.seen, self.fits[0].sizes
-        nats = np.mean([fit.nats for fit in self.fits], axis=0) + certainty.some * (seen < sizes)
+        fits, seen, sizes = self.fits, self.seen, self.every[0].sizes
+        nats = self.nats + certainty.some * (seen < sizes)
         best = int(nats.argmax())
-        left_over = float(np.mean([(fit.given[best] < 0).sum() for fit in self.fits]))
+        left_over = float(np.mean([(fit.given[best] < 0).sum() for fit in fits]))
         paired = seen[best] / (sizes[best] + left_over)
-        better = float(np.mean([fit.better for fit in self.fits])) * paired**2
+        better = float(np.mean([fit.better for fit in fits])) * paired**2
         return log_softmax(nats / certainty.nats), float(expit(certainty.worn + certainty.better * better))
 
 
@@ -174,19 +193,25 @@ class SetFinder:
         Raises AsterismError where no shipped set is like it.
         """
         if self.given:
-            return tuple(WornMarkers(_name_of(one), MarkerSet.load(one), GIVEN) for one in self.given)
+            return self.given_sets()
         named = self._by_names(recording)
         if named is not None:
             return (named,)
-        worn = self._by_points(path, recording, self.rules)
+        worn = self._by_points(path, recording)
         if worn is None or worn.same_names < self.rules.sure:
-            # other frames may show a posture that is better known
-            more = replace(self.rules, frames=3 * self.rules.frames)
-            self._evidence.pop(path, None)
-            worn = self._by_points(path, recording, more)
+            own = self._evidence[path]
+            assert own is not None
+            # frames between those may show a posture that is better known
+            clouds = replace(recording.clouds(), vertical=own.vertical)
+            self._evidence[path] = evidence_of(clouds, self.rules, between=own)
+            worn = self._by_points(path, recording)
         if worn is None:
             raise self._refusal(path)
         return (worn,)
+
+    def given_sets(self) -> tuple[WornMarkers, ...]:
+        """The sets that a person named. Raises AsterismError where one cannot be read."""
+        return tuple(WornMarkers(_name_of(one), MarkerSet.load(one), GIVEN) for one in self.given)
 
     def _by_names(self, recording: Recording) -> WornMarkers | None:
         """The set of which most markers are named; None where the names are of none."""
@@ -205,18 +230,18 @@ class SetFinder:
         share = len(best.found) / len(marker_set)
         return WornMarkers(best.name, marker_set, BY_NAMES, share, others[:3], share, len(best.found), len(recording.labels) - unnamed)
 
-    def _by_points(self, path: Path, recording: Recording, rules: FindRules) -> WornMarkers | None:
+    def _by_points(self, path: Path, recording: Recording) -> WornMarkers | None:
         """The set that the points of a file show, with those of others in its folder; None where it is more probable that none is worn."""
-        own = self._evidence_of(path, recording, rules)
+        own = self._evidence_of(path, recording)
         if own is None:
-            raise NoMarkers(f"{path} has no frame with {rules.fewest} points or more; name the marker set with --markers.")
+            raise NoMarkers(f"{path} has no frame with {self.rules.fewest} points or more; name the marker set with --markers.")
         chances, worn = own.chances(self.certainty)
         for other in self._beside(path):
             theirs, shipped = other.chances(self.certainty)
             same = self.certainty.same * shipped
             # a person who wears something else, or props alone, says nothing of this file
             chances = chances + np.log(same * np.exp(theirs) + (1.0 - same) / len(theirs))
-        return _most_probable(own, chances - np.logaddexp.reduce(chances), worn, self.certainty) if worn >= 0.5 else None
+        return _most_probable(own, chances - np.logaddexp.reduce(chances), worn, self.certainty) if worn >= _EVEN else None
 
     def _beside(self, path: Path) -> list[SetEvidence]:
         """What other files of the folder say."""
@@ -226,7 +251,7 @@ class SetFinder:
         for file in [file for file in self.files if file != path and file.parent == path.parent][: self.rules.beside]:
             try:
                 if file not in self._evidence:
-                    self._evidence_of(file, formats.read(file, vertical=self.vertical), self.rules)
+                    self._evidence_of(file, formats.read(file, vertical=self.vertical))
             except (AsterismError, OSError):
                 # it is named when it is labelled itself
                 self._evidence[file] = None
@@ -235,11 +260,30 @@ class SetFinder:
                 found.append(other)
         return found
 
-    def _evidence_of(self, path: Path, recording: Recording, rules: FindRules) -> SetEvidence | None:
+    def _evidence_of(self, path: Path, recording: Recording) -> SetEvidence | None:
         """What a file's points say; None where no frame shows enough of them."""
         if path not in self._evidence:
-            self._evidence[path] = evidence_of(recording.clouds(), rules)
+            self._evidence[path] = self._upright(recording)
         return self._evidence[path]
+
+    def _upright(self, recording: Recording) -> SetEvidence | None:
+        """What a file's points say with that up with which they are clearly a body, where nobody said what points up."""
+        clouds, rules = recording.clouds(), self.rules
+        best = evidence_of(clouds, rules)
+        if best is None or self.vertical is not None:
+            return best
+        # log odds from which nothing is said
+        clearly = self.certainty.nats * math.log(rules.sure / (1.0 - rules.sure))
+        others = other_verticals(recording, every=best.chances(self.certainty)[1] < _EVEN)
+        # where any axis may be meant, two frames tell which are worth a look: things are no body with any of them
+        few = replace(rules, frames=2) if len(others) > 1 else rules
+        for vertical in others:
+            other = evidence_of(replace(clouds, vertical=vertical), few)
+            if other is not None and few is not rules and other.chances(self.certainty)[1] >= _EVEN:
+                other = evidence_of(replace(clouds, vertical=vertical), rules)
+            if other is not None and other.nats.max() > best.nats.max() + clearly:
+                best = other
+        return best
 
     def _refusal(self, path: Path) -> AsterismError:
         """That no shipped set is worn, and which are the nearest."""
@@ -254,24 +298,33 @@ class SetFinder:
         )
 
 
-def evidence_of(clouds: Clouds, rules: FindRules | None = None, shapes: BodyShapes | None = None) -> SetEvidence | None:
-    """What some frames say of all shipped sets; None where no frame shows enough points. See `SetFinder`."""
+def evidence_of(
+    clouds: Clouds, rules: FindRules | None = None, shapes: BodyShapes | None = None, between: SetEvidence | None = None
+) -> SetEvidence | None:
+    """What some frames say of all shipped sets; None where no frame shows enough points. See `SetFinder`.
+
+    between: what they said, to which the frames between them are added.
+    """
     rules = rules or FindRules()
     clouds = _without_ghosts(clouds, rules)
     counts = np.asarray(clouds.counts)
     if counts.max(initial=0) < rules.fewest:
-        return None
-    # frames that show most, far from each other
+        return between
+    # frames that show most, far from each other; every third is looked at first
     full = np.nonzero(counts >= max(rules.fewest, np.quantile(counts, 0.5)))[0]
-    chosen = full[np.unique(np.linspace(0, len(full) - 1, rules.frames + 2).round().astype(int)[1:-1])]
+    grid = np.linspace(0, len(full) - 1, 3 * rules.frames + 4).round().astype(int)[1:-1]
+    first = np.unique(grid[2::3])
+    chosen = full[first if between is None else np.setdiff1d(grid, first)]
     fits, seconds = list[FrameFit](), list[FrameFit]()
     for frame in chosen:
         bodies = _apart(rotate_z_up(clouds[frame], clouds.vertical), rules)
         for place, body in zip((fits, seconds), bodies, strict=False):
             place.append(fit_frame(body, shapes or _shapes(), FitRules()))
+    if between is not None:
+        return replace(between, every=(*between.every, *fits))
     # a second body is there where most frames show it
-    second = SetEvidence(_better_half(seconds)) if 2 * len(seconds) > len(fits) else None
-    return SetEvidence(_better_half(fits), second) if fits else None
+    second = SetEvidence(tuple(seconds), clouds.vertical) if 2 * len(seconds) > len(fits) else None
+    return SetEvidence(tuple(fits), clouds.vertical, second) if fits else None
 
 
 def _without_ghosts(clouds: Clouds, rules: FindRules) -> Clouds:
@@ -279,11 +332,6 @@ def _without_ghosts(clouds: Clouds, rules: FindRules) -> Clouds:
     tracklets = find_tracklets(clouds)
     lasts = (tracklets.last - tracklets.first + 1)[tracklets.of_point]
     return clouds.select(lasts >= min(rules.brief * clouds.rate, 0.5 * float(np.median(lasts)))) if len(lasts) else clouds
-
-
-def _better_half(fits: Sequence[FrameFit]) -> tuple[FrameFit, ...]:
-    """Those in which a body is found best, the best first."""
-    return tuple(sorted(fits, key=lambda fit: -fit.better)[: (len(fits) + 1) // 2])
 
 
 def _most_probable(own: SetEvidence, chances: Floats, worn: float, certainty: Certainty) -> WornMarkers:
@@ -297,10 +345,11 @@ def _most_probable(own: SetEvidence, chances: Floats, worn: float, certainty: Ce
     if own.second is not None:
         theirs, worn_there = own.second.chances(certainty)
         # a second thing that is like no set is a prop
-        second = _most_probable(own.second, theirs, worn_there, certainty) if worn_there >= 0.5 else None
+        second = _most_probable(own.second, theirs, worn_there, certainty) if worn_there >= _EVEN else None
     instead = tuple((names[other], float(probable[other])) for other in others[:3])
     name = names[first]
-    return WornMarkers(name, _shipped()[name], BY_POINTS, float(probable[first]), instead, min(1.0, same), shown, points, second)
+    probability = float(probable[first])
+    return WornMarkers(name, _shipped()[name], BY_POINTS, probability, instead, min(1.0, same), shown, points, second, own.vertical)
 
 
 def _same_names(fits: Sequence[FrameFit], one: int) -> Floats:

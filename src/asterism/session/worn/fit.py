@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -93,9 +94,8 @@ def fit_frame(points: Floats, shapes: BodyShapes, rules: FitRules | None = None)
 
 def _starts(points: Floats, shapes: BodyShapes, rules: FitRules) -> list[tuple[Floats, Floats]]:
     """Points in the axes of a body, and its latents, for the postures that explain them best as points on any marker of any of the sets."""
-    places, most = shapes.coarse[: rules.coarse[0]], rules.coarse[1]
-    bodies = shapes.mean[places] + np.einsum("uxk,tk->tux", shapes.basis[places], shapes.templates, optimize=True)
-    some = points[farthest(points, most)]
+    trees, shifts = _postures(shapes, rules.coarse[0])
+    some = points[farthest(points, rules.coarse[1])]
     # the floor may be elsewhere than the file says: the lowest point is a foot's, some centimetres up
     middle = np.array([*np.median(points[:, :2], axis=0), 0.0])
     low = float(np.quantile(points[:, 2], 0.02))
@@ -104,10 +104,9 @@ def _starts(points: Floats, shapes: BodyShapes, rules: FitRules) -> list[tuple[F
     angles = np.arange(rules.headings) * (2 * np.pi / rules.headings)
     turns = [(_about_z(angle), np.array([0.0, 0.0, lift])) for lift in lifts for angle in angles]
     stack = np.concatenate([(some - middle) @ turn.T + lift for turn, lift in turns])
-    cost = np.empty((len(bodies), len(turns)))
-    shifts = np.stack([np.array([*np.median(body[:, :2], axis=0), 0.0]) for body in bodies])
-    for t, body in enumerate(bodies):
-        distance, _ = cKDTree(body - shifts[t], balanced_tree=False, compact_nodes=False).query(stack, distance_upper_bound=rules.reach)
+    cost = np.empty((len(trees), len(turns)))
+    for t, tree in enumerate(trees):
+        distance, _ = tree.query(stack, distance_upper_bound=rules.reach)
         cost[t] = np.square(np.minimum(distance, rules.reach)).reshape(len(turns), -1).mean(axis=1)
     refined = []
     for place in np.argsort(cost, axis=None, kind="stable")[: rules.starts]:
@@ -116,6 +115,15 @@ def _starts(points: Floats, shapes: BodyShapes, rules: FitRules) -> list[tuple[F
         refined.append(_refined((points - middle) @ turn.T + lift + shifts[t], shapes.templates[t], shapes, rules))
     refined.sort(key=lambda each: -each[0])
     return [(placed, latents) for _, placed, latents in refined[: rules.kept]]
+
+
+@lru_cache(maxsize=1)
+def _postures(shapes: BodyShapes, places: int) -> tuple[list[cKDTree], Floats]:
+    """So many places of each posture from which a fit starts, above the origin; and where it was."""
+    chosen = shapes.coarse[:places]
+    bodies = shapes.mean[chosen] + np.einsum("uxk,tk->tux", shapes.basis[chosen], shapes.templates, optimize=True)
+    shifts = np.median(bodies, axis=1) * (1.0, 1.0, 0.0)
+    return [cKDTree(body, balanced_tree=False, compact_nodes=False) for body in bodies - shifts[:, None]], shifts
 
 
 def _refined(placed: Floats, latents: Floats, shapes: BodyShapes, rules: FitRules) -> tuple[float, Floats, Floats]:

@@ -33,7 +33,7 @@ FLOOR = 0.0156
 """m, standard deviation by which any marker differs besides: hands place a marker 6 to 21 mm off (Della Croce et al. 1999)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BodyShapes:
     """A body that wears the markers of several sets at once: U markers, K latents, T templates.
 
