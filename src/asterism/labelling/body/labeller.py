@@ -17,8 +17,9 @@ from asterism.labelling.body._frame_kernels import label_clouds
 from asterism.labelling.body._search_kernels import MAX_LABELLINGS
 from asterism.labelling.body._workspace_kernels import AnchorArrays, BodyArrays, FrameLabelling, FrameModel, FrameSettings
 from asterism.labelling.body.anchors import Anchors
+from asterism.labelling.body.exchanges import ExchangeModel
 from asterism.labelling.body.model import BodyModel
-from asterism.labelling.body.twins import permutations_of, twins_of
+from asterism.labelling.body.twins import neighbours_of, twins_of
 from asterism.labelling.features.search_kernels import SolverArrays
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints
@@ -132,9 +133,9 @@ class BodyLabeller:
         return cls(model, anchors.solvers(), anchors.arrays(model), model.arrays(), settings, twins_of(model))
 
     @cached_property
-    def permutations(self) -> Ints:
-        """(W, M) permutations of few markers beside one another, see `permutations_of`."""
-        return permutations_of(self.model)
+    def exchanges(self) -> ExchangeModel:
+        """What exchanges of near markers are judged by."""
+        return ExchangeModel.of_body(self.model, neighbours_of(self.model))
 
     def label(self, clouds: Clouds, workers: int = 1, progress: Progress | None = None) -> LabelledFrames:
         """The best labelling of each frame alone. The result depends neither on the order of the points nor on `workers`."""

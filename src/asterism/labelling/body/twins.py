@@ -68,19 +68,12 @@ def twins_of(model: BodyModel, unit: float = 1.0) -> Ints:
     return _different(found, len(mean))
 
 
-def permutations_of(model: BodyModel) -> Ints:
-    """All permutations of three or four of each marker and the `BESIDE` whose distances to it are the steadiest, as `twins_of`: (W, M)."""
-    steady, table = _distance_std(model), dict[bytes, Ints]()
-    markers = len(steady)
+def neighbours_of(model: BodyModel) -> Ints:
+    """Each marker and the `BESIDE` whose distances to it are the steadiest, each group once: (G, BESIDE + 1), or all of fewer markers."""
+    steady = _distance_std(model)
     np.fill_diagonal(steady, -1.0)
     groups = {tuple(sorted(near[: BESIDE + 1])) for near in np.argsort(steady, axis=1, kind="stable").tolist()}
-    for group in sorted(groups):
-        for order in permutations(group):
-            if sum(one != other for one, other in zip(group, order, strict=True)) >= 3:
-                permutation = np.arange(markers)
-                permutation[list(group)] = order
-                table[permutation.tobytes()] = permutation
-    return np.array(list(table.values()), dtype=np.int64).reshape(-1, markers)
+    return np.array(sorted(groups), dtype=np.int64)
 
 
 def mirror_twin(mean: Floats) -> Ints:
