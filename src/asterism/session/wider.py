@@ -17,7 +17,7 @@ from asterism.labelling.recording_labeller import RecordingLabeller, WiderModel
 from asterism.labelling.virtual_model import virtual_model
 from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.progress import Progress
-from asterism.recording import NULL, Clouds, Labelling, MarkerSet
+from asterism.recording import NULL, Clouds, MarkerSet
 from asterism.session.worn.find import evidence_of
 from asterism.skeleton import counterparts, with_markers_of
 
@@ -28,6 +28,8 @@ class WiderRules:
 
     left_over  points of a usual frame beyond the markers, as a share of these, from which one is looked for. At half, looking costs a
                second where labels are right anyhow; at double, medial markers may be taken for lateral ones
+    sets       shipped sets that are tried at most: each costs seconds where its model is not kept yet. Not tuned
+    behind     nats of a frame by which a set may be behind the best to be tried: it is a twentieth as probable then
     frames     that the models label to be compared, in one piece: some seconds. Not tuned
     sure       confidence from which a label counts. Nothing below it tells models apart: in a crowd, labels of a model that does not know
                the extra points are 0.95 certain and wrong
@@ -36,6 +38,8 @@ class WiderRules:
     """
 
     left_over: float = 0.3
+    sets: int = 2
+    behind: float = 9.0
     frames: int = 60
     sure: float = 0.99
     explained: float = 0.5
@@ -54,35 +58,29 @@ def wider_model(model: MarkerModel, clouds: Clouds, rules: WiderRules | None = N
     evidence = evidence_of(clouds)
     if evidence is None:
         return None
-    best = max(evidence.nats, key=lambda name: evidence.nats[name])
-    other = MarkerSet.load(best)
-    if other.names == asked.names:
+    best = sorted(evidence.nats, key=lambda name: -evidence.nats[name])[: rules.sets]
+    likely = [name for name in best if evidence.nats[name] > evidence.nats[best[0]] - rules.behind]
+    if MarkerSet.load(likely[0]).names == asked.names:
         return None
     part = _fullest(clouds, rules.frames)
-    own = RecordingLabeller(model)
-    found, most, least = None, -1.0, _sure(own, part, rules)
-    for wider in _candidates(best, other, asked, progress):
-        labeller = RecordingLabeller(model, wider=wider)
-        try:
-            bodies = labeller.label_bodies(part)
-        except SeveralBodies:
-            continue
-        sure = sum(_sure_of(labels, rules) for labels in bodies.bodies)
-        # one more marker in a usual frame: the noise of one label is no reason to take another set
-        better = sure >= rules.explained * part.counts.mean() and _sure_of(bodies.labelling, rules) >= least + 1.0
-        if better and sure > most:
-            found, most = wider, sure
+    found, most, (least, _) = None, -1.0, _sure(RecordingLabeller(model), part, rules)
+    for name in likely:
+        for wider in _candidates(name, asked, progress):
+            own, sure = _sure(RecordingLabeller(model, wider=wider), part, rules)
+            # one more marker in a usual frame: the noise of one label is no reason to take another set
+            if sure >= rules.explained * part.counts.mean() and own >= least + 1.0 and sure > most:
+                found, most = wider, sure
     return found
 
 
-def _candidates(name: str, other: MarkerSet, asked: MarkerSet, progress: Progress | None) -> Iterator[WiderModel]:
+def _candidates(name: str, asked: MarkerSet, progress: Progress | None) -> Iterator[WiderModel]:
     """A shipped set, and the same with the markers that it lacks."""
+    other = MarkerSet.load(name)
     columns = counterparts(asked, other)
-    by_name = np.array([other.name_of(name) is not None for name in asked.names])
-    if (columns != NULL).any():
+    by_name, own = np.array([other.name_of(marker) is not None for marker in asked.names]), columns == NULL
+    if not own.all():
         yield WiderModel(name, virtual_model(other, progress=progress), columns, by_name)
-    if (columns == NULL).any():
-        own = columns == NULL
+    if own.any():
         both, columns = with_markers_of(other, asked, columns)
         yield WiderModel(name, virtual_model(both, progress=progress), columns, by_name | own)
 
@@ -94,14 +92,14 @@ def _fullest(clouds: Clouds, frames: int) -> Clouds:
     return clouds.frames(slice(begin, begin + frames))
 
 
-def _sure(labeller: RecordingLabeller, clouds: Clouds, rules: WiderRules) -> float:
+def _sure(labeller: RecordingLabeller, clouds: Clouds, rules: WiderRules) -> tuple[float, float]:
+    """Markers asked for, and markers in all, of whose points in a frame the labels are sure, on average.
+
+    Both are 0 where two bodies seem to be there.
+    """
     try:
-        return _sure_of(labeller.label_bodies(clouds).labelling, rules)
+        bodies = labeller.label_bodies(clouds).bodies
     except SeveralBodies:
-        # two people are not one with many markers
-        return float("inf")
-
-
-def _sure_of(labelling: Labelling, rules: WiderRules) -> float:
-    """Markers of a frame, on average, of whose points the labels are sure."""
-    return float(((labelling.indices != NULL) & (labelling.confidence >= rules.sure)).sum() / max(1, len(labelling.indices)))
+        return 0.0, 0.0
+    sure = [float(((one.indices != NULL) & (one.confidence >= rules.sure)).sum() / max(1, len(one.indices))) for one in bodies]
+    return sure[0], sum(sure)

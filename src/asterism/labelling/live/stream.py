@@ -147,10 +147,7 @@ class Stream:
     def __init__(
         self, model: StreamModel, rate: float, delay: int = 0, vertical: ArrayLike | str = "z", rules: StreamRules | None = None
     ) -> None:
-        if not np.isfinite(rate) or rate <= 0:
-            raise AsterismError(f"frame rate {rate} is not a positive number of frames per second; pass the rate of the live system.")
-        if not isinstance(delay, int | np.integer) or isinstance(delay, bool) or delay < 0:
-            raise AsterismError(f"delay {delay!r} is not a whole number of frames; give 0 for none.")
+        check_timing(rate, delay)
         self.rate, self.delay = float(rate), int(delay)
         self._model, self._rules = model, rules or StreamRules()
         self._vertical = as_vertical(vertical)
@@ -403,6 +400,14 @@ class Stream:
         alone, crowded = (calibration.confidence(margins) for calibration in self._model.calibrations)
         bound = 1.0 / (1.0 + np.exp((self._rules.ghost_margin_loss - margins) / self._rules.log_odds_scale))
         return np.where(near_ghost, np.minimum(crowded, bound), alone)
+
+
+def check_timing(rate: float, delay: int) -> None:
+    """Raise AsterismError where a rate or a delay cannot be those of a stream."""
+    if not np.isfinite(rate) or rate <= 0:
+        raise AsterismError(f"frame rate {rate} is not a positive number of frames per second; pass the rate of the live system.")
+    if not isinstance(delay, int | np.integer) or isinstance(delay, bool) or delay < 0:
+        raise AsterismError(f"delay {delay!r} is not a whole number of frames; give 0 for none.")
 
 
 def _marker_of(point_of: Ints, points: int) -> Ints:

@@ -21,6 +21,7 @@ from asterism.geometry import rotate_z_up
 from asterism.labelling import MarkerModel
 from asterism.recording import Clouds, Floats, MarkerSet, Recording, shipped_sets, worn_marker_sets
 from asterism.recording.marker_set import is_unnamed
+from asterism.session.upright import other_verticals
 from asterism.session.worn.compare import compare
 from asterism.session.worn.fit import FitRules, FrameFit, as_a_thing, fit_frame
 from asterism.session.worn.shapes import BodyShapes, body_shapes
@@ -82,6 +83,7 @@ class WornMarkers:
     others        sets that it may be instead, with their probabilities, the most probable first
     shown, points its markers that the points show in a frame, and the points of that frame; of names, those found and all
     second        the set of a second body in view, where there is one
+    vertical      what points up where the points lie as its markers do; None where the file's names or a person decided
     """
 
     name: str
@@ -92,6 +94,7 @@ class WornMarkers:
     shown: int = 0
     points: int = 0
     second: WornMarkers | None = None
+    vertical: Floats | None = None
 
     @property
     def words(self) -> str:
@@ -118,12 +121,13 @@ class WornMarkers:
 @dataclass(frozen=True)
 class _SetEvidence:
     """What a file's points say of the sets: nats of a frame, and the markers shown, by set; points of a frame; nats a point by which the
-    best set explains them better than a thing of their size does. Second: of another body."""
+    best set explains them better than a thing of their size does; what points up. Second: of another body."""
 
     nats: Mapping[str, float]
     shown: Mapping[str, int]
     points: int
     better: float
+    vertical: Floats
     second: _SetEvidence | None = None
 
 
@@ -150,7 +154,7 @@ class SetFinder:
         Raises AsterismError where no shipped set is like it.
         """
         if self.given:
-            return tuple(WornMarkers(_name_of(one), MarkerSet.load(one), GIVEN) for one in self.given)
+            return self.given_sets()
         named = self._by_names(recording)
         if named is not None:
             return (named,)
@@ -160,8 +164,12 @@ class SetFinder:
         nats = self._pooled(path, own)
         # no models are made for what is no body: it is refused at once
         if own.better >= self.rules.better:
-            nats = self._compared(recording, nats, own)
-        return (self._decided(path, nats, own),)
+            nats = self._compared(replace(recording, vertical=own.vertical), nats, own)
+        return (replace(self._decided(path, nats, own), vertical=own.vertical),)
+
+    def given_sets(self) -> tuple[WornMarkers, ...]:
+        """The sets that a person named. Raises AsterismError where one cannot be read."""
+        return tuple(WornMarkers(_name_of(one), MarkerSet.load(one), GIVEN) for one in self.given)
 
     def _by_names(self, recording: Recording) -> WornMarkers | None:
         """The set of which most markers are named; None where the names are of none."""
@@ -219,8 +227,27 @@ class SetFinder:
     def _evidence_of(self, path: Path, recording: Recording) -> _SetEvidence | None:
         """What a file's points say; None where no frame shows enough of them."""
         if path not in self._evidence:
-            self._evidence[path] = evidence_of(recording.clouds(), self.rules)
+            self._evidence[path] = self._upright(recording)
         return self._evidence[path]
+
+    def _upright(self, recording: Recording) -> _SetEvidence | None:
+        """What a file's points say with that up with which they are clearly a body, where nobody said what points up."""
+        clouds, rules = recording.clouds(), self.rules
+        best = evidence_of(clouds, rules)
+        if best is None or self.vertical is not None:
+            return best
+        # log odds from which nothing is asked
+        clearly = rules.temperature * math.log(rules.sure / (1.0 - rules.sure))
+        others = other_verticals(recording, every=best.better < rules.better)
+        # where any axis may be meant, two frames tell which are worth a look: things are no body with any of them
+        few = replace(rules, frames=2) if len(others) > 1 else rules
+        for vertical in others:
+            other = evidence_of(replace(clouds, vertical=vertical), few)
+            if other is not None and few is not rules and other.better >= rules.better:
+                other = evidence_of(replace(clouds, vertical=vertical), rules)
+            if other is not None and max(other.nats.values()) > max(best.nats.values()) + clearly:
+                best = other
+        return best
 
     def _decided(self, path: Path, nats: Mapping[str, float], own: _SetEvidence) -> WornMarkers:
         """The most probable set. Raises AsterismError where it explains too little of the points, or too few of its markers are shown."""
@@ -259,11 +286,11 @@ def evidence_of(clouds: Clouds, rules: FindRules | None = None, shapes: BodyShap
     if not fits:
         return None
     # a second body is there where most frames show it
-    second = _mean(seconds) if 2 * len(seconds) > len(fits) else None
-    return _mean(fits, second)
+    second = _mean(seconds, clouds.vertical) if 2 * len(seconds) > len(fits) else None
+    return _mean(fits, clouds.vertical, second)
 
 
-def _mean(fits: Sequence[tuple[Floats, FrameFit]], second: _SetEvidence | None = None) -> _SetEvidence:
+def _mean(fits: Sequence[tuple[Floats, FrameFit]], vertical: Floats, second: _SetEvidence | None = None) -> _SetEvidence:
     """The mean of what the better half of the frames say: those in which a body is found best."""
     fits = sorted(fits, key=lambda each: -max(each[1].evidence.values()) / len(each[0]))[: (len(fits) + 1) // 2]
     names = fits[0][1].evidence
@@ -271,7 +298,7 @@ def _mean(fits: Sequence[tuple[Floats, FrameFit]], second: _SetEvidence | None =
     nats = {name: float(np.mean([max(fit.evidence[name], worst - 10.0) for _, fit in fits])) for name in names}
     shown = {name: int(np.median([fit.matched[name] for _, fit in fits])) for name in names}
     better = float(np.median([(max(fit.evidence.values()) - as_a_thing(points)) / len(points) for points, fit in fits]))
-    return _SetEvidence(nats, shown, int(np.median([len(points) for points, _ in fits])), better, second)
+    return _SetEvidence(nats, shown, int(np.median([len(points) for points, _ in fits])), better, vertical, second)
 
 
 def _most_probable(nats: Mapping[str, float], own: _SetEvidence, rules: FindRules) -> WornMarkers:
