@@ -334,3 +334,20 @@ def test_a_live_stream_of_a_given_set_begins_at_once() -> None:
         LiveLabeller(50.0, -1)
     with pytest.raises(AsterismError, match="helen-hayes"):
         LiveLabeller(50.0, markers="hh")
+
+
+def test_name_suggests_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The lines that it writes are those that it reads; a marker in two pieces has one name."""
+    walk = simulate_walks(1, frames=80, seed=5)[0]
+    pieces = np.concatenate([walk.positions, walk.positions], axis=1)
+    pieces[40:, :15], pieces[:40, 15:] = np.nan, np.nan
+    asterism.write(tmp_path / "cut.c3d", anonymous(replace(walk, positions=pieces, labels=(*walk.labels,) * 2)))
+    names, named = tmp_path / "names.csv", tmp_path / "named.c3d"
+    assert run("name", tmp_path / "cut.c3d", "--suggest", names) == 0
+    assert "Suggested by virtual people who wear helen-hayes" in capsys.readouterr().out
+    assert run("name", tmp_path / "cut.c3d", "--names", names, "-o", named) == 0
+    written = asterism.read(named, markers=walk.labels)
+    assert written.visible.mean() > 0.95
+    assert np.nanmax(np.abs(written.positions - walk.positions)) < 1e-3
+    assert run("name", tmp_path / "cut.c3d", "--names", names, "--suggest", tmp_path / "more.csv", "-o", tmp_path / "n.c3d") == 2
+    assert "give one of them" in capsys.readouterr().err

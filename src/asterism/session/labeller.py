@@ -100,7 +100,7 @@ class FileLabeller:
     def __post_init__(self) -> None:
         if self.models and self.options.markers:
             raise AsterismError("a model has its own marker set; give either the model or the markers.")
-        self._finder = SetFinder(self.options.markers, self.files, self.options.vertical, virtual_model)
+        self._finder = SetFinder(self.options.markers, self.files, self.options.vertical)
         if not self.models:
             # a set that cannot be used is told before any file is read
             if self.options.markers:
@@ -389,7 +389,7 @@ def findings_on_sets(path: Path, worn: Sequence[WornMarkers], rules: FindRules) 
     """What a person should know of the marker sets that were found: which may be another, and that there are several."""
     findings = []
     for one in worn:
-        if one.by == BY_POINTS and one.probability < rules.sure:
+        if one.by == BY_POINTS and one.same_names < rules.sure:
             rest = ", ".join(f"{name} ({100 * chance:.2g} %)" for name, chance in one.others if chance > _WORTH_TELLING)
             rest = rest or "a set that is not shipped"
             sentence = f"{path}: the points may be those of {one.name} ({100 * one.probability:.2g} %) or of {rest}; {one.name} was taken."
