@@ -198,12 +198,11 @@ class SetFinder:
         if named is not None:
             return (named,)
         worn = self._by_points(path, recording)
-        if worn is None or worn.same_names < self.rules.sure:
+        if worn is not None and worn.same_names < self.rules.sure:
+            # frames between those may show a posture that is better known
             own = self._evidence[path]
             assert own is not None
-            # frames between those may show a posture that is better known
-            clouds = replace(recording.clouds(), vertical=own.vertical)
-            self._evidence[path] = evidence_of(clouds, self.rules, between=own)
+            self._evidence[path] = evidence_of(replace(recording.clouds(), vertical=own.vertical), self.rules, between=own)
             worn = self._by_points(path, recording)
         if worn is None:
             raise self._refusal(path)
