@@ -68,16 +68,17 @@ class Certainty:
     nats    that count as one: the frames of a file show one body, with its markers placed once
     some    nats, where any marker of a set is seen in no frame: most files show all
     worn    log odds that a shipped set is worn at all, where its body explains the points no better than a box of their size does
-    better  by which these grow with each nat a point by which the best body explains them better, times the square of the share of its
-            markers and points that are pairs of a marker and a point.
+    better  by which these grow with each nat a point by which the best body explains them better, times the fourth power of the share of
+            its markers and points that are pairs of a marker and a point: points of which a fifth are left over tell 0.4 of it. With powers
+            of 1, 2, 3, 4 and 6 the log loss is 0.250, 0.240, 0.232, 0.226 and 0.218, but with 6 three unshipped sets are sure
     same    probability that two files of one folder show the same set. Not fitted: sessions rarely change it. 0.95 and 0.8 change the log
             odds that another file can add from 5.7 to 6.4 and 4.9
     """
 
     nats: float = 3.7
     some: float = -5.7
-    worn: float = -0.57
-    better: float = 1.16
+    worn: float = -0.77
+    better: float = 1.2
     same: float = 0.9
 
 
@@ -167,7 +168,7 @@ class SetEvidence:
         best = int(nats.argmax())
         left_over = float(np.mean([(fit.given[best] < 0).sum() for fit in fits]))
         paired = seen[best] / (sizes[best] + left_over)
-        better = float(np.mean([fit.better for fit in fits])) * paired**2
+        better = float(np.mean([fit.better for fit in fits])) * paired**4
         return log_softmax(nats / certainty.nats), float(expit(certainty.worn + certainty.better * better))
 
 
