@@ -25,9 +25,6 @@ from asterism.session.worn.fit import FitRules, FrameFit, fit_frame
 from asterism.session.worn.shapes import BodyShapes, body_shapes
 from asterism.tracking import find_tracklets
 
-_EVEN = 0.5
-"""Probability that any shipped set is worn, below which none is taken."""
-
 GIVEN, BY_NAMES, BY_POINTS = "given", "names", "points"
 """Why a marker set was taken: a person said so; the file's names are its; the points lie as its markers do."""
 
@@ -161,15 +158,23 @@ class SetEvidence:
         together = np.concatenate([fit.given for fit in self.fits], axis=1)
         return np.array([len(np.unique(given[given >= 0])) for given in together], dtype=np.int64)
 
+    @property
+    def better(self) -> float:
+        """Nats a point by which a body explains them better than a box of their size does."""
+        return float(np.mean([fit.better for fit in self.fits]))
+
+    def is_body(self, certainty: Certainty) -> bool:
+        """Whether a shipped set would rather be worn than not if each of the points had a marker, and each marker a point."""
+        return certainty.worn + certainty.better * self.better >= 0.0
+
     def chances(self, certainty: Certainty) -> tuple[Floats, float]:
         """The log probabilities (S,) of the sets if one of them is worn, and the probability of that."""
-        fits, seen, sizes = self.fits, self.seen, self.every[0].sizes
+        seen, sizes = self.seen, self.every[0].sizes
         nats = self.nats + certainty.some * (seen < sizes)
         best = int(nats.argmax())
-        left_over = float(np.mean([(fit.given[best] < 0).sum() for fit in fits]))
+        left_over = float(np.mean([(fit.given[best] < 0).sum() for fit in self.fits]))
         paired = seen[best] / (sizes[best] + left_over)
-        better = float(np.mean([fit.better for fit in fits])) * paired**4
-        return log_softmax(nats / certainty.nats), float(expit(certainty.worn + certainty.better * better))
+        return log_softmax(nats / certainty.nats), float(expit(certainty.worn + certainty.better * self.better * paired**4))
 
 
 @dataclass
@@ -231,7 +236,7 @@ class SetFinder:
         return WornMarkers(best.name, marker_set, BY_NAMES, share, others[:3], share, len(best.found), len(recording.labels) - unnamed)
 
     def _by_points(self, path: Path, recording: Recording) -> WornMarkers | None:
-        """The set that the points of a file show, with those of others in its folder; None where it is more probable that none is worn."""
+        """The set that the points of a file show, with those of others in its folder; None where they are no body."""
         own = self._evidence_of(path, recording)
         if own is None:
             raise NoMarkers(f"{path} has no frame with {self.rules.fewest} points or more; name the marker set with --markers.")
@@ -241,7 +246,7 @@ class SetFinder:
             same = self.certainty.same * shipped
             # a person who wears something else, or props alone, says nothing of this file
             chances = chances + np.log(same * np.exp(theirs) + (1.0 - same) / len(theirs))
-        return _most_probable(own, chances - np.logaddexp.reduce(chances), worn, self.certainty) if worn >= _EVEN else None
+        return _most_probable(own, chances - np.logaddexp.reduce(chances), worn, self.certainty) if own.is_body(self.certainty) else None
 
     def _beside(self, path: Path) -> list[SetEvidence]:
         """What other files of the folder say."""
@@ -274,12 +279,12 @@ class SetFinder:
             return best
         # log odds from which nothing is said
         clearly = self.certainty.nats * math.log(rules.sure / (1.0 - rules.sure))
-        others = other_verticals(recording, every=best.chances(self.certainty)[1] < _EVEN)
+        others = other_verticals(recording, every=not best.is_body(self.certainty))
         # where any axis may be meant, two frames tell which are worth a look: things are no body with any of them
         few = replace(rules, frames=2) if len(others) > 1 else rules
         for vertical in others:
             other = evidence_of(replace(clouds, vertical=vertical), few)
-            if other is not None and few is not rules and other.chances(self.certainty)[1] >= _EVEN:
+            if other is not None and few is not rules and other.is_body(self.certainty):
                 other = evidence_of(replace(clouds, vertical=vertical), rules)
             if other is not None and other.nats.max() > best.nats.max() + clearly:
                 best = other
@@ -343,9 +348,8 @@ def _most_probable(own: SetEvidence, chances: Floats, worn: float, certainty: Ce
     points = int(np.median([fit.given.shape[1] for fit in own.fits]))
     second = None
     if own.second is not None:
-        theirs, worn_there = own.second.chances(certainty)
         # a second thing that is like no set is a prop
-        second = _most_probable(own.second, theirs, worn_there, certainty) if worn_there >= _EVEN else None
+        second = _most_probable(own.second, *own.second.chances(certainty), certainty) if own.second.is_body(certainty) else None
     instead = tuple((names[other], float(probable[other])) for other in others[:3])
     name = names[first]
     probability = float(probable[first])
