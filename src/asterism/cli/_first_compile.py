@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     import subprocess
 
 _SECONDS = 50
-"""Processor time that the kernels of one command take to compile, at most (s, cores of 2024): of `label` 40 to 47 s were measured, of `train`
-42 s. On two idle cores it is over sooner, beside other work later."""
+"""Processor time that the kernels of one command take to compile, at most (s, cores of 2024): of `label` 40 to 47 s were measured, of
+`train` 42 s. On two idle cores it is over sooner, beside other work later."""
 _AHEAD = {"demo": ["tracking", "whole"], "label": ["whole"], "evaluate": ["tracking", "whole"], "warm-up": ["whole"]}
 """Steps of `labelling.compile_ahead` that each command reaches after it has compiled others itself."""
 
@@ -30,8 +30,8 @@ def _first_compile(command: str, kept: bool) -> None:
     # said each time, as it costs each time
     if not kept:
         _console.notice(
-            f"Compiling numerical kernels (up to {_SECONDS} s of processor time). No folder for compiled kernels can be written, so every run compiles them"
-            " again; name a writable one in NUMBA_CACHE_DIR.",
+            f"Compiling numerical kernels (up to {_SECONDS} s of processor time). No folder for compiled kernels can be written, so every run"
+            " compiles them again; name a writable one in NUMBA_CACHE_DIR.",
         )
         return
     _console.notice(
