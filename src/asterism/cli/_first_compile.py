@@ -30,8 +30,8 @@ def _first_compile(command: str, kept: bool) -> None:
     # said each time, as it costs each time
     if not kept:
         _console.notice(
-            f"Compiling numerical kernels (up to {_SECONDS} s of processor time). No folder for compiled kernels can be written, so every run"
-            " compiles them again; name a writable one in NUMBA_CACHE_DIR.",
+            f"Compiling numerical kernels (up to {_SECONDS} s of processor time). No folder for compiled kernels can be written, so every"
+            " run compiles them again; name a writable one in NUMBA_CACHE_DIR.",
         )
         return
     _console.notice(
