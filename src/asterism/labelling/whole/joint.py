@@ -34,9 +34,9 @@ from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints
 
 VOTING_EVALUATIONS = 2_000_000
-"""Feature evaluations of a frame that votes, at most, ten times those of a frame by itself: the votes of few frames begin all labels. Chosen
-on 39 markers of virtual people among 78 points: with a quarter of them no anchor comes to an end, with twice as many nothing changes. With a
-tenth, 73 markers without a ghost are not found either. Most frames need a hundredth."""
+"""Feature evaluations of a frame that votes, at most, ten times those of a frame by itself: the votes of few frames begin all labels.
+Chosen on 39 markers of virtual people among 78 points: with a quarter of them no anchor comes to an end, twice as many change nothing. With
+a tenth, 73 markers without a ghost are not found either. Most frames need a hundredth."""
 
 CROWDED_SEARCH = {"votes_needed": 1, "max_votes_needed": 1, "extra_anchors": 1, "proposals_per_anchor": 2}
 """The search for the first votes where frames show many ghosts (`RecordingLabellingSettings.crowded`): many frames vote, and labelling them
