@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 import asterism
 from asterism import AsterismError
 from asterism.cli import main
+from asterism.files.cache import cache_folder
 from asterism.labelling import virtual_model
 from asterism.recording import MarkerSet, Recording
 from asterism.session import LabellingOptions, LiveLabeller, SetFinder, label_file
@@ -334,3 +336,39 @@ def test_a_live_stream_of_a_given_set_begins_at_once() -> None:
         LiveLabeller(50.0, -1)
     with pytest.raises(AsterismError, match="helen-hayes"):
         LiveLabeller(50.0, markers="hh")
+
+
+def test_name_suggests_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The lines that it writes are those that it reads; a marker in two pieces has one name."""
+    walk = simulate_walks(1, frames=80, seed=5)[0]
+    pieces = np.concatenate([walk.positions, walk.positions], axis=1)
+    pieces[40:, :15], pieces[:40, 15:] = np.nan, np.nan
+    asterism.write(tmp_path / "cut.c3d", anonymous(replace(walk, positions=pieces, labels=(*walk.labels,) * 2)))
+    names, named = tmp_path / "names.csv", tmp_path / "named.c3d"
+    assert run("name", tmp_path / "cut.c3d", "--suggest", names) == 0
+    assert "Suggested by virtual people who wear helen-hayes" in capsys.readouterr().out
+    assert run("name", tmp_path / "cut.c3d", "--names", names, "-o", named) == 0
+    written = asterism.read(named, markers=walk.labels)
+    assert written.visible.mean() > 0.95
+    assert np.nanmax(np.abs(written.positions - walk.positions)) < 1e-3
+    assert run("name", tmp_path / "cut.c3d", "--names", names, "--suggest", tmp_path / "more.csv", "-o", tmp_path / "n.c3d") == 2
+    assert "give one of them" in capsys.readouterr().err
+
+
+def test_warm_up_makes_what_the_first_label_needs(
+    legs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """After it, labelling makes no model and no shapes; a set that cannot be used is told."""
+    # what sets are found by is as long in the making as all else together, and is made as it is anywhere
+    SetFinder().of(legs, asterism.read(legs))
+    shutil.copytree(cache_folder() / "models", tmp_path / "cache" / "models", ignore=shutil.ignore_patterns("*.model"))
+    monkeypatch.setenv("ASTERISM_CACHE", str(tmp_path / "cache"))
+    assert run("warm-up", "--markers", "hh") == 2
+    assert "helen-hayes" in capsys.readouterr().err
+    assert run("warm-up", "--markers", "LASI,RASI,SACR,LKNE,RKNE") == 0
+    assert "for LASI,RASI,SACR,LKNE,RKNE; helen-hayes." in capsys.readouterr().out
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*") if path.is_file()}
+    assert sum(path.suffix == ".model" for path in kept) == 2
+    run("label", legs, "-o", tmp_path / "out", "--markers", "helen-hayes")
+    run("label", legs, "-o", tmp_path / "listed", "--markers", "LASI,RASI,SACR,LKNE,RKNE")
+    assert kept == {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*") if path.is_file()}
