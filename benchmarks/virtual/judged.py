@@ -16,7 +16,9 @@ import numpy as np
 import asterism
 from asterism.errors import AsterismError
 from asterism.labelling import virtual_model
+from asterism.labelling.recording_labeller import RecordingLabeller
 from asterism.recording import NULL, Ints, Labelling, MarkerSet
+from asterism.session.wider import wider_model
 from benchmarks.recordings.walks import silence
 from benchmarks.virtual.worn import JUDGE, TUNE, Worn, anonymous, recordings_of, sets
 
@@ -74,10 +76,14 @@ def counted(labelling: Labelling, truth: Ints, refused: bool = False) -> Counts:
 
 
 def judged(model: asterism.MarkerModel, worn: Worn, hidden: int = 0, *, raw: bool = False, longest: int = 300) -> Counts:
-    """What the model makes of a file, labelled as a whole; every marker is missed where the file is refused."""
+    """What the model makes of a file, labelled as a whole; every marker is missed where the file is refused.
+
+    raw: with the file's other points, which another shipped set may explain, as `asterism label --markers` does.
+    """
     clouds, truth = anonymous(worn, hidden, raw=raw, longest=longest)
     try:
-        return counted(model.label(clouds), truth)
+        wider = wider_model(model, clouds) if raw else None
+        return counted(RecordingLabeller(model, wider=wider).label(clouds), truth)
     except AsterismError:
         return counted(silence(truth, model.marker_set.names), truth, refused=True)
 

@@ -295,8 +295,8 @@ class SetFinder:
         own = self._evidence[path]
         assert own is not None
         nearest = np.argsort(-own.chances(self.certainty)[0], kind="stable")[:3]
-        names, fit = list(_shipped()), own.fits[0]
-        few = ", ".join(f"{names[at]} ({(fit.given[at] >= 0).sum()} of {len(_shipped()[names[at]])} markers)" for at in nearest.tolist())
+        names, fit = list(placed_sets()), own.fits[0]
+        few = ", ".join(f"{names[at]} ({(fit.given[at] >= 0).sum()} of {len(placed_sets()[names[at]])} markers)" for at in nearest.tolist())
         return AsterismError(
             f"{path}: its {fit.given.shape[1]} points are like no shipped marker set; the nearest are {few}. Name one of them with "
             "--markers, write one of your own (`asterism body place` makes it from a labelled trial), or train on labelled files."
@@ -341,7 +341,7 @@ def _without_ghosts(clouds: Clouds, rules: FindRules) -> Clouds:
 
 def _most_probable(own: SetEvidence, chances: Floats, worn: float, certainty: Certainty) -> WornMarkers:
     """The set with most evidence, with its probability, and what else it may be. chances: log probabilities if one is worn."""
-    names, probable = list(_shipped()), np.exp(chances) * worn
+    names, probable = list(placed_sets()), np.exp(chances) * worn
     first, *others = np.argsort(-probable, kind="stable").tolist()
     same = float(probable @ _same_names(own.fits, first))
     shown = int(np.median([(fit.given[first] >= 0).sum() for fit in own.fits]))
@@ -353,16 +353,16 @@ def _most_probable(own: SetEvidence, chances: Floats, worn: float, certainty: Ce
     instead = tuple((names[other], float(probable[other])) for other in others[:3])
     name = names[first]
     probability = float(probable[first])
-    return WornMarkers(name, _shipped()[name], BY_POINTS, probability, instead, min(1.0, same), shown, points, second, own.vertical)
+    return WornMarkers(name, placed_sets()[name], BY_POINTS, probability, instead, min(1.0, same), shown, points, second, own.vertical)
 
 
 def _same_names(fits: Sequence[FrameFit], one: int) -> Floats:
     """(S,) the share of the points named by the one set, or by another, that both call alike, by the aliases of the one."""
-    names, shared = list(_shipped()), np.ones(len(_shipped()))
-    mine = _shipped()[names[one]]
+    names, shared = list(placed_sets()), np.ones(len(placed_sets()))
+    mine = placed_sets()[names[one]]
     for number, name in enumerate(names):
         # each marker of the other set as the one calls it, -2 where it does not know it; the last place is for a point without a marker
-        known = [mine.name_of(marker) for marker in _shipped()[name].names]
+        known = [mine.name_of(marker) for marker in placed_sets()[name].names]
         called = np.array([*(mine.names.index(marker) if marker is not None else -2 for marker in known), -1])
         named = [(fit.given[one] >= 0) | (fit.given[number] >= 0) for fit in fits]
         alike = [(called[fit.given[number]] == fit.given[one]) for fit in fits]
@@ -399,11 +399,11 @@ def _name_of(given: str | Path | MarkerSet) -> str:
 
 
 @cache
-def _shipped() -> Mapping[str, MarkerSet]:
+def placed_sets() -> Mapping[str, MarkerSet]:
     """The shipped sets that say where their markers sit."""
     return {name: one for name, one in shipped_sets().items() if len(one.places) == len(one)}
 
 
 @cache
 def _shapes() -> BodyShapes:
-    return body_shapes(_shipped())
+    return body_shapes(placed_sets())
