@@ -81,8 +81,11 @@ class MarkerModel:
     @cached_property
     def body_labeller(self) -> BodyLabeller:
         """The model in the form that the kernels of single frames read."""
-        state = self.state
-        return BodyLabeller.from_model(state.body, state.anchors, state.frame_settings.with_usual_score(state.usual_score))
+        state, distances = self.state, self.rigid_distances
+        many = distances is not None and distances.spread is not None
+        return BodyLabeller.from_model(
+            state.body, state.anchors, state.frame_settings.with_usual_score(state.usual_score), many_people=many
+        )
 
     @cached_property
     def rigid_distances(self) -> RigidDistances | None:

@@ -18,7 +18,7 @@ from asterism.labelling.virtual_model import virtual_model
 from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, MarkerSet
-from asterism.session.worn.find import evidence_of
+from asterism.session.worn.find import evidence_of, placed_sets
 from asterism.skeleton import counterparts, with_markers_of
 
 
@@ -58,8 +58,9 @@ def wider_model(model: MarkerModel, clouds: Clouds, rules: WiderRules | None = N
     evidence = evidence_of(clouds)
     if evidence is None:
         return None
-    best = sorted(evidence.nats, key=lambda name: -evidence.nats[name])[: rules.sets]
-    likely = [name for name in best if evidence.nats[name] > evidence.nats[best[0]] - rules.behind]
+    nats = evidence.nats
+    best = np.argsort(-nats, kind="stable")[: rules.sets]
+    likely = [list(placed_sets())[at] for at in best if nats[at] > nats[best[0]] - rules.behind]
     if MarkerSet.load(likely[0]).names == asked.names:
         return None
     part = _fullest(clouds, rules.frames)
