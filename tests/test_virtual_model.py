@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from models import BRIEF
 
+from asterism import formats
 from asterism.errors import AsterismError
 from asterism.files import cache
 from asterism.labelling import MarkerModel, TrainingRules, virtual_model
@@ -260,3 +262,14 @@ def test_ghosts_beside_a_walk_do_not_silence_a_model_of_virtual_people() -> None
     given = model.label(clouds).indices
     assert (given == truth)[shown].mean() > 0.9
     assert ((given >= 0) & (given != truth)).mean() < 0.01
+
+
+def test_a_stream_of_many_markers_finds_a_stranger(data: Path) -> None:
+    """An anchor that knows bodies of any size looks at tens of thousands of triples of 61 points, or no frame has labels."""
+    recording = formats.read(data / "movement/fullbody61/markers.trc", markers="leuven").frames(slice(100, 130))
+    stream, right, shown = virtual_model("leuven", people=FEW).stream(recording.rate, 0, recording.vertical), 0, 0
+    for points, visible in zip(recording.positions, recording.visible, strict=True):
+        indices = stream.push(points[visible]).indices
+        right += (indices[visible] == np.arange(visible.sum())).sum()
+        shown += visible.sum()
+    assert right > 0.5 * shown

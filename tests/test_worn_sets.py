@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 import asterism
 from asterism import AsterismError
 from asterism.cli import main
+from asterism.files.cache import cache_folder
 from asterism.labelling import virtual_model
 from asterism.recording import MarkerSet, Recording
 from asterism.session import LabellingOptions, LiveLabeller, SetFinder, label_file
@@ -351,3 +353,22 @@ def test_name_suggests_names(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert np.nanmax(np.abs(written.positions - walk.positions)) < 1e-3
     assert run("name", tmp_path / "cut.c3d", "--names", names, "--suggest", tmp_path / "more.csv", "-o", tmp_path / "n.c3d") == 2
     assert "give one of them" in capsys.readouterr().err
+
+
+def test_warm_up_makes_what_the_first_label_needs(
+    legs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """After it, labelling makes no model and no shapes; a set that cannot be used is told."""
+    # what sets are found by is as long in the making as all else together, and is made as it is anywhere
+    SetFinder().of(legs, asterism.read(legs))
+    shutil.copytree(cache_folder() / "models", tmp_path / "cache" / "models", ignore=shutil.ignore_patterns("*.model"))
+    monkeypatch.setenv("ASTERISM_CACHE", str(tmp_path / "cache"))
+    assert run("warm-up", "--markers", "hh") == 2
+    assert "helen-hayes" in capsys.readouterr().err
+    assert run("warm-up", "--markers", "LASI,RASI,SACR,LKNE,RKNE") == 0
+    assert "for LASI,RASI,SACR,LKNE,RKNE; helen-hayes." in capsys.readouterr().out
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*") if path.is_file()}
+    assert sum(path.suffix == ".model" for path in kept) == 2
+    run("label", legs, "-o", tmp_path / "out", "--markers", "helen-hayes")
+    run("label", legs, "-o", tmp_path / "listed", "--markers", "LASI,RASI,SACR,LKNE,RKNE")
+    assert kept == {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*") if path.is_file()}

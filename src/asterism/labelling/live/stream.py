@@ -43,7 +43,6 @@ class StreamRules:
     max_score          nats, the most that one frame can say for or against a marker
     search_interval    s between searches where the carried labels explain the frames
     retry_interval     s between searches where they do not
-    max_evaluations    feature evaluations of one search with a large marker set
     search_effort      markers times labellings that one search refines at most, and markers times twins refined in one frame: so no push
                        of a large marker set takes long; twice as many may take twice as long
     max_ghost_evidence independent frames that count at most for whether a track is a marker or a ghost that moves with the body
@@ -59,7 +58,6 @@ class StreamRules:
     max_score: float = 15.0
     search_interval: float = 0.5
     retry_interval: float = 0.05
-    max_evaluations: int = 20_000
     search_effort: int = 450
     max_ghost_evidence: float = 3.0
     ghost_margin_loss: float = 3.0
@@ -321,7 +319,6 @@ class Stream:
         labeller, settings = self._model.labeller, frame.settings
         if len(self._candidates.proposals) < MAX_LABELLINGS:
             settings = settings._replace(
-                max_evaluations=self._rules.max_evaluations,
                 votes_needed=1,
                 extra_anchors=1,
                 max_votes_needed=2,
