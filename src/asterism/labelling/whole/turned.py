@@ -153,6 +153,9 @@ def _exchanges(labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets
     seen = ~np.isnan(behind)
     mean = np.where(seen, behind, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
     mean[~seen.any(axis=1)] = np.inf
+    table, worn = model.table, np.isin(np.arange(markers), own)
+    # what laboratories leave out is known before any point is seen
+    mean += (worn - worn[table].astype(np.float64)) @ labeller.worn_odds
     excess, (one, other) = np.zeros((markers, markers)), model.pairs.T
     for a, b in ((one, other), (other, one)):
         ahead = mean[: len(one)]
@@ -161,7 +164,7 @@ def _exchanges(labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets
         # where both have points, half of it for each of the two; far from near, a tail says less than the scores
         too_high = np.maximum(ahead[known] - apart[a, b] / shown[a, b], 0.0)
         excess[a, b] = too_high * (1.0 - 0.5 * both[a, b] / shown[a, b])
-    return Exchanges(model.table, mean, excess)
+    return Exchanges(table, mean, excess)
 
 
 def _permuted(label: Ints, permutation: Ints, first: int) -> Ints:
