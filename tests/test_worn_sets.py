@@ -20,6 +20,8 @@ from asterism.recording import MarkerSet, Recording
 from asterism.session import LabellingOptions, LiveLabeller, SetFinder, label_file
 from asterism.session.labeller import findings_on_sets
 from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules
+from asterism.session.worn.find import Certainty, SetEvidence
+from asterism.session.worn.fit import FrameFit
 from asterism.simulation import simulate_walks
 from asterism.skeleton import virtual_people
 
@@ -63,6 +65,60 @@ def test_points_left_over_make_a_set_less_sure() -> None:
     assert worn.probability <= worn.shown / worn.points < 0.95
     codes = {finding.code for finding in findings_on_sets(Path("walk.c3d"), [worn], FindRules())}
     assert "label-set-unsure" in codes
+
+
+def test_ghosts_say_nothing_of_the_set() -> None:
+    """Points that come and go beside a body: the set, its probability and the findings are those of the body alone."""
+    walk = simulate_walks(1, frames=120, markers="helen-hayes", seed=8)[0]
+    rng = np.random.default_rng(1)
+    ghosts = np.full((120, 6, 3), np.nan)
+    for number, begin in enumerate(range(0, 120, 20)):
+        ghosts[begin : begin + 20, number] = walk.positions[begin : begin + 20, number] + rng.uniform(0.05, 0.15, 3)
+    beside = replace(
+        walk, positions=np.concatenate([walk.positions, ghosts], axis=1), labels=(*walk.labels, *(f"ghost {number}" for number in range(6)))
+    )
+    alone, among = found(anonymous(walk)), found(anonymous(beside))
+    assert among.to_dict() == alone.to_dict()
+    assert not findings_on_sets(Path("walk.c3d"), [among], FindRules())
+
+
+def test_names_that_sets_share_are_sure_where_the_set_is_not() -> None:
+    """Plug-in Gait without the markers of its arms is another set, too; both call all points alike, so that nothing need be said."""
+    whole = person("plug-in-gait")
+    legs = MarkerSet.load("plug-in-gait-lower")
+    keep = [place for place, name in enumerate(whole.labels) if name in MarkerSet.load("vicon-35").names]
+    assert len(keep) > len(legs) and len(keep) < len(whole.labels)
+    worn = found(anonymous(whole, keep))
+    likely = [worn.name, *(name for name, chance in worn.others if chance > 0.01)]
+    assert set(likely) <= {"plug-in-gait", "vicon-35"}
+    assert worn.same_names > worn.probability - 1e-9
+    assert all(MarkerSet.load(name).name_of(whole.labels[place]) is not None for name in likely for place in keep)
+
+
+def frame_fit(*given: list[int], nats: tuple[float, float] = (40.0, 30.0)) -> FrameFit:
+    """Two sets of six markers, and the markers that points have by each of them."""
+    return FrameFit(np.array(nats), np.array(given), np.array([6, 6]), thing=0.0)
+
+
+def test_what_is_left_over_makes_a_shipped_set_less_probable() -> None:
+    """A marker that is seen in one frame of two is not missing; one that is never seen is, and a point without a marker is left over."""
+    every, without, extra = [0, 1, 2, 3, 4, 5], [0, 1, 2, 3, 4, -1], [0, 1, 2, 3, 4, 5, -1]
+    up, rules = np.array([0.0, 0.0, 1.0]), Certainty()
+
+    def chances(*fits: FrameFit) -> tuple[float, float]:
+        sets, worn = SetEvidence(fits, up).chances(rules)
+        return float(np.exp(sets[0])), worn
+
+    whole = chances(frame_fit(every, every))
+    assert whole[0] == pytest.approx(1.0 / (1.0 + np.exp(-10.0 / rules.nats)))
+    # of four frames the better two count
+    seen_once = [frame_fit(without, every), frame_fit([5, *every[:5]], every)] * 2
+    assert chances(*seen_once)[0] == pytest.approx(whole[0])
+    never_seen, left_over = chances(frame_fit(without, every)), chances(frame_fit(extra, extra))
+    assert never_seen[0] == pytest.approx(1.0 / (1.0 + np.exp(-(10.0 + rules.some) / rules.nats)))
+    assert never_seen[1] < whole[1] and left_over[1] < whole[1] and left_over[0] == pytest.approx(whole[0])
+    # no better than a box of points, and it is rather nothing
+    assert chances(frame_fit(every, every, nats=(0.0, -10.0)))[1] < 0.5
 
 
 def test_the_room_does_not_matter() -> None:

@@ -392,7 +392,8 @@ def findings_on_sets(path: Path, worn: Sequence[WornMarkers], rules: FindRules) 
         if one.by == BY_POINTS and one.same_names < rules.sure:
             rest = ", ".join(f"{name} ({100 * chance:.2g} %)" for name, chance in one.others if chance > _WORTH_TELLING)
             rest = rest or "a set that is not shipped"
-            sentence = f"{path}: the points may be those of {one.name} ({100 * one.probability:.2g} %) or of {rest}; {one.name} was taken."
+            sentence = f"{path}: the points may be those of {one.name} ({100 * one.probability:.2g} %) or of {rest}; {one.name} was taken,"
+            sentence += f" by which {100 * one.same_names:.2g} % of the names are expected to be right."
             if one.shown < one.points:
                 sentence += f" Its markers explain {one.shown} of {one.points} points."
             mend = "Name the set with --markers; recordings of one person in one folder are judged together."
