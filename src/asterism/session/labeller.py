@@ -32,6 +32,7 @@ from asterism.recording import Clouds, Disagreement, Floats, Labelling, MarkerSe
 from asterism.recording.display import counted
 from asterism.recording.verdict import OTHER_BODY
 from asterism.session.labelled import LabelledFile
+from asterism.session.mirror import mirror_findings
 from asterism.session.names import choose_name_policy, findings_on_names, join_disagreements, merge_file_names
 from asterism.session.options import LabellingOptions
 from asterism.session.sources import FrameSource, open_source
@@ -191,7 +192,9 @@ class FileLabeller:
         seconds = time.perf_counter() - started
         findings += found.labelling.findings(str(path))
         findings += _nothing_labelled(path, found.labelling) or _few_frames(path, found.labelling)
-        findings += findings_on_names(path, source.about, found.against, policy)
+        some = slice(0, min(len(source.counts), _FRAMES_TO_FIND))
+        findings += mirror_findings(str(path), self._plain, found.labelling, source.clouds(some))
+        findings += findings_on_names(path, source.about, self._plain.marker_set, found.against, policy)
         return LabelledFile(
             path,
             found.labelling,
@@ -392,7 +395,8 @@ def findings_on_sets(path: Path, worn: Sequence[WornMarkers], rules: FindRules) 
         if one.by == BY_POINTS and one.same_names < rules.sure:
             rest = ", ".join(f"{name} ({100 * chance:.2g} %)" for name, chance in one.others if chance > _WORTH_TELLING)
             rest = rest or "a set that is not shipped"
-            sentence = f"{path}: the points may be those of {one.name} ({100 * one.probability:.2g} %) or of {rest}; {one.name} was taken."
+            sentence = f"{path}: the points may be those of {one.name} ({100 * one.probability:.2g} %) or of {rest}; {one.name} was taken,"
+            sentence += f" by which {100 * one.same_names:.2g} % of the names are expected to be right."
             if one.shown < one.points:
                 sentence += f" Its markers explain {one.shown} of {one.points} points."
             mend = "Name the set with --markers; recordings of one person in one folder are judged together."
