@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -24,7 +24,7 @@ from asterism.labelling.partial._pair_search_kernels import make_search_workspac
 from asterism.labelling.partial.matrix import PartialSolvers, VotingRules, classifiers_by_marker
 from asterism.labelling.partial.matrix_choice import Matrix, Points, choose_solvers, word_for
 from asterism.labelling.partial.solver import Solver, build_search_tree, factor_pair_rules, pack_solvers, replacement_table
-from asterism.labelling.partial.weak import FeatureRanges, WrongLabellings
+from asterism.labelling.partial.weak import Bits, FeatureRanges, WeakClassifiers, WrongLabellings
 from asterism.progress import Progress
 from asterism.recording import Floats, Ints
 
@@ -48,6 +48,9 @@ FIRST_CHOICES = 3
 
 MarkerSubset = tuple[int, ...]
 
+
+BLOCK_FRAMES = 10
+"""Frames of a block that makes intervals, or rates, as a whole: neighbours in time are nearly equal."""
 
 FEWEST_VALIDATION_FRAMES = 12_000
 """Frames on which solvers are validated, whatever the target. Chosen by hand."""
@@ -85,6 +88,9 @@ class SearchSettings:
     for_printed_matrix   whether solvers are chosen by what the printed matrix gives with them (`matrix_choice`), else by what each knows
     wrong_cost           false occlusions that a false assignment weighs in that choice, times the share that may be wrong
     large_subsets        subsets of each size above `max_markers` that are tried at random for the printed matrix
+    cross_fitted         whether intervals come from two thirds of the frames, and rates and choice from the others. On frames that made an
+                         interval a right labelling is never rejected (eq. 4.4), on others it is; the chosen solvers get intervals of all
+    widenings            more factors like `widen`: each solver that the search found is offered to the printed matrix with these, too
     """
 
     max_classifiers: int = 200
@@ -110,6 +116,8 @@ class SearchSettings:
     for_printed_matrix: bool = False
     wrong_cost: float = 0.01
     large_subsets: int = 40
+    cross_fitted: bool = False
+    widenings: tuple[float, ...] = ()
 
 
 PRINTED_FEATURES = ("g1", "g2", "g3", "g4", "g5", "g6", "g7", "g8", "g9")
@@ -141,16 +149,38 @@ class EvaluatedSolver:
     hit_rates       (M,) share of its proposals that are right, NaN for other markers (1st property)
     trials          (M,) proposals behind them
     response_rates  (M,) share of the frames with all its markers in sight in which it proposes the right point
+    widening        number of the pool that its classifiers are from (`SolverSearch.pools`)
     """
 
     solver: Solver
     hit_rates: Floats
     trials: Ints
     response_rates: Floats
+    widening: int = 0
 
 
 Trusted = tuple[EvaluatedSolver, NDArray[np.bool_]]
 """A solver of the ensemble, and (M,) the markers that it may propose."""
+
+
+@dataclass(frozen=True)
+class ClassifierPool:
+    """The weak classifiers of all markers, with the intervals of one widening.
+
+    weak    those whose interval rejects something
+    table   which wrong points they reject, as from `replacement_table`
+    wrong   wrong labellings, and which of them they reject
+    final   the same classifiers with the intervals that solvers have in the end; `weak` itself where the search is not cross-fitted
+    reads   (F, M) bool, which markers they read; point_counts (F,) how many; moving (F,) bool, whether their motion
+    """
+
+    weak: WeakClassifiers
+    table: Bits
+    wrong: WrongLabellings
+    final: WeakClassifiers
+    reads: NDArray[np.bool_]
+    point_counts: Ints
+    moving: NDArray[np.bool_]
 
 
 class SolverSearch:
@@ -177,21 +207,20 @@ class SolverSearch:
         """
         s = self.settings = SearchSettings() if settings is None else settings
         self.rng = np.random.default_rng(seed)
-        self.frames = np.ascontiguousarray(frames)
+        frames = np.ascontiguousarray(frames)
         self.n_markers = frames.shape[1]
         self.targets = np.broadcast_to(np.asarray(targets, dtype=np.float64), (self.n_markers,)).copy()
         if not ((self.targets > 0) & (self.targets <= 1)).all():
             raise AsterismError("a target hit rate lies above 0 and is at most 1, such as 0.9999.")
         if features is None:
             features = FEATURES if self.n_markers <= MANY_MARKERS else FEATURES_OF_MANY
-        weak = FeatureRanges.measure(self.frames, groups, features, self.rng).classifiers("widened", s.widen)
-        # An interval that accepts everything rejects nothing.
-        self.weak = weak.take(np.isfinite(weak.low))
-        self.reads = markers_read(self.weak.kinds, self.weak.slots, self.n_markers)
-        self.point_counts = self.reads.sum(axis=1)
-        self.moving = np.array([feature.moving for feature in REGISTRY])[self.weak.kinds]
-        self.table = replacement_table(self.frames, self.weak, self.rng)
-        self.wrong = WrongLabellings.draw(self.frames, self.weak, self.rng, 2048)
+        fitted = _fitted(len(frames)) if s.cross_fitted else np.ones(len(frames), dtype=np.bool_)
+        taught = frames[fitted]
+        ranges = FeatureRanges.measure(taught, groups[fitted], features, self.rng)
+        of_all = ranges.measured_on(frames, groups) if s.cross_fitted else ranges
+        self.pools = [_pool(ranges, of_all, widen, taught, self.rng) for widen in (s.widen, *s.widenings)]
+        # Rates are taken on frames that made no interval.
+        self.frames = frames[~fitted] if s.cross_fitted else frames
         # The rule of three: so many trials without a miss show the target.
         needed = np.round(3.0 / np.maximum(1.0 - self.targets.max(), 1e-9))
         self.validation_frames = int(min(s.validation_frames, max(FEWEST_VALIDATION_FRAMES, needed)))
@@ -203,10 +232,10 @@ class SolverSearch:
             # Beside gaps tracks end, and with them what is known of the motion.
             share = np.minimum(s.motion_loss * self.hidden.sum(axis=1), s.max_motion_loss)
             self.motion_unknown = self.rng.random(self.hidden.shape) < share[:, None]
-        n, pair_motions = self.n_markers, len(np.unique(self.weak.kinds[self.moving & (self.point_counts == 2)]))
+        n, pair_motions = self.n_markers, len(np.unique(self.pools[0].weak.kinds[self.pools[0].moving & (self.pools[0].point_counts == 2)]))
         self.workspace = make_search_workspace(n, n, n, self.frames.shape[2], pair_motions)
         self.frame_ids = np.zeros(1, dtype=np.int64)  # an array: copies that share the workspace must not number two frames alike
-        self.evaluated: dict[MarkerSubset, EvaluatedSolver] = {}
+        self.evaluated: dict[tuple[MarkerSubset, int], EvaluatedSolver] = {}
 
     def with_targets(self, targets: ArrayLike) -> SolverSearch:
         """The same frames, classifiers and evaluated solvers, with other targets."""
@@ -214,44 +243,57 @@ class SolverSearch:
         other.targets = np.broadcast_to(np.asarray(targets, dtype=np.float64), (self.n_markers,)).copy()
         return other
 
-    def build_solver(self, markers: MarkerSubset) -> Solver | None:
-        """The solver of a subset: boosted classifiers in a search tree. None where no classifier reads its markers alone."""
-        own = np.array(markers, dtype=np.int64)
+    def build_solver(self, markers: MarkerSubset, widening: int = 0, final: bool = False) -> Solver | None:
+        """The solver of a subset: boosted classifiers in a search tree. None where no classifier reads its markers alone.
+
+        widening  number of the pool of classifiers; final: with the intervals of all frames
+        """
+        own, pool = np.array(markers, dtype=np.int64), self.pools[widening]
         # A classifier belongs to a subset when all its markers do.
-        rows = np.nonzero(self.reads[:, own].sum(axis=1) == self.point_counts)[0]
+        rows = np.nonzero(pool.reads[:, own].sum(axis=1) == pool.point_counts)[0]
         if not len(rows):
             return None
         most = self.settings.max_classifiers
         # Pairs cost next to nothing, since solvers share them: boosting fills what is left.
         if len(rows) > most:
-            pairs = self.point_counts[rows] == 2
-            left = most - int((pairs & ~self.moving[rows]).sum())
-            rows = np.concatenate([rows[pairs], self.wrong.boost(rows[~pairs], own, max(1, left))[0]])
-        table = self.table[rows]
+            pairs = pool.point_counts[rows] == 2
+            left = most - int((pairs & ~pool.moving[rows]).sum())
+            rows = np.concatenate([rows[pairs], pool.wrong.boost(rows[~pairs], own, max(1, left))[0]])
+        table = pool.table[rows]
         bits = np.unpackbits(np.ascontiguousarray(table[:, own]).view(np.uint8), axis=2).sum(axis=(0, 2))
+        weak = pool.final if final else pool.weak
         # The marker whose exchange most classifiers notice is the best first one.
-        return build_search_tree(self.weak.take(rows), table, own, int(own[np.argmax(bits)]))
+        return build_search_tree(weak.take(rows), table, own, int(own[np.argmax(bits)]))
 
-    def evaluate(self, markers: Iterable[int], validate: bool = False) -> EvaluatedSolver | None:
+    def evaluate(self, markers: Iterable[int], validate: bool = False, widening: int = 0) -> EvaluatedSolver | None:
         """Rates of a subset's solver, on all evaluation frames where the screening reaches a target.
 
         With `validate` on the validation frames. None where no solver can be built.
         """
         subset = tuple(sorted(markers))
-        known = self.evaluated.get(subset)
+        known = self.evaluated.get((subset, widening))
         if known is not None and not validate:
             return known
-        solver = self.build_solver(subset) if known is None else known.solver
+        solver = self.build_solver(subset, widening) if known is None else known.solver
         if solver is None:
             return None
         if validate:
-            return self.evaluate_on(solver, self.validation_frames)
+            return replace(self.evaluate_on(solver, self.validation_frames), widening=widening)
         result = self.evaluate_on(solver, self.settings.screening_frames)
         # Most subsets fail on few frames, which spares the many.
         if self._reaches(result, np.minimum(self.targets, self.settings.screening_target)).any():
             result = self.evaluate_on(solver, self.settings.evaluation_frames)
-        self.evaluated[subset] = result
+        self.evaluated[subset, widening] = result = replace(result, widening=widening)
         return result
+
+    def finished(self, evaluated: EvaluatedSolver) -> Solver:
+        """An evaluated solver with the intervals of all frames."""
+        if not self.settings.cross_fitted:
+            return evaluated.solver
+        markers = tuple(np.sort(evaluated.solver.markers).tolist())
+        solver = self.build_solver(markers, evaluated.widening, final=True)
+        assert solver is not None
+        return solver
 
     def evaluate_on(self, solver: Solver, count: int) -> EvaluatedSolver:
         """Rates of a solver on the first `count` of the chosen frames."""
@@ -301,6 +343,24 @@ class SolverSearch:
         hit_rates = np.nan_to_num(evaluated.hit_rates, nan=-1.0)
         # A high rate on few proposals may be luck.
         return (hit_rates >= rates) & (evaluated.response_rates >= self.settings.min_response_rate)
+
+
+def _pool(ranges: FeatureRanges, of_all: FeatureRanges, widen: float, frames: Floats, rng: np.random.Generator) -> ClassifierPool:
+    """The pool of one widening, from ranges of the frames that make intervals, and of all."""
+    weak = ranges.classifiers("widened", widen)
+    # An interval that accepts everything rejects nothing.
+    finite = np.isfinite(weak.low)
+    weak = weak.take(finite)
+    reads = markers_read(weak.kinds, weak.slots, frames.shape[1])
+    moving = np.array([feature.moving for feature in REGISTRY])[weak.kinds]
+    table, wrong = replacement_table(frames, weak, rng), WrongLabellings.draw(frames, weak, rng, 2048)
+    final = weak if of_all is ranges else of_all.classifiers("widened", widen).take(finite)
+    return ClassifierPool(weak, table, wrong, final, reads, reads.sum(axis=1), moving)
+
+
+def _fitted(count: int) -> NDArray[np.bool_]:
+    """(count,) frames that make intervals: two of three blocks of `BLOCK_FRAMES`, or of a third of the frames where there are fewer."""
+    return np.arange(count) // max(1, min(BLOCK_FRAMES, count // 3)) % 3 != 2
 
 
 def random_occlusions(count: int, n_markers: int, most: int, rng: np.random.Generator, least: int = 0) -> NDArray[np.bool_]:
@@ -499,10 +559,11 @@ def _most_rigid(search: SolverSearch, subsets: list[MarkerSubset], limit: int) -
     """Of many subsets those whose pairs of markers keep the most constant distances: rigid neighbours are told apart best."""
     if len(subsets) <= limit:
         return subsets
-    width = search.weak.high - search.weak.low
+    pool = search.pools[0]
+    width = pool.weak.high - pool.weak.low
     narrowest = np.full((search.n_markers, search.n_markers), np.inf)
-    for row in np.nonzero((search.point_counts == 2) & ~search.moving)[0]:
-        a, b = np.nonzero(search.reads[row])[0]
+    for row in np.nonzero((pool.point_counts == 2) & ~pool.moving)[0]:
+        a, b = np.nonzero(pool.reads[row])[0]
         narrowest[a, b] = narrowest[b, a] = min(narrowest[a, b], width[row])
     np.fill_diagonal(narrowest, 0.0)
     # Pairs without an interval count as far from rigid, not as impossible.
@@ -552,30 +613,32 @@ def choose_ensemble(search: SolverSearch, found: list[EvaluatedSolver], progress
         chosen += [(e, np.arange(n) == marker) for e in best]
     progress(1.0, f"{len(chosen)} solvers")
     return PartialSolvers(
-        pack_solvers([e.solver for e, _ in chosen]),
+        pack_solvers([search.finished(e) for e, _ in chosen]),
         np.array([e.hit_rates for e, _ in chosen]).reshape(-1, n),
         np.array([e.trials for e, _ in chosen], dtype=np.int64).reshape(-1, n),
         search.targets,
         covered,
         np.concatenate([np.empty(0, dtype=np.bool_), *(trusted[e.solver.markers] for e, trusted in chosen)]),
-        classifiers_by_marker(search.weak, search.table),
+        classifiers_by_marker(search.pools[0].final, search.pools[0].table),
     )
 
 
-def _smallest_first(evaluated: EvaluatedSolver) -> tuple[int, list[int]]:
-    return len(evaluated.solver.markers), sorted(evaluated.solver.markers.tolist())
+def _smallest_first(evaluated: EvaluatedSolver) -> tuple[int, int, list[int]]:
+    return len(evaluated.solver.markers), evaluated.widening, sorted(evaluated.solver.markers.tolist())
 
 
 def _all_that_reach(search: SolverSearch, found: list[EvaluatedSolver]) -> list[EvaluatedSolver]:
-    """What a miner found, what reached the target on its way, and subsets too large for it, drawn at random.
+    """What a miner found, what reached the target on its way, and subsets too large for it, drawn at random; with every widening.
 
     With few markers hidden, large solvers label most: a hidden marker's neighbours leave them no second labelling.
     """
+    subsets = {tuple(sorted(e.solver.markers.tolist())) for e in found}
+    subsets |= {subset for (subset, _), e in search.evaluated.items() if search.reaches_target(e).any()}
     for size in range(search.settings.max_markers + 1, search.n_markers):
         for _ in range(search.settings.large_subsets):
-            search.evaluate(search.rng.permutation(search.n_markers)[:size].tolist())
-    known = {tuple(sorted(e.solver.markers.tolist())): e for e in found}
-    return [*(known | {s: e for s, e in search.evaluated.items() if search.reaches_target(e).any()}).values()]
+            subsets.add(tuple(np.sort(search.rng.permutation(search.n_markers)[:size]).tolist()))
+    tried = [search.evaluate(subset, widening=widening) for subset in sorted(subsets) for widening in range(len(search.pools))]
+    return [e for e in tried if e is not None and search.reaches_target(e).any()]
 
 
 def _choose_for_matrix(search: SolverSearch, found: list[EvaluatedSolver], progress: Progress) -> list[Trusted]:
@@ -603,7 +666,7 @@ def _choose_for_matrix(search: SolverSearch, found: list[EvaluatedSolver], progr
         markers = candidates[i].solver.markers
         # Validation costs most, and a candidate may be asked for several times.
         if i not in again:
-            validated = search.evaluate(markers.tolist(), validate=True)
+            validated = search.evaluate(markers.tolist(), validate=True, widening=candidates[i].widening)
             assert validated is not None
             again[i] = validated
             progress(len(again) / s.max_solvers, f"{len(again)} solvers validated")
