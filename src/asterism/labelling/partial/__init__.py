@@ -38,6 +38,7 @@ from asterism.labelling.partial.solver import (
 )
 from asterism.labelling.partial.solver_search import (
     MINERS,
+    MINIMAL,
     PRINTED,
     PRINTED_FEATURES,
     EvaluatedSolver,
@@ -58,6 +59,7 @@ __all__ = [
     "FEATURES",
     "MATRIX_RULES",
     "MINERS",
+    "MINIMAL",
     "PRINTED",
     "PRINTED_FEATURES",
     "THESIS",
