@@ -17,24 +17,12 @@ from asterism.labelling.features.registry import FEATURES as REGISTRY
 from asterism.labelling.features.registry import THESIS
 from asterism.labelling.features.search_kernels import search
 from asterism.labelling.partial._choice_kernels import count_labels
+from asterism.labelling.partial.ensemble_choice import choose_ensemble
 from asterism.labelling.partial.matrix import label_by_matrix
 from asterism.labelling.partial.matrix_choice import Matrix, choose_solvers, drop_markers
+from asterism.labelling.partial.search_strategies import MINERS, bottom_up, evolve, genetic, genetic_all, search_partial_solvers, top_down
 from asterism.labelling.partial.solver import Solver, pack_solvers, stack_frames
-from asterism.labelling.partial.solver_search import (
-    MINERS,
-    PRINTED,
-    EvaluatedSolver,
-    SearchSettings,
-    SolverSearch,
-    bottom_up,
-    choose_ensemble,
-    evolve,
-    genetic,
-    genetic_all,
-    random_occlusions,
-    search_partial_solvers,
-    top_down,
-)
+from asterism.labelling.partial.solver_search import PRINTED, EvaluatedSolver, SearchSettings, SolverSearch, random_occlusions
 from asterism.labelling.partial.weak import WeakClassifiers
 from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.simulation import simulate_walks

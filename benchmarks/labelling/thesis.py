@@ -6,9 +6,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from asterism.labelling.partial.ensemble_choice import choose_ensemble
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
+from asterism.labelling.partial.search_strategies import bottom_up
 from asterism.labelling.partial.solver import stack_frames
-from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, SolverSearch, bottom_up, choose_ensemble
+from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, SolverSearch
 from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.recording import Labelling
 from benchmarks.benchmark_run import BenchmarkRun
