@@ -348,7 +348,8 @@ def test_cross_fitted_rates_see_frames_that_made_no_interval():
 
 def test_minimal_solvers_reject_what_larger_ones_do_with_fewer_classifiers():
     settings = [replace(QUICK, minimal=minimal) for minimal in (False, True)]
-    whole, minimal = (SolverSearch(FRAMES, GROUPS, settings=s, seed=0).build_solver(tuple(range(8))).weak for s in settings)
+    searches = [SolverSearch(FRAMES, GROUPS, features=THESIS, settings=one, seed=0) for one in settings]
+    whole, minimal = (each.build_solver(tuple(range(8))).weak for each in searches)
     assert len(minimal) < len(whole)
     pairs = [feature.points == 2 and not feature.moving for feature in REGISTRY]
     assert np.array(pairs)[minimal.kinds].sum() == 2 * 28, "distance and height of each pair, which solvers share"
@@ -356,7 +357,8 @@ def test_minimal_solvers_reject_what_larger_ones_do_with_fewer_classifiers():
 
 def test_a_solver_is_trusted_only_with_markers_that_the_choice_knew_of():
     """Few frames decide which solvers are candidates, more confirm them: a marker that reaches the target only then was never weighed."""
-    settings = replace(PRINTED, evaluation_frames=100, validation_frames=2000, beam_width=20, coverage_patterns=600, large_subsets=5)
+    few = {"evaluation_frames": 100, "validation_frames": 2000, "beam_width": 20, "coverage_patterns": 600, "large_subsets": 5}
+    settings = replace(PRINTED, **few, widenings=())
     search = SolverSearch(FRAMES, GROUPS, targets=0.98, features=THESIS, settings=settings, seed=0)
     ensemble = choose_ensemble(search, bottom_up(search, nothing), nothing)
     found_later = 0
