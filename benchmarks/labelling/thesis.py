@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from asterism.labelling.partial.ensemble_choice import choose_ensemble
-from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
+from asterism.labelling.partial.matrix import label_by_matrix
 from asterism.labelling.partial.search_strategies import bottom_up
 from asterism.labelling.partial.solver import stack_frames
 from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, SolverSearch
@@ -58,33 +58,22 @@ def _columns(benchmark: BenchmarkRun, targets: Sequence[float]) -> list[Figure]:
     train = [blocks(recording, odd=False) for recording in recordings]
     if benchmark.quick:
         train = [evenly(recording, 40) for recording in train]
-    frames, groups = stack_frames(train, people)
-    search = SolverSearch(frames, groups, targets=max(targets), features=PRINTED_FEATURES, settings=PRINTED, seed=0)
-    found = bottom_up(search.with_targets(min(targets)), _quietly)
-    return [
-        figure for target in targets for figure in _column(benchmark, choose_ensemble(search.with_targets(target), found, _quietly), target)
-    ]
-
-
-def _quietly(fraction: float, doing: str) -> None:
-    """No progress."""
-
-
-def _column(benchmark: BenchmarkRun, solvers: PartialSolvers, target: float) -> list[Figure]:
-    """One target hit rate over all occlusions."""
-    sizes = np.bincount(np.diff(solvers.solvers.first_depth)).tolist()
-    benchmark.report(f"target {target}: {len(solvers)} solvers, by size {sizes}, {int(solvers.covered.sum())} markers covered")
-    column = TARGETS.index(target)
+    search = SolverSearch(*stack_frames(train, people), targets=max(targets), features=PRINTED_FEATURES, settings=PRINTED, seed=0)
+    found = bottom_up(search.with_targets(min(targets)), lambda fraction, doing: None)
     figures: list[Figure] = []
-    for hidden in (4,) if benchmark.quick else range(1, 6):
-        clouds, truth = simulate_occlusions(test_frames(1024 if benchmark.quick else DRAWS), hidden, 0, seed=hidden)
-        votes = label_by_matrix(clouds, solvers, rules="printed")
-        labelling = Labelling(votes.indices, votes.votes, next(iter(gait().values()))[0].labels)
-        tally = redrawn(labelling, truth)
-        fa, fo = tally.false_assignments, tally.false_occlusions
-        cell = f"{THESIS}, subjects seen, {hidden} occlusion{'s' * (hidden > 1)}, target {target * 100:g} %"
-        figures.append(tally.figure(f"table 5.4, {cell}: FA", f"<= {THESIS_FA[hidden][column]:g}", fa))
-        figures.append(tally.figure(f"table 5.5, {cell}: FO", f"<= {THESIS_FO[hidden][column]:g}", fo))
-        if target == MAIN and hidden == 4:
-            figures += by_marker(cell, labelling, truth, tally, PRINTED_MARKERS)
+    for target in targets:
+        solvers = choose_ensemble(search.with_targets(target), found, lambda fraction, doing: None)
+        sizes = np.bincount(np.diff(solvers.solvers.first_depth)).tolist()
+        benchmark.report(f"target {target}: {len(solvers)} solvers, by size {sizes}, {int(solvers.covered.sum())} markers covered")
+        column = TARGETS.index(target)
+        for hidden in (4,) if benchmark.quick else range(1, 6):
+            clouds, truth = simulate_occlusions(test_frames(1024 if benchmark.quick else DRAWS), hidden, 0, seed=hidden)
+            votes = label_by_matrix(clouds, solvers, rules="printed")
+            labelling = Labelling(votes.indices, votes.votes, recordings[0].labels)
+            tally = redrawn(labelling, truth)
+            cell = f"{THESIS}, subjects seen, {hidden} occlusion{'s' * (hidden > 1)}, target {target * 100:g} %"
+            figures.append(tally.figure(f"table 5.4, {cell}: FA", f"<= {THESIS_FA[hidden][column]:g}", tally.false_assignments))
+            figures.append(tally.figure(f"table 5.5, {cell}: FO", f"<= {THESIS_FO[hidden][column]:g}", tally.false_occlusions))
+            if target == MAIN and hidden == 4:
+                figures += by_marker(cell, labelling, truth, tally, PRINTED_MARKERS)
     return figures
