@@ -231,9 +231,7 @@ def _confusion(search: SolverSearch, frames: Floats, rng: np.random.Generator) -
     taken_for, shown = np.zeros((n, n), dtype=np.int64), np.zeros(n, dtype=np.int64)
     # A third of the labels known is where ambiguity shows: with more, all is clear.
     known = np.argsort(rng.random((len(frames), n)), axis=1) < max(2, n // 3)
-    count_confusions(
-        classifiers_by_marker(search.pools[0].final, search.pools[0].table), frames, np.arange(len(frames)), known, taken_for, shown
-    )
+    count_confusions(classifiers_by_marker(search.weak, search.table), frames, np.arange(len(frames)), known, taken_for, shown)
     for marker in np.nonzero(shown == 0)[0]:
         # A marker that was never shown is confused with none.
         taken_for[marker, marker] = 1

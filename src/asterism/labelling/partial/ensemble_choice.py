@@ -18,7 +18,7 @@ MOST_IN_A_WORD = 64
 FIRST_CHOICES = 3
 """How often solvers are chosen on few patterns of hidden markers, for the choice on many. Not tuned."""
 
-FEWER_PATTERNS = 8
+FEWER_PATTERNS = 6
 """By so many the patterns are fewer of the first choices, which see thousands of candidates. Not tuned."""
 
 REFINEMENTS = 4
@@ -48,32 +48,30 @@ def choose_ensemble(search: SolverSearch, found: list[EvaluatedSolver], progress
         chosen += [(e, np.arange(n) == marker) for e in best]
     progress(1.0, f"{len(chosen)} solvers")
     return PartialSolvers(
-        pack_solvers([search.finished(e) for e, _ in chosen]),
+        pack_solvers([e.solver for e, _ in chosen]),
         np.array([e.hit_rates for e, _ in chosen]).reshape(-1, n),
         np.array([e.trials for e, _ in chosen], dtype=np.int64).reshape(-1, n),
         search.targets,
         covered,
         np.concatenate([np.empty(0, dtype=np.bool_), *(trusted[e.solver.markers] for e, trusted in chosen)]),
-        classifiers_by_marker(search.pools[0].final, search.pools[0].table),
+        classifiers_by_marker(search.weak, search.table),
     )
 
 
-def _smallest_first(evaluated: EvaluatedSolver) -> tuple[int, int, MarkerSubset]:
-    return len(evaluated.solver.markers), evaluated.widening, evaluated.subset
+def _smallest_first(evaluated: EvaluatedSolver) -> tuple[int, MarkerSubset]:
+    return len(evaluated.solver.markers), evaluated.subset
 
 
 def _all_that_reach(search: SolverSearch, found: list[EvaluatedSolver]) -> list[EvaluatedSolver]:
-    """What a miner found, what reached the target on its way, and subsets too large for it, drawn at random; with every widening.
+    """What a miner found, what reached the target on its way, and subsets too large for it, drawn at random.
 
     With few markers hidden, large solvers label most: a hidden marker's neighbours leave them no second labelling.
     """
-    subsets = {e.subset for e in found}
-    subsets |= {subset for (subset, _), e in search.evaluated.items() if search.reaches_target(e).any()}
     for size in range(search.settings.max_markers + 1, search.n_markers):
         for _ in range(search.settings.large_subsets):
-            subsets.add(tuple(np.sort(search.rng.permutation(search.n_markers)[:size]).tolist()))
-    tried = [search.evaluate(subset, widening=widening) for subset in sorted(subsets) for widening in range(len(search.pools))]
-    return [e for e in tried if e is not None and search.reaches_target(e).any()]
+            search.evaluate(search.rng.permutation(search.n_markers)[:size].tolist())
+    known = {e.subset: e for e in found}
+    return [*(known | {s: e for s, e in search.evaluated.items() if search.reaches_target(e).any()}).values()]
 
 
 def _choose_for_matrix(search: SolverSearch, found: list[EvaluatedSolver], progress: Progress) -> list[Trusted]:
@@ -101,7 +99,7 @@ def _choose_for_matrix(search: SolverSearch, found: list[EvaluatedSolver], progr
         markers = candidates[i].solver.markers
         # Validation costs most, and a candidate may be asked for several times.
         if i not in again:
-            validated = search.evaluate(candidates[i].subset, validate=True, widening=candidates[i].widening)
+            validated = search.evaluate(candidates[i].subset, validate=True)
             assert validated is not None
             again[i] = validated
             progress(min(1.0, len(again) / s.max_solvers), f"{len(again)} solvers validated")
@@ -125,7 +123,7 @@ def _handed_in(search: SolverSearch, found: list[EvaluatedSolver], patterns: int
     trial = ValidationFrames(
         search.frames,
         search.rng.integers(len(search.frames), size=patterns),
-        random_occlusions(patterns, n, s.max_hidden, search.rng, least=1, power=1),
+        random_occlusions(patterns, n, s.max_hidden, search.rng, least=1),
         search.motion_unknown[np.arange(patterns) % len(search.motion_unknown)],
     )
     points = search.handed_in([e.solver for e in found], trial)

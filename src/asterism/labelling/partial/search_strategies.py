@@ -204,11 +204,10 @@ def _most_rigid(search: SolverSearch, subsets: list[MarkerSubset], limit: int) -
     """Of many subsets those whose pairs of markers keep the most constant distances: rigid neighbours are told apart best."""
     if len(subsets) <= limit:
         return subsets
-    pool = search.pools[0]
-    width = pool.weak.high - pool.weak.low
+    width = search.weak.high - search.weak.low
     narrowest = np.full((search.n_markers, search.n_markers), np.inf)
-    for row in np.nonzero((pool.point_counts == 2) & ~pool.moving)[0]:
-        a, b = np.nonzero(pool.reads[row])[0]
+    for row in np.nonzero((search.point_counts == 2) & ~search.moving)[0]:
+        a, b = np.nonzero(search.reads[row])[0]
         narrowest[a, b] = narrowest[b, a] = min(narrowest[a, b], width[row])
     np.fill_diagonal(narrowest, 0.0)
     # Pairs without an interval count as far from rigid, not as impossible.

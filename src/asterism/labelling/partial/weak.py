@@ -69,11 +69,10 @@ class FeatureRanges:
         """
         kinds, slots = feature_pool(frames.shape[1], features, seed)
         check_motion(kinds, frames)
-        return cls(kinds, slots, *_ranges(frames, groups, kinds, slots))
-
-    def measured_on(self, frames: Floats, groups: Ints) -> FeatureRanges:
-        """The same features on other frames, as `measure` takes them. O(F N)."""
-        return FeatureRanges(self.kinds, self.slots, *_ranges(frames, groups, self.kinds, self.slots))
+        people, group = np.unique(groups, return_inverse=True)
+        low, high = np.empty((len(kinds), len(people))), np.empty((len(kinds), len(people)))
+        feature_ranges(np.ascontiguousarray(frames), group.astype(np.int64), len(people), kinds, slots, low, high)
+        return cls(kinds, slots, low, high)
 
     def classifiers(
         self, rule: str = "range", widen: float = 1.0, people: Sequence[int] | NDArray[np.bool_] | slice = slice(None)
@@ -98,13 +97,6 @@ class FeatureRanges:
             beta = beta + widen * np.where(count > 1, _deviation(high, shown), ONE_PERSON_SHARE * width)
         # A feature that nobody showed must not reject anybody.
         return WeakClassifiers(self.kinds, self.slots, np.where(count > 0, alpha, -np.inf), np.where(count > 0, beta, np.inf))
-
-
-def _ranges(frames: Floats, groups: Ints, kinds: Ints, slots: Ints) -> tuple[Floats, Floats]:
-    people, group = np.unique(groups, return_inverse=True)
-    low, high = np.empty((len(kinds), len(people))), np.empty((len(kinds), len(people)))
-    feature_ranges(np.ascontiguousarray(frames), group.astype(np.int64), len(people), kinds, slots, low, high)
-    return low, high
 
 
 def _deviation(values: Floats, shown: NDArray[np.bool_]) -> Floats:
