@@ -19,7 +19,7 @@ from asterism.labelling.features.search_kernels import search
 from asterism.labelling.partial._choice_kernels import count_labels
 from asterism.labelling.partial.ensemble_choice import choose_ensemble
 from asterism.labelling.partial.matrix import label_by_matrix
-from asterism.labelling.partial.matrix_choice import Matrix, choose_solvers, drop_markers
+from asterism.labelling.partial.matrix_choice import Matrix, choose_solvers
 from asterism.labelling.partial.search_strategies import MINERS, bottom_up, evolve, genetic, genetic_all, search_partial_solvers, top_down
 from asterism.labelling.partial.solver import Solver, pack_solvers, stack_frames
 from asterism.labelling.partial.solver_search import PRINTED, EvaluatedSolver, SearchSettings, SolverSearch, random_occlusions
@@ -217,8 +217,7 @@ def test_the_genetic_miner_returns_survivors_and_genetic_all_whatever_reached_th
 def test_second_property_is_exact_on_whole_frames_of_the_training():
     """With the intervals of eq. 4.4 the right labelling is always found there. Only another one beside it can cost a marker its point, and
     with more markers there are never more labellings: what a solver names, a larger one names too, without any tolerance."""
-    settings = replace(PRINTED, max_hidden=0, validation_frames=400)
-    search = SolverSearch(FRAMES, GROUPS, features=THESIS, settings=settings, seed=0)
+    search = SolverSearch(FRAMES, GROUPS, features=THESIS, settings=replace(PRINTED, max_hidden=0, validation_frames=400), seed=0)
     rng = np.random.default_rng(0)
     lowest = 1.0
     for _ in range(6):
@@ -314,20 +313,6 @@ def test_the_choice_hands_in_only_what_is_confirmed():
     assert not both[0].any(), "what is not confirmed is not handed in"
 
 
-def test_a_marker_about_which_a_solver_is_of_two_minds_is_dropped():
-    """Of two solvers the first is in doubt about marker 1, which the second labels; its marker 2 stays, since nobody else has it."""
-    hidden = np.tile([[True, False, False]], (10, 1))
-    matrix, markers = Matrix(hidden.T, 1.0), [np.array([1, 2]), np.array([1])]
-    points = [np.tile(np.array([[points_of(0, 1)], [points_of(2)]], dtype=np.uint16), (1, 10)), np.full((1, 10), points_of(1), np.uint16)]
-    for own, handed_in in zip(markers, points, strict=True):
-        matrix.cells[own] |= handed_in
-    assert matrix.cost() > 0
-    assert drop_markers(matrix, markers, points, [0, 1])
-    assert matrix.cost() == 0
-    assert [own.any(axis=1).tolist() for own in points] == [[False, True], [True]]
-    assert not drop_markers(matrix, markers, points, [0, 1]), "nothing more is to be dropped"
-
-
 def test_minimal_solvers_reject_what_larger_ones_do_with_fewer_classifiers():
     settings = [replace(QUICK, minimal=minimal) for minimal in (False, True)]
     searches = [SolverSearch(FRAMES, GROUPS, features=THESIS, settings=one, seed=0) for one in settings]
@@ -339,14 +324,13 @@ def test_minimal_solvers_reject_what_larger_ones_do_with_fewer_classifiers():
 
 def test_a_solver_is_trusted_only_with_markers_that_the_choice_knew_of():
     """Few frames decide which solvers are candidates, more confirm them: a marker that reaches the target only then was never weighed."""
-    few = {"evaluation_frames": 100, "validation_frames": 2000, "beam_width": 20, "coverage_patterns": 600, "large_subsets": 5}
-    settings = replace(PRINTED, **few)
+    settings = replace(PRINTED, evaluation_frames=100, validation_frames=2000, beam_width=20, coverage_patterns=600, large_subsets=5)
     search = SolverSearch(FRAMES, GROUPS, targets=0.98, features=THESIS, settings=settings, seed=0)
     ensemble = choose_ensemble(search, bottom_up(search, nothing), nothing)
     found_later = 0
     for begin, end in pairwise(ensemble.solvers.first_depth):
         markers = ensemble.solvers.markers[begin:end]
-        reached = search.reaches_target(search.evaluate(markers.tolist()))
+        reached = search.reaches_target(search.evaluated[tuple(sorted(markers.tolist()))])
         assert (reached[markers] >= ensemble.trusted[begin:end]).all()
         found_later += int((search.reaches_target(search.evaluate(markers.tolist(), validate=True)) & ~reached).sum())
     assert found_later, "some markers reach the target only on the validation frames"

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from asterism.labelling.partial._evaluation_kernels import ValidationFrames
 from asterism.labelling.partial.matrix import PartialSolvers, classifiers_by_marker
-from asterism.labelling.partial.matrix_choice import Matrix, Points, choose_solvers, drop_markers
+from asterism.labelling.partial.matrix_choice import Matrix, Points, choose_solvers
 from asterism.labelling.partial.solver import pack_solvers
 from asterism.labelling.partial.solver_search import EvaluatedSolver, MarkerSubset, SolverSearch, random_occlusions
 from asterism.progress import Progress
@@ -17,12 +17,6 @@ MOST_IN_A_WORD = 64
 
 FIRST_CHOICES = 3
 """How often solvers are chosen on few patterns of hidden markers, for the choice on many. Not tuned."""
-
-FEWER_PATTERNS = 6
-"""By so many the patterns are fewer of the first choices, which see thousands of candidates. Not tuned."""
-
-REFINEMENTS = 4
-"""How often single markers are dropped and solvers added at most. On the gait recordings the third time changed nothing."""
 
 Trusted = tuple[EvaluatedSolver, NDArray[np.bool_]]
 """A solver of the ensemble, and (M,) the markers that it may propose."""
@@ -80,12 +74,12 @@ def _choose_for_matrix(search: SolverSearch, found: list[EvaluatedSolver], progr
     What many patterns of hidden markers tell of thousands of candidates costs minutes and gigabytes, and what few tell is partly luck. So
     candidates are chosen on few patterns, and again from those left, `FIRST_CHOICES` times. Among these the choice is made on many.
 
-    A solver is trusted with the markers for which it reaches the target both times and that the choice has not dropped: what it proposes
-    for another one would take other solvers' labels away.
+    A solver is trusted with the markers for which it reaches the target both times: what it proposes for another one had no part in the
+    choice, and would take other solvers' labels away.
     """
     s = search.settings
     # Few patterns first: thousands of candidates on all of them would take gigabytes.
-    matrix, points = _handed_in(search, found, max(1, s.coverage_patterns // FEWER_PATTERNS))
+    matrix, points = _handed_in(search, found, max(1, s.coverage_patterns // 4))
     kept: list[int] = []
     for _ in range(FIRST_CHOICES):
         # Again from those left: what few patterns tell is partly luck.
@@ -102,19 +96,11 @@ def _choose_for_matrix(search: SolverSearch, found: list[EvaluatedSolver], progr
             validated = search.evaluate(candidates[i].subset, validate=True)
             assert validated is not None
             again[i] = validated
-            progress(min(1.0, len(again) / s.max_solvers), f"{len(again)} solvers validated")
+            progress(len(again) / s.max_solvers, f"{len(again)} solvers validated")
         return search.reaches_target(again[i])[markers]
 
-    markers = [e.solver.markers for e in candidates]
-    chosen = choose_solvers(matrix, markers, points, s.max_solvers, confirm=confirm)
-    for _ in range(REFINEMENTS):
-        dropped = drop_markers(matrix, markers, points, chosen)
-        chosen = [i for i in chosen if points[i].any()]
-        added = choose_solvers(matrix, markers, points, s.max_solvers - len(chosen), without=chosen, confirm=confirm)
-        chosen += added
-        if not dropped and not added:
-            break
-    return [(again[i], np.isin(np.arange(search.n_markers), markers[i][points[i].any(axis=1)])) for i in chosen]
+    chosen = choose_solvers(matrix, [e.solver.markers for e in candidates], points, s.max_solvers, confirm=confirm)
+    return [(again[i], search.reaches_target(candidates[i]) & search.reaches_target(again[i])) for i in chosen]
 
 
 def _handed_in(search: SolverSearch, found: list[EvaluatedSolver], patterns: int) -> tuple[Matrix, list[Points]]:

@@ -95,32 +95,6 @@ def choose_solvers(
     return chosen
 
 
-def drop_markers(matrix: Matrix, markers: Sequence[Ints], points: Sequence[Points], chosen: Collection[int]) -> bool:
-    """Take single markers from chosen solvers where the cost does not rise; whether there were any.
-
-    A solver chosen early may be of two minds about one of its markers, and takes that label from all that were chosen later.
-    OUT matrix, which holds what the chosen solvers hand in; points, 0 where dropped. O(units^2 K / M) for so many markers of solvers.
-    """
-    holders: list[dict[int, Points]] = [{} for _ in matrix.cells]
-    for s in chosen:
-        for marker, own in zip(markers[s].tolist(), points[s], strict=True):
-            if own.any():
-                holders[marker][s] = own
-    now, dropped = matrix.cost(), False
-    for s in chosen:
-        for marker in [m for m in markers[s].tolist() if s in holders[m]]:
-            before = matrix.cells[marker].copy()
-            others = [own for other, own in holders[marker].items() if other != s]
-            matrix.cells[marker] = np.bitwise_or.reduce(others, axis=0) if others else 0
-            cost = matrix.cost()
-            if cost <= now:
-                now, dropped = cost, True
-                holders[marker].pop(s)[:] = 0
-            else:
-                matrix.cells[marker] = before
-    return dropped
-
-
 def best_addition(matrix: Matrix, markers: Sequence[Ints], points: Sequence[Points], gains: NDArray[np.float64]) -> int:
     """The solver that lowers the cost most, or -1 where none does.
 
