@@ -127,8 +127,8 @@ of the training, with 1000 in none."""
 
 MINIMAL = replace(PRINTED, minimal=True)
 """The thesis' solvers as section 4.3 prints them: with as few classifiers as reject what can be rejected. Fewer classifiers reject fewer
-right labellings and leave more wrong ones. Measured with 60 instead of 1,000, for 14 markers and blocks that made no interval: 18 instead of
-44 % of the frames without a labelling, 7 % instead of none with a second one."""
+right labellings and leave more wrong ones. With 60 instead of 1,000, for 14 markers and blocks that made no interval, 18 instead of 44 % of
+the frames have no labelling, and 7 % instead of none a second one."""
 
 
 @dataclass(frozen=True)
