@@ -15,7 +15,7 @@ _PLAIN = f"{_TWINS}::test_the_plain_method_gives_every_pair_of_rays_that_meets v
 
 CHECKED_BY: dict[str, str] = {
     f"{_BODY}._refine_kernels.refine": "test_body_search.py::test_refinement",
-    f"{_BODY}._anchor_kernels.search_anchor": "test_body_search.py::test_the_search_of_an_anchor_is_that_of_its_partial_solver",
+    f"{_BODY}._anchor_kernels.search_anchor": "test_body_search.py::test_an_anchor_keeps_the_likeliest_triples_of_its_partial_solver",
     f"{_BODY}._search_kernels.propose": "test_body_search.py::test_proposals_of_an_anchor",
     f"{_BODY}._search_kernels.find_labellings": "test_body_search.py::test_the_labellings_that_anchors_lead_to",
     f"{_BODY}._search_kernels.add_twins": "test_body_search.py::test_the_labellings_that_anchors_lead_to",
@@ -26,8 +26,7 @@ CHECKED_BY: dict[str, str] = {
     f"{_WHOLE}._kernels.settle_dominant": "test_track_kernels.py::test_what_dominates_is_in_the_best_of_all_labellings",
     f"{_WHOLE}._kernels.best_split": "test_track_kernels.py::test_where_a_tracklet_goes_over_to_another_marker",
     f"{_WHOLE}._twin_kernels.score_twins": "test_track_kernels.py::test_twins_of_labelled_frames",
-    f"{_WHOLE}._twin_kernels.near_exchanges": "test_track_kernels.py::test_which_exchanges_of_labels_are_near",
-    f"{_WHOLE}._twin_kernels.score_permutations": "test_track_kernels.py::test_permutations_of_labelled_frames",
+    f"{_WHOLE}._twin_kernels.score_exchanges": "test_track_kernels.py::test_what_scores_say_of_exchanges",
     f"{_WHOLE}._short_kernels.label_short": "test_track_kernels.py::test_points_of_short_tracklets",
     f"{_WHOLE}._short_kernels.take_best_pairs": "test_track_kernels.py::test_the_best_pairs_of_a_frame",
     f"{_PARTIAL}._matrix_kernels.check_marker": "test_partial_twins.py::test_check_marker_on_all_placements_of_four_markers",

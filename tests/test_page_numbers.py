@@ -65,7 +65,6 @@ NUMBERS = [
     ("labelling", r"log odds 1.44 \+ margin / ([\d.]+),", WHOLE.twins.scale),
     ("labelling", r"nu = `tail_freedom` = (\d)", FRAME.tail_freedom),
     ("labelling", r"by the log odds margin / ([\d.]+) over the best one", WHOLE.twins.exchange_scale),
-    ("labelling", r"near by their scores \((\d+) at most\)", WHOLE.twins.exchange_gap),
     ("labelling", r"with its twins in (\w+) of its sampled frames", WHOLE.twins.frames),
     ("labelling", r"The search stops at (200 000) feature evaluations", FRAME.max_evaluations),
     ("recordings", r"Every ([\d.]+) s, and at least once in every tracklet", WHOLE.frame_interval),

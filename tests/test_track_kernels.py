@@ -18,7 +18,7 @@ from asterism.labelling.whole import assignment
 from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
 from asterism.labelling.whole._residual_kernels import ResidualLimits, prediction_residuals, residual_deviations
 from asterism.labelling.whole._short_kernels import Expected, ShortLabels, ShortLimits, label_short, take_best_pairs
-from asterism.labelling.whole._twin_kernels import TwinScores, near_exchanges, score_permutations, score_twins
+from asterism.labelling.whole._twin_kernels import TwinScores, score_exchanges, score_twins
 from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.short import ShortTrackletRules, expect_by_motion, marker_shares
 from asterism.recording.verdict import FITS, OTHER_BODY, Verdict
@@ -95,41 +95,41 @@ def test_twins_of_labelled_frames(seed: int, gap: float) -> None:
     offsets = np.concatenate([[0], np.cumsum([len(points) for points in frames])])
     out = TwinScores(np.empty((3 + LAID + 1, 4)), np.empty((3 + LAID + 1, 4, MARKERS), dtype=np.int64))
     xyz, track = np.concatenate(frames), np.concatenate(tracks)
-    score_twins(xyz, offsets, track, label, table, model.arrays(), SETTINGS, gap, 10.0, out)
+    done = np.zeros(3 + LAID, dtype=bool)
+    score_twins(xyz, offsets, track, label, table, model.arrays(), SETTINGS, gap, 10.0, len(done), done, out)
     scores, rows = twins.score_twins(model, frames, tracks, label, table, SETTINGS, gap, 10.0)
     np.testing.assert_allclose(out.scores, scores, rtol=1e-6, atol=1e-5)
     np.testing.assert_array_equal(out.point_of, rows)
+    assert done.all()
+    # one frame, one refinement at a time: nearest first, and all together the same
+    done[:], last, found = False, slice(offsets[-2], offsets[-1]), np.full(3 + LAID, np.nan)
+    alone = TwinScores(np.empty((3 + LAID + 1, 1)), np.empty((3 + LAID + 1, 1, MARKERS), dtype=np.int64))
+    for _ in range(len(done) + 1):
+        before = done.copy()
+        ends = np.array([0, len(xyz[last])])
+        score_twins(xyz[last], ends, track[last], label, table, model.arrays(), SETTINGS, gap, 10.0, 1, done, alone)
+        seen = ~np.isnan(alone.scores[:-1, 0])
+        assert not (seen & before).any()
+        assert done[before | seen].all()
+        found[seen] = alone.scores[:-1, 0][seen]
+        np.testing.assert_array_equal(alone.point_of[:-1, 0][seen], rows[:-1, -1][seen])
+        if done.all():
+            break
+    assert done.all()
+    np.testing.assert_allclose(found, scores[:-1, -1], rtol=1e-6, atol=1e-5)
 
 
 @given(seeds)
 @races
-def test_which_exchanges_of_labels_are_near(seed: int) -> None:
+def test_what_scores_say_of_exchanges(seed: int) -> None:
     rng = np.random.default_rng(seed)
     model = random_body(rng)
     frames, tracks, label = labelled_frames(rng, model)
     offsets = np.concatenate([[0], np.cumsum([len(points) for points in frames])])
-    apart, near, both, shown = (np.empty((MARKERS, MARKERS), dtype=kind) for kind in (float, float, np.int64, np.int64))
-    xyz, track = np.concatenate(frames), np.concatenate(tracks)
-    near_exchanges(xyz, offsets, track, label, model.arrays(), SETTINGS, apart, near, both, shown)
-    for found, expected in zip((apart, near, both, shown), twins.near_exchanges(model, frames, tracks, label, SETTINGS), strict=True):
+    apart, both, shown = (np.empty((MARKERS, MARKERS), dtype=kind) for kind in (float, np.int64, np.int64))
+    score_exchanges(np.concatenate(frames), offsets, np.concatenate(tracks), label, model.arrays(), SETTINGS, apart, both, shown)
+    for found, expected in zip((apart, both, shown), twins.score_exchanges(model, frames, tracks, label, SETTINGS), strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-5)
-
-
-@given(seeds, st.booleans())
-@races
-def test_permutations_of_labelled_frames(seed: int, every_pose: bool) -> None:
-    """An exchange, a third of a turn, and no change at all."""
-    rng = np.random.default_rng(seed)
-    model = random_body(rng)
-    frames, tracks, label = labelled_frames(rng, model)
-    table = np.arange(MARKERS) + np.zeros((3, 1), dtype=np.int64)
-    table[0, :2], table[1, :3] = [1, 0], [1, 2, 0]
-    offsets = np.concatenate([[0], np.cumsum([len(points) for points in frames])])
-    out = np.empty((3, 4))
-    score_permutations(np.concatenate(frames), offsets, np.concatenate(tracks), label, table, every_pose, model.arrays(), SETTINGS, out)
-    expected = twins.score_permutations(model, frames, tracks, label, table, every_pose, SETTINGS)
-    np.testing.assert_allclose(out, expected, rtol=1e-6, atol=1e-5)
-    assert np.isnan(out[2]).all()
 
 
 @given(seeds)

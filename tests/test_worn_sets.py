@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,10 +15,15 @@ import pytest
 import asterism
 from asterism import AsterismError
 from asterism.cli import main
-from asterism.recording import MarkerSet, Recording
-from asterism.session import LabellingOptions, SetFinder, label_file
+from asterism.files.cache import cache_folder
+from asterism.labelling import virtual_model
+from asterism.recording import Disagreement, MarkerSet, Recording
+from asterism.session import LabellingOptions, LiveLabeller, SetFinder, label_file
 from asterism.session.labeller import findings_on_sets
+from asterism.session.mirror import exchanged_sides
 from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules
+from asterism.session.worn.find import Certainty, SetEvidence
+from asterism.session.worn.fit import FrameFit
 from asterism.simulation import simulate_walks
 from asterism.skeleton import virtual_people
 
@@ -60,6 +67,60 @@ def test_points_left_over_make_a_set_less_sure() -> None:
     assert worn.probability <= worn.shown / worn.points < 0.95
     codes = {finding.code for finding in findings_on_sets(Path("walk.c3d"), [worn], FindRules())}
     assert "label-set-unsure" in codes
+
+
+def test_ghosts_say_nothing_of_the_set() -> None:
+    """Points that come and go beside a body: the set, its probability and the findings are those of the body alone."""
+    walk = simulate_walks(1, frames=120, markers="helen-hayes", seed=8)[0]
+    rng = np.random.default_rng(1)
+    ghosts = np.full((120, 6, 3), np.nan)
+    for number, begin in enumerate(range(0, 120, 20)):
+        ghosts[begin : begin + 20, number] = walk.positions[begin : begin + 20, number] + rng.uniform(0.05, 0.15, 3)
+    beside = replace(
+        walk, positions=np.concatenate([walk.positions, ghosts], axis=1), labels=(*walk.labels, *(f"ghost {number}" for number in range(6)))
+    )
+    alone, among = found(anonymous(walk)), found(anonymous(beside))
+    assert among.to_dict() == alone.to_dict()
+    assert not findings_on_sets(Path("walk.c3d"), [among], FindRules())
+
+
+def test_names_that_sets_share_are_sure_where_the_set_is_not() -> None:
+    """Plug-in Gait without the markers of its arms is another set, too; both call all points alike, so that nothing need be said."""
+    whole = person("plug-in-gait")
+    legs = MarkerSet.load("plug-in-gait-lower")
+    keep = [place for place, name in enumerate(whole.labels) if name in MarkerSet.load("vicon-35").names]
+    assert len(keep) > len(legs) and len(keep) < len(whole.labels)
+    worn = found(anonymous(whole, keep))
+    likely = [worn.name, *(name for name, chance in worn.others if chance > 0.01)]
+    assert set(likely) <= {"plug-in-gait", "vicon-35"}
+    assert worn.same_names > worn.probability - 1e-9
+    assert all(MarkerSet.load(name).name_of(whole.labels[place]) is not None for name in likely for place in keep)
+
+
+def frame_fit(*given: list[int], nats: tuple[float, float] = (40.0, 30.0)) -> FrameFit:
+    """Two sets of six markers, and the markers that points have by each of them."""
+    return FrameFit(np.array(nats), np.array(given), np.array([6, 6]), thing=0.0)
+
+
+def test_what_is_left_over_makes_a_shipped_set_less_probable() -> None:
+    """A marker that is seen in one frame of two is not missing; one that is never seen is, and a point without a marker is left over."""
+    every, without, extra = [0, 1, 2, 3, 4, 5], [0, 1, 2, 3, 4, -1], [0, 1, 2, 3, 4, 5, -1]
+    up, rules = np.array([0.0, 0.0, 1.0]), Certainty()
+
+    def chances(*fits: FrameFit) -> tuple[float, float]:
+        sets, worn = SetEvidence(fits, up).chances(rules)
+        return float(np.exp(sets[0])), worn
+
+    whole = chances(frame_fit(every, every))
+    assert whole[0] == pytest.approx(1.0 / (1.0 + np.exp(-10.0 / rules.nats)))
+    # of four frames the better two count
+    seen_once = [frame_fit(without, every), frame_fit([5, *every[:5]], every)] * 2
+    assert chances(*seen_once)[0] == pytest.approx(whole[0])
+    never_seen, left_over = chances(frame_fit(without, every)), chances(frame_fit(extra, extra))
+    assert never_seen[0] == pytest.approx(1.0 / (1.0 + np.exp(-(10.0 + rules.some) / rules.nats)))
+    assert never_seen[1] < whole[1] and left_over[1] < whole[1] and left_over[0] == pytest.approx(whole[0])
+    # no better than a box of points, and it is rather nothing
+    assert chances(frame_fit(every, every, nats=(0.0, -10.0)))[1] < 0.5
 
 
 def test_the_room_does_not_matter() -> None:
@@ -170,3 +231,233 @@ def test_a_single_file_that_should_not_be_used_says_so(tmp_path: Path, capsys: p
     assert status == 1
     assert "do not use" in out
     assert "[label-do-not-use]" in err or "[label-nothing]" in err
+
+
+def run(*words: str | Path) -> int:
+    return main([str(word) for word in words])
+
+
+@pytest.fixture
+def legs(tmp_path: Path) -> Path:
+    """A walk with points without names."""
+    asterism.write(tmp_path / "walk, anonymous.c3d", anonymous(simulate_walks(1, frames=60, seed=5)[0]))
+    return tmp_path / "walk, anonymous.c3d"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "near"),
+    [
+        ("helenhays", "helen-hayes"),
+        ("PiG", "plug-in-gait"),
+        ("vicon39", "vicon-35, vicon-53"),
+        ("rizoli", "rizzoli-foot"),
+        ("qq", "cast, "),
+    ],
+)
+def test_a_wrong_name_of_a_set_tells_the_nearest(wrong: str, near: str, legs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("label", legs, "-o", legs.parent / "out", "--markers", wrong) == 2
+    said = capsys.readouterr().err
+    assert repr(wrong) in said and near in said
+    # all names only where none is like it
+    assert ("sprint-51" in said) == (wrong == "qq")
+
+
+def test_markers_can_be_listed(legs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Names with commas are a set without aliases: the labels are those of the shipped set of these names."""
+    names = MarkerSet.load("helen-hayes").names
+    files = [legs.parent / of / legs.name for of in ("listed", "shipped")]
+    for file, markers in zip(files, (", ".join(names), "helen-hayes"), strict=True):
+        assert run("label", legs, "-o", file.parent, "--markers", markers) == 0
+    said = capsys.readouterr()
+    assert "list of 15 names" in said.out, said.err
+    listed, shipped = (asterism.read(file, markers=names) for file in files)
+    np.testing.assert_array_equal(listed.positions, shipped.positions)
+    assert run("evaluate", files[0], "--markers", ",".join(names), "--occlusions", "0") == 0
+    assert run("label", legs, "-o", legs.parent / "out", "--markers", "LASI,RASI,SACR,HAT") == 2
+    assert "does not say where HAT sits" in capsys.readouterr().err
+    assert run("label", legs, "-o", legs.parent / "out", "--markers", "mine, with places.toml") == 2
+    assert "nor a TOML file that exists" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("place", ["file/out", "file/deep/out", "/proc/out", "/proc"])
+def test_a_folder_that_cannot_be_written_is_told_first(place: str, legs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Before the labelling, with its name; and nothing is made."""
+    if place.startswith("/proc") and not Path("/proc").is_dir():
+        pytest.skip("this system has no folder that even its owner cannot write")
+    (legs.parent / "file").write_text("")
+    output = legs.parent / place
+    assert run("label", legs, "-o", output) == 2
+    said = capsys.readouterr().err
+    assert str(output) in said and "name another with -o" in said and "%" not in said
+    assert sorted(path.name for path in legs.parent.iterdir()) == ["file", legs.name]
+
+
+@pytest.mark.parametrize("frames", [1, 2, 5])
+def test_a_few_frames_are_labelled_by_posture(frames: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The labels are right and none is called sure; where nothing moves, a note says why."""
+    truth = simulate_walks(1, frames=60, seed=5)[0].frames(slice(20, 20 + frames))
+    asterism.write(tmp_path / "short.c3d", anonymous(truth))
+    run("label", tmp_path / "short.c3d", "-o", tmp_path / "out")
+    said = capsys.readouterr()
+    assert f"{frames} frame{'s' if frames > 1 else ''}, 0.00 % labelled" in said.out
+    assert ("[label-few-frames]" in said.err) == (frames < 5)
+    labelled = asterism.read(tmp_path / "out" / "short.c3d", markers=truth.labels)
+    assert np.abs(labelled.positions - truth.positions).max() < 1e-3
+
+
+def in_a_corner(recording: Recording, axes: list[int]) -> Recording:
+    """A recording that says that z is up, in a room that begins nowhere at zero, so that only the body tells."""
+    moved = recording.positions - np.nanmin(recording.positions, axis=(0, 1)) + 0.5
+    return Recording(moved[:, :, axes], recording.labels, recording.rate, "z")
+
+
+@pytest.mark.parametrize("door", ["points", "given", "names", "trained"])
+def test_a_wrong_vertical_is_noticed(door: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Labels are those of the file that says what is up; the finding tells what was taken. Who says what is up is believed."""
+    # legs alone, and whole bodies for longer, are labelled as well lying, so that the vertical of the file stays where the set is known
+    markers, frames = ("optitrack-rizzoli-lower", 20) if door == "points" else ("plug-in-gait", 5)
+    truth = person(markers).frames(slice(0, frames))
+    file, straight = (tmp_path / name for name in ("wrong.c3d", "right.c3d"))
+    shown = truth if door == "names" else anonymous(truth)
+    asterism.write(file, in_a_corner(shown, [1, 2, 0]))
+    asterism.write(straight, in_a_corner(shown, [0, 1, 2]))
+    assert asterism.read(file).vertical[2] == 1.0, "the reader itself sees it, so that this tests nothing"
+    words = ["--markers", markers] if door == "given" else []
+    if door == "trained":
+        virtual_model(markers).save(tmp_path / "mine.model")
+        words = ["--model", str(tmp_path / "mine.model")]
+    for path in (file, straight):
+        run("label", path, "-o", tmp_path / "out", "--overwrite", *words)
+        said = capsys.readouterr().err
+        assert ("Say it with --vertical y" in said and "[label-vertical]" in said) == (path is file), said
+    wrong, right = (asterism.read(tmp_path / "out" / path.name, markers=markers).visible for path in (file, straight))
+    np.testing.assert_array_equal(wrong, right)
+    if door == "given":
+        run("label", file, "-o", tmp_path / "out", "--overwrite", "--vertical", "z", *words)
+        assert "[label-vertical]" not in capsys.readouterr().err
+
+
+def test_learn_needs_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It starts from the virtual people by whom `label` labels, who wear the set of the files' names, or the one given."""
+    walk = simulate_walks(1, frames=40, seed=5)[0]
+    asterism.write(tmp_path / "walk.c3d", walk)
+    asterism.write(tmp_path / "bare.c3d", anonymous(walk))
+    found = tmp_path / "found.model"
+    assert run("learn", tmp_path / "walk.c3d", "-o", found) == 0
+    assert "virtual people who wear helen-hayes; learned 1 recording" in capsys.readouterr().out
+    learned = asterism.MarkerModel.load(found)
+    assert learned.about["virtual_people"] == 80 and learned.about["recordings"] == 1
+    capsys.readouterr()
+    # a model has a set; names must be there to be learned; and a model alone teaches nothing
+    for words, why in (
+        ([found, tmp_path / "walk.c3d", "--markers", "cmu"], "has its own marker set"),
+        ([tmp_path / "bare.c3d", "--markers", "helen-hayes"], "no marker of"),
+        ([found], "nothing to learn from"),
+        ([tmp_path / "walk.c3d", "--markers", "helen-haze"], "helen-hayes"),
+    ):
+        assert run("learn", *words, "-o", tmp_path / "other.model") == 2
+        assert why in capsys.readouterr().err
+    assert not (tmp_path / "other.model").exists()
+
+
+def test_a_live_stream_needs_no_model() -> None:
+    """The set is found in the first second in which somebody is there; then the labels are those of a stream of its model."""
+    walk = simulate_walks(1, frames=90, rate=50.0, seed=5)[0]
+    mixed = np.random.default_rng(1).permutation(15)
+    live, delay, nobody = LiveLabeller(50.0, 5), 5, 50
+    stream = virtual_model("helen-hayes").stream(50.0, delay)
+    assert {live.push(np.zeros((0, 3))) for _ in range(nobody)} == {None}
+    assert live.worn is None and "no frame with 8 points" in live.refusal
+    found = [live.push(points[mixed]) for points in walk.positions]
+    wanted = [stream.push(points[mixed]) for points in walk.positions]
+    assert live.marker_set is not None and live.marker_set.names == MarkerSet.load("helen-hayes").names
+    labels = [each for each in (*found, *live.flush()) if each is not None]
+    # the last push of that second gives the first labels
+    assert [each.frame for each in labels] == list(range(nobody + 49 - delay, nobody + 90))
+    same = [each for each in (*wanted, *stream.flush()) if each is not None and each.frame >= 49 - delay]
+    for one, other in zip(labels, same, strict=True):
+        np.testing.assert_array_equal(one.indices, other.indices)
+        assert one.frame == nobody + other.frame
+    for each in labels:
+        names = [walk.labels[mixed[point]] for point in each.indices if point >= 0]
+        assert names == [name for name, point in zip(live.marker_set.names, each.indices, strict=True) if point >= 0]
+        assert len(names) >= 12
+
+
+def test_a_live_stream_of_a_given_set_begins_at_once() -> None:
+    walk = simulate_walks(1, frames=3, rate=50.0, seed=5)[0]
+    labels = LiveLabeller(50.0, markers="helen-hayes").push(walk.positions[0])
+    assert labels is not None and labels.frame == 0
+    with pytest.raises(AsterismError, match="positive"):
+        LiveLabeller(0.0)
+    with pytest.raises(AsterismError, match="delay"):
+        LiveLabeller(50.0, -1)
+    with pytest.raises(AsterismError, match="helen-hayes"):
+        LiveLabeller(50.0, markers="hh")
+
+
+def test_name_suggests_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The lines that it writes are those that it reads; a marker in two pieces has one name."""
+    walk = simulate_walks(1, frames=80, seed=5)[0]
+    pieces = np.concatenate([walk.positions, walk.positions], axis=1)
+    pieces[40:, :15], pieces[:40, 15:] = np.nan, np.nan
+    asterism.write(tmp_path / "cut.c3d", anonymous(replace(walk, positions=pieces, labels=(*walk.labels,) * 2)))
+    names, named = tmp_path / "names.csv", tmp_path / "named.c3d"
+    assert run("name", tmp_path / "cut.c3d", "--suggest", names) == 0
+    assert "Suggested by virtual people who wear helen-hayes" in capsys.readouterr().out
+    assert run("name", tmp_path / "cut.c3d", "--names", names, "-o", named) == 0
+    written = asterism.read(named, markers=walk.labels)
+    assert written.visible.mean() > 0.95
+    assert np.nanmax(np.abs(written.positions - walk.positions)) < 1e-3
+    assert run("name", tmp_path / "cut.c3d", "--names", names, "--suggest", tmp_path / "more.csv", "-o", tmp_path / "n.c3d") == 2
+    assert "give one of them" in capsys.readouterr().err
+
+
+def test_warm_up_makes_what_the_first_label_needs(
+    legs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """After it, labelling makes no model and no shapes; a set that cannot be used is told."""
+    # what sets are found by is as long in the making as all else together, and is made as it is anywhere
+    SetFinder().of(legs, asterism.read(legs))
+    shutil.copytree(cache_folder() / "models", tmp_path / "cache" / "models", ignore=shutil.ignore_patterns("*.model"))
+    monkeypatch.setenv("ASTERISM_CACHE", str(tmp_path / "cache"))
+    assert run("warm-up", "--markers", "hh") == 2
+    assert "helen-hayes" in capsys.readouterr().err
+    assert run("warm-up", "--markers", "LASI,RASI,SACR,LKNE,RKNE") == 0
+    assert "for LASI,RASI,SACR,LKNE,RKNE; helen-hayes." in capsys.readouterr().out
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*") if path.is_file()}
+    assert sum(path.suffix == ".model" for path in kept) == 2
+    run("label", legs, "-o", tmp_path / "out", "--markers", "helen-hayes")
+    run("label", legs, "-o", tmp_path / "listed", "--markers", "LASI,RASI,SACR,LKNE,RKNE")
+    assert kept == {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_names_of_a_mirror_image_are_told(mirrored: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Legs alone are as well a mirror image; the names of all pairs are then exchanged, which is no note any more."""
+    walk = simulate_walks(1, frames=60, seed=5)[0]
+    seen = replace(walk, positions=walk.positions * np.array([1.0, -1.0 if mirrored else 1.0, 1.0]))
+    asterism.write(tmp_path / "walk.c3d", seen)
+    assert run("label", tmp_path / "walk.c3d", "-o", tmp_path / "out") == int(mirrored)
+    assert ("[label-mirrored]" in capsys.readouterr().err) == mirrored
+
+
+def test_a_few_exchanged_names_are_no_mirror_image() -> None:
+    marker_set = MarkerSet.load("helen-hayes")
+    other = {name: twin for pair in marker_set.pairs for name, twin in (pair, pair[::-1])}
+    all_sides = [Disagreement(name, twin, 0, 9, 10) for name, twin in other.items()]
+    assert [finding.code for finding in exchanged_sides("walk.c3d", marker_set, all_sides)] == ["label-mirrored"]
+    assert exchanged_sides("walk.c3d", marker_set, all_sides[:4]) == []
+    assert exchanged_sides("walk.c3d", marker_set, [replace(each, given=None) for each in all_sides]) == []
+
+
+@pytest.mark.skipif("ASTERISM_DATA" not in os.environ, reason="needs the recordings that ASTERISM_DATA names")
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_marker_of_one_side_tells_a_mirror_image(mirrored: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The marker on the right shoulder blade of a real walk lies where none is worn."""
+    walk = asterism.read(Path(os.environ["ASTERISM_DATA"]) / "movement/cmu41/02_01_walk.c3d", markers="cmu").frames(slice(100, 160))
+    seen = replace(walk, positions=walk.positions * np.array([1.0, -1.0 if mirrored else 1.0, 1.0]))
+    asterism.write(tmp_path / "walk.c3d", anonymous(seen))
+    run("label", tmp_path / "walk.c3d", "-o", tmp_path / "out", "--markers", "cmu")
+    said = capsys.readouterr().err
+    assert ("RBAC fits on the other side only" in said) == mirrored, said

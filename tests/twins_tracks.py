@@ -315,44 +315,24 @@ def rows_of(label, track, markers):
     return rows
 
 
-def near_exchanges(model, frames, tracks, label, settings):
-    """By how much the scores prefer the labels to each exchange, plainly and with held points let go, and how often it is seen: (M, M)."""
+def score_exchanges(model, frames, tracks, label, settings):
+    """By how much the scores prefer the labels to each exchange, and how often both markers, and the first one, are seen: (M, M)."""
     markers = len(model.mean[0])
-    apart, near, both, shown = (np.zeros((markers, markers)) for _ in range(4))
+    apart, both, shown = (np.zeros((markers, markers)) for _ in range(3))
     none = np.zeros(markers, dtype=bool)
     for points, track in zip(frames, tracks, strict=True):
         rows, own = rows_of(label, track, markers), twins_body.crowded(settings, len(points), markers)
         if (rows >= 0).sum() < 3:
             continue
         k = twins_body.best_pose(model, points, rows, none, own)
-        _, scores, outlier = twins_body.rescore(model, k, points, rows, none, own)
-        held = twins_body.score_held_points(model, k, points, rows, outlier, scores, own._replace(exact_margin=np.inf))
+        _, scores, _ = twins_body.rescore(model, k, points, rows, none, own)
         for a, b in product(np.nonzero(rows >= 0)[0], range(markers)):
             if a == b:
                 continue
             shown[a, b] += 1
             both[a, b] += rows[b] >= 0
             with np.errstate(invalid="ignore"):
-                for sums, table in ((apart, scores), (near, held)):
-                    sums[a, b] += table[a, rows[a]] - table[b, rows[a]]
-                    if rows[b] >= 0:
-                        sums[a, b] += table[b, rows[b]] - table[a, rows[b]]
-    return apart, near, both, shown
-
-
-def score_permutations(model, frames, tracks, label, table, every_pose, settings):
-    """Nats (W, E) by which the labels are ahead of each permutation of `table` (W, M)."""
-    markers, out = len(model.mean[0]), np.full((len(table), len(frames)), np.nan)
-    none = np.zeros(markers, dtype=bool)
-    for t, (points, track) in enumerate(zip(frames, tracks, strict=True)):
-        rows, own = rows_of(label, track, markers), twins_body.crowded(settings, len(points), markers)
-        if (rows >= 0).sum() < 3:
-            continue
-        k = twins_body.best_pose(model, points, rows, none, own)
-        top = twins_body.evidence(model, k, points, rows, none, own)
-        for w, permutation in enumerate(table):
-            trial = rows[permutation]
-            if (trial != rows).any():
-                pose = twins_body.best_pose(model, points, trial, none, own) if every_pose else k
-                out[w, t] = top - twins_body.evidence(model, pose, points, trial, none, own)
-    return out
+                apart[a, b] += scores[a, rows[a]] - scores[b, rows[a]]
+                if rows[b] >= 0:
+                    apart[a, b] += scores[b, rows[b]] - scores[a, rows[b]]
+    return apart, both, shown

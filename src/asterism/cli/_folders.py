@@ -70,10 +70,28 @@ def recordings_of(given: Sequence[Path], batch: _console.Batch) -> list[Path]:
 
 
 def outputs_of(found: Sequence[Trial], folder: Path) -> list[Path]:
-    """Where the outputs of the recordings go, below `folder`. Raises AsterismError where it is a file."""
+    """Where the outputs of the recordings go, below `folder`. Raises AsterismError where it cannot be a folder, or not be written to."""
+    check_folder(folder)
+    return [folder / trial.place for trial in found]
+
+
+def check_folder(folder: Path) -> None:
+    """Raise AsterismError where a folder for outputs is a file, or cannot be made or written to. Nothing is made."""
+    from tempfile import TemporaryFile
+
     if folder.exists() and not folder.is_dir():
         raise AsterismError(f"{folder} is a file; -o takes the folder for the outputs.")
-    return [folder / trial.place for trial in found]
+    # what is not there yet is made below the innermost folder that is
+    above = next((one for one in (folder, *folder.absolute().parents) if os.path.lexists(one)), folder)
+    try:
+        # asking for permissions says less than trying
+        with TemporaryFile(dir=above):
+            pass
+    except OSError as problem:
+        where = "" if above == folder else f", because nothing can be written to {above}"
+        raise AsterismError(
+            f"the folder {folder} cannot be used for the outputs{where} ({(problem.strerror or 'it fails').lower()}); name another with -o."
+        ) from None
 
 
 def check_output(path: Path, target: Path, overwrite: bool) -> None:

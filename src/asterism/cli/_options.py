@@ -64,7 +64,8 @@ WornSets = Annotated[
     typer.Option(
         "--markers",
         metavar="SET",
-        help="Without a model, the set worn: a shipped one such as plug-in-gait, or a TOML file; once for each body. Else it is found.",
+        help="Without a model, the set worn: a shipped one such as plug-in-gait, a TOML file, or names with commas; once for each body. "
+        "Else it is found.",
         show_default=False,
     ),
 ]
@@ -166,8 +167,8 @@ HitRate = Annotated[
 
 def marker_names(given: str | None) -> str | list[str] | None:
     """What --markers means to `asterism.read`: a set's name or path, or a list of names."""
-    # a file may have a comma in its name
-    if given is None or "," not in given or Path(given).is_file():
+    # a file may have a comma in its name, also one that is missing
+    if given is None or "," not in given or Path(given).is_file() or given.casefold().endswith(".toml"):
         return given
     return [name.strip() for name in given.split(",") if name.strip()]
 

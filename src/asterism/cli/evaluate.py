@@ -25,6 +25,7 @@ from asterism.cli._options import (
     Seed,
     Vertical,
     check_hit_rate,
+    marker_names,
     numbers,
 )
 from asterism.errors import AsterismError
@@ -161,7 +162,7 @@ def _model(options: EvaluateOptions) -> MarkerModel:
         return labelling.MarkerModel.load(options.model)
     assert options.markers is not None
     with _console.progress("making a model of virtual people") as progress:
-        return labelling.virtual_model(options.markers, progress=progress)
+        return labelling.virtual_model(marker_names(options.markers) or (), progress=progress)
 
 
 def _print(evaluation: Evaluation) -> None:

@@ -11,7 +11,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
-from asterism.cli._folders import Trial, check_output, trials
+from asterism.cli._folders import Trial, check_folder, check_output, trials
 from asterism.cli._labelling import check_labelling, file_labeller, file_names, model_json, model_text
 from asterism.cli._options import (
     DropComputed,
@@ -33,7 +33,6 @@ from asterism.cli._options import (
     Workers,
     WornSets,
 )
-from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.findings import Finding
@@ -254,8 +253,7 @@ class _Run:
 def _check(options: LabelOptions) -> None:
     """Raise AsterismError where options contradict each other, or an output cannot be made."""
     check_labelling(options, options.rules)
-    if options.output.exists() and not options.output.is_dir():
-        raise AsterismError(f"{options.output} is a file; -o takes the folder for the labelled files.")
+    check_folder(options.output)
     _console.check_new(options.report, options.overwrite)
     _console.check_new(options.json, options.overwrite)
 
@@ -323,6 +321,7 @@ def _doubtful(path: Path, error: float) -> Finding:
 
 def _line(row: dict[str, Any]) -> str:
     from asterism.cli._recordings import shares_text
+    from asterism.recording.display import counted
 
     if row.get("finished_before"):
         return f"{row['file']}: labelled by an earlier run{', changed since' if row.get('changed') else ''}; {row['output']} stays"
@@ -330,7 +329,7 @@ def _line(row: dict[str, Any]) -> str:
     by += f"; {row['worn']}, a model of virtual people" if row["worn"] else ""
     # a single file has no table that would say so
     by += f"; {row['use']}" if row["readiness"] == "do-not-use" else ""
-    return f"{row['file']}: {row['frames']:,} frames, {shares_text(row)}, {_console.count(row['frames_per_second'])} frames/s{by}"
+    return f"{row['file']}: {counted(row['frames'], 'frame')}, {shares_text(row)}, {_console.count(row['frames_per_second'])} frames/s{by}"
 
 
 def _table(rows: Sequence[dict[str, Any]]) -> None:

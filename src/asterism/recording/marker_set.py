@@ -31,6 +31,7 @@ class MarkerSet:
     pairs     (left, right) names that mirror each other
     segments  segment name -> names of the markers on it
     places    marker name -> where it sits on the body, in the order of the names; empty where the set does not say
+    optional  names of markers that many laboratories leave out
 
     >>> legs = MarkerSet(("LKNE", "RKNE"), aliases={"LKNE": ("L.Knee",)}, pairs=(("LKNE", "RKNE"),))
     >>> legs.name_of("ann:l_knee"), legs.name_of("C7")
@@ -43,6 +44,7 @@ class MarkerSet:
     pairs: tuple[tuple[str, str], ...] = ()
     segments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     places: Mapping[str, Place] = field(default_factory=dict)
+    optional: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -60,10 +62,10 @@ class MarkerSet:
             twice = next(name for name in self.names if self.names.count(name) > 1)
             raise AsterismError(f"marker set {self.title or '(unnamed)'}: {twice} is listed twice; keep it once.")
         unlisted = {m for pair in self.pairs for m in pair} | {m for ms in self.segments.values() for m in ms}
-        unlisted = (unlisted | set(self.aliases) | set(self.places)) - set(self.names)
+        unlisted = (unlisted | set(self.aliases) | set(self.places) | set(self.optional)) - set(self.names)
         if unlisted:
             raise AsterismError(
-                f"marker set {self.title or '(unnamed)'}: {sorted(unlisted)[0]} is named in aliases, pairs, segments or places "
+                f"marker set {self.title or '(unnamed)'}: {sorted(unlisted)[0]} is named in aliases, pairs, segments, places or optional "
                 "but not among the markers; add it there or drop it here."
             )
 
@@ -113,7 +115,8 @@ class MarkerSet:
         """
         from asterism.recording._marker_set_file import text_of
 
-        return text_of(self.title, self.names, self.pairs, {"aliases": self.aliases, "segments": self.segments}, self.places)
+        lists = {"aliases": self.aliases, "segments": self.segments}
+        return text_of(self.title, self.names, self.pairs, lists, self.places, self.optional)
 
     @classmethod
     def load(cls, source: str | Path | MarkerSet | Sequence[str]) -> MarkerSet:
@@ -128,16 +131,15 @@ class MarkerSet:
             return source
         # A list of names is a set without aliases.
         if not isinstance(source, str | Path):
-            return cls(tuple(source), title="given names")
+            names = tuple(source)
+            return cls(names, title=f"list of {len(names)} names")
         # Shipped names come before files: a file of that name in the folder must not shadow them.
         if isinstance(source, str) and source in shipped_marker_sets():
             text = resources.files("asterism").joinpath("marker_sets", f"{source}.toml").read_text(encoding="utf-8")
             return cls.from_toml(text, origin=source)
         path = Path(source)
         if not path.is_file():
-            raise AsterismError(
-                f"marker set {str(source)!r} is neither shipped ({', '.join(shipped_marker_sets())}) nor a TOML file that exists."
-            )
+            raise AsterismError(f"marker set {str(source)!r} is neither shipped nor a TOML file that exists; {_near(str(source))}.")
         from asterism.errors import guarded_reading
 
         with guarded_reading(path):
@@ -172,6 +174,24 @@ def shipped_marker_sets() -> tuple[str, ...]:
 def shipped_sets() -> Mapping[str, MarkerSet]:
     """The marker sets that come with Asterism, by name; each is read once in a process."""
     return {name: MarkerSet.load(name) for name in shipped_marker_sets()}
+
+
+def _near(name: str) -> str:
+    """The shipped sets whose names are like this one, in words; all of them where none is."""
+    from difflib import SequenceMatcher
+
+    wanted, shipped = canonical(Path(name).stem), shipped_marker_sets()
+
+    def likeness(one: str) -> float:
+        words = one.split("-")
+        # people write a part of a name, or its initials
+        spellings = (canonical(one), *words, "".join(word[0] for word in words))
+        return max(SequenceMatcher(None, wanted, spelling).ratio() for spelling in spellings)
+
+    # most letters in common and in order; with half of them each name is like every other, with nine of ten "rizoli" is like none
+    like = [one for one in shipped if likeness(one) > 0.7]
+    near = sorted(like, key=lambda one: (-likeness(one), one))[:5]
+    return f"shipped sets of such names are {', '.join(near)}" if near else f"the shipped ones are {', '.join(shipped)}"
 
 
 def canonical(label: str) -> str:

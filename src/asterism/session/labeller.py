@@ -15,21 +15,30 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.marker_model import OTHER_SUBJECT_FIT, MarkerModel
-from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller
+from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller, WiderModel
 from asterism.labelling.stretches import JoinedLabelling, label_in_stretches, stretches_of
 from asterism.labelling.virtual_model import virtual_model
 from asterism.labelling.whole.bodies import SeveralBodies
+from asterism.labelling.whole.verdict import MIN_FRAMES
 from asterism.progress import Progress
-from asterism.recording import Clouds, Disagreement, Labelling, MarkerSet
+from asterism.recording import Clouds, Disagreement, Floats, Labelling, MarkerSet, Recording
+from asterism.recording.display import counted
+from asterism.recording.verdict import OTHER_BODY
 from asterism.session.labelled import LabelledFile
+from asterism.session.mirror import mirror_findings
 from asterism.session.names import choose_name_policy, findings_on_names, join_disagreements, merge_file_names
 from asterism.session.options import LabellingOptions
 from asterism.session.sources import FrameSource, open_source
 from asterism.session.standing import StandingTrials
+from asterism.session.upright import labelled_upright, other_verticals, vertical_finding
+from asterism.session.wider import wider_model
 from asterism.session.worn import BY_POINTS, GIVEN, FindRules, SetFinder, WornMarkers
 
 _FRAMES_TO_FIND = 3000
@@ -75,6 +84,7 @@ class FileLabeller:
     files    of the run, among which standing trials are looked for
     names    what each body is called where two have markers of one name; by default 1, 2, ...
     findings on the models
+    wider    labels in place of the one model, see `wider_model`
     """
 
     models: Sequence[MarkerModel]
@@ -82,25 +92,27 @@ class FileLabeller:
     files: Sequence[Path] = ()
     names: Sequence[str] | None = None
     findings: Sequence[Finding] = ()
+    wider: WiderModel | None = None
     _narrowed: dict[Path, MarkerModel | AsterismError] = field(default_factory=dict)
     _compiled: bool = False
     _of_sets: dict[tuple[str, ...], FileLabeller] = field(default_factory=dict)
+    _of_wider_sets: dict[tuple[str, ...], FileLabeller] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.models and self.options.markers:
             raise AsterismError("a model has its own marker set; give either the model or the markers.")
-        self._finder = SetFinder(self.options.markers, self.files, self.options.vertical, virtual_model)
+        self._finder = SetFinder(self.options.markers, self.files, self.options.vertical)
         if not self.models:
             # a set that cannot be used is told before any file is read
             if self.options.markers:
-                self._of_worn([WornMarkers(str(one), MarkerSet.load(one), GIVEN) for one in self.options.markers], None)
+                self._of_worn(self._finder.given_sets(), None)
             return
         # only a model that labels by the body can be narrowed to one, and only where there is one
         # what votes by partial solvers has no body to narrow
         alone = len(self.models) == 1 and self.options.settings.method == "whole-body"
         find = alone and self.options.find_standing
         self._standing = StandingTrials(self.files, self.options.standing, find, self.options.vertical)
-        self._plain = RecordingLabeller(self.models, self.options.settings, self.names)
+        self._plain = RecordingLabeller(self.models, self.options.settings, self.names, self.wider)
         if len(self.options.standing) == 1:
             self._narrowed_by(self.options.standing[0])
 
@@ -136,9 +148,34 @@ class FileLabeller:
         path = Path(path)
         if not self.models:
             return self._label_worn(path, progress)
+        if self.options.vertical is not None:
+            return self._label_source(path, self._open(path, self.options.vertical), progress)
+        source = self._open(path, None)
+        some = slice(0, min(len(source.counts), _FRAMES_TO_FIND))
+        said, other = source.about.vertical, self._upright(source.clouds(some), source.frames(some))
+        labelled = self._label_source(path, source if other is None else self._open(path, other), progress)
+        # whatever points up, the body may be another: then all axes are tried before it is refused
+        if other is None and (labelled.verdict is not None and labelled.verdict.kind == OTHER_BODY):
+            other = self._upright(source.clouds(some), source.frames(some), every=True)
+            labelled = labelled if other is None else self._label_source(path, self._open(path, other), progress)
+        if other is None:
+            return labelled
+        return replace(labelled, findings=(vertical_finding(str(path), said, other), *labelled.findings))
+
+    def _open(self, path: Path, vertical: ArrayLike | str | None) -> FrameSource:
+        """The recording of a file. Raises AsterismError as `label` does."""
         # several bodies are told apart over the whole recording, and a page shows all points: both need it in memory
-        source = open_source(path, self.options, by_ranges=self._plain.can_divide and not self.options.in_memory)
+        by_ranges = self._plain.can_divide and not self.options.in_memory
+        source = open_source(path, replace(self.options, vertical=vertical), by_ranges=by_ranges)
         self._compile(source)
+        return source
+
+    def _upright(self, clouds: Clouds, recording: Recording, *, every: bool = False) -> Floats | None:
+        """What points up where that is clearly not what a recording says; None where it is. every: see `other_verticals`."""
+        return labelled_upright(self._plain, clouds, other_verticals(recording, every=every))
+
+    def _label_source(self, path: Path, source: FrameSource, progress: Progress | None) -> LabelledFile:
+        """Label the recording of a file. Raises AsterismError as `label` does."""
         person, findings = self._person(path), list(source.about.warnings)
         started = time.perf_counter()
         # the names of all columns decide at once, so that all stretches treat them alike
@@ -154,8 +191,10 @@ class FileLabeller:
         copy = found.source.finish(found.labelling, policy, self.options.by)
         seconds = time.perf_counter() - started
         findings += found.labelling.findings(str(path))
-        findings += _nothing_labelled(path, found.labelling)
-        findings += findings_on_names(path, source.about, found.against, policy)
+        findings += _nothing_labelled(path, found.labelling) or _few_frames(path, found.labelling)
+        some = slice(0, min(len(source.counts), _FRAMES_TO_FIND))
+        findings += mirror_findings(str(path), self._plain, found.labelling, source.clouds(some))
+        findings += findings_on_names(path, source.about, self._plain.marker_set, found.against, policy)
         return LabelledFile(
             path,
             found.labelling,
@@ -178,8 +217,32 @@ class FileLabeller:
         recording = source.frames(slice(0, min(len(source.counts), _FRAMES_TO_FIND)))
         worn = self._finder.of(path, recording if recording.clouds().counts.any() else source.about)
         bodies = [*worn, *(one.second for one in worn if one.second is not None)]
-        labelled = self._of_worn(bodies, progress).label(path, progress)
-        return replace(labelled, worn=tuple(bodies), findings=(*labelled.findings, *findings_on_sets(path, bodies, self._finder.rules)))
+        labeller, said, shown = self._of_worn(bodies, progress), recording.vertical, worn[0].vertical
+        # a person's standing trial narrows the model of the set itself
+        if len(bodies) == 1 and self.options.settings.in_time and not self.options.standing:
+            upright = recording if shown is None else replace(recording, vertical=shown)
+            wider = wider_model(labeller.models[0], upright.clouds(), progress=progress)
+            labeller = labeller if wider is None else self._of_wider(labeller, wider)
+        if shown is None:
+            labelled = labeller.label(path, progress)
+        else:
+            # with which vertical the points are a body was asked already
+            turned = not np.allclose(shown, said)
+            labelled = labeller._label_source(path, labeller._open(path, shown if turned else self.options.vertical), progress)
+            if turned:
+                labelled = replace(labelled, findings=(vertical_finding(str(path), said, shown), *labelled.findings))
+        findings = [*labelled.findings, *findings_on_sets(path, bodies, self._finder.rules)]
+        if labeller.wider is not None:
+            findings.append(_explained_by(path, labeller.wider.name, bodies[0].name))
+        return replace(labelled, worn=tuple(bodies), findings=tuple(findings))
+
+    def _of_wider(self, labeller: FileLabeller, wider: WiderModel) -> FileLabeller:
+        """What labels the files of a set whose points another model explains better, made once."""
+        key = (*labeller.models[0].marker_set.names, *wider.model.marker_set.names)
+        if key not in self._of_wider_sets:
+            options = replace(labeller.options, find_standing=False)
+            self._of_wider_sets[key] = FileLabeller(labeller.models, options, self.files, labeller.names, wider=wider)
+        return self._of_wider_sets[key]
 
     def _of_worn(self, worn: Sequence[WornMarkers], progress: Progress | None) -> FileLabeller:
         """What labels the files in which these sets are worn, made once."""
@@ -268,9 +331,11 @@ class FileLabeller:
             while len(self._narrowed) >= _NARROWED_KEPT:
                 self._narrowed.pop(next(iter(self._narrowed)))
             try:
-                self._narrowed[trial] = self.models[0].adapt(
-                    formats.read(trial, vertical=self.options.vertical), self.options.settings.subject
-                )
+                recording = formats.read(trial, vertical=self.options.vertical)
+                # a laboratory's files err alike
+                other = None if self.options.vertical is not None else self._upright(recording.clouds(), recording)
+                recording = recording if other is None else replace(recording, vertical=other)
+                self._narrowed[trial] = self.models[0].adapt(recording, self.options.settings.subject)
             except AsterismError as problem:
                 sentence = str(problem)
                 self._narrowed[trial] = AsterismError(sentence if trial.name in sentence else f"{trial}: {sentence}")
@@ -316,14 +381,22 @@ def body_names(models: Sequence[Path]) -> list[str]:
     return names if len(set(names)) == len(names) else [str(i + 1) for i in range(len(names))]
 
 
+def _explained_by(path: Path, wider: str, asked: str) -> Finding:
+    """That a set which nobody asked for has labelled."""
+    sentence = f"{path}: the points beside those of {asked} are like markers of {wider}; all were labelled so, and those of {asked} kept."
+    mend = f"Nothing need be done; give --markers {wider} to have all of them."
+    return Finding("label-wider-set", Severity.NOTE, str(path), sentence, mend)
+
+
 def findings_on_sets(path: Path, worn: Sequence[WornMarkers], rules: FindRules) -> list[Finding]:
     """What a person should know of the marker sets that were found: which may be another, and that there are several."""
     findings = []
     for one in worn:
-        if one.by == BY_POINTS and one.probability < rules.sure:
+        if one.by == BY_POINTS and one.same_names < rules.sure:
             rest = ", ".join(f"{name} ({100 * chance:.2g} %)" for name, chance in one.others if chance > _WORTH_TELLING)
             rest = rest or "a set that is not shipped"
-            sentence = f"{path}: the points may be those of {one.name} ({100 * one.probability:.2g} %) or of {rest}; {one.name} was taken."
+            sentence = f"{path}: the points may be those of {one.name} ({100 * one.probability:.2g} %) or of {rest}; {one.name} was taken,"
+            sentence += f" by which {100 * one.same_names:.2g} % of the names are expected to be right."
             if one.shown < one.points:
                 sentence += f" Its markers explain {one.shown} of {one.points} points."
             mend = "Name the set with --markers; recordings of one person in one folder are judged together."
@@ -342,6 +415,16 @@ def _nothing_labelled(path: Path, labelling: Labelling) -> list[Finding]:
         return []
     mend = "Check the marker set, the unit of length and the vertical; `asterism info` shows them."
     return [Finding("label-nothing", Severity.ERROR, str(path), f"{path}: no point got a label.", mend)]
+
+
+def _few_frames(path: Path, labelling: Labelling) -> list[Finding]:
+    """The finding that a file is too short for its movement to speak for the labels."""
+    frames = len(labelling.indices)
+    if frames >= MIN_FRAMES:
+        return []
+    sentence = f"{path}: {counted(frames, 'frame')} cannot show which distances stay while a body moves; the posture alone gave the labels."
+    mend = "Check them with `asterism review`, or give the whole recording: its other frames make them sure."
+    return [Finding("label-few-frames", Severity.NOTE, str(path), sentence, mend)]
 
 
 def _shows_subject(model: MarkerModel, clouds: Clouds, labelling: Labelling, rules: SubjectRules) -> bool | None:

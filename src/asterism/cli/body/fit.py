@@ -10,7 +10,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
-from asterism.cli._options import Json, Overwrite
+from asterism.cli._options import Json, Overwrite, marker_names
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def fit(options: BodyFitOptions) -> None:
     _console.check_outputs([output, options.json], [*options.standing, *options.moving], options.overwrite)
     wanted = None
     if options.markers is not None:
-        wanted = MarkerSet.load(options.markers.split(",") if "," in options.markers else options.markers)
+        wanted = MarkerSet.load(marker_names(options.markers) or ())
     # all markers of the files: the fit chooses by their usual names
     standing = [formats.read(path, markers=None, vertical=options.vertical) for path in options.standing]
     moving = [formats.read(path, markers=None, vertical=options.vertical) for path in options.moving]

@@ -11,7 +11,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
-from asterism.cli._options import Json, Overwrite
+from asterism.cli._options import Json, Overwrite, marker_names
 
 if TYPE_CHECKING:
     from asterism.recording import MarkerSet, Recording
@@ -96,10 +96,11 @@ def _wanted(options: BodyPlaceOptions, recordings: Sequence[Recording]) -> Marke
 
     if options.markers is None:
         marker_set = marker_set_of(recordings, title=options.output.stem)
-    elif "," in options.markers:
-        marker_set = replace(MarkerSet.load(options.markers.split(",")), title=options.output.stem)
     else:
-        marker_set = MarkerSet.load(options.markers)
+        names = marker_names(options.markers) or ()
+        marker_set = MarkerSet.load(names)
+        # names alone have no title
+        marker_set = marker_set if isinstance(names, str) else replace(marker_set, title=options.output.stem)
     given: dict[str, str] = {}
     for text in options.landmark:
         name, equals, landmark = text.partition("=")

@@ -22,6 +22,9 @@ from asterism.geometry import align_about_z
 from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.recording import Floats, Ints
 
+MOVES = 4
+"""Latent directions, the last ones, that are small moves of the whole body: three shifts, and a turn about the vertical."""
+
 
 @dataclass(frozen=True)
 class BodyRules:
@@ -29,7 +32,12 @@ class BodyRules:
 
     poses           key poses at most; fewer where there are not `frames_per_pose` frames for each
     frames_per_pose training frames that a key pose needs
-    latents         directions in which pose and person vary within a key pose
+    latents         directions in which pose and person vary within a key pose: one for each marker, but this many at most. Virtual people
+                    on seven sets of 39 to 73 markers, `movement`: with 16, 24, 32 and 48, 86, 89, 93 and 93 % of the labels are right, and
+                    61, 73, 83 and 85 % sure; with 24 and 48 some sure ones are wrong. A foot moves little, but all its markers together:
+                    what the directions leave out counts as each marker's own, so that near ones seem
+                    exchangeable
+    least_latents   and not fewer than this, with which 15 markers do as well as with all 45
     size_std        how much bodies differ in size beyond the people of the training set, as a share of the size
     placement_std   how far a marker sits from where the model expects it, beyond what was seen (m)
     few_std         the same beyond that, where one person was seen (m); falls with the number of people
@@ -42,7 +50,8 @@ class BodyRules:
 
     poses: int = 4
     frames_per_pose: int = 300
-    latents: int = 16
+    latents: int = 32
+    least_latents: int = 16
     size_std: float = 0.06
     placement_std: float = 0.012
     few_std: float = 0.06
@@ -202,8 +211,9 @@ def factors(mean: Floats, covariance: Floats, rules: BodyRules, *, near: bool = 
     near: find the main directions by a few power steps in O(M^2 r), for live labelling; what these miss goes to the second part.
     """
     markers = len(mean)
+    count = min(rules.latents, max(rules.least_latents, markers))
     if near:
-        start = np.unique(np.linspace(0, len(covariance) - 1, rules.latents).astype(np.int64))
+        start = np.unique(np.linspace(0, len(covariance) - 1, count).astype(np.int64))
         basis = np.linalg.qr(covariance[:, start])[0]
         for _ in range(4):
             basis = np.linalg.qr(covariance @ basis)[0]
@@ -211,13 +221,27 @@ def factors(mean: Floats, covariance: Floats, rules: BodyRules, *, near: bool = 
         vectors = basis @ vectors
     else:
         values, vectors = np.linalg.eigh(covariance)
-    main = vectors[:, ::-1][:, : rules.latents] * np.sqrt(np.maximum(values[::-1][: rules.latents], 0.0))
+    main = vectors[:, ::-1][:, :count] * np.sqrt(np.maximum(values[::-1][:count], 0.0))
     rest = covariance - main @ main.T
     noise = np.stack([rest[3 * m : 3 * m + 3, 3 * m : 3 * m + 3] for m in range(markers)])
-    moves = np.zeros((markers, 3, 4))
+    moves = np.zeros((markers, 3, MOVES))
     moves[:, :, :3] = rules.shift_std * np.eye(3)
     moves[:, 0, 3], moves[:, 1, 3] = -rules.turn_std * mean[:, 1], rules.turn_std * mean[:, 0]
     return np.concatenate([main.reshape(markers, 3, -1), moves], axis=2), noise
+
+
+def distance_variance(mean: Floats, covariance: Floats) -> Floats:
+    """How much the distance of each two markers varies in each key pose: (K, M, M) m2.
+
+    mean (K, M, 3) m; covariance (K, 3M, 3M) m2, of their places; as far as it is along the line between two.
+    """
+    poses, markers = mean.shape[:2]
+    blocks = covariance.reshape(poses, markers, 3, markers, 3).transpose(0, 1, 3, 2, 4)
+    own = blocks[:, np.arange(markers), np.arange(markers)]
+    of_difference = own[:, :, None] + own[:, None] - blocks - blocks.transpose(0, 2, 1, 3, 4)
+    away = mean[:, :, None] - mean[:, None]
+    along = away / np.maximum(np.linalg.norm(away, axis=3, keepdims=True), 1e-9)
+    return np.asarray(np.maximum(np.einsum("kija,kijab,kijb->kij", along, of_difference, along), 0.0))
 
 
 def subsample(people: Ints, per_person: int) -> Ints:

@@ -22,7 +22,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
 from asterism.geometry import align_about_z, fit_rigid
-from asterism.labelling.body.model import BodyModel
+from asterism.labelling.body.model import BodyModel, distance_variance
 from asterism.recording import NULL, Floats, Ints
 
 MAX_TWINS = 40
@@ -68,19 +68,12 @@ def twins_of(model: BodyModel, unit: float = 1.0) -> Ints:
     return _different(found, len(mean))
 
 
-def permutations_of(model: BodyModel) -> Ints:
-    """All permutations of three or four of each marker and the `BESIDE` whose distances to it are the steadiest, as `twins_of`: (W, M)."""
-    steady, table = _distance_std(model), dict[bytes, Ints]()
-    markers = len(steady)
+def neighbours_of(model: BodyModel) -> Ints:
+    """Each marker and the `BESIDE` whose distances to it are the steadiest, each group once: (G, BESIDE + 1), or all of fewer markers."""
+    steady = _distance_std(model)
     np.fill_diagonal(steady, -1.0)
     groups = {tuple(sorted(near[: BESIDE + 1])) for near in np.argsort(steady, axis=1, kind="stable").tolist()}
-    for group in sorted(groups):
-        for order in permutations(group):
-            if sum(one != other for one, other in zip(group, order, strict=True)) >= 3:
-                permutation = np.arange(markers)
-                permutation[list(group)] = order
-                table[permutation.tobytes()] = permutation
-    return np.array(list(table.values()), dtype=np.int64).reshape(-1, markers)
+    return np.array(sorted(groups), dtype=np.int64)
 
 
 def mirror_twin(mean: Floats) -> Ints:
@@ -121,20 +114,12 @@ def _mean_body(model: BodyModel) -> Floats:
 
 def _distance_std(model: BodyModel) -> Floats:
     """(M, M) m, how much the distance of each two markers varies as a person moves: in a key pose, and from one to the other."""
-    poses, markers = model.mean.shape[:2]
     weight = np.exp(model.log_weight) / np.exp(model.log_weight).sum()
-    distances, variance = np.empty((poses, markers, markers)), np.zeros((markers, markers))
-    for k, mean in enumerate(model.mean):
-        covariance = model.covariance(k) if model.within is None else model.within[k]
-        blocks = covariance.reshape(markers, 3, markers, 3).transpose(0, 2, 1, 3)
-        own = blocks[np.arange(markers), np.arange(markers)]
-        of_difference = own[:, None] + own[None] - blocks - blocks.transpose(1, 0, 2, 3)
-        away = mean[:, None] - mean[None]
-        distances[k] = np.linalg.norm(away, axis=2)
-        along = away / np.maximum(distances[k], 1e-9)[:, :, None]
-        variance += weight[k] * np.einsum("ija,ijab,ijb->ij", along, of_difference, along)
+    covariance = np.stack([model.covariance(k) for k in range(len(model.mean))]) if model.within is None else model.within
+    distances = np.linalg.norm(model.mean[:, :, None] - model.mean[:, None], axis=3)
+    variance = np.einsum("k,kij->ij", weight, distance_variance(model.mean, covariance))
     # what even the steadiest distance has is what was added for people and movements that the training lacks
-    variance -= variance[np.triu_indices(markers, 1)].min()
+    variance -= variance[np.triu_indices(len(variance), 1)].min()
     middle = np.einsum("k,kij->ij", weight, distances)
     return np.sqrt(np.maximum(variance + np.einsum("k,kij->ij", weight, (distances - middle) ** 2), 0.0))
 

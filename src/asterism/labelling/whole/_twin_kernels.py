@@ -12,7 +12,7 @@ import numpy as np
 from asterism._jit import kernel
 from asterism.labelling.body._frame_kernels import frame_settings
 from asterism.labelling.body._refine_kernels import refine_until_known
-from asterism.labelling.body._score_kernels import best_pose, evidence, rescore, score_held_points
+from asterism.labelling.body._score_kernels import best_pose, rescore
 from asterism.labelling.body._search_kernels import LAID, twin_at
 from asterism.labelling.body._workspace_kernels import copy_labels, count_labelled, make_body_workspace
 from asterism.labelling.whole._kernels import points_of_markers
@@ -39,23 +39,27 @@ def same_labels(one, other):
 
 
 @kernel
-def score_twins(xyz, offsets, track, label, twins, body, settings, gap, marker_gain, out):
+def score_twins(xyz, offsets, track, label, twins, body, settings, gap, marker_gain, most, done, out):
     """Label every frame as each twin of the body has it, complete and refine that, and score it; a twin far behind is only scored.
 
     Where two points or more are left over beside missing markers, the body is laid anew, too.
 
     IN  xyz (P, 3) m, z up; offsets (E + 1,); track (P,) tracklet of each point; label (J,) marker of each tracklet, -1 for none;
         twins (W, M), see `twins_of`; body BodyArrays; settings FrameSettings; gap nats by which a twin may be behind to be refined, each
-        marker without a point taken as marker_gain nats
-    OUT out TwinScores. O(E (W + V) K (M r^2 + r^3)), and one `refine` for each twin that comes near; memory for one frame.
+        marker without a point taken as marker_gain nats; most, how many are refined in a frame, those that may come nearest first
+    IN/OUT done (W + V,) twins that are not looked at; then also those that were looked at in the last frame, all but what `most` left out
+    OUT out TwinScores, scores NaN for what was not looked at. O(E (W + V) K (M r^2 + r^3)), and one `refine` for each twin that comes near;
+        memory for one frame.
     """
     markers, latents, last = body.load.shape[1], body.load.shape[3], len(twins) + LAID
     raw, workspace = np.empty(markers, dtype=np.int64), make_body_workspace(0, markers, latents)
     out.scores[:], nothing = np.nan, np.empty((0, markers), dtype=np.int64)
+    pose, reach, before = np.empty(last, dtype=np.int64), np.empty(last), done.copy()
     for t in range(len(offsets) - 1):
         first, n = offsets[t], offsets[t + 1] - offsets[t]
         own = out.point_of[last, t]
         labelled = points_of_markers(track[first : first + n], label, own)
+        done[:] = True
         if labelled < 3:
             out.point_of[:, t] = -1
             continue
@@ -69,46 +73,58 @@ def score_twins(xyz, offsets, track, label, twins, body, settings, gap, marker_g
         out.scores[last, t] = top
         aligned, mean = workspace.aligned.copy(), body.mean[k]
         lays = min(markers, n) - labelled >= 2
+        reach[:] = -np.inf
         for w in range(last):
             trial = out.point_of[w, t]
             trial[:] = -1
-            if w < len(twins) or lays:
+            if not before[w] and (w < len(twins) or lays):
                 twin_at(w, twins, mean, own, aligned, workspace.scores, trial)
             given = count_labelled(trial)
             # Two points leave the body's turn open; a body alike on both sides has itself as a twin.
             if given < 3 or same_labels(trial, own):
                 continue
-            copy_labels(trial, raw)
             workspace.outlier[:] = False
-            k, score = best_pose(body, points, trial, own_settings, workspace)
-            out.scores[w, t] = score
-            # Even if each marker without a point earned what a good label does, it would stay behind.
-            if score + marker_gain * (min(markers, n) - given) < top - gap:
-                continue
-            refined, _ = refine_until_known(body, k, points, trial, nothing, 0, top - gap, marker_gain, own_settings, workspace)
+            pose[w], out.scores[w, t] = best_pose(body, points, trial, own_settings, workspace)
+            # Even if each marker without a point earned what a good label does, it would stay behind: not refined.
+            may_reach = out.scores[w, t] + marker_gain * (min(markers, n) - given)
+            if may_reach >= top - gap:
+                reach[w] = may_reach
+        # Counted, not timed: every machine stops at the same twin.
+        for _ in range(most):
+            w = np.argmax(reach)
+            if reach[w] == -np.inf:
+                break
+            reach[w] = -np.inf
+            trial = out.point_of[w, t]
+            copy_labels(trial, raw)
+            refined, _ = refine_until_known(body, pose[w], points, trial, nothing, 0, top - gap, marker_gain, own_settings, workspace)
             if refined == -np.inf or same_labels(trial, own):
                 # it leads back: only as it stands it is another labelling
                 copy_labels(raw, trial)
             else:
                 out.scores[w, t] = refined
+        for w in range(last):
+            if reach[w] > -np.inf:
+                done[w], out.scores[w, t] = False, np.nan
+                out.point_of[w, t] = -1
 
 
 @kernel
-def near_exchanges(xyz, offsets, track, label, body, settings, apart, near, both, shown):
+def score_exchanges(xyz, offsets, track, label, body, settings, apart, both, shown):
     """By how much leave-one-out scores prefer the labels to each exchange of two, or to a hidden marker that takes another one's point.
 
     A leave-one-out score as another marker takes the point for what it is labelled, too, beside which it lies as no other marker does.
-    So it tells which exchanges are near, and not whether they are better.
+    So it does not tell which exchanges are better.
 
     IN  xyz (P, 3) m, z up; offsets (E + 1,); track (P,) tracklet of each point; label (J,) marker of each tracklet, -1 for none; body
         BodyArrays; settings FrameSettings
-    OUT apart (M, M) nats, the sum over the frames that show the first marker, by scores as `score_frames` gives them; near (M, M) the same,
-        hidden markers scored without the point that is asked for; both, shown (M, M) frames that show both markers, and the first one
+    OUT apart (M, M) nats, the sum over the frames that show the first marker, by scores as `score_frames` gives them; both, shown (M, M)
+        frames that show both markers, and the first one
     O(E (M r^2 + r^3 + M n + M^2)); memory for one frame.
     """
     markers, latents = body.load.shape[1], body.load.shape[3]
     own, workspace = np.empty(markers, dtype=np.int64), make_body_workspace(0, markers, latents)
-    apart[:], near[:], both[:], shown[:] = 0.0, 0.0, 0, 0
+    apart[:], both[:], shown[:] = 0.0, 0, 0
     for t in range(len(offsets) - 1):
         first, n = offsets[t], offsets[t + 1] - offsets[t]
         # Two points leave the body's turn open.
@@ -121,51 +137,14 @@ def near_exchanges(xyz, offsets, track, label, body, settings, apart, near, both
         workspace.outlier[:] = False
         k, _ = best_pose(body, points, own, own_settings, workspace)
         rescore(body, k, points, own, own_settings, workspace)
-        scores, held = workspace.scores, workspace.scores.copy()
-        score_held_points(body, k, own, -np.inf, own_settings, workspace, held)
+        scores = workspace.scores
         for a in range(markers):
             for b in range(markers):
                 if own[a] < 0 or a == b:
                     continue
                 shown[a, b] += 1
                 apart[a, b] += scores[a, own[a]] - scores[b, own[a]]
-                near[a, b] += held[a, own[a]] - held[b, own[a]]
                 # Both have a point, and each takes the other's.
                 if own[b] >= 0:
                     both[a, b] += 1
                     apart[a, b] += scores[b, own[b]] - scores[a, own[b]]
-                    near[a, b] += held[b, own[b]] - held[a, own[b]]
-
-
-@kernel
-def score_permutations(xyz, offsets, track, label, table, every_pose, body, settings, out):
-    """Score frames as their labels have them, and as each permutation of the markers has them, as it stands.
-
-    IN  xyz, offsets, track, label, body, settings: see `near_exchanges`; table (W, M) for each marker the one whose point it takes;
-        every_pose whether the best key pose is looked for each time, or the labels' own one is kept
-    OUT out (W, E) nats by which the labels are ahead; NaN where a permutation leaves a frame as it is, or less than three are labelled
-    O(E W K (M r^2 + r^3)); memory for one frame.
-    """
-    markers, latents = body.load.shape[1], body.load.shape[3]
-    own, trial = np.empty(markers, dtype=np.int64), np.empty(markers, dtype=np.int64)
-    workspace = make_body_workspace(0, markers, latents)
-    out[:] = np.nan
-    for t in range(len(offsets) - 1):
-        first, n = offsets[t], offsets[t + 1] - offsets[t]
-        if points_of_markers(track[first : first + n], label, own) < 3:
-            continue
-        if n != len(workspace.aligned):
-            workspace = make_body_workspace(n, markers, latents)
-        points, own_settings = xyz[first : first + n], frame_settings(settings, n, markers)
-        workspace.outlier[:] = False
-        k, top = best_pose(body, points, own, own_settings, workspace)
-        for w in range(len(table)):
-            for m in range(markers):
-                trial[m] = own[table[w, m]]
-            if same_labels(trial, own):
-                continue
-            if every_pose:
-                _, score = best_pose(body, points, trial, own_settings, workspace)
-            else:
-                score = evidence(body, k, points, trial, own_settings, workspace)
-            out[w, t] = top - score

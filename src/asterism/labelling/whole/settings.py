@@ -19,8 +19,6 @@ class TwinRules:
                  people unlike the training is taken back (pig39), at 2 twice as many turned labels of virtual people are given
     scale        nats a frame that multiply these odds by e. Turned labels lead by 13.3 at most on virtual people, which stays below 0.99
     rounds       how often a better twin is held against its own twins
-    exchange_gap nats a frame by which an exchange may be behind, by a first estimate, to be scored. At half of it and at twice one label of
-                 a thousand changes
     exchange_scale nats a frame over the best exchange that multiply the odds of a label by e. See docs/labelling.md. At
                  half of it 6 of 100 labels at 0.99 are wrong, at twice half of the right ones are below
     """
@@ -31,7 +29,6 @@ class TwinRules:
     prior: float = 1.44
     scale: float = 4.4
     rounds: int = 3
-    exchange_gap: float = 20.0
     exchange_scale: float = 1.2
 
 

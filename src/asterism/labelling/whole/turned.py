@@ -16,14 +16,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import expit
 
 from asterism.labelling.body._search_kernels import LAID
+from asterism.labelling.body.exchanges import placed_points
 from asterism.labelling.body.labeller import BodyLabeller
-from asterism.labelling.whole._twin_kernels import TwinScores, near_exchanges, score_permutations, score_twins
+from asterism.labelling.whole._twin_kernels import TwinScores, score_exchanges, score_twins
 from asterism.labelling.whole.scene import RecordingScene, labels_of_body, marker_offsets, score_scene, with_fewer_samples
 from asterism.labelling.whole.settings import RecordingLabellingSettings, TwinRules
 from asterism.recording import NULL, Floats, Ints
+
+NO_COLUMNS = np.empty(0, dtype=np.int64)
 
 
 def twin_limits(lead: Floats, label: Ints, rules: TwinRules) -> Floats:
@@ -69,14 +73,14 @@ def hold_against_twins(
     labellers: Sequence[BodyLabeller],
     scene: RecordingScene,
     label: Ints,
-    relabel: Callable[[Ints], Ints],
+    relabel: Callable[[Ints, Ints], Ints],
     rules: TwinRules,
     settings: RecordingLabellingSettings,
 ) -> HeldLabels:
     """Hold the labels (J,) of a scene, columns of all bodies, against the twins of each body and against exchanges of two labels.
 
-    relabel: labels the scene from given labels (J,) on until they no longer change. O(frames) calls of `score_twins` and of
-    `score_exchanges`, and one `relabel` where a twin is better.
+    relabel: labels the scene from given labels (J,) on until they no longer change, without some columns. O(frames) calls of `score_twins`
+    and of `score_exchanges`, and one `relabel` where a twin is better.
     """
     few, offsets = with_fewer_samples(scene, rules.frames, settings), marker_offsets(labellers)
     lead, over_exchanges, excess = np.full(offsets[-1], np.inf), np.full(offsets[-1], np.inf), np.zeros((offsets[-1], offsets[-1]))
@@ -86,21 +90,46 @@ def hold_against_twins(
             lead[columns], better = _lead_over_twins(labeller, few, label, offsets, number, rules)
             if better is None or turn == rules.rounds:
                 break
-            other = relabel(better)
+            other = relabel(better, NO_COLUMNS)
             if joint_evidence(labellers, few, other) <= joint_evidence(labellers, few, label):
                 break
             label = other
+        if rules.rounds:
+            label = _without_optional(labellers, few, label, relabel, number)
         for turn in range(rules.rounds + 1):
-            exchanges = _exchanges(labeller, few, label, offsets, number, rules)
+            exchanges = _exchanges(labeller, few, label, offsets, number)
             best = None if turn == rules.rounds else exchanges.best()
             if best is None:
                 break
-            other = _permuted(label, best, offsets[number])
-            if joint_evidence(labellers, few, other) <= joint_evidence(labellers, few, label):
-                break
-            label = other
+            label = _permuted(label, best, offsets[number])
         excess[columns, columns], over_exchanges[columns] = exchanges.excess, exchanges.lead()
     return HeldLabels(label, np.maximum(lead, 0.0), np.maximum(over_exchanges, 0.0), excess)
+
+
+def _without_optional(
+    labellers: Sequence[BodyLabeller], few: RecordingScene, label: Ints, relabel: Callable[[Ints, Ints], Ints], number: int
+) -> Ints:
+    """The labels (J,), or better ones in which a body wears none of the markers that laboratories often leave out, or one of them less.
+
+    Looked for only where other markers have no point: an elbow that is called a marker of the upper arm leaves wrist and hand without one.
+    """
+    labeller, first = labellers[number], marker_offsets(labellers)[number]
+
+    def evidence(given: Ints) -> float:
+        worn = np.isin(first + np.arange(len(labeller.worn_odds)), given)
+        return joint_evidence(labellers, few, given) + float(labeller.worn_odds[worn].sum())
+
+    worn, often = np.isin(first + np.arange(len(labeller.worn_odds)), label), labeller.worn_odds == 0.0
+    optional = first + np.nonzero(often & worn)[0]
+    if not len(optional) or worn[~often].all():
+        return label
+    best = evidence(label)
+    for columns in (optional, *optional[:, None]):
+        other = relabel(np.where(np.isin(label, columns), NULL, label), columns)
+        found = evidence(other)
+        if found > best:
+            best, label = found, other
+    return label
 
 
 def _own_points(few: RecordingScene, label: Ints, own: Ints) -> tuple[Floats, Ints, Ints]:
@@ -119,7 +148,7 @@ class Exchanges:
     """Permutations of few markers of a body that its labels were held against.
 
     table   (W, M) for each marker the one whose point it takes
-    behind  (W,) nats a frame by which each is behind the labels
+    behind  (W,) nats a frame by which each is behind the labels, infinite where it changes none
     excess  (M, M) see `HeldLabels`
     """
 
@@ -142,37 +171,29 @@ class Exchanges:
         return None if (found == np.arange(len(found))).all() else found
 
 
-def _exchanges(labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets: Ints, number: int, rules: TwinRules) -> Exchanges:
+def _exchanges(labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets: Ints, number: int) -> Exchanges:
     """Hold the labels of the body with this number against exchanges of two markers, and permutations of three or four side by side."""
-    own, markers = labels_of_body(label, offsets, number), labeller.body.mean.shape[1]
+    own, model = labels_of_body(label, offsets, number), labeller.exchanges
     xyz, begins, track = _own_points(few, label, own)
-    apart, near = np.empty((markers, markers)), np.empty((markers, markers))
-    both, shown = np.empty((markers, markers), dtype=np.int64), np.empty((markers, markers), dtype=np.int64)
-    near_exchanges(xyz, begins, track, own, labeller.body, labeller.settings, apart, near, both, shown)
-    close = (shown > 0) & (near < rules.exchange_gap * shown)
-    one, other = np.nonzero(np.triu(close | close.T))
-    pairs = np.tile(np.arange(markers), (len(one), 1))
-    pairs[np.arange(len(one)), one], pairs[np.arange(len(one)), other] = other, one
-    local = labeller.permutations
-    in_one = np.empty((len(local), min(1, len(begins) - 1)))
-    if in_one.size:
-        # in the frame with most labels nearly all permutations are far behind
-        labelled = np.bincount(np.repeat(np.arange(len(begins) - 1), np.diff(begins)), own[track] != NULL, minlength=len(begins) - 1)
-        here = slice(*begins[int(labelled.argmax()) :][:2])
-        one_frame = np.array([0, len(track[here])])
-        score_permutations(xyz[here], one_frame, track[here], own, local, False, labeller.body, labeller.settings, in_one)
-    table = np.concatenate([pairs, local[(in_one < rules.exchange_gap).any(axis=1)]])
-    behind = np.empty((len(table), len(begins) - 1))
-    score_permutations(xyz, begins, track, own, table, True, labeller.body, labeller.settings, behind)
+    markers, frames = model.mean.shape[1], len(begins) - 1
+    apart, both, shown = np.empty((markers, markers)), *(np.empty((markers, markers), dtype=np.int64) for _ in range(2))
+    score_exchanges(xyz, begins, track, own, labeller.body, labeller.settings, apart, both, shown)
+    placed = placed_points(np.repeat(np.arange(frames), np.diff(begins)), own[track], xyz, frames, markers)
+    behind = model.behind(placed, labeller.settings.tail_freedom)
     seen = ~np.isnan(behind)
     mean = np.where(seen, behind, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
     mean[~seen.any(axis=1)] = np.inf
-    excess = np.zeros((markers, markers))
-    for a, b, ahead in ((one, other, mean[: len(one)]), (other, one, mean[: len(one)])):
+    table, worn = model.table, np.isin(np.arange(markers), own)
+    # what laboratories leave out is known before any point is seen
+    mean += (worn - worn[table].astype(np.float64)) @ labeller.worn_odds
+    excess, (one, other) = np.zeros((markers, markers)), model.pairs.T
+    for a, b in ((one, other), (other, one)):
+        ahead = mean[: len(one)]
         known = (shown[a, b] > 0) & np.isfinite(ahead) & np.isfinite(apart[a, b])
         a, b = a[known], b[known]
-        # where both have points, half of it for each of the two
-        excess[a, b] = (ahead[known] - apart[a, b] / shown[a, b]) * (1.0 - 0.5 * both[a, b] / shown[a, b])
+        # where both have points, half of it for each of the two; far from near, a tail says less than the scores
+        too_high = np.maximum(ahead[known] - apart[a, b] / shown[a, b], 0.0)
+        excess[a, b] = too_high * (1.0 - 0.5 * both[a, b] / shown[a, b])
     return Exchanges(table, mean, excess)
 
 
@@ -207,18 +228,29 @@ def _lead_over_twins(
 
 
 def compare_with_twins(
-    labeller: BodyLabeller, xyz: Floats, offsets: Ints, track: Ints, label: Ints, rules: TwinRules
+    labeller: BodyLabeller,
+    xyz: Floats,
+    offsets: Ints,
+    track: Ints,
+    label: Ints,
+    rules: TwinRules,
+    most: int | None = None,
+    done: NDArray[np.bool_] | None = None,
 ) -> tuple[Floats, Ints | None]:
-    """Hold labels of one body in some frames against its twins.
+    """Hold labels of one body in some frames against its twins; in one frame against a part of them, where only so many may be refined.
 
     xyz (P, 3) m, z up; offsets (E + 1,) where each frame's points begin; track (P,) tracklet of each point; label (J,) marker of each
-    tracklet, -1 for none. Gives by how many nats a frame each marker (M,) is ahead of the best twin that has another point for it in most
-    frames, infinite where there is none; and the points (E, M) of the best twin that is ahead of the labels, None where there is none.
+    tracklet, -1 for none; most, how many twins are refined in a frame, None for all; done (`twins_held_against`,), those that are left
+    out, to which those that were looked at are added. Gives by how many nats a frame each marker (M,) is ahead of the best twin that has
+    another point for it in most frames, infinite where there is none; and the points (E, M) of the best twin that is ahead of the labels,
+    None where there is none.
     """
-    frames, markers = len(offsets) - 1, labeller.body.mean.shape[1]
-    shape = (len(labeller.twins) + LAID + 1, frames)
+    frames, markers, count = len(offsets) - 1, labeller.body.mean.shape[1], twins_held_against(labeller)
+    shape = (count + 1, frames)
     out = TwinScores(np.empty(shape), np.empty((*shape, markers), dtype=np.int64))
-    score_twins(xyz, offsets, track, label, labeller.twins, labeller.body, labeller.settings, rules.gap, rules.marker_gain, out)
+    most, done = count if most is None else most, np.zeros(count, dtype=np.bool_) if done is None else done
+    body, settings = labeller.body, labeller.settings
+    score_twins(xyz, offsets, track, label, labeller.twins, body, settings, rules.gap, rules.marker_gain, most, done, out)
     ahead = out.scores[-1] - out.scores[:-1]
     seen = ~np.isnan(ahead)
     behind = np.where(seen, ahead, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
@@ -231,3 +263,8 @@ def compare_with_twins(
     if behind[best] >= 0.0:
         return lead, None
     return lead, np.where(seen[best][:, None], out.point_of[best], NULL)
+
+
+def twins_held_against(labeller: BodyLabeller) -> int:
+    """How many labellings `compare_with_twins` looks at: the body's twins, and the ways in which it is laid anew."""
+    return len(labeller.twins) + LAID

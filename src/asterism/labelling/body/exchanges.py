@@ -1,0 +1,237 @@
+"""Labelled frames and the body's whole covariance in; by how far the labels are ahead of each exchange of near markers out.
+
+Frames are labelled by a covariance of few directions, beside which every marker moves by itself. That is fast, but it makes neighbours look
+more alike than they are: what it leaves over of two neighbours' movements is nearly the same. So an exchange is judged by the whole
+covariance. Given the points of all other markers, those of the exchanged ones follow a normal distribution of a few coordinates; where they
+deviate by more than expected, its spread may be larger, as in `log_tail`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.geometry import align_about_z
+from asterism.labelling.body._score_kernels import MAX_DISTANCE
+from asterism.labelling.body.model import MOVES, BodyModel
+from asterism.recording import NULL, Floats, Ints
+
+
+@dataclass(frozen=True)
+class ExchangeModel:
+    """What exchanges are judged by; K key poses of M markers.
+
+    mean        (K, M, 3) m
+    covariance  (K, 3 M, 3 M) m2, of the placed body of one unknown person
+    log_weight  (K,) log share of the training frames
+    pairs       (N, 2) markers near enough to be exchanged, the first below the second
+    groups      (G, m) each marker and those whose distances to it are the steadiest, each group once
+    """
+
+    mean: Floats
+    covariance: Floats
+    log_weight: Floats
+    pairs: Ints
+    groups: Ints
+
+    @classmethod
+    def of_body(cls, body: BodyModel, groups: Ints) -> ExchangeModel:
+        """Of a body model; groups: see `neighbours_of`. One of an earlier Asterism knows its main directions only."""
+        if body.within is None or body.between is None:
+            covariance = np.stack([body.covariance(k) for k in range(len(body.mean))])
+        else:
+            # small moves of the whole body are the last directions of its load
+            moves = body.load[..., -MOVES:].reshape(len(body.mean), -1, MOVES)
+            covariance = body.within + body.between + moves @ moves.transpose(0, 2, 1)
+        apart = np.linalg.norm(body.mean[:, :, None] - body.mean[:, None], axis=3).min(axis=0)
+        return cls(body.mean, covariance, body.log_weight, np.argwhere(np.triu(apart < MAX_DISTANCE, 1)), groups)
+
+    @property
+    def table(self) -> Ints:
+        """All exchanges (W, M): for each marker the one whose point it takes. Pairs first, then the permutations of each group."""
+        markers = self.mean.shape[1]
+        table = np.tile(np.arange(markers), (len(self.pairs) + len(self.groups) * len(self._orders), 1))
+        one, other = self.pairs.T
+        rows = np.arange(len(self.pairs))
+        table[rows, one], table[rows, other] = other, one
+        rows = len(self.pairs) + np.arange(len(self.groups) * len(self._orders)).reshape(len(self.groups), -1)
+        table[rows[:, :, None], self.groups[:, None, :]] = self.groups[:, self._orders]
+        return table
+
+    @property
+    def _orders(self) -> Ints:
+        """Permutations of a group that move three of its markers or more; exchanges of two are among the pairs."""
+        size = self.groups.shape[1]
+        return np.array([order for order in permutations(range(size)) if sum(i != o for i, o in enumerate(order)) >= 3]).reshape(-1, size)
+
+    def behind(self, frames: Floats, freedom: float) -> Floats:
+        """By how many nats each exchange of `table` is behind the labels in each frame: (W, E).
+
+        frames (E, M, 3) m, z up, NaN where missing; NaN for an exchange that leaves the frame as it is, and in frames of fewer than three
+        labels. O(E' (K M^3 + N + G m!)) for E' different sets of markers in view, and O(E (N + G m!)).
+        """
+        shown = ~np.isnan(frames[:, :, 0])
+        out = np.full((len(self.pairs) + len(self.groups) * len(self._orders), len(frames)), np.nan)
+        patterns, which = np.unique(shown, axis=0, return_inverse=True)
+        for p, pattern in enumerate(patterns):
+            rows = np.nonzero(which.ravel() == p)[0]
+            if pattern.sum() < 3:
+                continue
+            for k, own in self._by_pose(frames[rows], pattern):
+                given = _Conditional.of_frames(frames[rows[own]], pattern, self.mean[k], self.covariance[k])
+                out[: len(self.pairs), rows[own]] = given.behind_pairs(self.pairs, freedom)
+                begin = len(self.pairs)
+                for group in self.groups:
+                    out[begin : begin + len(self._orders), rows[own]] = given.behind_orders(group, self._orders, freedom)
+                    begin += len(self._orders)
+        return out
+
+    def _by_pose(self, frames: Floats, shown: NDArray[np.bool_]) -> Iterable[tuple[int, Ints]]:
+        """Which key pose explains which of these frames (E, M, 3) best; all show the same markers (M,)."""
+        coordinates, scores = np.repeat(shown, 3), np.empty((len(self.mean), len(frames)))
+        for k, mean in enumerate(self.mean):
+            residual = (align_about_z(frames, mean) - mean).reshape(len(frames), -1)[:, coordinates]
+            lower = np.linalg.cholesky(self.covariance[k][np.ix_(coordinates, coordinates)])
+            squares = (np.linalg.solve(lower, residual.T) ** 2).sum(axis=0)
+            scores[k] = self.log_weight[k] - np.log(np.diag(lower)).sum() - 0.5 * squares
+        best = scores.argmax(axis=0)
+        return [(int(k), np.nonzero(best == k)[0]) for k in np.unique(best)]
+
+
+@dataclass(frozen=True)
+class _Conditional:
+    """Frames (E) in which the same V of M markers are in view, placed onto a key pose, and what the labelled points say of every marker.
+
+    placed     (E, M, 3) m, NaN where missing
+    place      (M,) each marker's number among those in view, or among the H others
+    precision  (V, 3, V, 3) 1/m2, of the markers in view
+    pull       (E, V, 3) 1/m, the precision times their deviation from the mean body
+    gain       (H, 3, V, 3) how the others follow those in view
+    left       (H, 3, H, 3) m2, their covariance, given all in view
+    predicted  (E, H, 3) m, where these predict them
+    """
+
+    placed: Floats
+    shown: NDArray[np.bool_]
+    place: Ints
+    precision: Floats
+    pull: Floats
+    gain: Floats
+    left: Floats
+    predicted: Floats
+
+    @classmethod
+    def of_frames(cls, frames: Floats, shown: NDArray[np.bool_], mean: Floats, covariance: Floats) -> _Conditional:
+        placed = align_about_z(frames, mean)
+        seen, count, hidden = np.repeat(shown, 3), int(shown.sum()), int((~shown).sum())
+        precision = np.linalg.inv(covariance[np.ix_(seen, seen)])
+        residual = (placed - mean)[:, shown].reshape(len(frames), -1)
+        across = covariance[np.ix_(~seen, seen)]
+        gain = across @ precision
+        left = covariance[np.ix_(~seen, ~seen)] - gain @ across.T
+        place = np.where(shown, np.cumsum(shown), np.cumsum(~shown)) - 1
+        return cls(
+            placed,
+            shown,
+            place,
+            precision.reshape(count, 3, count, 3),
+            (residual @ precision).reshape(len(frames), count, 3),
+            gain.reshape(hidden, 3, count, 3),
+            left.reshape(hidden, 3, hidden, 3),
+            mean[~shown] + (residual @ gain.T).reshape(len(frames), hidden, 3),
+        )
+
+    def behind_pairs(self, pairs: Ints, freedom: float) -> Floats:
+        """By how many nats the exchange of each pair (N, 2) is behind in each frame: (N, E)."""
+        out = np.full((len(pairs), len(self.placed)), np.nan)
+        seen = self.shown[pairs]
+        both = seen.all(axis=1)
+        out[both] = self._behind_exchanges(pairs[both], freedom)
+        # the one in view first
+        mixed = seen[:, 0] != seen[:, 1]
+        ordered = np.where(seen[mixed][:, :1], pairs[mixed], pairs[mixed][:, ::-1])
+        out[mixed] = self._behind_hidden(ordered, freedom)
+        return out
+
+    def _behind_exchanges(self, pairs: Ints, freedom: float) -> Floats:
+        """`behind_pairs` of markers in view. Given all others, two deviate by the inverse of their precision times their pull."""
+        one, other = self.place[pairs].T
+        step = (self.placed[:, pairs[:, 1]] - self.placed[:, pairs[:, 0]]).transpose(1, 0, 2)
+        pull = np.concatenate([self.pull[:, one], self.pull[:, other]], axis=2).transpose(1, 0, 2)
+        aa, ab, bb = self.precision[one, :, one], self.precision[one, :, other], self.precision[other, :, other]
+        block = np.concatenate([np.concatenate([aa, ab], axis=2), np.concatenate([ab.transpose(0, 2, 1), bb], axis=2)], axis=1)
+        own = (pull * np.linalg.solve(block, pull.transpose(0, 2, 1)).transpose(0, 2, 1)).sum(axis=2)
+        of_step = np.einsum("nei,nij,nej->ne", step, aa + bb - ab - ab.transpose(0, 2, 1), step)
+        exchanged = own + 2.0 * (step * (pull[:, :, :3] - pull[:, :, 3:])).sum(axis=2) + of_step
+        return _log_t(own, 6, freedom) - _log_t(exchanged, 6, freedom)
+
+    def _behind_hidden(self, pairs: Ints, freedom: float) -> Floats:
+        """`behind_pairs` of a marker in view and one that is not, which takes its point."""
+        one, other = self.place[pairs].T
+        spread = np.linalg.inv(self.precision[one, :, one])
+        deviation = np.einsum("nij,enj->nei", spread, self.pull[:, one])
+        own = (deviation * self.pull[:, one].transpose(1, 0, 2)).sum(axis=2)
+        gain = self.gain[other, :, one]
+        wider = self.left[other, :, other] + gain @ spread @ gain.transpose(0, 2, 1)
+        apart = (self.placed[:, pairs[:, 0]] - self.predicted[:, other]).transpose(1, 0, 2) + deviation @ gain.transpose(0, 2, 1)
+        taken = (apart * np.linalg.solve(wider, apart.transpose(0, 2, 1)).transpose(0, 2, 1)).sum(axis=2)
+        scale = 0.5 * (np.linalg.slogdet(wider)[1] - np.linalg.slogdet(spread)[1])
+        return _log_t(own, 3, freedom) - _log_t(taken, 3, freedom) + scale[:, None]
+
+    def behind_orders(self, group: Ints, orders: Ints, freedom: float) -> Floats:
+        """By how many nats each permutation (W, m) of a group (m,) is behind in each frame: (W, E)."""
+        frames, size = len(self.placed), len(group)
+        seen = self.shown[group]
+        count = int(seen.sum())
+        out = np.full((len(orders), frames), np.nan)
+        if not count:
+            return out
+        mean, covariance = self._given_others(group)
+        at = self.placed[:, group]
+        filled, takers = np.concatenate([seen[None], seen[orders]]), np.concatenate([np.arange(size)[None], orders])
+        scores = np.empty((len(filled), frames))
+        for slots in np.unique(filled, axis=0):
+            same = np.nonzero((filled == slots).all(axis=1))[0]
+            own = np.ix_(np.repeat(slots, 3), np.repeat(slots, 3))
+            apart = (at[:, takers[same]][:, :, slots] - mean[:, None, slots]).reshape(frames, len(same), 3 * count)
+            squares = ((apart @ np.linalg.inv(covariance[own])) * apart).sum(axis=2)
+            scores[same] = _log_t(squares, 3 * count, freedom).T - 0.5 * np.linalg.slogdet(covariance[own])[1]
+        moved = (orders != np.arange(size)) & (seen | seen[orders])
+        out[moved.any(axis=1)] = (scores[0] - scores[1:])[moved.any(axis=1)]
+        return out
+
+    def _given_others(self, group: Ints) -> tuple[Floats, Floats]:
+        """Where the points of all other markers predict those of a group: (E, m, 3) m, and the covariance (3 m, 3 m)."""
+        seen, size = self.shown[group], len(group)
+        there, away = self.place[group[seen]], self.place[group[~seen]]
+        count, hidden = 3 * len(there), 3 * len(away)
+        spread = np.linalg.inv(self.precision[np.ix_(there, range(3), there, range(3))].reshape(count, count))
+        deviation = self.pull[:, there].reshape(-1, count) @ spread
+        gain = self.gain[np.ix_(away, range(3), there, range(3))].reshape(hidden, count)
+        mean, covariance = np.empty((len(self.placed), size, 3)), np.empty((3 * size, 3 * size))
+        mean[:, seen] = self.placed[:, group[seen]] - deviation.reshape(len(mean), len(there), 3)
+        mean[:, ~seen] = self.predicted[:, away] - (deviation @ gain.T).reshape(len(mean), len(away), 3)
+        of_seen, of_hidden = np.repeat(seen, 3), np.repeat(~seen, 3)
+        covariance[np.ix_(of_seen, of_seen)] = spread
+        covariance[np.ix_(of_hidden, of_seen)] = gain @ spread
+        covariance[np.ix_(of_seen, of_hidden)] = (gain @ spread).T
+        left = self.left[np.ix_(away, range(3), away, range(3))].reshape(hidden, hidden)
+        covariance[np.ix_(of_hidden, of_hidden)] = left + gain @ spread @ gain.T
+        return mean, covariance
+
+
+def _log_t(squares: Floats, coordinates: int, freedom: float) -> Floats:
+    """What a squared Mahalanobis distance takes from the log density of a t distribution of so many coordinates, nats."""
+    return np.asarray(-0.5 * (freedom + coordinates) * np.log1p(np.maximum(squares, 0.0) / freedom))
+
+
+def placed_points(frame_of: Ints, marker: Ints, xyz: Floats, frames: int, markers: int) -> Floats:
+    """Labelled points as frames (E, M, 3), NaN where missing: frame_of, marker (P,), -1 for none; xyz (P, 3) m."""
+    out = np.full((frames, markers, 3), np.nan)
+    given = marker != NULL
+    out[frame_of[given], marker[given]] = xyz[given]
+    return out
