@@ -14,7 +14,8 @@ from asterism import formats
 from asterism.errors import AsterismError
 from asterism.files import cache
 from asterism.labelling import MarkerModel, TrainingRules, virtual_model
-from asterism.labelling.training.learning import TrainingConfig, beside, fit_whole
+from asterism.labelling.training.learning import TrainingConfig, _fewer_trials, _try_frames, beside, fit_whole
+from asterism.labelling.training.trials import TrainingTrial
 from asterism.labelling.training.virtual import VirtualFrames, placed_by_neighbours, virtual_frames, with_known_places
 from asterism.recording import MarkerSet, Recording
 from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
@@ -163,6 +164,18 @@ def test_one_persons_model_starts_from_virtual_people_and_knows_other_movements(
     assert after[0] > before[0] + 0.02, f"{before} before, {after} after"
     assert after[0] > 0.95
     assert after[1] < 0.01
+
+
+def test_fewer_frames_with_ghosts_count_as_much_as_all_of_them(walks):
+    labeller, frames = virtual_model("helen-hayes", people=FEW).body_labeller, walks[0].positions
+    rules = TrainingRules(trial_frames=20, trials=(TrainingTrial(0.2), TrainingTrial(0.2, 3)))
+    people = np.zeros(len(frames), dtype=np.int64)
+    all_of_them, few = (_try_frames(labeller, frames, people, rules, 0, few) for few in (False, True))
+    # 20 frames, and 20 with ghosts that count a fifth: of these 4 do
+    assert 1.5 * len(few.right) < len(all_of_them.right)
+    assert few.weight.sum() == pytest.approx(all_of_them.weight.sum(), rel=0.05)
+    half = _fewer_trials(rules)
+    assert (half.trial_frames, half.stretch_frames, half.stretches) == (10, rules.stretch_frames // 2, rules.stretches)
 
 
 def test_learning_starts_from_the_same_people_in_any_order(walks, tmp_path):
