@@ -12,7 +12,8 @@ from asterism.errors import AsterismError
 from asterism.labelling.body.model import BodyModel, length_scale
 from asterism.labelling.features.registry import MANY_MARKERS, THESIS
 from asterism.labelling.partial.matrix import PartialSolvers
-from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, SearchSettings, search_partial_solvers
+from asterism.labelling.partial.search_strategies import search_partial_solvers
+from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, SearchSettings
 from asterism.labelling.training.calibration import BESIDE_VIRTUAL_IN_FRAMES, BESIDE_VIRTUAL_IN_TIME, stream_curves_of_virtual
 from asterism.labelling.training.learning import (
     TrainingConfig,
