@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from functools import cache
@@ -16,9 +17,10 @@ from asterism import AsterismError
 from asterism.cli import main
 from asterism.files.cache import cache_folder
 from asterism.labelling import virtual_model
-from asterism.recording import MarkerSet, Recording
+from asterism.recording import Disagreement, MarkerSet, Recording
 from asterism.session import LabellingOptions, LiveLabeller, SetFinder, label_file
 from asterism.session.labeller import findings_on_sets
+from asterism.session.mirror import exchanged_sides
 from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules
 from asterism.session.worn.find import Certainty, SetEvidence
 from asterism.session.worn.fit import FrameFit
@@ -428,3 +430,34 @@ def test_warm_up_makes_what_the_first_label_needs(
     run("label", legs, "-o", tmp_path / "out", "--markers", "helen-hayes")
     run("label", legs, "-o", tmp_path / "listed", "--markers", "LASI,RASI,SACR,LKNE,RKNE")
     assert kept == {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_names_of_a_mirror_image_are_told(mirrored: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Legs alone are as well a mirror image; the names of all pairs are then exchanged, which is no note any more."""
+    walk = simulate_walks(1, frames=60, seed=5)[0]
+    seen = replace(walk, positions=walk.positions * np.array([1.0, -1.0 if mirrored else 1.0, 1.0]))
+    asterism.write(tmp_path / "walk.c3d", seen)
+    assert run("label", tmp_path / "walk.c3d", "-o", tmp_path / "out") == int(mirrored)
+    assert ("[label-mirrored]" in capsys.readouterr().err) == mirrored
+
+
+def test_a_few_exchanged_names_are_no_mirror_image() -> None:
+    marker_set = MarkerSet.load("helen-hayes")
+    other = {name: twin for pair in marker_set.pairs for name, twin in (pair, pair[::-1])}
+    all_sides = [Disagreement(name, twin, 0, 9, 10) for name, twin in other.items()]
+    assert [finding.code for finding in exchanged_sides("walk.c3d", marker_set, all_sides)] == ["label-mirrored"]
+    assert exchanged_sides("walk.c3d", marker_set, all_sides[:4]) == []
+    assert exchanged_sides("walk.c3d", marker_set, [replace(each, given=None) for each in all_sides]) == []
+
+
+@pytest.mark.skipif("ASTERISM_DATA" not in os.environ, reason="needs the recordings that ASTERISM_DATA names")
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_marker_of_one_side_tells_a_mirror_image(mirrored: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The marker on the right shoulder blade of a real walk lies where none is worn."""
+    walk = asterism.read(Path(os.environ["ASTERISM_DATA"]) / "movement/cmu41/02_01_walk.c3d", markers="cmu").frames(slice(100, 160))
+    seen = replace(walk, positions=walk.positions * np.array([1.0, -1.0 if mirrored else 1.0, 1.0]))
+    asterism.write(tmp_path / "walk.c3d", anonymous(seen))
+    run("label", tmp_path / "walk.c3d", "-o", tmp_path / "out", "--markers", "cmu")
+    said = capsys.readouterr().err
+    assert ("RBAC fits on the other side only" in said) == mirrored, said

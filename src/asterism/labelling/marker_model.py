@@ -82,9 +82,13 @@ class MarkerModel:
     def body_labeller(self) -> BodyLabeller:
         """The model in the form that the kernels of single frames read."""
         state, distances = self.state, self.rigid_distances
-        many = distances is not None and distances.spread is not None
+        names = [self.marker_set.names[marker] for marker in state.markers]
         return BodyLabeller.from_model(
-            state.body, state.anchors, state.frame_settings.with_usual_score(state.usual_score), many_people=many
+            state.body,
+            state.anchors,
+            state.frame_settings.with_usual_score(state.usual_score),
+            many_people=distances is not None and distances.spread is not None,
+            often_left_out=np.isin(names, self.marker_set.optional),
         )
 
     @cached_property

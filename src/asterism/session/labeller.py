@@ -32,6 +32,7 @@ from asterism.recording import Clouds, Disagreement, Floats, Labelling, MarkerSe
 from asterism.recording.display import counted
 from asterism.recording.verdict import OTHER_BODY
 from asterism.session.labelled import LabelledFile
+from asterism.session.mirror import mirror_findings
 from asterism.session.names import choose_name_policy, findings_on_names, join_disagreements, merge_file_names
 from asterism.session.options import LabellingOptions
 from asterism.session.sources import FrameSource, open_source
@@ -191,7 +192,9 @@ class FileLabeller:
         seconds = time.perf_counter() - started
         findings += found.labelling.findings(str(path))
         findings += _nothing_labelled(path, found.labelling) or _few_frames(path, found.labelling)
-        findings += findings_on_names(path, source.about, found.against, policy)
+        some = slice(0, min(len(source.counts), _FRAMES_TO_FIND))
+        findings += mirror_findings(str(path), self._plain, found.labelling, source.clouds(some))
+        findings += findings_on_names(path, source.about, self._plain.marker_set, found.against, policy)
         return LabelledFile(
             path,
             found.labelling,

@@ -150,6 +150,7 @@ def with_only(marker_set: MarkerSet, names: Sequence[str]) -> MarkerSet:
         tuple(pair for pair in marker_set.pairs if pair[0] in names and pair[1] in names),
         {segment: own for segment, members in marker_set.segments.items() if (own := tuple(m for m in members if m in names))},
         {name: place for name, place in marker_set.places.items() if name in names},
+        tuple(name for name in marker_set.optional if name in names),
     )
 
 

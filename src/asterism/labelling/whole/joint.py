@@ -125,8 +125,8 @@ def label_scene(
         state = _coordinate_ascent(labellers, [scores], state.label, rules)
         stages["upright"] = state.label
 
-    def relabel(start: Ints) -> Ints:
-        return _coordinate_ascent(labellers, state.scores, start, rules).label
+    def relabel(start: Ints, without: Ints) -> Ints:
+        return _coordinate_ascent(labellers, state.scores, start, rules, without=without).label
 
     held = hold_against_twins(labellers, upright, state.label, relabel, rules.twins, rules)
     state = _coordinate_ascent(labellers, state.scores, held.label, rules, held.excess)
@@ -270,12 +270,13 @@ def _coordinate_ascent(
     label: Ints,
     rules: RecordingLabellingSettings,
     excess: Floats | None = None,
+    without: Ints | None = None,
 ) -> _JointLabels:
     """Relabel until nothing changes, or labels come back.
 
     Two labels that are exchanged may be exchanged again in the next round, as leave-one-out scores take both points for what they are
     labelled. Of labels that give points to the same tracklets the best are taken, by the joint evidence of all points.
-    excess (L, L): see `HeldLabels`; none where not known.
+    excess (L, L): see `HeldLabels`; none where not known. without: columns that no tracklet may have.
     """
     scene, visited = scores[0].scene, list[tuple[float, Ints, Floats, list[Ints], float, int]]()
     for _ in range(rules.max_rounds):
@@ -283,6 +284,8 @@ def _coordinate_ascent(
         if excess is not None:
             given = label != NULL
             gain[given] -= excess[label[given]] * scene.independent[given, None]
+        if without is not None:
+            gain[:, without] = -np.inf
         gain, found, total = _with_ghost_credit(gain, scene, labellers, rules)
         visited.append((joint, label, gain, poses, total, int(found.rough.sum())))
         if any(np.array_equal(found.label, one[1]) for one in visited):

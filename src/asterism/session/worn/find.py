@@ -62,8 +62,9 @@ class Certainty:
     on 32 files of `movement`. Of the virtual ones a third lack markers and a third have others; four files of five weigh as if they were
     whole. A tenth wears no shipped set: the same files without the sets that share most names; and 28 files of props.
 
-    nats    that count as one: the frames of a file show one body, with its markers placed once
-    some    nats, where any marker of a set is seen in no frame: most files show all
+    nats    that count as one: the frames of a file show one body, with its markers placed once. At half, 4 of 199 sure sets are wrong; as
+            it is, none of 176; at double, 137 are sure
+    some    nats, where any marker of a set is seen in no frame: most files show all. Half and double cost 2 and 5 % of the log loss
     worn    log odds that a shipped set is worn at all, where its body explains the points no better than a box of their size does
     better  by which these grow with each nat a point by which the best body explains them better, times the fourth power of the share of
             its markers and points that are pairs of a marker and a point: points of which a fifth are left over tell 0.4 of it. With powers
