@@ -86,7 +86,7 @@ def judged(model: asterism.MarkerModel, worn: Worn, hidden: int = 0, *, raw: boo
     clouds, truth = anonymous(worn, hidden, raw=raw, longest=longest)
     try:
         wider = wider_model(model, clouds) if raw else None
-        return counted(RecordingLabeller(model, wider=wider).label(clouds), truth)
+        return counted(RecordingLabeller(model, wider=wider).label(clouds), truth, person=worn.person)
     except AsterismError:
         return counted(silence(truth, model.marker_set.names), truth, refused=True, person=worn.person)
 

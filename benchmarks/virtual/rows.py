@@ -237,7 +237,8 @@ def _reliability(row: str, counts: Counts) -> Iterator[Figure]:
     for place, ((given, right), (name, asked)) in enumerate(zip(counts.bins.tolist(), bins, strict=True)):
         if given:
             yield Figure(f"{row}, all: right at {name}", asked, right / given, "fraction", given)
-        people = [(own[place, 1] / own[place, 0], own[place, 0], who) for who, own in counts.of_person.items() if own[place, 0] >= FEWEST]
+        bins_of = {who: own[place].tolist() for who, own in counts.of_person.items() if own[place, 0] >= FEWEST}
+        people = [(own / all_own, all_own, who) for who, (all_own, own) in bins_of.items()]
         if people:
             share, labels, who = min(people)
             yield Figure(f"{row}, {who}, the worst of {len(people)} people: right at {name}", asked, share, "fraction", labels)
