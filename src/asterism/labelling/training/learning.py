@@ -20,7 +20,7 @@ from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, subsam
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.features.motion_points import frames_with_motion
 from asterism.labelling.features.registry import kinds_of, needs_motion
-from asterism.labelling.partial.solver_search import check_miner
+from asterism.labelling.partial.search_strategies import check_miner
 from asterism.labelling.training.calibration import (
     BESIDE_VIRTUAL_IN_FRAMES,
     BESIDE_VIRTUAL_IN_TIME,
@@ -144,7 +144,8 @@ class TrainingRules:
 class TrainingConfig:
     """All that a training depends on besides its recordings.
 
-    miner  strategy of the search for partial solvers (`solver_search.MINERS`), None for none; "bottom-up" where `rules.features` are named
+    miner  strategy of the search for partial solvers (`search_strategies.MINERS`), None for none; "bottom-up" where `rules.features` are
+           named
     """
 
     seed: int = 0
