@@ -15,7 +15,7 @@ _PLAIN = f"{_TWINS}::test_the_plain_method_gives_every_pair_of_rays_that_meets v
 
 CHECKED_BY: dict[str, str] = {
     f"{_BODY}._refine_kernels.refine": "test_body_search.py::test_refinement",
-    f"{_BODY}._anchor_kernels.search_anchor": "test_body_search.py::test_the_search_of_an_anchor_is_that_of_its_partial_solver",
+    f"{_BODY}._anchor_kernels.search_anchor": "test_body_search.py::test_an_anchor_keeps_the_likeliest_triples_of_its_partial_solver",
     f"{_BODY}._search_kernels.propose": "test_body_search.py::test_proposals_of_an_anchor",
     f"{_BODY}._search_kernels.find_labellings": "test_body_search.py::test_the_labellings_that_anchors_lead_to",
     f"{_BODY}._search_kernels.add_twins": "test_body_search.py::test_the_labellings_that_anchors_lead_to",

@@ -195,11 +195,15 @@ def test_an_anchor_knows_its_key_pose(seed):
     points, rows, _ = random_frame(model, rng, least=3)
     triple = np.nonzero(rows >= 0)[0][:3]
     anchors = Anchors(triple[None], np.zeros((1, 6)), np.zeros((1, 6)))
-    k, log_density, distance = anchor_key_pose(frame_model(model, anchors), 0, points, rows[triple], ready(points, False))
+    arrays, displacement = anchors.arrays(model), np.empty(9)
+    ours = (arrays.mean, arrays.precision_factor, arrays.log_peak, 0, *map(tuple, points[rows[triple]]))
+    k, log_density, distance = anchor_key_pose(*ours, -np.inf, displacement)
     expected, squares = zip(*(twins.anchor_density(model, pose, points, rows[triple], triple) for pose in range(POSES)), strict=True)
     assert k == np.argmax(expected)
     assert log_density == pytest.approx(expected[k], rel=1e-7, abs=1e-6)
     assert distance == pytest.approx(squares[k], rel=1e-7, abs=1e-6)
+    assert anchor_key_pose(*ours, log_density - 1e-9, displacement) == (k, log_density, distance)
+    assert anchor_key_pose(*ours, log_density + 1e-6, displacement)[1] < log_density
 
 
 def random_scores(rng):

@@ -11,12 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_body import LATENTS, MARKERS, POSES, SETTINGS, random_frame, random_model, ready
 
-from asterism.labelling.body._anchor_kernels import search_anchor
+from asterism.labelling.body._anchor_kernels import _keep_likely, search_anchor
 from asterism.labelling.body._frame_kernels import label_clouds, nearest_changes, retry_doubtful
 from asterism.labelling.body._refine_kernels import refine
 from asterism.labelling.body._score_kernels import best_pose, rescore
 from asterism.labelling.body._search_kernels import (
     MAX_LABELLINGS,
+    LikelyTriples,
     add_twins,
     find_labellings,
     make_candidates,
@@ -134,22 +135,38 @@ def test_refinement(seed):
     assert score == pytest.approx(expected, rel=1e-7, abs=1e-5)
 
 
-@given(seed=seeds, budget=st.sampled_from([0, 3, 20, 60, 10**6]), room=st.sampled_from([1, 3, 64]))
+@given(seed=seeds, budget=st.sampled_from([0, 3, 20, 60, 10**6]))
 @races
-def test_the_search_of_an_anchor_is_that_of_its_partial_solver(seed, budget, room):
+def test_an_anchor_keeps_the_likeliest_triples_of_its_partial_solver(seed, budget):
     rng = np.random.default_rng(seed)
     model = random_model(rng)
-    solvers = anchors_for(model, rng).solvers()
-    points, _, _ = random_frame(model, rng, least=2)
-    distance = workspace_for(points).distance
-    point_distances(points, len(points), distance)
-    for a in range(len(solvers.first_depth) - 1):
-        found, expected = np.full((room, 3), -1), np.full((room, 3), -1)
-        counters, evaluations = np.zeros(2, dtype=np.int64), np.zeros(1, dtype=np.int64)
-        solutions = search(solvers, a, points, np.arange(len(points)), budget, expected, counters)
-        assert search_anchor(solvers, a, points, distance, budget, found, evaluations) == solutions
+    anchors = anchors_for(model, rng)
+    points, _, _ = random_frame(model, rng, least=3)
+    workspace = workspace_for(points)
+    arrays = frame_model(model, anchors)._replace(settings=SETTINGS._replace(max_evaluations=budget))
+    point_distances(points, len(points), workspace.distance)
+    for a, triple in enumerate(anchors.triples):
+        counters, evaluations, room = np.zeros(2, dtype=np.int64), np.zeros(1, dtype=np.int64), np.empty((200, 3), dtype=np.int64)
+        found = search(arrays.solvers, a, points, np.arange(len(points)), budget, room, counters)
+        kept = search_anchor(arrays, a, points, workspace, evaluations)
         assert evaluations[0] == counters[0]
-        np.testing.assert_array_equal(found[: max(0, solutions)], expected[: max(0, solutions)])
+        assert (kept < 0) == (found < 0)
+        triples = twins.anchor_triples(anchors, a, points)
+        expected = twins.likely_triples(model, triple, points, triples if found >= 0 else [], SETTINGS)
+        likely = workspace.likely
+        got = [(likely.pose[s], tuple(likely.points[s].tolist())) for s in range(kept)]
+        assert got == [(k, rows) for _, k, rows in expected]
+        np.testing.assert_allclose(likely.density[: max(0, kept)], [density for density, _, _ in expected], rtol=1e-6, atol=1e-6)
+
+
+def test_of_equally_likely_triples_the_first_stay():
+    likely = LikelyTriples(np.full((2, 3), -1), np.full(2, -1), np.full(2, np.nan))
+    kept = 0
+    for number, density in enumerate([1.0, 1.0, 2.0, 1.0]):
+        kept = interpreted(_keep_likely)(likely, kept, np.full(3, number), number, density)
+    assert kept == 2
+    assert likely.pose.tolist() == [2, 0]
+    assert likely.points[:, 0].tolist() == [2, 0]
 
 
 @given(seed=seeds)
@@ -160,16 +177,14 @@ def test_proposals_of_an_anchor(seed):
     anchors = anchors_for(model, rng)
     points, _, _ = random_frame(model, rng, least=4)
     workspace = workspace_for(points)
+    point_distances(points, len(points), workspace.distance)
     arrays = frame_model(model, anchors)
     for a, triple in enumerate(anchors.triples):
-        counters = np.zeros(2, dtype=np.int64)
-        solutions = max(0, search(arrays.solvers, a, points, np.arange(len(points)), 10**6, workspace.triples, counters))
-        triples = twins.anchor_triples(anchors, a, points)
-        assert {tuple(rows) for rows in workspace.triples[:solutions].tolist()} == set(triples)
-        expected = twins.propose(model, triple, points, triples, SETTINGS)
-        chosen = interpreted(propose)(arrays, a, points, solutions, workspace)
-        got = [(workspace.triple_pose[s], tuple(workspace.triples[s].tolist())) for s in workspace.best_triple[:chosen]]
-        assert got == [(k, rows) for _, k, rows in expected]
+        expected = twins.propose(model, triple, points, twins.anchor_triples(anchors, a, points), SETTINGS)
+        kept = search_anchor(arrays, a, points, workspace, np.zeros(1, dtype=np.int64))
+        chosen = interpreted(propose)(arrays, a, points, kept, workspace)
+        likely, best = workspace.likely, workspace.best_triple[:chosen]
+        assert [(likely.pose[s], tuple(likely.points[s].tolist())) for s in best] == [(k, rows) for _, k, rows in expected]
         np.testing.assert_allclose(workspace.best_score[:chosen], [score for score, _, _ in expected], rtol=1e-6, atol=1e-4)
 
 

@@ -15,6 +15,7 @@ from asterism.labelling.body.model import BodyRules, factors
 from asterism.labelling.body.subject import SubjectRules, adapt_body
 from asterism.labelling.live.body import LiveBody, LiveRules
 from asterism.labelling.live.stream import FrameLabels, Stream, _assign, _margins
+from asterism.labelling.live.twins import LiveTwins
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Recording
 from asterism.simulation import simulate_walks
@@ -157,6 +158,27 @@ def test_bad_input_is_named_and_the_stream_goes_on(walks, ensemble) -> None:
         with pytest.raises(asterism.AsterismError, match="NaN or infinite"):
             stream.push(np.full((3, 3), np.nan))
         np.testing.assert_array_equal(stream.push(points).indices, calm.push(points).indices)
+
+
+def test_a_poor_labelling_is_held_against_its_twins_part_by_part(walks, ensemble) -> None:
+    """All twins come near labels of which half are missing: some in each frame, in the end as far ahead as of all at once."""
+    labeller, points = ensemble.body_labeller, np.ascontiguousarray(walks[5].positions[50])
+    point_of = np.where(np.arange(len(points)) % 2, -1, np.arange(len(points)))
+    whole, parts = LiveTwins(labeller, 10**6), LiveTwins(labeller, 2)
+    better, found, pushes = whole.compare(points, point_of), [], 0
+    while parts.lead is None:
+        assert (parts.limits(len(points)) < 0.99).all(), "sure before all were looked at"
+        found.append(parts.compare(points, point_of))
+        pushes += 1
+        assert pushes < 50
+    assert pushes > 1
+    np.testing.assert_array_equal(parts.lead, whole.lead)
+    assert better is not None, "nothing explains the frame better than half of its labels"
+    assert any(np.array_equal(better, one) for one in found if one is not None)
+    # labels that explain more begin anew
+    parts.compare(points, point_of)
+    parts.compare(points, np.arange(len(points)))
+    assert parts._begun_with == len(points)
 
 
 def test_three_markers_that_stay_in_view_stay_as_certain(walks, ensemble) -> None:

@@ -95,10 +95,28 @@ def test_twins_of_labelled_frames(seed: int, gap: float) -> None:
     offsets = np.concatenate([[0], np.cumsum([len(points) for points in frames])])
     out = TwinScores(np.empty((3 + LAID + 1, 4)), np.empty((3 + LAID + 1, 4, MARKERS), dtype=np.int64))
     xyz, track = np.concatenate(frames), np.concatenate(tracks)
-    score_twins(xyz, offsets, track, label, table, model.arrays(), SETTINGS, gap, 10.0, out)
+    done = np.zeros(3 + LAID, dtype=bool)
+    score_twins(xyz, offsets, track, label, table, model.arrays(), SETTINGS, gap, 10.0, len(done), done, out)
     scores, rows = twins.score_twins(model, frames, tracks, label, table, SETTINGS, gap, 10.0)
     np.testing.assert_allclose(out.scores, scores, rtol=1e-6, atol=1e-5)
     np.testing.assert_array_equal(out.point_of, rows)
+    assert done.all()
+    # one frame, one refinement at a time: nearest first, and all together the same
+    done[:], last, found = False, slice(offsets[-2], offsets[-1]), np.full(3 + LAID, np.nan)
+    alone = TwinScores(np.empty((3 + LAID + 1, 1)), np.empty((3 + LAID + 1, 1, MARKERS), dtype=np.int64))
+    for _ in range(len(done) + 1):
+        before = done.copy()
+        ends = np.array([0, len(xyz[last])])
+        score_twins(xyz[last], ends, track[last], label, table, model.arrays(), SETTINGS, gap, 10.0, 1, done, alone)
+        seen = ~np.isnan(alone.scores[:-1, 0])
+        assert not (seen & before).any()
+        assert done[before | seen].all()
+        found[seen] = alone.scores[:-1, 0][seen]
+        np.testing.assert_array_equal(alone.point_of[:-1, 0][seen], rows[:-1, -1][seen])
+        if done.all():
+            break
+    assert done.all()
+    np.testing.assert_allclose(found, scores[:-1, -1], rtol=1e-6, atol=1e-5)
 
 
 @given(seeds)

@@ -13,8 +13,9 @@ import pytest
 import asterism
 from asterism import AsterismError
 from asterism.cli import main
+from asterism.labelling import virtual_model
 from asterism.recording import MarkerSet, Recording
-from asterism.session import LabellingOptions, SetFinder, label_file
+from asterism.session import LabellingOptions, LiveLabeller, SetFinder, label_file
 from asterism.session.labeller import findings_on_sets
 from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules
 from asterism.simulation import simulate_walks
@@ -242,3 +243,111 @@ def test_a_few_frames_are_labelled_by_posture(frames: int, tmp_path: Path, capsy
     assert ("[label-few-frames]" in said.err) == (frames < 5)
     labelled = asterism.read(tmp_path / "out" / "short.c3d", markers=truth.labels)
     assert np.abs(labelled.positions - truth.positions).max() < 1e-3
+
+
+def in_a_corner(recording: Recording, axes: list[int]) -> Recording:
+    """A recording that says that z is up, in a room that begins nowhere at zero, so that only the body tells."""
+    moved = recording.positions - np.nanmin(recording.positions, axis=(0, 1)) + 0.5
+    return Recording(moved[:, :, axes], recording.labels, recording.rate, "z")
+
+
+@pytest.mark.parametrize("door", ["points", "given", "names", "trained"])
+def test_a_wrong_vertical_is_noticed(door: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Labels are those of the file that says what is up; the finding tells what was taken. Who says what is up is believed."""
+    # legs alone, and whole bodies for longer, are labelled as well lying, so that the vertical of the file stays where the set is known
+    markers, frames = ("optitrack-rizzoli-lower", 20) if door == "points" else ("plug-in-gait", 5)
+    truth = person(markers).frames(slice(0, frames))
+    file, straight = (tmp_path / name for name in ("wrong.c3d", "right.c3d"))
+    shown = truth if door == "names" else anonymous(truth)
+    asterism.write(file, in_a_corner(shown, [1, 2, 0]))
+    asterism.write(straight, in_a_corner(shown, [0, 1, 2]))
+    assert asterism.read(file).vertical[2] == 1.0, "the reader itself sees it, so that this tests nothing"
+    words = ["--markers", markers] if door == "given" else []
+    if door == "trained":
+        virtual_model(markers).save(tmp_path / "mine.model")
+        words = ["--model", str(tmp_path / "mine.model")]
+    for path in (file, straight):
+        run("label", path, "-o", tmp_path / "out", "--overwrite", *words)
+        said = capsys.readouterr().err
+        assert ("Say it with --vertical y" in said and "[label-vertical]" in said) == (path is file), said
+    wrong, right = (asterism.read(tmp_path / "out" / path.name, markers=markers).visible for path in (file, straight))
+    np.testing.assert_array_equal(wrong, right)
+    if door == "given":
+        run("label", file, "-o", tmp_path / "out", "--overwrite", "--vertical", "z", *words)
+        assert "[label-vertical]" not in capsys.readouterr().err
+
+
+def test_learn_needs_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It starts from the virtual people by whom `label` labels, who wear the set of the files' names, or the one given."""
+    walk = simulate_walks(1, frames=40, seed=5)[0]
+    asterism.write(tmp_path / "walk.c3d", walk)
+    asterism.write(tmp_path / "bare.c3d", anonymous(walk))
+    found = tmp_path / "found.model"
+    assert run("learn", tmp_path / "walk.c3d", "-o", found) == 0
+    assert "virtual people who wear helen-hayes; learned 1 recording" in capsys.readouterr().out
+    learned = asterism.MarkerModel.load(found)
+    assert learned.about["virtual_people"] == 80 and learned.about["recordings"] == 1
+    capsys.readouterr()
+    # a model has a set; names must be there to be learned; and a model alone teaches nothing
+    for words, why in (
+        ([found, tmp_path / "walk.c3d", "--markers", "cmu"], "has its own marker set"),
+        ([tmp_path / "bare.c3d", "--markers", "helen-hayes"], "no marker of"),
+        ([found], "nothing to learn from"),
+        ([tmp_path / "walk.c3d", "--markers", "helen-haze"], "helen-hayes"),
+    ):
+        assert run("learn", *words, "-o", tmp_path / "other.model") == 2
+        assert why in capsys.readouterr().err
+    assert not (tmp_path / "other.model").exists()
+
+
+def test_a_live_stream_needs_no_model() -> None:
+    """The set is found in the first second in which somebody is there; then the labels are those of a stream of its model."""
+    walk = simulate_walks(1, frames=90, rate=50.0, seed=5)[0]
+    mixed = np.random.default_rng(1).permutation(15)
+    live, delay, nobody = LiveLabeller(50.0, 5), 5, 50
+    stream = virtual_model("helen-hayes").stream(50.0, delay)
+    assert {live.push(np.zeros((0, 3))) for _ in range(nobody)} == {None}
+    assert live.worn is None and "no frame with 8 points" in live.refusal
+    found = [live.push(points[mixed]) for points in walk.positions]
+    wanted = [stream.push(points[mixed]) for points in walk.positions]
+    assert live.marker_set is not None and live.marker_set.names == MarkerSet.load("helen-hayes").names
+    labels = [each for each in (*found, *live.flush()) if each is not None]
+    # the last push of that second gives the first labels
+    assert [each.frame for each in labels] == list(range(nobody + 49 - delay, nobody + 90))
+    same = [each for each in (*wanted, *stream.flush()) if each is not None and each.frame >= 49 - delay]
+    for one, other in zip(labels, same, strict=True):
+        np.testing.assert_array_equal(one.indices, other.indices)
+        assert one.frame == nobody + other.frame
+    for each in labels:
+        names = [walk.labels[mixed[point]] for point in each.indices if point >= 0]
+        assert names == [name for name, point in zip(live.marker_set.names, each.indices, strict=True) if point >= 0]
+        assert len(names) >= 12
+
+
+def test_a_live_stream_of_a_given_set_begins_at_once() -> None:
+    walk = simulate_walks(1, frames=3, rate=50.0, seed=5)[0]
+    labels = LiveLabeller(50.0, markers="helen-hayes").push(walk.positions[0])
+    assert labels is not None and labels.frame == 0
+    with pytest.raises(AsterismError, match="positive"):
+        LiveLabeller(0.0)
+    with pytest.raises(AsterismError, match="delay"):
+        LiveLabeller(50.0, -1)
+    with pytest.raises(AsterismError, match="helen-hayes"):
+        LiveLabeller(50.0, markers="hh")
+
+
+def test_name_suggests_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The lines that it writes are those that it reads; a marker in two pieces has one name."""
+    walk = simulate_walks(1, frames=80, seed=5)[0]
+    pieces = np.concatenate([walk.positions, walk.positions], axis=1)
+    pieces[40:, :15], pieces[:40, 15:] = np.nan, np.nan
+    asterism.write(tmp_path / "cut.c3d", anonymous(replace(walk, positions=pieces, labels=(*walk.labels,) * 2)))
+    names, named = tmp_path / "names.csv", tmp_path / "named.c3d"
+    assert run("name", tmp_path / "cut.c3d", "--suggest", names) == 0
+    assert "Suggested by virtual people who wear helen-hayes" in capsys.readouterr().out
+    assert run("name", tmp_path / "cut.c3d", "--names", names, "-o", named) == 0
+    written = asterism.read(named, markers=walk.labels)
+    assert written.visible.mean() > 0.95
+    assert np.nanmax(np.abs(written.positions - walk.positions)) < 1e-3
+    assert run("name", tmp_path / "cut.c3d", "--names", names, "--suggest", tmp_path / "more.csv", "-o", tmp_path / "n.c3d") == 2
+    assert "give one of them" in capsys.readouterr().err

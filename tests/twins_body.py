@@ -238,16 +238,14 @@ def refine(model, k, points, rows, settings, known=(), least=-np.inf, marker_gai
 
 
 def anchor_triples(anchors, a, points):
-    """All points that an anchor's three markers may be, by trying every triple; none where there are more than memory is for."""
+    """All points that an anchor's three markers may be, by trying every triple."""
     checks = [("g4", (0, 1)), ("g2", (0, 1)), ("g4", (0, 2)), ("g2", (0, 2)), ("g2", (1, 2)), ("g19", (0, 1, 2))]
 
     def allowed(triple):
         values = [twins.feature(name, [points[triple[slot]] for slot in slots]) for name, slots in checks]
         return all(low <= value <= high for low, value, high in zip(anchors.low[a], values, anchors.high[a], strict=True))
 
-    triples = [triple for triple in permutations(range(len(points)), 3) if allowed(triple)]
-    count = len(points)
-    return triples if len(triples) <= max(64, min(count * (count - 1) * (count - 2), 16 * count**2)) else []
+    return [triple for triple in permutations(range(len(points)), 3) if allowed(triple)]
 
 
 def all_anchor_scores(model, k, points, rows3, triple, settings):
@@ -264,17 +262,22 @@ def all_anchor_scores(model, k, points, rows3, triple, settings):
     return out
 
 
-def propose(model, triple, points, triples, settings):
-    """The triples worth refining, best first: [(score, key pose, triple)]."""
+def likely_triples(model, triple, points, triples, settings):
+    """The likeliest triples, likeliest first: [(density, key pose, triple)], two for each proposal and for each point too many."""
     likely = []
     for rows3 in triples:
         found = [anchor_density(model, k, points, rows3, triple) for k in range(len(model.mean))]
         k = int(np.argmax([density for density, _ in found]))
         if found[k][1] <= settings.max_anchor_distance2:
             likely.append((found[k][0], k, rows3))
-    limit = 2 * settings.proposals_per_anchor + 2 * max(0, len(points) - len(model.mean[0]))
+    most = 2 * settings.proposals_per_anchor + 2 * max(0, len(points) - len(model.mean[0]))
+    return sorted(likely, reverse=True)[:most]
+
+
+def propose(model, triple, points, triples, settings):
+    """The triples worth refining, best first: [(score, key pose, triple)]."""
     ranked = []
-    for density, k, rows3 in sorted(likely, reverse=True)[:limit]:
+    for density, k, rows3 in likely_triples(model, triple, points, triples, settings):
         scores = all_anchor_scores(model, k, points, np.array(rows3), triple, settings)
         ranked.append((density + np.clip(scores.max(axis=1), 0.0, MAX_MARKER_SCORE).sum(), k, rows3))
     return sorted(ranked, reverse=True)[: settings.proposals_per_anchor]

@@ -11,6 +11,7 @@ from asterism.cli._options import KnownLabels, Rules, marker_names, vertical_axi
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
+    from asterism.labelling import MarkerModel
     from asterism.recording import MarkerSet
     from asterism.session import FileLabeller
 
@@ -87,6 +88,29 @@ def file_labeller(
     for finding in labeller.findings:
         batch.found(finding)
     return labeller
+
+
+def model_or_virtual(
+    model: Path | None, markers: str | None, files: Sequence[Path], vertical: str | None
+) -> tuple[MarkerModel, str | None]:
+    """The model in a file; without one, that of virtual people who wear the set that is given, or worn in the first of the files.
+
+    With the name of the set, where the people are virtual. Raises AsterismError where both are given, or no shipped set is worn.
+    """
+    from asterism import formats
+    from asterism.labelling import MarkerModel, virtual_model
+    from asterism.session import SetFinder
+
+    if model is not None:
+        if markers is not None:
+            raise AsterismError(f"{model} has its own marker set; leave out --markers.")
+        return MarkerModel.load(model), None
+    axis = vertical_axis(vertical)
+    finder = SetFinder(worn_sets(None if markers is None else [markers]), files, axis, virtual_model)
+    # what is given needs no file
+    (worn,) = finder.given_sets() if markers is not None else finder.of(files[0], formats.read(files[0], vertical=axis))
+    with _console.progress("making a model of virtual people") as progress:
+        return virtual_model(worn.marker_set, progress=progress), worn.name
 
 
 def worn_sets(given: Sequence[str] | None) -> list[str | MarkerSet]:

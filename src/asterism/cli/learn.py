@@ -15,9 +15,24 @@ from asterism.errors import AsterismError
 
 
 def learn(
-    model: Annotated[Path, typer.Argument(metavar="MODEL", help="The model to start from.", show_default=False)],
-    files: Annotated[list[Path], typer.Argument(metavar="FILES", help="Corrected recordings, points labelled.", show_default=False)],
+    given: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="[MODEL] FILES",
+            help="The model to start from, else one of virtual people who wear the marker set; corrected recordings, points labelled.",
+            show_default=False,
+        ),
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The model to write.", show_default=False)],
+    markers: Annotated[
+        str | None,
+        typer.Option(
+            "--markers",
+            metavar="SET",
+            help="Without a model, the set worn: a shipped one, a TOML file, or names with commas. Else the names of the files tell it.",
+            show_default=False,
+        ),
+    ] = None,
     subject: SubjectName = None,
     search_again: Annotated[bool, typer.Option("--search-again", help="Search the partial solvers anew, too; takes minutes.")] = False,
     vertical: Vertical = None,
@@ -27,17 +42,25 @@ def learn(
     """Teach a model corrected recordings, in seconds to a minute.
 
     A model carries what it needs of its training, so the old files are not needed. With --overwrite the output may be the model itself.
+    Without a model, learning starts from virtual people, as `asterism label` labels by them.
     A file that cannot be read stops the learning before it starts, and is named.
     """
+    from asterism import formats
+    from asterism.cli._labelling import model_or_virtual
     from asterism.cli._recordings import read_labelled
-    from asterism.labelling import MarkerModel
 
+    # a model may be called anything
+    recordings_only = formats.is_recording_file(given[0]) or given[0].is_dir()
+    model, files = (None, given) if recordings_only else (given[0], given[1:])
+    if not files:
+        raise AsterismError(f"{model} has nothing to learn from; give corrected recordings after it.")
     _console.check_new(output, overwrite)
     _console.check_new(json, overwrite)
-    before = MarkerModel.load(model)
     batch = _console.Batch("read")
+    paths = recordings_of(files, batch)
+    before, worn = model_or_virtual(model, markers, paths, vertical)
     # under the names of the model: what it does not know cannot be learned
-    recordings = read_labelled(recordings_of(files, batch), before.marker_set, vertical, batch)
+    recordings = read_labelled(paths, before.marker_set, vertical, batch)
     batch.tell_passed_over()
     # a model that has learned half of a session looks like one that has learned all of it
     if batch.failed:
@@ -57,9 +80,10 @@ def learn(
     if json != "-":
         from asterism.recording.display import counted
 
+        virtual = f" and virtual people who wear {worn}" if worn else ""
         _console.result(
             f"{output}: {counted(about['recordings'], 'recording')} of {counted(len(about['subjects']), 'subject')} "
-            f"({counted(about['frames'], 'frame')}); learned {counted(len(recordings), 'recording')} in {seconds:.0f} s, "
+            f"({counted(about['frames'], 'frame')}){virtual}; learned {counted(len(recordings), 'recording')} in {seconds:.0f} s, "
             f"{counted(len(new_people), 'new subject')}{f', {known} known already' if known else ''}"
         )
     _console.write_json(
@@ -67,6 +91,7 @@ def learn(
         {
             "command": "learn",
             "model": model,
+            "marker_set": worn,
             "output": output,
             "files": files,
             "new_subjects": new_people,

@@ -13,12 +13,12 @@ from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import Json, Overwrite, Report, Vertical, vertical_axis
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 
 if TYPE_CHECKING:
-    from asterism.findings import Finding
     from asterism.labelling import MarkerGroups
     from asterism.labelling.naming import GroupPlace
-    from asterism.recording import Recording
+    from asterism.recording import Clouds, Recording
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,24 @@ class NameOptions:
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording: C3D, TRC, CSV, TSV, MAT or NPZ.", show_default=False)]
     names: Annotated[
         Path | None, typer.Option("--names", metavar="CSV", help="Lines of group,marker: the names that you give.", show_default=False)
+    ] = None
+    suggest: Annotated[
+        Path | None,
+        typer.Option(
+            "--suggest",
+            metavar="CSV",
+            help="Write such lines with the names that virtual people suggest who wear a shipped marker set, to be corrected.",
+            show_default=False,
+        ),
+    ] = None
+    markers: Annotated[
+        str | None,
+        typer.Option(
+            "--markers",
+            metavar="SET",
+            help="The set by which names are suggested: a shipped one, a TOML file, or names with commas. Else it is found.",
+            show_default=False,
+        ),
     ] = None
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="The labelled file.", show_default=False)] = None
     vertical: Vertical = None
@@ -42,7 +60,7 @@ def name(options: NameOptions) -> None:
 
     No model is needed, and labels in the file are not used: the motion shows which pieces of tracks are one marker. These groups are
     listed with a number; the report shows the numbers on the body. Then --names and -o write the labelled file, from which `asterism
-    train` learns.
+    train` learns. --suggest writes the names first as `asterism label` would give them without a model.
     """
     from asterism import formats
     from asterism.labelling import group_tracklets
@@ -51,7 +69,9 @@ def name(options: NameOptions) -> None:
     # first the numbers, then the names: the two calls are told apart by both options
     if (options.names is None) != (options.output is None):
         raise AsterismError("--names (your names) and -o (the labelled file to write) belong together; give both or neither.")
-    for new in (options.output, options.report, options.json):
+    if options.suggest is not None and options.names is not None:
+        raise AsterismError("--suggest writes the names that --names reads; give one of them.")
+    for new in (options.output, options.report, options.json, options.suggest):
         _console.check_new(new, options.overwrite)
     names = {} if options.names is None else _read_names(options.names)
     recording = formats.read(options.file, vertical=vertical_axis(options.vertical))
@@ -61,10 +81,15 @@ def name(options: NameOptions) -> None:
     # by their motion alone: names in the file may be what is wrong
     groups = group_tracklets(clouds)
     places = locate_groups(clouds, groups)
+    worn, findings = None, list[Finding]()
+    if options.suggest is not None or (options.markers is not None and options.names is None):
+        names, worn, findings = _suggested(options, clouds, groups)
     # written before anything is shown: a name that is refused shows no table
-    findings = [] if options.output is None else _write(options.file, options.output, recording, groups, names)
+    findings += [] if options.output is None else _write(options.file, options.output, recording, groups, names)
+    if options.suggest is not None:
+        _write_names(options.suggest, groups, names)
     if options.json != "-":
-        _print(options.file, groups, places, names, len(clouds))
+        _print(options.file, groups, places, names, len(clouds), worn)
     if options.report is not None:
         from asterism.report import naming_report
 
@@ -86,9 +111,35 @@ def name(options: NameOptions) -> None:
             "output": options.output,
             "findings": [finding.to_dict() for finding in findings],
             "frames": len(clouds),
+            "suggested_by": worn,
             "groups": [_as_json(g, place, groups, names) for g, place in enumerate(places)],
         },
     )
+
+
+def _suggested(options: NameOptions, clouds: Clouds, groups: MarkerGroups) -> tuple[dict[int, str], str, list[Finding]]:
+    """What a labelling by virtual people calls the groups; the set that they wear, in words; and what was found, which is also printed."""
+    from asterism.cli._labelling import worn_sets
+    from asterism.labelling.naming import suggested_names
+    from asterism.session import IGNORE, FileLabeller, LabellingOptions
+
+    given = worn_sets(None if options.markers is None else [options.markers])
+    # labels in the file are not used, as for the groups
+    how = LabellingOptions(markers=given, vertical=vertical_axis(options.vertical), file_names=IGNORE, in_memory=True)
+    with _console.progress("suggesting names") as progress:
+        labelled = FileLabeller((), how, [options.file]).label(options.file, progress)
+    for finding in labelled.findings:
+        _console.report(finding)
+    words = ", ".join(one.words for one in labelled.worn)
+    return suggested_names(clouds, groups, labelled.labelling), words, list(labelled.findings)
+
+
+def _write_names(path: Path, groups: MarkerGroups, names: dict[int, str]) -> None:
+    """Write the lines that --names reads: of each group that a person names, and of each that has a suggestion."""
+    from asterism.files.atomic import write_atomically
+
+    rows = [f"{group + 1},{names.get(group, '')}" for group in sorted({*range(groups.frequent), *names})]
+    write_atomically(path, "\n".join(["group,marker", *rows, ""]).encode())
 
 
 def _read_names(path: Path) -> dict[int, str]:
@@ -128,7 +179,9 @@ def _write(file: Path, output: Path, recording: Recording, groups: MarkerGroups,
     return findings
 
 
-def _print(file: Path, groups: MarkerGroups, places: list[GroupPlace], names: dict[int, str], frames: int) -> None:
+def _print(
+    file: Path, groups: MarkerGroups, places: list[GroupPlace], names: dict[int, str], frames: int, suggested_by: str | None
+) -> None:
     from asterism.report.naming import neighbours_text, side
 
     rows = [
@@ -152,7 +205,8 @@ def _print(file: Path, groups: MarkerGroups, places: list[GroupPlace], names: di
     # what is not in a frequent group need not be named by hand
     share = _console.percent(groups.frames[: groups.frequent].sum() / samples)
     summary = f"{groups.frequent} groups hold {share} of all samples; {len(groups) - groups.frequent} more are rarely seen."
-    _console.result(f"{summary} Named: {_console.percent(named / samples)}." if names else summary)
+    of_whom = f" Suggested by virtual people who wear {suggested_by}" if suggested_by else " Named"
+    _console.result(f"{summary}{of_whom}: {_console.percent(named / samples)}." if names or suggested_by else summary)
 
 
 def _as_json(group: int, place: GroupPlace, groups: MarkerGroups, names: dict[int, str]) -> dict[str, Any]:

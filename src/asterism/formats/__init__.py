@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from asterism.formats._columns import wanted_columns
     from asterism.formats._computed import computed_labels, without_computed
     from asterism.formats._programs import PROGRAMS, for_program
+    from asterism.formats._vertical import vertical_from_positions
     from asterism.formats.csv_blobs import read_blobs, write_blobs
     from asterism.formats.storage import TimeSeriesTable, read_table, write_table
 
@@ -42,6 +43,7 @@ __all__ = [
     "read_confidence",
     "read_evidence",
     "read_table",
+    "vertical_from_positions",
     "wanted_columns",
     "without_computed",
     "write",
@@ -51,6 +53,7 @@ __all__ = [
 ]
 
 _MODULE_OF = {
+    "vertical_from_positions": "_vertical",
     "wanted_columns": "_columns",
     **dict.fromkeys(("computed_labels", "without_computed"), "_computed"),
     **dict.fromkeys(("PROGRAMS", "for_program"), "_programs"),

@@ -110,6 +110,21 @@ def group_tracklets(clouds: Clouds, rules: JoinRules | None = None) -> MarkerGro
     return _numbered(clouds, joined[of_tracklet])
 
 
+def suggested_names(clouds: Clouds, groups: MarkerGroups, labelling: Labelling) -> dict[int, str]:
+    """{group from 0: marker}: what the labels of the same clouds call most of a group's points, each label by its confidence.
+
+    A group of which no marker has half of the points gets no name.
+    """
+    frame, marker = np.nonzero(labelling.indices != NULL)
+    of_group = groups.of_point[clouds.offsets[frame] + labelling.indices[frame, marker]]
+    votes = np.zeros((len(groups), len(labelling.names)))
+    # labels that somebody knows have no confidence of their own
+    np.add.at(votes, (of_group, marker), np.nan_to_num(labelling.confidence[frame, marker], nan=1.0))
+    best = votes.argmax(axis=1)
+    likely = votes[np.arange(len(groups)), best] > 0.5 * groups.frames
+    return {int(group): labelling.names[best[group]] for group in np.nonzero(likely)[0]}
+
+
 def locate_groups(clouds: Clouds, groups: MarkerGroups, nearest: int = 3) -> list[GroupPlace]:
     """Where each group is on the body, with its `nearest` neighbours. Raises AsterismError where the groups are not of these clouds."""
     _check(groups, clouds)

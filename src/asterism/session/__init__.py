@@ -4,6 +4,7 @@ from asterism.labelling.recording_labeller import LabellingSettings
 from asterism.session.finished import FinishedFiles
 from asterism.session.labelled import LabelledFile
 from asterism.session.labeller import FileLabeller, body_names, label_file
+from asterism.session.live import LiveLabeller
 from asterism.session.options import CHECK, IGNORE, KEEP, LabellingOptions
 from asterism.session.worn import SetFinder, WornMarkers
 
@@ -16,6 +17,7 @@ __all__ = [
     "LabelledFile",
     "LabellingOptions",
     "LabellingSettings",
+    "LiveLabeller",
     "SetFinder",
     "WornMarkers",
     "body_names",

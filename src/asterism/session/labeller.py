@@ -15,6 +15,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.labelling.body.subject import SubjectRules
@@ -25,13 +28,15 @@ from asterism.labelling.virtual_model import virtual_model
 from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.labelling.whole.verdict import MIN_FRAMES
 from asterism.progress import Progress
-from asterism.recording import Clouds, Disagreement, Labelling, MarkerSet
+from asterism.recording import Clouds, Disagreement, Floats, Labelling, MarkerSet, Recording
 from asterism.recording.display import counted
+from asterism.recording.verdict import OTHER_BODY
 from asterism.session.labelled import LabelledFile
 from asterism.session.names import choose_name_policy, findings_on_names, join_disagreements, merge_file_names
 from asterism.session.options import LabellingOptions
 from asterism.session.sources import FrameSource, open_source
 from asterism.session.standing import StandingTrials
+from asterism.session.upright import labelled_upright, other_verticals, vertical_finding
 from asterism.session.worn import BY_POINTS, GIVEN, FindRules, SetFinder, WornMarkers
 
 _FRAMES_TO_FIND = 3000
@@ -91,11 +96,11 @@ class FileLabeller:
     def __post_init__(self) -> None:
         if self.models and self.options.markers:
             raise AsterismError("a model has its own marker set; give either the model or the markers.")
-        self._finder = SetFinder(self.options.markers, self.files, self.options.vertical, virtual_model)
+        self._finder = SetFinder(self.options.markers, self.files, self.options.vertical)
         if not self.models:
             # a set that cannot be used is told before any file is read
             if self.options.markers:
-                self._of_worn([WornMarkers(str(one), MarkerSet.load(one), GIVEN) for one in self.options.markers], None)
+                self._of_worn(self._finder.given_sets(), None)
             return
         # only a model that labels by the body can be narrowed to one, and only where there is one
         # what votes by partial solvers has no body to narrow
@@ -138,9 +143,34 @@ class FileLabeller:
         path = Path(path)
         if not self.models:
             return self._label_worn(path, progress)
+        if self.options.vertical is not None:
+            return self._label_source(path, self._open(path, self.options.vertical), progress)
+        source = self._open(path, None)
+        some = slice(0, min(len(source.counts), _FRAMES_TO_FIND))
+        said, other = source.about.vertical, self._upright(source.clouds(some), source.frames(some))
+        labelled = self._label_source(path, source if other is None else self._open(path, other), progress)
+        # whatever points up, the body may be another: then all axes are tried before it is refused
+        if other is None and (labelled.verdict is not None and labelled.verdict.kind == OTHER_BODY):
+            other = self._upright(source.clouds(some), source.frames(some), every=True)
+            labelled = labelled if other is None else self._label_source(path, self._open(path, other), progress)
+        if other is None:
+            return labelled
+        return replace(labelled, findings=(vertical_finding(str(path), said, other), *labelled.findings))
+
+    def _open(self, path: Path, vertical: ArrayLike | str | None) -> FrameSource:
+        """The recording of a file. Raises AsterismError as `label` does."""
         # several bodies are told apart over the whole recording, and a page shows all points: both need it in memory
-        source = open_source(path, self.options, by_ranges=self._plain.can_divide and not self.options.in_memory)
+        by_ranges = self._plain.can_divide and not self.options.in_memory
+        source = open_source(path, replace(self.options, vertical=vertical), by_ranges=by_ranges)
         self._compile(source)
+        return source
+
+    def _upright(self, clouds: Clouds, recording: Recording, *, every: bool = False) -> Floats | None:
+        """What points up where that is clearly not what a recording says; None where it is. every: see `other_verticals`."""
+        return labelled_upright(self._plain, clouds, other_verticals(recording, every=every))
+
+    def _label_source(self, path: Path, source: FrameSource, progress: Progress | None) -> LabelledFile:
+        """Label the recording of a file. Raises AsterismError as `label` does."""
         person, findings = self._person(path), list(source.about.warnings)
         started = time.perf_counter()
         # the names of all columns decide at once, so that all stretches treat them alike
@@ -180,7 +210,15 @@ class FileLabeller:
         recording = source.frames(slice(0, min(len(source.counts), _FRAMES_TO_FIND)))
         worn = self._finder.of(path, recording if recording.clouds().counts.any() else source.about)
         bodies = [*worn, *(one.second for one in worn if one.second is not None)]
-        labelled = self._of_worn(bodies, progress).label(path, progress)
+        labeller, said, shown = self._of_worn(bodies, progress), recording.vertical, worn[0].vertical
+        if shown is None:
+            labelled = labeller.label(path, progress)
+        else:
+            # with which vertical the points are a body was asked already
+            turned = not np.allclose(shown, said)
+            labelled = labeller._label_source(path, labeller._open(path, shown if turned else self.options.vertical), progress)
+            if turned:
+                labelled = replace(labelled, findings=(vertical_finding(str(path), said, shown), *labelled.findings))
         return replace(labelled, worn=tuple(bodies), findings=(*labelled.findings, *findings_on_sets(path, bodies, self._finder.rules)))
 
     def _of_worn(self, worn: Sequence[WornMarkers], progress: Progress | None) -> FileLabeller:
@@ -270,9 +308,11 @@ class FileLabeller:
             while len(self._narrowed) >= _NARROWED_KEPT:
                 self._narrowed.pop(next(iter(self._narrowed)))
             try:
-                self._narrowed[trial] = self.models[0].adapt(
-                    formats.read(trial, vertical=self.options.vertical), self.options.settings.subject
-                )
+                recording = formats.read(trial, vertical=self.options.vertical)
+                # a laboratory's files err alike
+                other = None if self.options.vertical is not None else self._upright(recording.clouds(), recording)
+                recording = recording if other is None else replace(recording, vertical=other)
+                self._narrowed[trial] = self.models[0].adapt(recording, self.options.settings.subject)
             except AsterismError as problem:
                 sentence = str(problem)
                 self._narrowed[trial] = AsterismError(sentence if trial.name in sentence else f"{trial}: {sentence}")
@@ -322,7 +362,7 @@ def findings_on_sets(path: Path, worn: Sequence[WornMarkers], rules: FindRules) 
     """What a person should know of the marker sets that were found: which may be another, and that there are several."""
     findings = []
     for one in worn:
-        if one.by == BY_POINTS and one.probability < rules.sure:
+        if one.by == BY_POINTS and one.same_names < rules.sure:
             rest = ", ".join(f"{name} ({100 * chance:.2g} %)" for name, chance in one.others if chance > _WORTH_TELLING)
             rest = rest or "a set that is not shipped"
             sentence = f"{path}: the points may be those of {one.name} ({100 * one.probability:.2g} %) or of {rest}; {one.name} was taken."

@@ -5,28 +5,39 @@ The plain twins are in `tests/twins_body.py`.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from asterism._jit import kernel
 from asterism.geometry.shared_kernels import fit_about_z
-from asterism.labelling.body._workspace_kernels import LOG_2PI
+from asterism.labelling.body._workspace_kernels import LOG_2PI, copy_labels
 
 
 @kernel
-def search_anchor(solvers, a, points, distance, budget, found, counters):
-    """The points that an anchor's three markers may be: what `features.search_kernels.search` finds with `anchors.CHECKS`, written out.
+def search_anchor(model, a, points, workspace, counters):
+    """The likeliest triples of points that an anchor's three markers may be, of all that its partial solver allows.
 
-    IN   solvers SolverArrays of `Anchors.solvers`; a which anchor; points (n, 3) m, z up; distance (n, n) m between them
-         budget, feature evaluations after which the search gives up
-    OUT  found (S, 3) points of the markers, in ascending order; counters (1 or more,), the first: evaluations made (added to)
-    Returns the number of triples found, or -1 where the budget or S did not suffice: then nothing may be concluded.
-    O(n^2), and O(n) for each pair of points that the first two markers may be.
+    Those are what `features.search_kernels.search` finds with `anchors.CHECKS`, written out. Models of virtual people know bodies of any
+    size: thousands of triples pass an anchor's intervals, and most of them are left at the first coordinates that do not fit.
 
-    Bounds: where `found` is full, it returns -1.
+    IN   model FrameModel; a which anchor; points (n, 3) m, z up; workspace AnchorSearchWorkspace, whose `distance` is theirs
+    OUT  workspace.likely, likeliest first, of equals the one found first; counters (1 or more,), the first: evaluations made (added to)
+    Returns the number of triples kept, or -1 where `settings.max_evaluations` did not suffice: then nothing may be concluded.
+    O(n^2), O(n) for each pair of points that the first two markers may be, and O(K) to O(81 K) for each triple.
+
+    Bounds: where `likely` is full, its last one makes way for a likelier one.
     """
-    n, first = len(points), solvers.first_feature[solvers.first_depth[a]]
+    solvers, likely, distance, budget = model.solvers, workspace.likely, workspace.distance, model.settings.max_evaluations
+    n, first, most = len(points), solvers.first_feature[solvers.first_depth[a]], len(likely.density)
     low, high = solvers.low[first : first + 6], solvers.high[first : first + 6]
-    solutions, evaluations = 0, counters[0]
+    # Taken out of the tuples once: to count the references of all their arrays for each triple would take longer than all else.
+    mean, factor, peak = model.anchors.mean, model.anchors.precision_factor, model.anchors.log_peak
+    displacement = workspace.body.displacement
+    kept, evaluations, triple = 0, counters[0], np.empty(3, dtype=np.int64)
+    # A triple whose best key pose is farther off than `max_anchor_distance2` lies as no one's markers do: less likely ones all are.
+    most_distance2 = model.settings.max_anchor_distance2
+    least = np.min(peak[:, a]) - 0.5 * most_distance2
     for i in range(n):
         for j in range(n):
             if j == i:
@@ -66,11 +77,18 @@ def search_anchor(solvers, a, points, distance, budget, found, counters):
                 if value < low[5] or value > high[5]:
                     continue
                 # Some of the triples would conclude what all of them might not.
-                if evaluations > budget or solutions == len(found):
+                if evaluations > budget:
                     counters[0] = evaluations
                     return -1
-                found[solutions, 0], found[solutions, 1], found[solutions, 2] = i, j, k
-                solutions += 1
+                one, two = (points[i, 0], points[i, 1], points[i, 2]), (points[j, 0], points[j, 1], points[j, 2])
+                three = (points[k, 0], points[k, 1], points[k, 2])
+                pose, density, apart2 = anchor_key_pose(mean, factor, peak, a, one, two, three, least, displacement)
+                if density >= least and apart2 <= most_distance2:
+                    triple[0], triple[1], triple[2] = i, j, k
+                    kept = _keep_likely(likely, kept, triple, pose, density)
+                    # From now on a triple must be likelier than the last one.
+                    if kept == most:
+                        least = likely.density[kept - 1]
             if evaluations > budget:
                 counters[0] = evaluations
                 return -1
@@ -78,7 +96,72 @@ def search_anchor(solvers, a, points, distance, budget, found, counters):
             counters[0] = evaluations
             return -1
     counters[0] = evaluations
-    return solutions
+    return kept
+
+
+@kernel
+def _keep_likely(likely, kept, triple, pose, density):
+    """Put a triple into its place among the first `kept` of `likely`, behind its equals. Returns how many are kept now. O(kept)."""
+    place = kept
+    while place > 0 and likely.density[place - 1] < density:
+        place -= 1
+    # Only as likely as the last one that there is room for.
+    if place == len(likely.density):
+        return kept
+    for p in range(min(kept, len(likely.density) - 1), place, -1):
+        likely.density[p], likely.pose[p] = likely.density[p - 1], likely.pose[p - 1]
+        copy_labels(likely.points[p - 1], likely.points[p])
+    likely.density[place], likely.pose[place] = density, pose
+    copy_labels(triple, likely.points[place])
+    return min(kept + 1, len(likely.density))
+
+
+@kernel(inline=True)
+def anchor_key_pose(mean, factor, peak, a, one, two, three, least, displacement):
+    """The key pose that fits an anchor's own points best: (k, log density in nats, squared Mahalanobis distance).
+
+    Where no key pose has a density of `least` nats or more, -inf and inf.
+
+    IN   mean, factor, peak: see AnchorArrays; a anchor; one, two, three (3,) m, the points of the anchor's markers; least nats
+    OUT  displacement (9,) is overwritten
+    O(K) where the heights alone are unlikely, O(81 K) at most.
+    """
+    best, best_log, best_distance = 0, -np.inf, np.inf
+    third = 1.0 / 3.0
+    x, y, z = third * (one[0] + two[0] + three[0]), third * (one[1] + two[1] + three[1]), third * (one[2] + two[2] + three[2])
+    x0, y0, z0, x1, y1, z1 = one[0] - x, one[1] - y, one[2] - z, two[0] - x, two[1] - y, two[2] - z
+    x2, y2, z2 = three[0] - x, three[1] - y, three[2] - z
+    for k in range(len(peak)):
+        # With the distance at which it would be no better than the best so far, or than what is asked for: a sum of squares only grows.
+        most = 2.0 * (peak[k, a] - max(best_log, least))
+        # The heights first: the turn about the vertical, which takes a root, leaves them as they are.
+        w0, w1, w2 = z0 - mean[k, a, 6], z1 - mean[k, a, 7], z2 - mean[k, a, 8]
+        last = factor[k, a, 8, 8] * w2
+        middle = factor[k, a, 7, 7] * w1 + factor[k, a, 7, 8] * w2
+        first = factor[k, a, 6, 6] * w0 + factor[k, a, 6, 7] * w1 + factor[k, a, 6, 8] * w2
+        distance = last * last + middle * middle + first * first
+        if distance > most:
+            continue
+        u0, v0, u1, v1, u2, v2 = mean[k, a, 0], mean[k, a, 3], mean[k, a, 1], mean[k, a, 4], mean[k, a, 2], mean[k, a, 5]
+        along = x0 * u0 + y0 * v0 + x1 * u1 + y1 * v1 + x2 * u2 + y2 * v2
+        across = x0 * v0 - y0 * u0 + x1 * v1 - y1 * u1 + x2 * v2 - y2 * u2
+        size = math.sqrt(along * along + across * across)
+        cos, sin = (along / size, across / size) if size > 0.0 else (1.0, 0.0)
+        displacement[0], displacement[3] = cos * x0 - sin * y0 - u0, sin * x0 + cos * y0 - v0
+        displacement[1], displacement[4] = cos * x1 - sin * y1 - u1, sin * x1 + cos * y1 - v1
+        displacement[2], displacement[5] = cos * x2 - sin * y2 - u2, sin * x2 + cos * y2 - v2
+        displacement[6], displacement[7], displacement[8] = w0, w1, w2
+        for row in range(6):
+            i, total = 5 - row, 0.0
+            for j in range(i, 9):
+                total += factor[k, a, i, j] * displacement[j]
+            distance += total * total
+            if distance > most:
+                break
+        log_density = peak[k, a] - 0.5 * distance
+        if distance <= most and log_density > best_log:
+            best, best_log, best_distance = k, log_density, distance
+    return best, best_log, best_distance
 
 
 @kernel
@@ -86,51 +169,16 @@ def _place(points, anchor_points, mean, markers, out):
     """Lay an anchor's points onto its markers in a mean body: (cos, sin, from, onto), as `fit_about_z` has them.
 
     IN  points (n, 3) m; anchor_points (3,) points of the anchor's markers; mean (M, 3) m; markers (3,)
-    OUT out (9,) m, how far the placed points lie from the markers. O(1).
+    OUT out (9,) m, how far the placed points lie from the markers: x of the three, then y, then z. O(1).
     """
     cos, sin, here, there = fit_about_z(points, anchor_points, mean, markers)
     for i in range(3):
         m, row = markers[i], anchor_points[i]
         x, y = points[row, 0] - here[0], points[row, 1] - here[1]
-        out[3 * i] = cos * x - sin * y + there[0] - mean[m, 0]
-        out[3 * i + 1] = sin * x + cos * y + there[1] - mean[m, 1]
-        out[3 * i + 2] = points[row, 2] - here[2] + there[2] - mean[m, 2]
+        out[i] = cos * x - sin * y + there[0] - mean[m, 0]
+        out[3 + i] = sin * x + cos * y + there[1] - mean[m, 1]
+        out[6 + i] = points[row, 2] - here[2] + there[2] - mean[m, 2]
     return cos, sin, here, there
-
-
-@kernel
-def _squared_distance(factor, displacement, most):
-    """|factor displacement|^2, or some number above `most` where it is above it. IN factor (9, 9), upper; displacement (9,). O(81)."""
-    distance = 0.0
-    for i in range(9):
-        total = 0.0
-        for j in range(i, 9):
-            total += factor[i, j] * displacement[j]
-        distance += total * total
-        # It can only grow, and farther than the best key pose decides nothing.
-        if distance > most:
-            break
-    return distance
-
-
-@kernel(inline=True)
-def anchor_key_pose(model, a, points, anchor_points, workspace):
-    """The key pose that fits an anchor's own points best: (k, log density in nats, squared Mahalanobis distance).
-
-    IN   model FrameModel; a anchor; points (n, 3) m; anchor_points (3,). OUT workspace.displacement is overwritten. O(81 K).
-    """
-    anchors, body = model.anchors, model.body
-    markers, displacement = anchors.markers[a], workspace.displacement
-    best, best_log, best_distance = 0, -np.inf, np.inf
-    for k in range(len(body.log_weight)):
-        _place(points, anchor_points, body.mean[k], markers, displacement)
-        peak = anchors.log_peak[k, a]
-        # With the distance at which it would be no better than the best so far.
-        distance = _squared_distance(anchors.precision_factor[k, a], displacement, 2.0 * (peak - best_log))
-        log_density = peak - 0.5 * distance
-        if log_density > best_log:
-            best, best_log, best_distance = k, log_density, distance
-    return best, best_log, best_distance
 
 
 @kernel

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_anchor, search_anchor
+from asterism.labelling.body._anchor_kernels import score_from_anchor, search_anchor
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
 from asterism.labelling.body._refine_kernels import refine_until_known
 from asterism.labelling.body._score_kernels import best_pose, evidence
@@ -60,15 +60,26 @@ class CandidateLabellings(NamedTuple):
     last_vote: np.ndarray
 
 
+class LikelyTriples(NamedTuple):
+    """The likeliest triples of points for the three markers of an anchor, likeliest first; L at most.
+
+    points   (L, 3)
+    pose     (L,) key pose
+    density  (L,) nats
+    """
+
+    points: np.ndarray
+    pose: np.ndarray
+    density: np.ndarray
+
+
 class AnchorSearchWorkspace(NamedTuple):
     """Working arrays of one thread for the search in frames of n points: see `make_search_workspace`.
 
     body            BodyWorkspace
     candidates      CandidateLabellings
     distance        (n, n) m between the points
-    triples         (S, 3) points of an anchor's markers, S = `max_triples(n)`
-    triple_pose     (S,) key pose of each triple
-    triple_density  (S,) nats
+    likely          LikelyTriples
     best_triple     (P,) the triples to refine, best first
     best_score      (P,) nats
     trial           (M,) a labelling
@@ -77,9 +88,7 @@ class AnchorSearchWorkspace(NamedTuple):
     body: BodyWorkspace
     candidates: CandidateLabellings
     distance: np.ndarray
-    triples: np.ndarray
-    triple_pose: np.ndarray
-    triple_density: np.ndarray
+    likely: LikelyTriples
     best_triple: np.ndarray
     best_score: np.ndarray
     trial: np.ndarray
@@ -100,69 +109,44 @@ def make_candidates(labellings, markers):
 
 
 @kernel
-def max_triples(n):
-    """How many labellings of one anchor among n points are kept: all there are up to 19 points, then 16 for each pair of points.
-
-    Models of virtual people know bodies of any size, so that many triples of points pass an anchor's intervals: with room for n^2, each
-    anchor gave up in frames of 13 points, and they had no labelling at all. IN n points. Returns their number. O(1).
-    """
-    return max(64, min(n * (n - 1) * (n - 2), 16 * n * n))
-
-
-@kernel
 def make_search_workspace(body, candidates, proposals):
     """Working arrays for frames of as many points as the BodyWorkspace `body` is made for; proposals of one anchor.
 
-    Returns SearchWorkspace. O(n^2) memory: 16 n^2 triples of 40 bytes, 4 MB at 80 points.
+    Returns AnchorSearchWorkspace. O(n^2) memory.
 
-    Bounds: where an anchor has more labellings than `triples` has room for, `search_anchor` returns -1 and it proposes nothing.
+    Bounds: of an anchor's triples the likeliest are kept, two for each of its proposals and for each point that is no marker's: with more
+    points than markers, chance makes likely ones.
     """
-    n = len(body.aligned)
-    triples = max_triples(n)
+    n, markers = len(body.aligned), len(body.all_markers)
+    likely = 2 * proposals + 2 * max(0, n - markers)
     return AnchorSearchWorkspace(
         body,
         candidates,
         np.empty((n, n)),
-        np.empty((triples, 3), dtype=np.int64),
-        np.empty(triples, dtype=np.int64),
-        np.empty(triples),
+        LikelyTriples(np.empty((likely, 3), dtype=np.int64), np.empty(likely, dtype=np.int64), np.empty(likely)),
         np.empty(proposals, dtype=np.int64),
         np.empty(proposals),
-        np.empty(len(body.all_markers), dtype=np.int64),
+        np.empty(markers, dtype=np.int64),
     )
 
 
 @kernel(inline=True)
-def propose(model, a, points, solutions, workspace):
+def propose(model, a, points, count, workspace):
     """Choose the triples of an anchor that are worth refining: those from which the whole body scores best.
 
-    IN   model FrameModel; a anchor; points (n, 3) m; the first `solutions` of workspace.triples
-    OUT  workspace.best_triple, best_score (nats), triple_pose. Returns how many triples were chosen. O(solutions K + P M n).
+    IN   model FrameModel; a anchor; points (n, 3) m; the first `count` of workspace.likely
+    OUT  workspace.best_triple, best_score (nats). Returns how many triples were chosen. O(count M n).
 
     Bounds: the best of `best_triple`'s length are kept.
     """
-    markers, n = model.body.load.shape[1], len(points)
-    density = workspace.triple_density[:solutions]
-    for s in range(solutions):
-        k, log_density, distance = anchor_key_pose(model, a, points, workspace.triples[s], workspace.body)
-        workspace.triple_pose[s], density[s] = k, log_density
-        # Three points that lie as no one's markers do.
-        if distance > model.settings.max_anchor_distance2:
-            density[s] = -np.inf
-    best_triple, best_score = workspace.best_triple, workspace.best_score
+    likely, best_triple, best_score = workspace.likely, workspace.best_triple, workspace.best_score
     chosen, most = 0, len(best_triple)
-    # Likeliest triples first, and only so many: with more points than markers, chance makes likely ones.
-    for _ in range(min(solutions, 2 * most + 2 * max(0, n - markers))):
-        s = np.argmax(density)
-        total = density[s]
-        if total == -np.inf:
-            break
-        # Taken: the next maximum is another triple.
-        density[s] = -np.inf
-        score_from_anchor(model, a, workspace.triple_pose[s], points, workspace.triples[s], workspace.body)
-        for m in range(markers):
+    for s in range(count):
+        total = likely.density[s]
+        score_from_anchor(model, a, likely.pose[s], points, likely.points[s], workspace.body)
+        for m in range(model.body.load.shape[1]):
             top = 0.0
-            for c in range(n):
+            for c in range(len(points)):
                 top = max(top, workspace.body.scores[m, c])
             # Limited, so that one marker at a lucky point does not outweigh a body that fits.
             total += min(top, MAX_MARKER_SCORE)
@@ -216,17 +200,17 @@ def find_labellings(model, points, workspace, counters):
             extra_run += hidden
         counters[1] += 1
         # Minus one where the search gave up: then nothing may be concluded from this anchor.
-        solutions = search_anchor(model.solvers, a, points, workspace.distance, settings.max_evaluations, workspace.triples, evaluations)
-        if solutions <= 0:
+        likely = search_anchor(model, a, points, workspace, evaluations)
+        if likely <= 0:
             continue
-        chosen = propose(model, a, points, solutions, workspace)
+        chosen = propose(model, a, points, likely, workspace)
         for p in range(chosen):
             # Farther behind its anchor's best one than labels elsewhere can make up for.
             if workspace.best_score[p] < workspace.best_score[0] - MAX_PROPOSAL_GAP:
                 break
             triple = workspace.best_triple[p]
-            k = workspace.triple_pose[triple]
-            score_from_anchor(model, a, k, points, workspace.triples[triple], workspace.body)
+            k = workspace.likely.pose[triple]
+            score_from_anchor(model, a, k, points, workspace.likely.points[triple], workspace.body)
             assign_greedily(workspace.body.scores, settings.first_ghost_cost, trial)
             labelled = count_labelled(trial)
             # It finds much less than another proposal did.

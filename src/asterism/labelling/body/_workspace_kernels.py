@@ -44,7 +44,10 @@ class BodyArrays(NamedTuple):
 class AnchorArrays(NamedTuple):
     """What follows for the whole body once an anchor's three markers are known; A anchors.
 
+    The nine coordinates of an anchor's three markers are the three x, then y, then z.
+
     markers       (A, 3)
+    mean          (K, A, 9) m, the anchor's markers about their centre
     precision_factor (K, A, 9, 9) 1/m, upper triangle U, U' U = the inverse covariance of the anchor's own points
     log_peak      (K, A) log density at the anchor's mean, with the key pose's weight
     gain          (K, A, 9, 3 M) prediction of all markers per displacement of the anchor's points: x of all, then y, then z
@@ -54,6 +57,7 @@ class AnchorArrays(NamedTuple):
     """
 
     markers: np.ndarray
+    mean: np.ndarray
     precision_factor: np.ndarray
     log_peak: np.ndarray
     gain: np.ndarray
@@ -128,7 +132,7 @@ class BodyWorkspace(NamedTuple):
     scores       (M, n) nats, every point as every marker
     deviation    (2,) squared Mahalanobis distance of the labelled points from the body, and the number of their coordinates
     all_markers  (M,) 0, 1, ..., M - 1
-    displacement (9,) m, from an anchor's three markers in the mean body to its points
+    displacement (9,) m, from an anchor's three markers in the mean body to its points: x of the three, then y, then z
     """
 
     aligned: np.ndarray

@@ -73,10 +73,12 @@ class Anchors:
         """What follows for the whole body from each anchor, as the kernels read it."""
         poses, markers = body.mean.shape[:2]
         count = len(self.triples)
-        rows = (3 * self.triples[:, :, None] + np.arange(3)).reshape(count, 9)
+        rows = (3 * self.triples[:, None, :] + np.arange(3)[:, None]).reshape(count, 9)
         parts = []
         for k in range(poses):
             full = body.covariance(k)
+            own = body.mean[k, self.triples].transpose(0, 2, 1)
+            centred = (own - own.mean(axis=2, keepdims=True)).reshape(count, 9)
             of_anchor = full[rows[:, :, None], rows[:, None, :]]
             precision = np.linalg.inv(of_anchor)
             cross = full[:, rows].transpose(1, 0, 2).reshape(count, markers, 3, 9)
@@ -90,7 +92,7 @@ class Anchors:
             widest = np.trace(spread, axis1=2, axis2=3)
             factor = np.linalg.cholesky(precision).transpose(0, 2, 1)
             by_displacement = gain.transpose(0, 3, 2, 1).reshape(count, 9, -1)
-            parts.append((factor, log_peak, by_displacement, np.linalg.inv(lower), log_scale, widest))
+            parts.append((centred, factor, log_peak, by_displacement, np.linalg.inv(lower), log_scale, widest))
         return AnchorArrays(np.ascontiguousarray(self.triples), *(np.stack(part) for part in zip(*parts, strict=True)))
 
 

@@ -26,10 +26,9 @@ from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.live.body import LiveBody, LiveRules
 from asterism.labelling.live.tracks import TrackEvidence
+from asterism.labelling.live.twins import LiveTwins, marker_of
 from asterism.labelling.live.verdict import LiveVerdict, LiveVerdictRules
 from asterism.labelling.training.calibration import Calibration
-from asterism.labelling.whole.settings import TwinRules
-from asterism.labelling.whole.turned import compare_with_twins, twin_limits
 from asterism.labelling.whole.verdict import RigidDistances
 from asterism.recording import NULL, Floats, Ints, as_vertical
 from asterism.tracking.linking import LinkRules
@@ -45,7 +44,8 @@ class StreamRules:
     search_interval    s between searches where the carried labels explain the frames
     retry_interval     s between searches where they do not
     max_evaluations    feature evaluations of one search with a large marker set
-    search_effort      markers times labellings that one search refines at most, which bounds its cost for large marker sets
+    search_effort      markers times labellings that one search refines at most, and markers times twins refined in one frame: so no push
+                       of a large marker set takes long; twice as many may take twice as long
     max_ghost_evidence independent frames that count at most for whether a track is a marker or a ghost that moves with the body
     ghost_margin_loss  nats that a margin loses where points are left over, as a ghost that moves with the body fits frame after frame
     log_odds_scale     nats of what then remains that make one unit of log odds
@@ -147,20 +147,18 @@ class Stream:
     def __init__(
         self, model: StreamModel, rate: float, delay: int = 0, vertical: ArrayLike | str = "z", rules: StreamRules | None = None
     ) -> None:
-        if not np.isfinite(rate) or rate <= 0:
-            raise AsterismError(f"frame rate {rate} is not a positive number of frames per second; pass the rate of the live system.")
-        if not isinstance(delay, int | np.integer) or isinstance(delay, bool) or delay < 0:
-            raise AsterismError(f"delay {delay!r} is not a whole number of frames; give 0 for none.")
+        check_timing(rate, delay)
         self.rate, self.delay = float(rate), int(delay)
         self._model, self._rules = model, rules or StreamRules()
         self._vertical = as_vertical(vertical)
-        self._limits, self._twin_rules = LinkRules().limits(self.rate), TwinRules()
+        self._limits = LinkRules().limits(self.rate)
         self._independent = 1.0 / (self._rules.independent_after * self.rate)
         labeller = model.labeller
         self._live = None if labeller.model.within is None else LiveBody(labeller.model, model.body_rules, self.rate, LiveRules())
         self._verdict = None if model.distances is None else LiveVerdict(model.distances, self.rate, LiveVerdictRules())
-        labellings = int(np.clip(self._rules.search_effort // len(model.markers), 4, MAX_LABELLINGS))
-        self._candidates = make_candidates(labellings, len(model.markers))
+        refined = max(4, self._rules.search_effort // len(model.markers))
+        self._candidates = make_candidates(min(refined, MAX_LABELLINGS), len(model.markers))
+        self._twins = LiveTwins(labeller, refined)
         self._restart()
         body = labeller.body
         for _ in range(2):  # the first push must not wait for kernels to be read or compiled
@@ -176,8 +174,8 @@ class Stream:
         self._tracks = TrackEvidence(len(self._model.markers), self._limits, decay, self._independent)
         self._rival, self._margin = np.zeros(0, dtype=np.int64), 0.0
         self._last_search, self._age = -np.inf, 0
-        self._twin_lead: Floats | None = None
-        self._twins_compared, self._twin_markers = False, 0
+        self._twins.restart()
+        self._last_twins, self._twins_compared = -1, False
         self._waiting: deque[_WaitingFrame] = deque()
         self._pushed = 0
 
@@ -240,9 +238,9 @@ class Stream:
         chosen, self._margin = self._contest(frame, carried, challenge, margin)
         if chosen.labelled < 3:
             return
-        if self._twin_lead is None:
-            self._twin_lead, _ = self._against_twins(frame, chosen)
-            self._twin_markers = chosen.labelled
+        # at once, since no label is sure before; but once in a push
+        if self._twins.lead is None and self._last_twins < self._pushed:
+            self._twins.compare(xyz, chosen.point_of)
         if self._verdict is not None:
             self._verdict.add(np.where((chosen.point_of >= 0)[:, None], xyz[chosen.point_of], np.nan))
         rescore(self._body, chosen.pose, xyz, chosen.point_of, settings, frame.workspace)
@@ -274,29 +272,12 @@ class Stream:
         if self._pushed - self._last_search >= wait and (point_of < 0).all():
             # the twins in one push and the search in the next, so that no push waits for both
             if carried.labelled >= 3 and not self._twins_compared:
-                self._twins_compared = True
-                twin = self._better_twin(frame, carried)
+                self._last_twins, self._twins_compared = self._pushed, True
+                twin = self._twins.compare(frame.xyz, carried.point_of)
                 return (twin, 0.0) if twin is not None else (point_of, self._margin)
             self._last_search, self._twins_compared = self._pushed, False
             return self._search(frame), 0.0
         return point_of, self._margin
-
-    def _better_twin(self, frame: _Frame, carried: _RefinedLabelling) -> Ints | None:
-        """The best twin of the carried labelling that explains the frame better, (M,), None where none does; keeps the lead over all."""
-        lead, twin = self._against_twins(frame, carried)
-        before = self._twin_lead
-        # a frame that shows fewer of the same markers says less, and takes nothing back
-        if before is None or carried.labelled >= self._twin_markers:
-            mean = lead if before is None else 0.5 * (before + lead)
-            self._twin_lead, self._twin_markers = np.where(np.isfinite(mean), mean, lead), carried.labelled
-        return twin
-
-    def _against_twins(self, frame: _Frame, labelling: _RefinedLabelling) -> tuple[Floats, Ints | None]:
-        """By how many nats each marker (M,) is ahead of the body's twins in this frame; and the best twin (M,) that is ahead, or None."""
-        points = len(frame.xyz)
-        label, offsets = _marker_of(labelling.point_of, points), np.array([0, points])
-        lead, twin = compare_with_twins(self._model.labeller, frame.xyz, offsets, np.arange(points), label, self._twin_rules)
-        return np.maximum(lead, 0.0), None if twin is None else twin[0]
 
     def _contest(self, frame: _Frame, carried: _RefinedLabelling, challenge: Ints, margin: float) -> tuple[_RefinedLabelling, float]:
         """The carried labelling or the challenging one, and the margin of the one that remains a rival, in nats."""
@@ -310,16 +291,17 @@ class Stream:
         if margin > self._rules.takeover_margin or rejected:
             self._take_over(carried, rival, len(frame.xyz))
             return rival, 0.0
-        self._rival = _marker_of(rival.point_of, len(frame.xyz))
+        self._rival = marker_of(rival.point_of, len(frame.xyz))
         return carried, margin
 
     def _take_over(self, carried: _RefinedLabelling, rival: _RefinedLabelling, points: int) -> None:
         """Forget the evidence of all tracks whose label changes; and the person, if few labels stay."""
         if (rival.point_of == carried.point_of).sum() < 0.5 * carried.labelled or carried.labelled < 3:
             self._forget_person()
-        changed = _marker_of(rival.point_of, points) != _marker_of(carried.point_of, points)
+        changed = marker_of(rival.point_of, points) != marker_of(carried.point_of, points)
         self._tracks.clear(self._tracks.current[changed])
-        self._age, self._twin_lead = 0, None
+        self._age = 0
+        self._twins.restart()
 
     def _learn_body(self, frame: _Frame, live: LiveBody) -> None:
         """Give a frame to the live body model, if enough of its labels have large margins."""
@@ -366,11 +348,9 @@ class Stream:
         left[point_of[given]] = False
         lasts, may_be_marker = self._lasting(waiting.rows)
         near_ghost = (left & may_be_marker).any() | (left.any() & ~lasts[point_of])
-        certainty = self._confidence(margins, near_ghost)
+        certainty = np.minimum(self._confidence(margins, near_ghost), self._twins.limits(len(margins)))
         if self._verdict is not None:
             certainty = np.minimum(certainty, self._verdict.limit)
-        if self._twin_lead is not None:
-            certainty = np.minimum(certainty, twin_limits(self._twin_lead, np.arange(len(certainty)), self._twin_rules))
         chance = np.where(given, certainty, 0.5 * np.exp(np.minimum(margins, 0.0)))
         kept = given & (chance >= model.least_confidence)
         indices, confidence = np.full(model.names, NULL, dtype=np.int64), np.zeros(model.names)
@@ -405,11 +385,12 @@ class Stream:
         return np.where(near_ghost, np.minimum(crowded, bound), alone)
 
 
-def _marker_of(point_of: Ints, points: int) -> Ints:
-    """The marker of each point (n,), from the point of each marker (M,)."""
-    marker = np.full(points, NULL, dtype=np.int64)
-    marker[point_of[point_of >= 0]] = np.nonzero(point_of >= 0)[0]
-    return marker
+def check_timing(rate: float, delay: int) -> None:
+    """Raise AsterismError where a rate or a delay cannot be those of a stream."""
+    if not np.isfinite(rate) or rate <= 0:
+        raise AsterismError(f"frame rate {rate} is not a positive number of frames per second; pass the rate of the live system.")
+    if not isinstance(delay, int | np.integer) or isinstance(delay, bool) or delay < 0:
+        raise AsterismError(f"delay {delay!r} is not a whole number of frames; give 0 for none.")
 
 
 def _assign(scores: Floats) -> Ints:

@@ -39,23 +39,27 @@ def same_labels(one, other):
 
 
 @kernel
-def score_twins(xyz, offsets, track, label, twins, body, settings, gap, marker_gain, out):
+def score_twins(xyz, offsets, track, label, twins, body, settings, gap, marker_gain, most, done, out):
     """Label every frame as each twin of the body has it, complete and refine that, and score it; a twin far behind is only scored.
 
     Where two points or more are left over beside missing markers, the body is laid anew, too.
 
     IN  xyz (P, 3) m, z up; offsets (E + 1,); track (P,) tracklet of each point; label (J,) marker of each tracklet, -1 for none;
         twins (W, M), see `twins_of`; body BodyArrays; settings FrameSettings; gap nats by which a twin may be behind to be refined, each
-        marker without a point taken as marker_gain nats
-    OUT out TwinScores. O(E (W + V) K (M r^2 + r^3)), and one `refine` for each twin that comes near; memory for one frame.
+        marker without a point taken as marker_gain nats; most, how many are refined in a frame, those that may come nearest first
+    IN/OUT done (W + V,) twins that are not looked at; then also those that were looked at in the last frame, all but what `most` left out
+    OUT out TwinScores, scores NaN for what was not looked at. O(E (W + V) K (M r^2 + r^3)), and one `refine` for each twin that comes near;
+        memory for one frame.
     """
     markers, latents, last = body.load.shape[1], body.load.shape[3], len(twins) + LAID
     raw, workspace = np.empty(markers, dtype=np.int64), make_body_workspace(0, markers, latents)
     out.scores[:], nothing = np.nan, np.empty((0, markers), dtype=np.int64)
+    pose, reach, before = np.empty(last, dtype=np.int64), np.empty(last), done.copy()
     for t in range(len(offsets) - 1):
         first, n = offsets[t], offsets[t + 1] - offsets[t]
         own = out.point_of[last, t]
         labelled = points_of_markers(track[first : first + n], label, own)
+        done[:] = True
         if labelled < 3:
             out.point_of[:, t] = -1
             continue
@@ -69,28 +73,40 @@ def score_twins(xyz, offsets, track, label, twins, body, settings, gap, marker_g
         out.scores[last, t] = top
         aligned, mean = workspace.aligned.copy(), body.mean[k]
         lays = min(markers, n) - labelled >= 2
+        reach[:] = -np.inf
         for w in range(last):
             trial = out.point_of[w, t]
             trial[:] = -1
-            if w < len(twins) or lays:
+            if not before[w] and (w < len(twins) or lays):
                 twin_at(w, twins, mean, own, aligned, workspace.scores, trial)
             given = count_labelled(trial)
             # Two points leave the body's turn open; a body alike on both sides has itself as a twin.
             if given < 3 or same_labels(trial, own):
                 continue
-            copy_labels(trial, raw)
             workspace.outlier[:] = False
-            k, score = best_pose(body, points, trial, own_settings, workspace)
-            out.scores[w, t] = score
-            # Even if each marker without a point earned what a good label does, it would stay behind.
-            if score + marker_gain * (min(markers, n) - given) < top - gap:
-                continue
-            refined, _ = refine_until_known(body, k, points, trial, nothing, 0, top - gap, marker_gain, own_settings, workspace)
+            pose[w], out.scores[w, t] = best_pose(body, points, trial, own_settings, workspace)
+            # Even if each marker without a point earned what a good label does, it would stay behind: not refined.
+            may_reach = out.scores[w, t] + marker_gain * (min(markers, n) - given)
+            if may_reach >= top - gap:
+                reach[w] = may_reach
+        # Counted, not timed: every machine stops at the same twin.
+        for _ in range(most):
+            w = np.argmax(reach)
+            if reach[w] == -np.inf:
+                break
+            reach[w] = -np.inf
+            trial = out.point_of[w, t]
+            copy_labels(trial, raw)
+            refined, _ = refine_until_known(body, pose[w], points, trial, nothing, 0, top - gap, marker_gain, own_settings, workspace)
             if refined == -np.inf or same_labels(trial, own):
                 # it leads back: only as it stands it is another labelling
                 copy_labels(raw, trial)
             else:
                 out.scores[w, t] = refined
+        for w in range(last):
+            if reach[w] > -np.inf:
+                done[w], out.scores[w, t] = False, np.nan
+                out.point_of[w, t] = -1
 
 
 @kernel

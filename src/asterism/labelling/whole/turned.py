@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import expit
 
 from asterism.labelling.body._search_kernels import LAID
@@ -194,18 +195,29 @@ def _lead_over_twins(
 
 
 def compare_with_twins(
-    labeller: BodyLabeller, xyz: Floats, offsets: Ints, track: Ints, label: Ints, rules: TwinRules
+    labeller: BodyLabeller,
+    xyz: Floats,
+    offsets: Ints,
+    track: Ints,
+    label: Ints,
+    rules: TwinRules,
+    most: int | None = None,
+    done: NDArray[np.bool_] | None = None,
 ) -> tuple[Floats, Ints | None]:
-    """Hold labels of one body in some frames against its twins.
+    """Hold labels of one body in some frames against its twins; in one frame against a part of them, where only so many may be refined.
 
     xyz (P, 3) m, z up; offsets (E + 1,) where each frame's points begin; track (P,) tracklet of each point; label (J,) marker of each
-    tracklet, -1 for none. Gives by how many nats a frame each marker (M,) is ahead of the best twin that has another point for it in most
-    frames, infinite where there is none; and the points (E, M) of the best twin that is ahead of the labels, None where there is none.
+    tracklet, -1 for none; most, how many twins are refined in a frame, None for all; done (`twins_held_against`,), those that are left
+    out, to which those that were looked at are added. Gives by how many nats a frame each marker (M,) is ahead of the best twin that has
+    another point for it in most frames, infinite where there is none; and the points (E, M) of the best twin that is ahead of the labels,
+    None where there is none.
     """
-    frames, markers = len(offsets) - 1, labeller.body.mean.shape[1]
-    shape = (len(labeller.twins) + LAID + 1, frames)
+    frames, markers, count = len(offsets) - 1, labeller.body.mean.shape[1], twins_held_against(labeller)
+    shape = (count + 1, frames)
     out = TwinScores(np.empty(shape), np.empty((*shape, markers), dtype=np.int64))
-    score_twins(xyz, offsets, track, label, labeller.twins, labeller.body, labeller.settings, rules.gap, rules.marker_gain, out)
+    most, done = count if most is None else most, np.zeros(count, dtype=np.bool_) if done is None else done
+    body, settings = labeller.body, labeller.settings
+    score_twins(xyz, offsets, track, label, labeller.twins, body, settings, rules.gap, rules.marker_gain, most, done, out)
     ahead = out.scores[-1] - out.scores[:-1]
     seen = ~np.isnan(ahead)
     behind = np.where(seen, ahead, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
@@ -218,3 +230,8 @@ def compare_with_twins(
     if behind[best] >= 0.0:
         return lead, None
     return lead, np.where(seen[best][:, None], out.point_of[best], NULL)
+
+
+def twins_held_against(labeller: BodyLabeller) -> int:
+    """How many labellings `compare_with_twins` looks at: the body's twins, and the ways in which it is laid anew."""
+    return len(labeller.twins) + LAID

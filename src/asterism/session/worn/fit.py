@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
-from scipy.special import gammaln
 
 from asterism.recording import Floats, Ints
 from asterism.session.worn.shapes import BodyShapes, farthest
-
-_ORDERS = 0.5
-"""Share that counts of the freedom of extra points. With 1, a foot alone explains 64 points best; with 0, the largest set does."""
-
 
 _ANKLE_AT_MOST, _FOOT = 0.12, 0.05
 """m: the lowest marker of a body on the floor is at most so high; where it is higher, or below the floor, the body is put with it at this
@@ -37,10 +33,8 @@ class FitRules:
     starts    postures that are refined; `kept` of them are held against each set
     reach     m beyond which a point is on no marker while a posture is sought
     rounds    of refinement
-    extra     log density (nats per m3) of a point that is no marker of the set, beside what their number costs: the skin of a body has a
-              room of 0.1 m3, which is 2.3. Half and twice that room move sets with more markers by 0.7 nats a point
-    missing   log odds against a marker of the set that no point shows: 0.05 of the markers are out of view
-    noise     m, standard deviation of a point's place besides, while few points hold the body
+    extra     log density (nats per m3) of a point that is no marker of the set
+    missing   log odds of a marker that no point shows. These two were fitted with `Certainty`, which says how
     astray    share of the markers that lie `far` (m) off: in a posture that virtual people do not know, or placed elsewhere. Without them a
               raised hand costs a marker that is missing and a point that is extra
     hopeless  nats behind the best set from which a set is not held against further postures
@@ -52,9 +46,8 @@ class FitRules:
     kept: int = 4
     reach: float = 0.15
     rounds: int = 4
-    extra: float = 2.3
-    missing: float = -3.0
-    noise: float = 0.01
+    extra: float = -1.8
+    missing: float = -2.9
     astray: float = 0.05
     far: float = 0.08
     hopeless: float = 60.0
@@ -62,37 +55,47 @@ class FitRules:
 
 @dataclass(frozen=True)
 class FrameFit:
-    """How the sets explain one frame: by the name of the set.
+    """How S sets explain the N points of one frame, in the sets' order.
 
-    evidence  nats: of sets, the difference of two is the log odds of the one against the other
-    matched   markers that have a point
+    nats   (S,) log density of the points and of the markers without one, the posture integrated out: differences are log Bayes factors
+    given  (S, N) the marker of the set that has each point, -1 for none
+    sizes  (S,) markers of the sets
+    thing  nats: log density of points anywhere in a box of their size, which are of no body but of a prop, an animal or nothing
     """
 
-    evidence: dict[str, float]
-    matched: dict[str, int]
+    nats: Floats
+    given: Ints
+    sizes: Ints
+    thing: float
+
+    @property
+    def better(self) -> float:
+        """Nats a point by which the best set explains them better than a box does."""
+        return float(self.nats.max() - self.thing) / self.given.shape[1]
 
 
 def fit_frame(points: Floats, shapes: BodyShapes, rules: FitRules | None = None) -> FrameFit:
     """Hold the points (N, 3) m, z up, against the sets. O(templates headings N + starts sets N^3)."""
     rules = rules or FitRules()
-    names = list(shapes.columns)
-    evidence, matched = dict.fromkeys(names, float("-inf")), dict.fromkeys(names, 0)
+    nats = np.full(len(shapes.columns), -np.inf)
+    given = np.full((len(shapes.columns), len(points)), -1, dtype=np.int64)
     for placed, latents in _starts(points, shapes, rules):
-        best = max(evidence.values())
-        for name in names:
-            if best - evidence[name] > rules.hopeless and math.isfinite(evidence[name]):
-                continue
-            found, count = _explained(placed, latents, shapes, shapes.columns[name], rules)
-            if found > evidence[name]:
-                evidence[name], matched[name] = found, count
-    return FrameFit(evidence, matched)
+        # another posture saves no set that is so far behind
+        hopeless = nats.max() - rules.hopeless
+        for number, columns in enumerate(shapes.columns.values()):
+            if not -np.inf < nats[number] < hopeless:
+                found, markers = _explained(placed, latents, shapes, columns, rules)
+                if found > nats[number]:
+                    nats[number], given[number] = found, markers
+    sizes = np.array([len(columns) for columns in shapes.columns.values()], dtype=np.int64)
+    # all markers missing is the least that can be said of a set
+    return FrameFit(np.maximum(nats, rules.extra * len(points) + rules.missing * sizes), given, sizes, as_a_thing(points))
 
 
 def _starts(points: Floats, shapes: BodyShapes, rules: FitRules) -> list[tuple[Floats, Floats]]:
     """Points in the axes of a body, and its latents, for the postures that explain them best as points on any marker of any of the sets."""
-    places, most = shapes.coarse[: rules.coarse[0]], rules.coarse[1]
-    bodies = shapes.mean[places] + np.einsum("uxk,tk->tux", shapes.basis[places], shapes.templates, optimize=True)
-    some = points[farthest(points, most)]
+    trees, shifts = _postures(shapes, rules.coarse[0])
+    some = points[farthest(points, rules.coarse[1])]
     # the floor may be elsewhere than the file says: the lowest point is a foot's, some centimetres up
     middle = np.array([*np.median(points[:, :2], axis=0), 0.0])
     low = float(np.quantile(points[:, 2], 0.02))
@@ -101,10 +104,9 @@ def _starts(points: Floats, shapes: BodyShapes, rules: FitRules) -> list[tuple[F
     angles = np.arange(rules.headings) * (2 * np.pi / rules.headings)
     turns = [(_about_z(angle), np.array([0.0, 0.0, lift])) for lift in lifts for angle in angles]
     stack = np.concatenate([(some - middle) @ turn.T + lift for turn, lift in turns])
-    cost = np.empty((len(bodies), len(turns)))
-    shifts = np.stack([np.array([*np.median(body[:, :2], axis=0), 0.0]) for body in bodies])
-    for t, body in enumerate(bodies):
-        distance, _ = cKDTree(body - shifts[t], balanced_tree=False, compact_nodes=False).query(stack, distance_upper_bound=rules.reach)
+    cost = np.empty((len(trees), len(turns)))
+    for t, tree in enumerate(trees):
+        distance, _ = tree.query(stack, distance_upper_bound=rules.reach)
         cost[t] = np.square(np.minimum(distance, rules.reach)).reshape(len(turns), -1).mean(axis=1)
     refined = []
     for place in np.argsort(cost, axis=None, kind="stable")[: rules.starts]:
@@ -113,6 +115,15 @@ def _starts(points: Floats, shapes: BodyShapes, rules: FitRules) -> list[tuple[F
         refined.append(_refined((points - middle) @ turn.T + lift + shifts[t], shapes.templates[t], shapes, rules))
     refined.sort(key=lambda each: -each[0])
     return [(placed, latents) for _, placed, latents in refined[: rules.kept]]
+
+
+@lru_cache(maxsize=1)
+def _postures(shapes: BodyShapes, places: int) -> tuple[list[cKDTree], Floats]:
+    """So many places of each posture from which a fit starts, above the origin; and where it was."""
+    chosen = shapes.coarse[:places]
+    bodies = shapes.mean[chosen] + np.einsum("uxk,tk->tux", shapes.basis[chosen], shapes.templates, optimize=True)
+    shifts = np.median(bodies, axis=1) * (1.0, 1.0, 0.0)
+    return [cKDTree(body, balanced_tree=False, compact_nodes=False) for body in bodies - shifts[:, None]], shifts
 
 
 def _refined(placed: Floats, latents: Floats, shapes: BodyShapes, rules: FitRules) -> tuple[float, Floats, Floats]:
@@ -133,19 +144,18 @@ def _refined(placed: Floats, latents: Floats, shapes: BodyShapes, rules: FitRule
     return score, placed, latents
 
 
-def _explained(placed: Floats, latents: Floats, shapes: BodyShapes, columns: Ints, rules: FitRules) -> tuple[float, int]:
-    """The evidence of a set for the points, and how many of its markers have one."""
-    basis, mean, near = shapes.basis[columns], shapes.mean[columns], shapes.variance[columns] + rules.noise**2
+def _explained(placed: Floats, latents: Floats, shapes: BodyShapes, columns: Ints, rules: FitRules) -> tuple[float, Ints]:
+    """The evidence of a set for the points, and the marker (N,) that has each of them, -1 for none."""
+    basis, mean, near = shapes.basis[columns], shapes.mean[columns], shapes.variance[columns]
     far = near + rules.far**2
     usual, seldom = math.log1p(-rules.astray) - 1.5 * np.log(2 * np.pi * near), math.log(rules.astray) - 1.5 * np.log(2 * np.pi * far)
-    best, count, extras = float("-inf"), 0, max(1, len(placed) - len(columns))
+    best, given = float("-inf"), np.full(len(placed), -1, dtype=np.int64)
     for _ in range(rules.rounds):
         body = mean + basis @ latents
         squared = ((body[:, None] - placed[None]) ** 2).sum(axis=2)
-        # what a marker on this point gains over a marker that is missing and a point that is extra
-        another = rules.extra + _ORDERS * math.log(extras)
         as_usual, astray = usual[:, None] - 0.5 * squared / near[:, None], seldom[:, None] - 0.5 * squared / far[:, None]
-        gain = np.maximum(as_usual, astray) - another - rules.missing
+        # what a marker on this point gains over a marker that is missing and a point that is extra
+        gain = np.maximum(as_usual, astray) - rules.extra - rules.missing
         markers, points = linear_sum_assignment(-np.maximum(gain, 0.0))
         taken = gain[markers, points] > 0.0
         markers, points = markers[taken], points[taken]
@@ -155,25 +165,18 @@ def _explained(placed: Floats, latents: Floats, shapes: BodyShapes, columns: Int
         strays = astray[markers, points] > as_usual[markers, points]
         latents, fitted = _posterior(placed[points], columns[markers], np.where(strays, far[markers], near[markers]), shapes)
         fitted += float(np.where(strays, math.log(rules.astray), math.log1p(-rules.astray)).sum())
-        extras = len(placed) - len(points)
-        found = fitted + rules.extra * extras + number_of_extras(extras) + rules.missing * (len(columns) - len(points))
-        extras = max(1, extras)
+        found = fitted + rules.extra * (len(placed) - len(points)) + rules.missing * (len(columns) - len(points))
         if found > best:
-            best, count = found, len(points)
-    return best, count
-
-
-def number_of_extras(extras: float) -> float:
-    """Nats of a set of so many points in any order that are no markers: files without any are half, and many are as likely as few."""
-    # n points of one kind have n! orders, of which the density of a set is the sum; extra points come in patterns, so that half counts
-    return math.log(0.5) if extras < 0.5 else _ORDERS * float(gammaln(extras + 1)) - 2.0 * math.log(extras + 1) + math.log(0.5 / 0.645)
+            best, given = found, np.full(len(placed), -1, dtype=np.int64)
+            given[points] = markers
+    return best, given
 
 
 def as_a_thing(points: Floats) -> float:
-    """Log density (nats) of points (N, 3) m that are anywhere in a box of their size: no body, but a prop, an animal or nothing."""
+    """Log density (nats) of points (N, 3) m that are anywhere in a box of their size."""
     # a box with even density is the square root of 12 standard deviations long
     sides = np.maximum(np.sqrt(12.0 * np.linalg.eigvalsh(np.cov(points.T))), _THINNEST)
-    return number_of_extras(len(points)) - len(points) * float(np.log(sides).sum())
+    return -len(points) * float(np.log(sides).sum())
 
 
 def _posterior(points: Floats, columns: Ints, variance: Floats, shapes: BodyShapes) -> tuple[Floats, float]:

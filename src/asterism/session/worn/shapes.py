@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +27,13 @@ TEMPLATES = 240
 """Postures from which a fit starts, far from each other. Not tuned: twice as many take twice as long."""
 
 COARSE = 400
-"""Of all places on the body, those by which a posture is sought: 3 to 4 cm from each other. Not tuned; all 1,200 take thrice as long."""
+"""Of all places on the body, those by which a posture is sought: 3 to 4 cm from each other. Not tuned; all take longer."""
 
-FLOOR = 0.012
+FLOOR = 0.0156
 """m, standard deviation by which any marker differs besides: hands place a marker 6 to 21 mm off (Della Croce et al. 1999)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BodyShapes:
     """A body that wears the markers of several sets at once: U markers, K latents, T templates.
 
@@ -42,7 +42,7 @@ class BodyShapes:
     variance   (U,) m2 per coordinate, of what the latents leave
     templates  (T, K) latents of postures
     coarse     (C,) markers that lie apart from each other on the body, the farthest first
-    columns    for each set the columns of its markers
+    columns    for each set the columns of its markers: sets share the places that they have in common
     """
 
     mean: Floats
@@ -55,13 +55,9 @@ class BodyShapes:
 
 def body_shapes(marker_sets: Mapping[str, MarkerSet], seed: int = 0) -> BodyShapes:
     """The shapes of these sets, each of which says where its markers sit. Made in seconds, and kept in the cache folder by hash."""
-    together = _together(marker_sets)
+    together, columns = _together(marker_sets)
     path = cache_folder() / "models" / f"shapes-{_key(marker_sets, seed)}.npz"
-    columns, begin = {}, 0
-    for name, marker_set in marker_sets.items():
-        columns[name] = np.arange(begin, begin + len(marker_set))
-        begin += len(marker_set)
-    kept = _kept(path, begin)
+    kept = _kept(path, len(together))
     if kept is None:
         kept = _learned(together, seed)
         _keep(path, kept)
@@ -69,14 +65,27 @@ def body_shapes(marker_sets: Mapping[str, MarkerSet], seed: int = 0) -> BodyShap
     return BodyShapes(mean, basis, variance, templates, farthest(mean, COARSE), columns)
 
 
-def _together(marker_sets: Mapping[str, MarkerSet]) -> MarkerSet:
-    """One set with the markers of all."""
-    names, pairs, places = list[str](), list[tuple[str, str]](), dict[str, Place]()
+def _together(marker_sets: Mapping[str, MarkerSet]) -> tuple[MarkerSet, dict[str, Ints]]:
+    """One set with the places of all, each of them once; and for each set the places of its markers."""
+    places, pairs, columns = dict[Place, str](), list[tuple[str, str]](), dict[str, Ints]()
     for name, marker_set in marker_sets.items():
-        names += [f"{name}/{marker}" for marker in marker_set.names]
-        pairs += [(f"{name}/{left}", f"{name}/{right}") for left, right in marker_set.pairs]
-        places |= {f"{name}/{marker}": place for marker, place in marker_set.places.items()}
-    return MarkerSet(tuple(names), "all shipped sets", pairs=tuple(pairs), places=places)
+        # plates of two sets are two plates, whatever they are called
+        own = {marker: replace(place, plate=place.plate and f"{place.plate} of {name}") for marker, place in marker_set.places.items()}
+        called = {marker: places.setdefault(own[marker], f"{name}/{marker}") for marker in marker_set.names}
+        pairs += [(called[left], called[right]) for left, right in marker_set.pairs]
+        columns[name] = np.array([list(places.values()).index(called[marker]) for marker in marker_set.names], dtype=np.int64)
+    names = tuple(places.values())
+    worn = {name: place for place, name in places.items()}
+    return MarkerSet(names, "all shipped sets", pairs=tuple(_once(pairs)), places=worn), columns
+
+
+def _once(pairs: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+    """The pairs without those of which a place has a partner already: sets may pair one place with two that lie millimetres apart."""
+    taken = set[str]()
+    for left, right in pairs:
+        if left != right and not taken & {left, right}:
+            taken |= {left, right}
+            yield left, right
 
 
 def _learned(together: MarkerSet, seed: int) -> tuple[Floats, ...]:

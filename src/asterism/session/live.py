@@ -1,0 +1,111 @@
+"""The points of each frame of a live system in, without a model; the marker set worn, and the labels of the frames, out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from numpy.typing import ArrayLike
+
+from asterism.errors import AsterismError
+from asterism.findings import Finding
+from asterism.labelling.live.stream import FrameLabels, Stream, check_timing
+from asterism.labelling.virtual_model import virtual_model
+from asterism.recording import Clouds, Floats, MarkerSet, Recording, as_vertical
+from asterism.session.labeller import findings_on_sets
+from asterism.session.worn import SetFinder, WornMarkers
+
+_SECONDS = 1.0
+"""s of frames in which the marker set is looked for: a step of a walk. With half of it all frames show one posture; with twice as much the
+first labels come a second later."""
+
+
+class LiveLabeller:
+    """Labels live points by virtual people who wear the marker set that is given, or found in the first second that shows a body.
+
+    As a `Stream`, with its delay and bounded memory, but for the push at which the set is found: the search takes a second or two, and the
+    model of a set that was never used is made, which takes some seconds more. With `markers` all of this is done beforehand.
+
+    rate, delay  as `MarkerModel.stream` takes them
+    markers      the set worn: a shipped one's name, a TOML file, or a marker set; None where it is to be found
+    vertical     what points up; None for z, unless the points are a body with another axis up
+
+    `worn` is the set, None while it is not known; `refusal` says why the last second showed none; `findings` tells what a person should
+    know of the set that was taken. Of several people, the one of most points is labelled.
+    Raises AsterismError where the set given cannot be used, or the rate or the delay is none.
+    """
+
+    def __init__(
+        self, rate: float, delay: int = 0, *, markers: str | Path | MarkerSet | None = None, vertical: ArrayLike | str | None = None
+    ) -> None:
+        check_timing(rate, delay)
+        self.rate, self.delay = rate, delay
+        self.worn: WornMarkers | None = None
+        self.refusal = ""
+        self.findings: Sequence[Finding] = ()
+        self._given, self._up = vertical, as_vertical("z" if vertical is None else vertical)
+        self._stream: Stream | None = None
+        self._waiting, self._before = list[Floats](), 0
+        if markers is not None:
+            (worn,) = SetFinder([markers]).given_sets()
+            self._take(worn)
+
+    @property
+    def marker_set(self) -> MarkerSet | None:
+        """Its names are the columns of the labels; None while the set is not known."""
+        return None if self.worn is None else self.worn.marker_set
+
+    def push(self, points: ArrayLike) -> FrameLabels | None:
+        """Take the next frame's points (n, 3) m; give the labels of the frame `delay` pushes ago, None where there are none yet.
+
+        Raises AsterismError as `Stream.push` does.
+        """
+        if self._stream is not None:
+            return self._numbered(self._stream.push(points))
+        # one that is wrong is refused now, and the others are kept
+        frame = Clouds.from_points([points], self.rate).xyz
+        self._waiting.append(frame)
+        if len(self._waiting) < _SECONDS * self.rate:
+            return None
+        self._find()
+        if self._stream is None:
+            # nobody is there yet: memory and time for a second stay what they are
+            self._before += len(self._waiting)
+            self._waiting.clear()
+            return None
+        labels = [self._stream.push(earlier) for earlier in self._waiting][-1]
+        self._waiting.clear()
+        return self._numbered(labels)
+
+    def flush(self) -> list[FrameLabels]:
+        """The labels of the last `delay` frames, oldest first. The stream then begins anew, with the set that it knows."""
+        rest = [] if self._stream is None else [self._shifted(labels) for labels in self._stream.flush()]
+        self._waiting.clear()
+        self._before = 0
+        return rest
+
+    def _find(self) -> None:
+        """Look for the set in the frames that wait."""
+        clouds = Clouds.from_points(self._waiting, self.rate, self._up)
+        finder = SetFinder(vertical=self._given, model_of=virtual_model)
+        where = Path("the stream")
+        try:
+            (worn,) = finder.of(where, Recording.from_clouds(clouds))
+        except AsterismError as problem:
+            self.refusal = str(problem)
+            return
+        self._up = self._up if worn.vertical is None else worn.vertical
+        self.findings = findings_on_sets(where, [worn], finder.rules)
+        self._take(worn)
+
+    def _take(self, worn: WornMarkers) -> None:
+        self._stream = virtual_model(worn.marker_set).stream(self.rate, self.delay, self._up)
+        self.worn, self.refusal = worn, ""
+
+    def _numbered(self, labels: FrameLabels | None) -> FrameLabels | None:
+        return None if labels is None else self._shifted(labels)
+
+    def _shifted(self, labels: FrameLabels) -> FrameLabels:
+        """The labels under the frame's number since the first push."""
+        return replace(labels, frame=labels.frame + self._before)

@@ -1,0 +1,74 @@
+"""A recording and the vertical that its file says in; the verticals that its points may mean instead, out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from asterism.findings import Finding, Severity
+from asterism.formats import vertical_from_positions
+from asterism.labelling.recording_labeller import RecordingLabeller
+from asterism.labelling.whole.bodies import SeveralBodies
+from asterism.recording import Clouds, Floats, Recording
+
+_OTHER = 0.5
+"""Cosine of the angle between verticals from which they are one: 60 degrees. Axes are 90 degrees apart, a tilted floor a few."""
+
+_FRAMES = 60
+"""Frames that are labelled under each vertical, in one piece: half a step of a walk, in which a body moves. Twice as many take twice as
+long and say the same."""
+
+_LABELS = 1.0
+"""Labels of a frame, each weighted by its confidence, that another vertical must give beyond that of the file: one marker. At half of it
+chance decides, at twice a head that is upside down passes."""
+
+
+def other_verticals(recording: Recording, *, every: bool = False) -> list[Floats]:
+    """What may point up instead of the vertical that a file says: what the points of a body show, where that is something else.
+
+    every: all other axes, where the points show nothing else, since nothing was found with the vertical of the file.
+    """
+    shown = vertical_from_positions(recording.positions, recording.labels)
+    if shown is not None and shown @ recording.vertical < _OTHER:
+        return [shown]
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    return [axis for axis in axes if axis @ recording.vertical < _OTHER] if every else []
+
+
+def labelled_upright(labeller: RecordingLabeller, clouds: Clouds, verticals: list[Floats]) -> Floats | None:
+    """That of the verticals under which a recording gets clearly more labels than under its own; None where none does."""
+    if not verticals:
+        return None
+    # where most points are seen, a body shows most of itself
+    sums = np.convolve(clouds.counts, np.ones(min(_FRAMES, len(clouds))), "valid")
+    begin = int(sums.argmax())
+    part = clouds.frames(slice(begin, begin + _FRAMES))
+    own, *found = (_labels(labeller, part, vertical) for vertical in (clouds.vertical, *verticals))
+    best = int(np.argmax(found))
+    return verticals[best] if found[best] >= own + _LABELS else None
+
+
+def _labels(labeller: RecordingLabeller, clouds: Clouds, vertical: Floats) -> float:
+    """Labels of a frame, weighted by their confidence."""
+    try:
+        labelling = labeller.label_bodies(replace(clouds, vertical=vertical)).labelling
+    except SeveralBodies:
+        # two whole bodies were found
+        return 2.0 * max(len(model.marker_set) for model in labeller.models)
+    return float(np.where(labelling.indices >= 0, labelling.confidence, 0.0).sum()) / max(1, len(clouds))
+
+
+def vertical_finding(where: str, said: Floats, taken: Floats) -> Finding:
+    """The finding that a file's vertical was not believed."""
+    sentence = f"{where}: it was read with {_name(said)} up, but its points are a body with {_name(taken)} up, and were labelled so."
+    mend = f"Say it with --vertical {_name(taken)}, and correct it in the file; --vertical {_name(said)} where the file is right."
+    return Finding("label-vertical", Severity.WARNING, where, sentence, mend)
+
+
+def _name(vertical: Floats) -> str:
+    """A vertical as --vertical takes it: an axis where it is one."""
+    axis = int(np.abs(vertical).argmax())
+    if abs(vertical[axis]) > 1.0 - 1e-6:
+        return f"{'-' if vertical[axis] < 0 else ''}{'xyz'[axis]}"
+    return ",".join(f"{number:.4g}" for number in vertical)
