@@ -16,7 +16,7 @@ _SCRIPTS = {
     "movement.movement movement.laboratories",
     "virtual": "rows.fifteen rows.thirty_nine rows.others rows.raw rows.taught rows.more_points rows.set_worn "
     "rows.first_command rows.virtual_standing rows.virtual_standing_all",
-    "dirt": "reliability.reliability standing.standing",
+    "dirt": "reliability.reliability",
     "cameras": "boards.stereo boards.charuco detection.detection detection.centroids "
     "detection.particles reconstruction.speed reconstruction.ghosts walk.walk wand.real_wand wand.wand wand.wand_rigs",
     "views": "rows.gait rows.whole_body",

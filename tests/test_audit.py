@@ -15,15 +15,17 @@ from models import BRIEF, training_with
 import asterism
 from asterism import AsterismError, MarkerModel, Recording, formats
 from asterism.cli import main
-from asterism.labelling import audit, remove_errors
+from asterism.labelling import audit, check_names, remove_errors
 from asterism.labelling.audit import AuditRules
 from asterism.labelling.audit import _kernels as kernels
+from asterism.labelling.audit.names import _cycles, _least_gain, _named_by
 from asterism.labelling.audit.paths import exchanges
 from asterism.labelling.body._score_kernels import best_pose, evidence
 from asterism.labelling.body._workspace_kernels import make_body_workspace
 from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyRules, fit_body
 from asterism.simulation import simulate_walks
+from asterism.skeleton import virtual_people
 
 pytestmark = pytest.mark.kernels
 
@@ -371,6 +373,91 @@ def test_an_exchange_gains_what_its_evidence_gains(walks):
     swap = pairs.tolist().index(sorted((labels.index("LTHI"), labels.index("LKNE"))))
     assert gains[swap].min() > 10.0
     assert np.isnan(scores[1, 3]) and np.isfinite(np.delete(scores, 1, axis=0)).any()
+
+
+# --- names exchanged throughout a person's only recording
+
+
+@pytest.mark.parametrize(
+    "cycles",
+    [
+        [("LKNE", "RKNE")],
+        [("LASI", "RASI")],
+        [("LTOE", "LHEE")],
+        [("RTHI", "LANK", "SACR")],
+        [("LTIB", "RTOE", "LASI", "RKNE", "RHEE")],
+        [("L" + name, "R" + name) for name in ("ASI", "THI", "KNE", "TIB", "ANK", "HEE", "TOE")],
+    ],
+    ids=lambda cycles: " ".join(map("-".join, cycles)),
+)
+def test_names_exchanged_in_the_only_recording_are_told_by_virtual_people(walks, cycles):
+    damaged = walks[0]
+    for cycle in cycles:
+        damaged = exchanged(damaged, 0, FRAMES - 1, *cycle)
+    [error] = check_names([damaged]).errors
+    assert set(error.markers) == {name for cycle in cycles for name in cycle}
+    assert (error.first_frame, error.last_frame, error.damage, error.finding.code) == (0, FRAMES - 1, False, "audit-names-differ")
+    # a false alarm must cost no sample of a training
+    assert remove_errors([damaged], [error])[0] == damaged
+
+
+def test_names_dealt_out_at_random_are_told(walks):
+    names = list(np.random.default_rng(3).permutation(walks[0].labels))
+    [error] = check_names([replace(walks[0], labels=tuple(names))]).errors
+    # by no fewer than are wrong: which points a name has follows from its place among the others
+    assert set(error.markers) == {was for was, now in zip(walks[0].labels, names, strict=True) if was != now}
+
+
+def test_right_names_are_left_in_peace_by_virtual_people(walks, labels):
+    people = virtual_people("helen-hayes", people=6, frames=48, seed=12)
+    assert check_names([*walks, *people]).errors == ()
+    # one leg, gaps, another axis up: fewer markers are no other names
+    leg = walks[0].select([name for name in labels if name[0] != "R"])
+    gaps = replace(
+        walks[1], positions=np.where(np.random.default_rng(0).random((FRAMES, len(labels), 1)) < 0.3, np.nan, walks[1].positions)
+    )
+    y_up = Recording(walks[2].positions[:, :, [1, 2, 0]], labels, walks[2].rate, "y")
+    assert check_names([leg, gaps, y_up], asterism.MarkerSet.load("helen-hayes")).errors == ()
+
+
+def test_what_real_people_have_told_is_not_told_again(walks):
+    damaged = among(walks, 3, exchanged(walks[3], 0, FRAMES - 1, "LHEE", "LTOE"))
+    known = audit(damaged, subjects=PEOPLE)
+    assert [error.recording for error in check_names(damaged).errors] == [3]
+    assert check_names(damaged, known=known).errors == ()
+
+
+@pytest.mark.parametrize("names", [("a", "b", "c", "d", "e"), ("LKNE", "RKNE", "LANK")], ids=["unknown", "few"])
+def test_virtual_people_say_why_they_are_not_asked(names):
+    still = Recording(np.zeros((9, len(names), 3)), names, 100.0)
+    asked = check_names([still], asterism.MarkerSet(names))
+    assert asked.errors == () and asked.worn is None and "where at least half of its markers sit" in asked.why
+
+
+def test_an_exchange_must_gain_more_the_more_ways_there_are():
+    """By hand: 1 recording in 100, 15 likely pairs, 15^3 rounds of three."""
+    assert _least_gain(np.array([0, 1]), {frozenset((0, 1))}, 15) == pytest.approx(np.log(100 * 15))
+    assert _least_gain(np.array([0, 2]), {frozenset((0, 1))}, 15) == pytest.approx(np.log(100 * 15**2))
+    assert _least_gain(np.array([0, 2, 4]), set(), 15) == pytest.approx(np.log(100 * 15**3))
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2], [1, 0, 2], [1, 2, 0], [2, 0, 1]], ids=str)
+def test_exchanges_undone_one_by_one_are_the_order_that_they_make(order):
+    assert _named_by(_cycles(np.array(order)), 3).tolist() == order
+
+
+@pytest.mark.parametrize("verb", ["audit", "train", "learn"])
+def test_the_commands_tell_names_of_the_only_file_and_leave_with_1(verb, walks, tmp_path, capsys):
+    file, report = tmp_path / "walk.c3d", tmp_path / "report.json"
+    formats.write(file, exchanged(walks[0], 0, FRAMES - 1, "LKNE", "RKNE"))
+    with training_with(BRIEF):
+        if verb == "learn":
+            MarkerModel.fit(walks[1:3], marker_set=asterism.MarkerSet.load("helen-hayes"), training=BRIEF).save(tmp_path / "a.model")
+        words = {"audit": [], "train": ["-o", tmp_path / "b.model"], "learn": [tmp_path / "a.model", "-o", tmp_path / "b.model"]}[verb]
+        words = [*words[:-2], file, *words[-2:]] if verb == "learn" else [file, *words]
+        assert main([verb, *map(str, words), "--json", str(report)]) == 1
+    assert "carry each other's names in the whole recording" in " ".join("".join(capsys.readouterr()).split())
+    assert [finding["code"] for finding in json.loads(report.read_text())["findings"]] == ["audit-names-differ"]
 
 
 # --- the command

@@ -12,7 +12,16 @@ from asterism.labelling import MarkerModel, TrainingRules
 from asterism.labelling.evaluation import expected_calibration_error
 from asterism.labelling.reliability import ConfidenceTally
 from asterism.labelling.simulated_occlusions import simulate_occlusions
-from asterism.labelling.training.calibration import IN_FRAMES, IN_TIME, LARGEST, Calibration, LabelCalibration, LabelTrials
+from asterism.labelling.training.calibration import (
+    IN_FRAMES,
+    IN_TIME,
+    LARGEST,
+    Calibration,
+    LabelCalibration,
+    LabelTrials,
+    stream_curves_of_virtual,
+)
+from asterism.labelling.training.learning import least_confidence
 from asterism.simulation import simulate_walks
 
 
@@ -178,3 +187,14 @@ def test_a_wrong_label_of_a_simulated_walk_is_said(tmp_path):
     model.save(tmp_path / "a.model")
     again = MarkerModel.load(tmp_path / "a.model").label_frames(clouds)
     np.testing.assert_array_equal(again.confidence, labelling.confidence)
+
+
+def test_streams_of_virtual_people_give_what_is_likely_and_call_nothing_sure():
+    """As often right as they say, see `VIRTUAL_IN_STREAMS`. A level stretch of the curve had kept back every fifth right label."""
+    given = least_confidence(0.999)
+    for curve, likely in zip(stream_curves_of_virtual(), (5.0, 8.5), strict=True):
+        stated = curve.confidence(np.arange(-30.0, 60.0, 0.5))
+        assert (np.diff(stated) >= 0.0).all()
+        assert curve.confidence(0.0) < 0.5
+        assert curve.confidence(likely - 1.0) < given < curve.confidence(likely)
+        assert 0.95 < stated[-1] < 0.99

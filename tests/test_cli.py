@@ -34,6 +34,7 @@ VERBS = (
     "reconstruct",
     "info",
     "convert",
+    "warm-up",
     "detect",
 )
 TWO_WORDS = ("calibrate refine", "calibrate wand", "calibrate board", "rig report", "rig plan")

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from asterism import AsterismError, MarkerModel
 from asterism.geometry import align_about_z
+from asterism.labelling import virtual_model
 from asterism.labelling.body.exchanges import ExchangeModel
+from asterism.recording import MarkerSet
+from asterism.skeleton import virtual_people
 
 MARKERS = 7
 FREEDOM = 8.0
@@ -99,3 +105,32 @@ def test_frames_of_fewer_than_three_labels_tell_nothing(hidden: int) -> None:
     rng = np.random.default_rng(hidden)
     model = random_model(rng)
     assert np.isnan(model.behind(frames_of(rng, model, 2, hidden), FREEDOM)).all()
+
+
+def test_what_laboratories_often_leave_out_is_not_taken_for_what_all_wear() -> None:
+    """Upper arms without their markers, as in most files of Plug-in Gait: the model knows from the set, and elbows keep their names."""
+    marker_set = MarkerSet.load("plug-in-gait")
+    absent = [name for name in marker_set.names if name[1:] in ("UPA", "FRM")]
+    assert set(absent) < set(marker_set.optional)
+    model = virtual_model(marker_set)
+    blind = MarkerModel(replace(model.state, marker_set=replace(marker_set, optional=())))
+    counts = {"knows": 0, "blind": 0}
+    columns = [marker_set.names.index(name) for name in absent]
+    for person in virtual_people(marker_set, 2, 60, seed=9)[:5]:
+        clouds = person.select([name for name in marker_set.names if name not in absent]).clouds()
+        for name, labeller in (("knows", model), ("blind", blind)):
+            counts[name] += int((labeller.label(clouds).indices[:, columns] >= 0).sum())
+    assert counts["knows"] == 0
+    assert counts["blind"] > 20, "as elbows and wrists are taken for these"
+    odds = model.body_labeller.worn_odds
+    assert (odds[[marker_set.names.index(name) for name in absent]] == 0.0).all()
+    assert odds[marker_set.names.index("LELB")] > 4.0
+
+
+def test_a_set_keeps_what_is_optional_in_its_file() -> None:
+    marker_set = MarkerSet(("LKNE", "RKNE", "LTHI"), optional=("LTHI",))
+    assert MarkerSet.from_toml(marker_set.to_toml(), "here").optional == ("LTHI",)
+    with pytest.raises(AsterismError, match="optional"):
+        MarkerSet(("LKNE",), optional=("RKNE",))
+    with pytest.raises(AsterismError, match="optional"):
+        MarkerSet.from_toml('markers = ["LKNE"]\noptional = "LKNE"\n', "here")

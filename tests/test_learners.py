@@ -13,8 +13,9 @@ from asterism import MarkerModel, Recording
 from asterism.labelling import FullSolver, FullSolverRules, TrainingRules
 from asterism.labelling.body.model import BodyRules, fit_body
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
+from asterism.labelling.partial.search_strategies import search_partial_solvers
 from asterism.labelling.partial.solver import stack_frames
-from asterism.labelling.partial.solver_search import SearchSettings, search_partial_solvers
+from asterism.labelling.partial.solver_search import SearchSettings
 from asterism.simulation import simulate_walks
 
 FEW = ("LASI", "RASI", "SACR", "LKNE", "RKNE")

@@ -14,8 +14,9 @@ from models import BRIEF, trained
 from asterism import AsterismError, Clouds, MarkerModel, MarkerSet, Recording
 from asterism.labelling import TrainingRules
 from asterism.labelling.partial.matrix import label_by_matrix
+from asterism.labelling.partial.search_strategies import search_partial_solvers
 from asterism.labelling.partial.solver import stack_frames
-from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, search_partial_solvers
+from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES
 from asterism.recording import subject_of
 from asterism.simulation import simulate_occlusions, simulate_walks
 

@@ -18,8 +18,9 @@ from asterism.labelling.features.registry import FEATURES, TEMPORAL, feature_poo
 from asterism.labelling.features.search_kernels import search
 from asterism.labelling.marker_model import TrainingRules
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
+from asterism.labelling.partial.search_strategies import search_partial_solvers
 from asterism.labelling.partial.solver import FullSolver, FullSolverRules, stack_frames
-from asterism.labelling.partial.solver_search import SearchSettings, search_partial_solvers
+from asterism.labelling.partial.solver_search import SearchSettings
 from asterism.labelling.partial.weak import FeatureRanges, StrongClassifier
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.simulation import simulate_walks

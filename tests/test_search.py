@@ -113,6 +113,26 @@ def test_more_than_64_points():
     assert right in [workspace.order[row][np.argsort(solver.markers)].tolist() for row in workspace.found[:1]]
 
 
+def test_solvers_of_several_widenings_share_rules_and_find_what_each_finds_alone():
+    """The widest solver's interval is the rule of a pair, and the narrow one keeps its own: else one would find the other's labellings."""
+    frames, _, narrow = solver_and_rules(0.0)
+    wide = solver_and_rules(20.0)[2]
+    rest, pairs = factor_pair_rules(pack_solvers([narrow, wide]), 7)
+    kept = np.diff(rest.first_feature[[0, 4, 8]])
+    assert kept[0] > kept[1], "only the narrow one has classifiers of pairs"
+    workspace = make_search_workspace(7, 7, 4, WIDTH, len(pairs.kinds))._replace(found=np.empty((2000, 4), dtype=np.int64))
+    more = 0
+    for number, points in enumerate(frames[:12]):
+        load_frame(points, 7, pairs.kinds, workspace)
+        sets = []
+        for s, solver in enumerate((narrow, wide)):
+            solutions = search_by_pairs(rest, pairs, s, 7, number, 10**7, workspace)
+            sets.append({tuple(workspace.order[row].tolist()) for row in workspace.found[:solutions]})
+            assert sets[-1] == twins.labellings(solver.weak, np.arange(4), points)
+        more += len(sets[1]) > len(sets[0])
+    assert more, "the wide one finds more"
+
+
 def test_pack_and_unpack():
     solvers = [solver_and_rules(width)[2] for width in (0.0, 1.0)]
     for solver, again in zip(solvers, unpack_solvers(pack_solvers(solvers)), strict=True):

@@ -13,27 +13,16 @@ import twins
 from test_weak import bodies
 
 from asterism import AsterismError
+from asterism.labelling.features.registry import FEATURES as REGISTRY
 from asterism.labelling.features.registry import THESIS
 from asterism.labelling.features.search_kernels import search
 from asterism.labelling.partial._choice_kernels import count_labels
+from asterism.labelling.partial.ensemble_choice import choose_ensemble
 from asterism.labelling.partial.matrix import label_by_matrix
 from asterism.labelling.partial.matrix_choice import Matrix, choose_solvers
+from asterism.labelling.partial.search_strategies import MINERS, bottom_up, evolve, genetic, genetic_all, search_partial_solvers, top_down
 from asterism.labelling.partial.solver import Solver, pack_solvers, stack_frames
-from asterism.labelling.partial.solver_search import (
-    MINERS,
-    PRINTED,
-    EvaluatedSolver,
-    SearchSettings,
-    SolverSearch,
-    bottom_up,
-    choose_ensemble,
-    evolve,
-    genetic,
-    genetic_all,
-    random_occlusions,
-    search_partial_solvers,
-    top_down,
-)
+from asterism.labelling.partial.solver_search import PRINTED, EvaluatedSolver, SearchSettings, SolverSearch, random_occlusions
 from asterism.labelling.partial.weak import WeakClassifiers
 from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.simulation import simulate_walks
@@ -322,6 +311,15 @@ def test_the_choice_hands_in_only_what_is_confirmed():
     assert choose_solvers(matrix, markers, points, 3, confirm=confirmed.__getitem__) == [0, 1]
     assert matrix.cost() == 0.0
     assert not both[0].any(), "what is not confirmed is not handed in"
+
+
+def test_minimal_solvers_reject_what_larger_ones_do_with_fewer_classifiers():
+    settings = [replace(QUICK, minimal=minimal) for minimal in (False, True)]
+    searches = [SolverSearch(FRAMES, GROUPS, features=THESIS, settings=one, seed=0) for one in settings]
+    whole, minimal = (each.build_solver(tuple(range(8))).weak for each in searches)
+    assert len(minimal) < len(whole)
+    pairs = [feature.points == 2 and not feature.moving for feature in REGISTRY]
+    assert np.array(pairs)[minimal.kinds].sum() == 2 * 28, "distance and height of each pair, which solvers share"
 
 
 def test_a_solver_is_trusted_only_with_markers_that_the_choice_knew_of():

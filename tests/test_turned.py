@@ -94,7 +94,7 @@ def test_exchanged_neighbours_are_held_against_their_exchange(walkers: asterism.
     exchanged = np.arange(len(NAMES))
     exchanged[columns] = columns[1:] + columns[:1]
     for start in (exchanged[right], right):
-        held = hold_against_twins([labeller], scene, start, lambda label: label, settings.twins, settings)
+        held = hold_against_twins([labeller], scene, start, lambda label, _: label, settings.twins, settings)
         np.testing.assert_array_equal(held.label, right)
         assert (held.over_exchanges[columns] > 0.0).all()
         limits = held.limits(right, settings.twins, with_exchanges=True)

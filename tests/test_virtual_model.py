@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from models import BRIEF
 
+from asterism import formats
 from asterism.errors import AsterismError
 from asterism.files import cache
 from asterism.labelling import MarkerModel, TrainingRules, virtual_model
-from asterism.labelling.training.learning import TrainingConfig, beside, fit_whole
+from asterism.labelling.training.learning import TrainingConfig, _fewer_trials, _try_frames, beside, fit_whole
+from asterism.labelling.training.trials import TrainingTrial
 from asterism.labelling.training.virtual import VirtualFrames, placed_by_neighbours, virtual_frames, with_known_places
 from asterism.recording import MarkerSet, Recording
 from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
@@ -163,6 +166,18 @@ def test_one_persons_model_starts_from_virtual_people_and_knows_other_movements(
     assert after[1] < 0.01
 
 
+def test_fewer_frames_with_ghosts_count_as_much_as_all_of_them(walks):
+    labeller, frames = virtual_model("helen-hayes", people=FEW).body_labeller, walks[0].positions
+    rules = TrainingRules(trial_frames=20, trials=(TrainingTrial(0.2), TrainingTrial(0.2, 3)))
+    people = np.zeros(len(frames), dtype=np.int64)
+    all_of_them, few = (_try_frames(labeller, frames, people, rules, 0, few) for few in (False, True))
+    # 20 frames, and 20 with ghosts that count a fifth: of these 4 do
+    assert 1.5 * len(few.right) < len(all_of_them.right)
+    assert few.weight.sum() == pytest.approx(all_of_them.weight.sum(), rel=0.05)
+    half = _fewer_trials(rules)
+    assert (half.trial_frames, half.stretch_frames, half.stretches) == (10, rules.stretch_frames // 2, rules.stretches)
+
+
 def test_learning_starts_from_the_same_people_in_any_order(walks, tmp_path):
     """fit(a, b) = fit(a).learn(b) = fit(b).learn(a) = virtual.learn(a, b), where all have the same rules, bit for bit."""
     places = {"marker_set": MarkerSet.load("helen-hayes"), "training": START}
@@ -260,3 +275,14 @@ def test_ghosts_beside_a_walk_do_not_silence_a_model_of_virtual_people() -> None
     given = model.label(clouds).indices
     assert (given == truth)[shown].mean() > 0.9
     assert ((given >= 0) & (given != truth)).mean() < 0.01
+
+
+def test_a_stream_of_many_markers_finds_a_stranger(data: Path) -> None:
+    """An anchor that knows bodies of any size looks at tens of thousands of triples of 61 points, or no frame has labels."""
+    recording = formats.read(data / "movement/fullbody61/markers.trc", markers="leuven").frames(slice(100, 130))
+    stream, right, shown = virtual_model("leuven", people=FEW).stream(recording.rate, 0, recording.vertical), 0, 0
+    for points, visible in zip(recording.positions, recording.visible, strict=True):
+        indices = stream.push(points[visible]).indices
+        right += (indices[visible] == np.arange(visible.sum())).sum()
+        shown += visible.sum()
+    assert right > 0.5 * shown

@@ -112,14 +112,16 @@ def test_a_plate_is_as_large_on_a_child_as_on_a_tall_adult() -> None:
     marker_set = MarkerSet.load("cast")
     plate = next(place.plate for place in marker_set.places.values() if place.plate)
     first, last = [m for m, name in enumerate(marker_set.names) if marker_set.places[name].plate == plate][::3]
-    sizes = {
-        (float(recording.metadata["height"]), round(float(np.linalg.norm(positions[first] - positions[last])), 9))
-        for recording in virtual_people(marker_set, 3, 20, rules=VirtualRules(noise=0.0))
-        for positions in recording.positions[:1]
-    }
-    heights, lengths = zip(*sizes, strict=True)
+
+    def sizes(wear: WearRules) -> tuple[list[float], list[float]]:
+        people = virtual_people(marker_set, 3, 20, rules=VirtualRules(noise=0.0, wear=wear))
+        lengths = [float(np.linalg.norm(person.positions[0, first] - person.positions[0, last])) for person in people]
+        return [float(person.metadata["height"]) for person in people], lengths
+
+    heights, lengths = sizes(WearRules(plate_shape=0.0))
     assert max(heights) - min(heights) > 0.2
     assert np.ptp(lengths) < 1e-6
+    assert 0.001 < np.ptp(sizes(WearRules())[1]) < 0.06, "but laboratories make plates of their own"
 
 
 def test_rods_swing_while_they_move_and_other_markers_do_not() -> None:

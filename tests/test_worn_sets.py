@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,11 +15,15 @@ import pytest
 import asterism
 from asterism import AsterismError
 from asterism.cli import main
+from asterism.files.cache import cache_folder
 from asterism.labelling import virtual_model
-from asterism.recording import MarkerSet, Recording
+from asterism.recording import Disagreement, MarkerSet, Recording
 from asterism.session import LabellingOptions, LiveLabeller, SetFinder, label_file
 from asterism.session.labeller import findings_on_sets
+from asterism.session.mirror import exchanged_sides
 from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules
+from asterism.session.worn.find import SetCertainty, SetEvidence
+from asterism.session.worn.fit import FrameFit
 from asterism.simulation import simulate_walks
 from asterism.skeleton import virtual_people
 
@@ -61,6 +67,60 @@ def test_points_left_over_make_a_set_less_sure() -> None:
     assert worn.probability <= worn.shown / worn.points < 0.95
     codes = {finding.code for finding in findings_on_sets(Path("walk.c3d"), [worn], FindRules())}
     assert "label-set-unsure" in codes
+
+
+def test_ghosts_say_nothing_of_the_set() -> None:
+    """Points that come and go beside a body: the set, its probability and the findings are those of the body alone."""
+    walk = simulate_walks(1, frames=120, markers="helen-hayes", seed=8)[0]
+    rng = np.random.default_rng(1)
+    ghosts = np.full((120, 6, 3), np.nan)
+    for number, begin in enumerate(range(0, 120, 20)):
+        ghosts[begin : begin + 20, number] = walk.positions[begin : begin + 20, number] + rng.uniform(0.05, 0.15, 3)
+    beside = replace(
+        walk, positions=np.concatenate([walk.positions, ghosts], axis=1), labels=(*walk.labels, *(f"ghost {number}" for number in range(6)))
+    )
+    alone, among = found(anonymous(walk)), found(anonymous(beside))
+    assert among.to_dict() == alone.to_dict()
+    assert not findings_on_sets(Path("walk.c3d"), [among], FindRules())
+
+
+def test_names_that_sets_share_are_sure_where_the_set_is_not() -> None:
+    """Plug-in Gait without the markers of its arms is another set, too; both call all points alike, so that nothing need be said."""
+    whole = person("plug-in-gait")
+    legs = MarkerSet.load("plug-in-gait-lower")
+    keep = [place for place, name in enumerate(whole.labels) if name in MarkerSet.load("vicon-35").names]
+    assert len(keep) > len(legs) and len(keep) < len(whole.labels)
+    worn = found(anonymous(whole, keep))
+    likely = [worn.name, *(name for name, chance in worn.others if chance > 0.01)]
+    assert set(likely) <= {"plug-in-gait", "vicon-35"}
+    assert worn.same_names > worn.probability - 1e-9
+    assert all(MarkerSet.load(name).name_of(whole.labels[place]) is not None for name in likely for place in keep)
+
+
+def frame_fit(*given: list[int], nats: tuple[float, float] = (40.0, 30.0)) -> FrameFit:
+    """Two sets of six markers, and the markers that points have by each of them."""
+    return FrameFit(np.array(nats), np.array(given), np.array([6, 6]), thing=0.0)
+
+
+def test_what_is_left_over_makes_a_shipped_set_less_probable() -> None:
+    """A marker that is seen in one frame of two is not missing; one that is never seen is, and a point without a marker is left over."""
+    every, without, extra = [0, 1, 2, 3, 4, 5], [0, 1, 2, 3, 4, -1], [0, 1, 2, 3, 4, 5, -1]
+    up, rules = np.array([0.0, 0.0, 1.0]), SetCertainty()
+
+    def chances(*fits: FrameFit) -> tuple[float, float]:
+        sets, worn = SetEvidence(fits, up).chances(rules)
+        return float(np.exp(sets[0])), worn
+
+    whole = chances(frame_fit(every, every))
+    assert whole[0] == pytest.approx(1.0 / (1.0 + np.exp(-10.0 / rules.nats)))
+    # of four frames the better two count
+    seen_once = [frame_fit(without, every), frame_fit([5, *every[:5]], every)] * 2
+    assert chances(*seen_once)[0] == pytest.approx(whole[0])
+    never_seen, left_over = chances(frame_fit(without, every)), chances(frame_fit(extra, extra))
+    assert never_seen[0] == pytest.approx(1.0 / (1.0 + np.exp(-(10.0 + rules.some) / rules.nats)))
+    assert never_seen[1] < whole[1] and left_over[1] < whole[1] and left_over[0] == pytest.approx(whole[0])
+    # no better than a box of points, and it is rather nothing
+    assert chances(frame_fit(every, every, nats=(0.0, -10.0)))[1] < 0.5
 
 
 def test_the_room_does_not_matter() -> None:
@@ -351,3 +411,53 @@ def test_name_suggests_names(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert np.nanmax(np.abs(written.positions - walk.positions)) < 1e-3
     assert run("name", tmp_path / "cut.c3d", "--names", names, "--suggest", tmp_path / "more.csv", "-o", tmp_path / "n.c3d") == 2
     assert "give one of them" in capsys.readouterr().err
+
+
+def test_warm_up_makes_what_the_first_label_needs(
+    legs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """After it, labelling makes no model and no shapes; a set that cannot be used is told."""
+    # what sets are found by is as long in the making as all else together, and is made as it is anywhere
+    SetFinder().of(legs, asterism.read(legs))
+    shutil.copytree(cache_folder() / "models", tmp_path / "cache" / "models", ignore=shutil.ignore_patterns("*.model"))
+    monkeypatch.setenv("ASTERISM_CACHE", str(tmp_path / "cache"))
+    assert run("warm-up", "--markers", "hh") == 2
+    assert "helen-hayes" in capsys.readouterr().err
+    assert run("warm-up", "--markers", "LASI,RASI,SACR,LKNE,RKNE") == 0
+    assert "for LASI,RASI,SACR,LKNE,RKNE; helen-hayes." in capsys.readouterr().out
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*") if path.is_file()}
+    assert sum(path.suffix == ".model" for path in kept) == 2
+    run("label", legs, "-o", tmp_path / "out", "--markers", "helen-hayes")
+    run("label", legs, "-o", tmp_path / "listed", "--markers", "LASI,RASI,SACR,LKNE,RKNE")
+    assert kept == {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_names_of_a_mirror_image_are_told(mirrored: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Legs alone are as well a mirror image; the names of all pairs are then exchanged, which is no note any more."""
+    walk = simulate_walks(1, frames=60, seed=5)[0]
+    seen = replace(walk, positions=walk.positions * np.array([1.0, -1.0 if mirrored else 1.0, 1.0]))
+    asterism.write(tmp_path / "walk.c3d", seen)
+    assert run("label", tmp_path / "walk.c3d", "-o", tmp_path / "out") == int(mirrored)
+    assert ("[label-mirrored]" in capsys.readouterr().err) == mirrored
+
+
+def test_a_few_exchanged_names_are_no_mirror_image() -> None:
+    marker_set = MarkerSet.load("helen-hayes")
+    other = {name: twin for pair in marker_set.pairs for name, twin in (pair, pair[::-1])}
+    all_sides = [Disagreement(name, twin, 0, 9, 10) for name, twin in other.items()]
+    assert [finding.code for finding in exchanged_sides("walk.c3d", marker_set, all_sides)] == ["label-mirrored"]
+    assert exchanged_sides("walk.c3d", marker_set, all_sides[:4]) == []
+    assert exchanged_sides("walk.c3d", marker_set, [replace(each, given=None) for each in all_sides]) == []
+
+
+@pytest.mark.skipif("ASTERISM_DATA" not in os.environ, reason="needs the recordings that ASTERISM_DATA names")
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_marker_of_one_side_tells_a_mirror_image(mirrored: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The marker on the right shoulder blade of a real walk lies where none is worn."""
+    walk = asterism.read(Path(os.environ["ASTERISM_DATA"]) / "movement/cmu41/02_01_walk.c3d", markers="cmu").frames(slice(100, 160))
+    seen = replace(walk, positions=walk.positions * np.array([1.0, -1.0 if mirrored else 1.0, 1.0]))
+    asterism.write(tmp_path / "walk.c3d", anonymous(seen))
+    run("label", tmp_path / "walk.c3d", "-o", tmp_path / "out", "--markers", "cmu")
+    said = capsys.readouterr().err
+    assert ("RBAC fits on the other side only" in said) == mirrored, said

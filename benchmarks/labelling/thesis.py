@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from asterism.labelling.partial.matrix import label_by_matrix
+from asterism.labelling.partial.search_strategies import search_partial_solvers
 from asterism.labelling.partial.solver import stack_frames
-from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, search_partial_solvers
+from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES
 from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.recording import Labelling
 from benchmarks.benchmark_run import BenchmarkRun

@@ -16,7 +16,9 @@ import numpy as np
 import asterism
 from asterism.errors import AsterismError
 from asterism.labelling import virtual_model
+from asterism.labelling.recording_labeller import RecordingLabeller
 from asterism.recording import NULL, Ints, Labelling, MarkerSet
+from asterism.session.wider import wider_model
 from benchmarks.recordings.walks import silence
 from benchmarks.virtual.worn import JUDGE, TUNE, Worn, anonymous, recordings_of, sets
 
@@ -28,7 +30,7 @@ LEAST = 0.95
 
 @dataclass
 class Counts:
-    """Labels: `visible` markers in view, `given`, `right`, `sure_and_wrong`; `bins` (3, 2) given and right of each of `BINS`."""
+    """Labels: `visible` markers in view, `given`, `right`; `bins` (3, 2) given and right of each of `BINS`, all and `of_person`."""
 
     visible: int = 0
     given: int = 0
@@ -37,11 +39,14 @@ class Counts:
     refused: int = 0
     below: int = 0
     bins: Ints = field(default_factory=lambda: np.zeros((len(BINS), 2), dtype=np.int64))
+    of_person: dict[str, Ints] = field(default_factory=dict)
 
     def __iadd__(self, other: Counts) -> Counts:
         for name in ("visible", "given", "right", "files", "refused", "below"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.bins = self.bins + other.bins
+        for person, bins in other.of_person.items():
+            self.of_person[person] = self.of_person.get(person, 0) + bins
         return self
 
     @property
@@ -60,8 +65,8 @@ class Counts:
         return int(self.bins[-1, 0] - self.bins[-1, 1])
 
 
-def counted(labelling: Labelling, truth: Ints, refused: bool = False) -> Counts:
-    """The counts of one file."""
+def counted(labelling: Labelling, truth: Ints, refused: bool = False, person: str = "") -> Counts:
+    """The counts of one file of a person."""
     given = labelling.indices != NULL
     right = given & (labelling.indices == truth)
     bins = np.zeros((len(BINS), 2), dtype=np.int64)
@@ -70,16 +75,20 @@ def counted(labelling: Labelling, truth: Ints, refused: bool = False) -> Counts:
         bins[row] = here.sum(), (here & right).sum()
     visible = int((truth != NULL).sum())
     below = int(right.sum() < LEAST * visible)
-    return Counts(visible, int(given.sum()), int(right.sum()), 1, int(refused), below, bins)
+    return Counts(visible, int(given.sum()), int(right.sum()), 1, int(refused), below, bins, {person: bins})
 
 
 def judged(model: asterism.MarkerModel, worn: Worn, hidden: int = 0, *, raw: bool = False, longest: int = 300) -> Counts:
-    """What the model makes of a file, labelled as a whole; every marker is missed where the file is refused."""
+    """What the model makes of a file, labelled as a whole; every marker is missed where the file is refused.
+
+    raw: with the file's other points, which another shipped set may explain, as `asterism label --markers` does.
+    """
     clouds, truth = anonymous(worn, hidden, raw=raw, longest=longest)
     try:
-        return counted(model.label(clouds), truth)
+        wider = wider_model(model, clouds) if raw else None
+        return counted(RecordingLabeller(model, wider=wider).label(clouds), truth)
     except AsterismError:
-        return counted(silence(truth, model.marker_set.names), truth, refused=True)
+        return counted(silence(truth, model.marker_set.names), truth, refused=True, person=worn.person)
 
 
 def summed(counts: Iterable[Counts]) -> Counts:

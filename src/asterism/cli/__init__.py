@@ -56,6 +56,7 @@ _EXAMPLES = {
     "capturability": "asterism capturability labelled/*.c3d --markers helen-hayes --report capturability.html",
     "info": "asterism info walk.c3d",
     "convert": "asterism convert walk.c3d walk.trc",
+    "warm-up": "asterism warm-up --markers plug-in-gait",
     "detect": "asterism detect cam1.mp4 cam2.mp4 cam3.mp4 -o 2d.csv --rig rig.toml --report blobs.html",
     "reconstruct": "asterism reconstruct 2d.csv --rig rig.toml -o clouds.npz",
     "segment": "asterism segment walk.c3d --report limbs.html",

@@ -14,9 +14,10 @@ from asterism.progress import on_first_compile
 if TYPE_CHECKING:
     import subprocess
 
-_SECONDS = 30
-"""How long the kernels of one command take to compile on two idle cores of 2024 (s)."""
-_AHEAD = {"demo": ["tracking", "whole"], "label": ["whole"], "evaluate": ["tracking", "whole"]}
+_SECONDS = 50
+"""Processor time that the kernels of one command take to compile, at most (s, cores of 2024): of `label` 40 to 47 s were measured, of
+`train` 42 s. On two idle cores it is over sooner, beside other work later."""
+_AHEAD = {"demo": ["tracking", "whole"], "label": ["whole"], "evaluate": ["tracking", "whole"], "warm-up": ["whole"]}
 """Steps of `labelling.compile_ahead` that each command reaches after it has compiled others itself."""
 
 
@@ -29,11 +30,13 @@ def _first_compile(command: str, kept: bool) -> None:
     # said each time, as it costs each time
     if not kept:
         _console.notice(
-            f"Compiling numerical kernels (about {_SECONDS} s). No folder for compiled kernels can be written, so every run compiles them"
-            " again; name a writable one in NUMBA_CACHE_DIR.",
+            f"Compiling numerical kernels (up to {_SECONDS} s of processor time). No folder for compiled kernels can be written, so every"
+            " run compiles them again; name a writable one in NUMBA_CACHE_DIR.",
         )
         return
-    _console.notice(f"Compiling the numerical kernels of this command; this happens once (about {_SECONDS} s).", in_progress_line=True)
+    _console.notice(
+        f"Compiling the numerical kernels of this command; this happens once (up to {_SECONDS} s of processor time).", in_progress_line=True
+    )
     # on one core, a second process would only take turns with the first
     if command in _AHEAD and (os.cpu_count() or 1) > 1 and sys.executable:
         _compile_ahead(_AHEAD[command])

@@ -106,7 +106,7 @@ def model_or_virtual(
             raise AsterismError(f"{model} has its own marker set; leave out --markers.")
         return MarkerModel.load(model), None
     axis = vertical_axis(vertical)
-    finder = SetFinder(worn_sets(None if markers is None else [markers]), files, axis, virtual_model)
+    finder = SetFinder(worn_sets(None if markers is None else [markers]), files, axis)
     # what is given needs no file
     (worn,) = finder.given_sets() if markers is not None else finder.of(files[0], formats.read(files[0], vertical=axis))
     with _console.progress("making a model of virtual people") as progress:

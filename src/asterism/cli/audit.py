@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from asterism.recording import Recording
 
 
+LEARNED_AS_NAMED = "The model learns them as they are named; where the names are wrong, correct them and do this again."
+"""What becomes of names that differ, where a model learns from them."""
+
+
 @dataclass(frozen=True)
 class AuditOptions:
     """What `asterism audit` is asked to do."""
@@ -40,27 +44,40 @@ def audit(options: AuditOptions) -> None:
     Such as markers that are exchanged for some frames or throughout, and labels that jump away and back.
 
     The markers' paths show where two labels are exchanged. With files of several people, the bodies of the other people show which of
-    the two is right, and what is wrong throughout. The exit status is 1 where something was found.
+    the two is right, and what is wrong throughout. Where it is known where the markers sit, virtual people show it of a single file, too.
+    The exit status is 1 where something was found.
     """
     from asterism.cli._recordings import marker_set_of, read_some
     from asterism.labelling import audit as find_errors
+    from asterism.labelling import check_names
+    from asterism.recording import subject_of
+    from asterism.recording.display import counted
 
     _console.check_new(options.json, options.overwrite)
     batch = _console.Batch("audited")
-    recordings = read_some(recordings_of(options.files, batch), marker_set_of(options.markers), options.vertical, batch)
-    subjects = None if options.subject is None else [options.subject] * len(recordings)
+    marker_set = marker_set_of(options.markers)
+    recordings = read_some(recordings_of(options.files, batch), marker_set, options.vertical, batch)
+    subjects = [options.subject or subject_of(recording) for recording in recordings]
     with _console.progress("auditing") as progress:
         errors = find_errors(recordings, subjects=subjects, seed=options.seed, progress=progress)
+    asked = check_names(recordings, marker_set, subjects=subjects, known=errors)
+    errors += asked.errors
     # frames as the file numbers them, by which other programs find them
     errors = [as_numbered(error, recordings) for error in errors]
     if options.json != "-":
         show(errors, batch.done)
+        whose = "by --subject" if options.subject else "as the files or their folders say"
+        virtual = (
+            f"virtual people who wear {asked.worn.title or 'these markers'}" if asked.worn else f"no virtual people, since {asked.why}"
+        )
+        _console.result(f"evidence: {counted(len(set(subjects)), 'subject')}, {whose}; {virtual}.")
     _console.write_json(
         options.json,
         {
             "command": "audit",
             "files": batch.done,
             "failed": batch.failed,
+            "virtual_people": asked.why or "asked",
             "errors": [{**asdict(error), "file": str(batch.done[error.recording]), "damage": error.damage} for error in errors],
             "findings": [error.finding.to_dict() for error in errors],
         },

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,9 @@ import typer
 from asterism.cli import _console
 from asterism.cli._folders import recordings_of
 from asterism.cli._options import Json, Overwrite, SubjectName, Vertical
+from asterism.cli.audit import LEARNED_AS_NAMED, as_numbered
 from asterism.errors import AsterismError
+from asterism.findings import exit_status
 
 
 def learn(
@@ -43,11 +46,13 @@ def learn(
 
     A model carries what it needs of its training, so the old files are not needed. With --overwrite the output may be the model itself.
     Without a model, learning starts from virtual people, as `asterism label` labels by them.
-    A file that cannot be read stops the learning before it starts, and is named.
+    A file that cannot be read stops the learning before it starts, and is named. Where it is known where the markers sit, names that are
+    exchanged throughout a file are told, and the exit status is then 1.
     """
     from asterism import formats
     from asterism.cli._labelling import model_or_virtual
     from asterism.cli._recordings import read_labelled
+    from asterism.labelling import check_names
 
     # a model may be called anything
     recordings_only = formats.is_recording_file(given[0]) or given[0].is_dir()
@@ -65,11 +70,16 @@ def learn(
     # a model that has learned half of a session looks like one that has learned all of it
     if batch.failed:
         raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; correct them or leave them out.")
+    subjects = None if subject is None else [subject] * len(recordings)
+    findings = [
+        replace(as_numbered(error, recordings).finding, mend=LEARNED_AS_NAMED)
+        for error in check_names(recordings, before.marker_set, subjects=subjects).errors
+    ]
+    for finding in findings:
+        _console.report(finding)
     started = time.perf_counter()
     with _console.progress("learning") as progress:
-        after = before.learn(
-            recordings, subjects=None if subject is None else [subject] * len(recordings), search_again=search_again, progress=progress
-        )
+        after = before.learn(recordings, subjects=subjects, search_again=search_again, progress=progress)
     seconds = time.perf_counter() - started
     after.save(output)
     about = after.about
@@ -97,6 +107,8 @@ def learn(
             "new_subjects": new_people,
             "known_already": known,
             **about,
+            "findings": [finding.to_dict() for finding in findings],
             "seconds": seconds,
         },
     )
+    raise typer.Exit(exit_status(findings))

@@ -29,7 +29,7 @@ from asterism.cli._options import (
     feature_names,
     marker_targets,
 )
-from asterism.cli.audit import as_numbered
+from asterism.cli.audit import LEARNED_AS_NAMED, as_numbered
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity, exit_status
 
@@ -81,9 +81,10 @@ def train(options: TrainOptions) -> None:
     from asterism.labelling import MarkerModel
 
     errors: list[Any] = []
+    otherwise: list[Finding] = []
     # one exchanged pair of labels teaches a body that nobody has
     if options.audit:
-        recordings, errors = _without_damage(recordings, marker_set, options.seed)
+        recordings, errors, otherwise = _without_damage(recordings, marker_set, options.seed)
     started = time.perf_counter()
     with _console.progress("training") as progress:
         model = MarkerModel.fit(
@@ -104,7 +105,8 @@ def train(options: TrainOptions) -> None:
         *uncovered_markers(options.output, about["partial_solvers"]),
     ]
     # what the audit found was reported when it was found
-    findings = [*notes, *(error.finding for error in errors)]
+    audited = [*(error.finding for error in errors), *otherwise]
+    findings = [*notes, *audited]
     for finding in notes:
         _console.report(finding)
     if options.json != "-":
@@ -122,8 +124,8 @@ def train(options: TrainOptions) -> None:
             "seconds": seconds,
         },
     )
-    # notes do not change the status; labels that were left out do
-    raise typer.Exit(exit_status(error.finding for error in errors))
+    # notes do not change the status; labels that were left out, or are learned under doubtful names, do
+    raise typer.Exit(exit_status(audited))
 
 
 def _rules(virtual_people: int | None, **given: Any) -> TrainingRules:
@@ -186,9 +188,14 @@ def _absent_markers(
     return [Finding("train-markers-absent", Severity.NOTE, "the files", sentence, f"If they are there under other names, {mend}")]
 
 
-def _without_damage(recordings: Sequence[Recording], marker_set: MarkerSet | None, seed: int) -> tuple[list[Recording], list[Any]]:
-    """The recordings without the samples that cannot be right, and the label errors found, each reported on the console."""
-    from asterism.labelling import audit, remove_errors
+def _without_damage(
+    recordings: Sequence[Recording], marker_set: MarkerSet | None, seed: int
+) -> tuple[list[Recording], list[Any], list[Finding]]:
+    """The recordings without the samples that cannot be right; the label errors found; and names that virtual people wear otherwise.
+
+    All that is found is reported on the console. Names that differ are learned as they are.
+    """
+    from asterism.labelling import audit, check_names, remove_errors
     from asterism.labelling.training.markers import learned_marker_set
 
     names = (marker_set or learned_marker_set(recordings)[0]).names
@@ -200,7 +207,13 @@ def _without_damage(recordings: Sequence[Recording], marker_set: MarkerSet | Non
     numbered = [as_numbered(error, audited) for error in errors]
     for error in numbered:
         _console.report(replace(error.finding, mend="The model learns without these samples."))
-    return remove_errors(audited, errors), numbered
+    otherwise = [
+        replace(as_numbered(error, audited).finding, mend=LEARNED_AS_NAMED)
+        for error in check_names(audited, marker_set, known=errors).errors
+    ]
+    for finding in otherwise:
+        _console.report(finding)
+    return remove_errors(audited, errors), numbered, otherwise
 
 
 def _print(output: Path, markers: int, recordings: int, about: dict[str, Any], seconds: float) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from asterism.labelling.audit import LabelError, audit, remove_errors
+from asterism.labelling.audit import LabelError, audit, check_names, remove_errors
 from asterism.labelling.evaluation import Condition, Evaluation, evaluate, leave_one_subject_out
 from asterism.labelling.marker_model import MarkerModel, label_together
 from asterism.labelling.naming import MarkerGroups, group_tracklets, name_groups
@@ -40,6 +40,7 @@ __all__ = [
     "apply_answers",
     "audit",
     "capturability",
+    "check_names",
     "evaluate",
     "group_tracklets",
     "join_labellings",

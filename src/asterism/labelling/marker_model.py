@@ -81,8 +81,15 @@ class MarkerModel:
     @cached_property
     def body_labeller(self) -> BodyLabeller:
         """The model in the form that the kernels of single frames read."""
-        state = self.state
-        return BodyLabeller.from_model(state.body, state.anchors, state.frame_settings.with_usual_score(state.usual_score))
+        state, distances = self.state, self.rigid_distances
+        names = [self.marker_set.names[marker] for marker in state.markers]
+        return BodyLabeller.from_model(
+            state.body,
+            state.anchors,
+            state.frame_settings.with_usual_score(state.usual_score),
+            many_people=distances is not None and distances.spread is not None,
+            often_left_out=np.isin(names, self.marker_set.optional),
+        )
 
     @cached_property
     def rigid_distances(self) -> RigidDistances | None:

@@ -7,6 +7,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from asterism.errors import NoMarkers
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.body.subject import SubjectRules
@@ -18,8 +21,9 @@ from asterism.labelling.whole.label import label_whole
 from asterism.labelling.whole.point_labels import BodyInRecording
 from asterism.labelling.whole.relabel import LabelledTracklets, label_tracklets
 from asterism.labelling.whole.settings import RecordingLabellingSettings
+from asterism.labelling.whole.verdict import CERTAIN
 from asterism.progress import Progress
-from asterism.recording import Clouds, Labelling, MarkerSet
+from asterism.recording import NULL, Clouds, Ints, Labelling, MarkerSet
 
 METHODS = ("whole-body", "partial-solvers", "thesis")
 """How single frames are labelled: by the whole body; by the votes of partial solvers, completed by the strong classifier of all markers; by
@@ -75,11 +79,55 @@ class TrainedModel(Protocol):
 
 
 @dataclass(frozen=True)
+class WiderModel:
+    """A model of a marker set that also explains points of which the set asked for has no marker.
+
+    name     of this set
+    model    labels all of it
+    columns  (M,) the marker of the model for each marker asked for, -1 where it has none
+    named    (M,) whether the set calls it so; another name in the same place may be a marker that hands put elsewhere, so that it is never
+             sure
+    """
+
+    name: str
+    model: TrainedModel
+    columns: Ints
+    named: NDArray[np.bool_]
+
+    def label(
+        self, clouds: Clouds, progress: Progress | None, settings: LabellingSettings, names: Sequence[str]
+    ) -> tuple[Labelling, Labelling]:
+        """The labels of the markers asked for, which are called `names`, and those of the others.
+
+        Raises SeveralBodies where the clouds certainly show two bodies.
+        """
+        whole = self.model.label_one_body(clouds, progress, settings=settings)
+        given = self.columns != NULL
+        rest = np.setdiff1d(np.arange(len(whole.names)), self.columns[given])
+        shape = (len(clouds), len(self.columns))
+        indices, confidence, candidates = np.full(shape, NULL, dtype=np.int64), np.zeros(shape), np.full(shape, NULL, dtype=np.int64)
+        some = self.columns[given]
+        indices[:, given], confidence[:, given] = whole.indices[:, some], whole.confidence[:, some]
+        confidence[:, ~self.named] = np.minimum(confidence[:, ~self.named], CERTAIN)
+        if whole.candidates is not None:
+            candidates[:, given] = whole.candidates[:, some]
+        verdict = whole.verdict
+        if verdict is not None:
+            told = {whole.names[column]: names[m] for m, column in enumerate(self.columns) if column != NULL}
+            pairs = tuple(tuple(told[name] for name in pair) for pair in verdict.exchangeable if set(pair) <= set(told))
+            verdict = replace(verdict, exchangeable=pairs)
+        asked = replace(whole, indices=indices, confidence=confidence, names=tuple(names), candidates=candidates, verdict=verdict)
+        others = Labelling(whole.indices[:, rest], whole.confidence[:, rest], tuple(whole.names[column] for column in rest))
+        return asked, others
+
+
+@dataclass(frozen=True)
 class LabelledBodies:
     """Clouds labelled at once.
 
     labelling  of all markers of all bodies
-    bodies     of each body, in the order of the models; of two people who wear one model's markers, the one labelled, then the other
+    bodies     of each body, in the order of the models; of two people who wear one model's markers, the one labelled, then the other; of
+               one whose other points are explained, too, the labels of these at the end
     tracklets  what labelling again begins with; None where it was not asked for, or there is more than one body
     """
 
@@ -92,20 +140,25 @@ class RecordingLabeller:
     """Labels recordings with one model, or with one for each body in the volume, by one set of settings."""
 
     def __init__(
-        self, models: TrainedModel | Sequence[TrainedModel], settings: LabellingSettings | None = None, names: Sequence[str] | None = None
+        self,
+        models: TrainedModel | Sequence[TrainedModel],
+        settings: LabellingSettings | None = None,
+        names: Sequence[str] | None = None,
+        wider: WiderModel | None = None,
     ) -> None:
-        """names: what each body is called where two have markers of one name; by default 1, 2, ..."""
+        """names: what each body is called where two have markers of one name; by default 1, 2, ...
+
+        wider: labels in place of the one model.
+        """
         self.models = tuple(models) if isinstance(models, Sequence) else (models,)
         self.settings = settings or LabellingSettings()
-        self.names = names
+        self.names, self.wider = names, wider
 
     @cached_property
     def marker_set(self) -> MarkerSet:
         """The names of the markers of all bodies."""
         if len(self.models) == 1:
             return self.models[0].marker_set
-        import numpy as np
-
         # of no frame: the names are joined as the labellings are
         empty = [Labelling(np.empty((0, len(one.marker_set)), np.int64), np.empty((0, len(one.marker_set))), ()) for one in self.models]
         return join_labellings(empty, [one.marker_set for one in self.models], self.names)[1]
@@ -155,6 +208,9 @@ class RecordingLabeller:
             (model,) = self.models
             framewise = model.label_frames(clouds, method=settings.method, workers=settings.workers, progress=progress)
             return LabelledBodies(framewise, (framewise,))
+        if self.wider is not None:
+            asked, others = self.wider.label(clouds, progress, settings, self.marker_set.names)
+            return LabelledBodies(asked, (asked, others))
         if len(self.models) == 1:
             model = self.models[0]
             if keep_tracklets and len(clouds.xyz):

@@ -47,6 +47,7 @@ def join_labellings(
         pairs=tuple(pair for marker_set in own for pair in marker_set.pairs),
         segments={name: members for marker_set in own for name, members in marker_set.segments.items()},
         places={name: place for marker_set in own for name, place in marker_set.places.items()},
+        optional=tuple(name for marker_set in own for name in marker_set.optional),
     )
     indices = np.concatenate([labelling.indices for labelling in labellings], axis=1)
     confidence = np.concatenate([labelling.confidence for labelling in labellings], axis=1)
@@ -75,4 +76,5 @@ def _of_subject(marker_set: MarkerSet, subject: str) -> MarkerSet:
         pairs=tuple((f"{subject}:{left}", f"{subject}:{right}") for left, right in marker_set.pairs),
         segments={f"{subject}:{name}": called(members) for name, members in marker_set.segments.items()},
         places={f"{subject}:{name}": place for name, place in marker_set.places.items()},
+        optional=called(marker_set.optional),
     )

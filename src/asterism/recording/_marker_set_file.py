@@ -24,6 +24,7 @@ def fields_of(table: Mapping[str, Any], origin: str) -> dict[str, Any]:
         "pairs": pairs,
         "segments": _lists("segments", table.get("segments", {})),
         "places": _places(table.get("places", {}), names, pairs, origin),
+        "optional": _texts("optional", table.get("optional", [])),
     }
 
 
@@ -183,11 +184,14 @@ def text_of(
     pairs: Sequence[tuple[str, str]],
     lists: Mapping[str, Mapping[str, Sequence[str]]],
     places: Mapping[str, Place],
+    optional: Sequence[str] = (),
 ) -> str:
     """The TOML text of a marker set; lists: the tables `aliases` and `segments`."""
     lines = [f"title = {_toml(title)}", f"markers = {_list_text(names)}"]
     if pairs:
         lines.append(f"pairs = {_list_text(pairs)}")
+    if optional:
+        lines.append(f"optional = {_list_text(optional)}")
     for table, entries in lists.items():
         if entries:
             lines += ["", f"[{table}]", *(f"{_key(name)} = {_list_text(others)}" for name, others in entries.items())]

@@ -31,6 +31,7 @@ class MarkerSet:
     pairs     (left, right) names that mirror each other
     segments  segment name -> names of the markers on it
     places    marker name -> where it sits on the body, in the order of the names; empty where the set does not say
+    optional  names of markers that many laboratories leave out
 
     >>> legs = MarkerSet(("LKNE", "RKNE"), aliases={"LKNE": ("L.Knee",)}, pairs=(("LKNE", "RKNE"),))
     >>> legs.name_of("ann:l_knee"), legs.name_of("C7")
@@ -43,6 +44,7 @@ class MarkerSet:
     pairs: tuple[tuple[str, str], ...] = ()
     segments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     places: Mapping[str, Place] = field(default_factory=dict)
+    optional: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -60,10 +62,10 @@ class MarkerSet:
             twice = next(name for name in self.names if self.names.count(name) > 1)
             raise AsterismError(f"marker set {self.title or '(unnamed)'}: {twice} is listed twice; keep it once.")
         unlisted = {m for pair in self.pairs for m in pair} | {m for ms in self.segments.values() for m in ms}
-        unlisted = (unlisted | set(self.aliases) | set(self.places)) - set(self.names)
+        unlisted = (unlisted | set(self.aliases) | set(self.places) | set(self.optional)) - set(self.names)
         if unlisted:
             raise AsterismError(
-                f"marker set {self.title or '(unnamed)'}: {sorted(unlisted)[0]} is named in aliases, pairs, segments or places "
+                f"marker set {self.title or '(unnamed)'}: {sorted(unlisted)[0]} is named in aliases, pairs, segments, places or optional "
                 "but not among the markers; add it there or drop it here."
             )
 
@@ -113,7 +115,8 @@ class MarkerSet:
         """
         from asterism.recording._marker_set_file import text_of
 
-        return text_of(self.title, self.names, self.pairs, {"aliases": self.aliases, "segments": self.segments}, self.places)
+        lists = {"aliases": self.aliases, "segments": self.segments}
+        return text_of(self.title, self.names, self.pairs, lists, self.places, self.optional)
 
     @classmethod
     def load(cls, source: str | Path | MarkerSet | Sequence[str]) -> MarkerSet:

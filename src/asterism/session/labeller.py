@@ -22,7 +22,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.marker_model import OTHER_SUBJECT_FIT, MarkerModel
-from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller
+from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller, WiderModel
 from asterism.labelling.stretches import JoinedLabelling, label_in_stretches, stretches_of
 from asterism.labelling.virtual_model import virtual_model
 from asterism.labelling.whole.bodies import SeveralBodies
@@ -32,11 +32,13 @@ from asterism.recording import Clouds, Disagreement, Floats, Labelling, MarkerSe
 from asterism.recording.display import counted
 from asterism.recording.verdict import OTHER_BODY
 from asterism.session.labelled import LabelledFile
+from asterism.session.mirror import mirror_findings
 from asterism.session.names import choose_name_policy, findings_on_names, join_disagreements, merge_file_names
 from asterism.session.options import LabellingOptions
 from asterism.session.sources import FrameSource, open_source
 from asterism.session.standing import StandingTrials
 from asterism.session.upright import labelled_upright, other_verticals, vertical_finding
+from asterism.session.wider import wider_model
 from asterism.session.worn import BY_POINTS, GIVEN, FindRules, SetFinder, WornMarkers
 
 _FRAMES_TO_FIND = 3000
@@ -82,6 +84,7 @@ class FileLabeller:
     files    of the run, among which standing trials are looked for
     names    what each body is called where two have markers of one name; by default 1, 2, ...
     findings on the models
+    wider    labels in place of the one model, see `wider_model`
     """
 
     models: Sequence[MarkerModel]
@@ -89,9 +92,11 @@ class FileLabeller:
     files: Sequence[Path] = ()
     names: Sequence[str] | None = None
     findings: Sequence[Finding] = ()
+    wider: WiderModel | None = None
     _narrowed: dict[Path, MarkerModel | AsterismError] = field(default_factory=dict)
     _compiled: bool = False
     _of_sets: dict[tuple[str, ...], FileLabeller] = field(default_factory=dict)
+    _of_wider_sets: dict[tuple[str, ...], FileLabeller] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.models and self.options.markers:
@@ -107,7 +112,7 @@ class FileLabeller:
         alone = len(self.models) == 1 and self.options.settings.method == "whole-body"
         find = alone and self.options.find_standing
         self._standing = StandingTrials(self.files, self.options.standing, find, self.options.vertical)
-        self._plain = RecordingLabeller(self.models, self.options.settings, self.names)
+        self._plain = RecordingLabeller(self.models, self.options.settings, self.names, self.wider)
         if len(self.options.standing) == 1:
             self._narrowed_by(self.options.standing[0])
 
@@ -187,7 +192,9 @@ class FileLabeller:
         seconds = time.perf_counter() - started
         findings += found.labelling.findings(str(path))
         findings += _nothing_labelled(path, found.labelling) or _few_frames(path, found.labelling)
-        findings += findings_on_names(path, source.about, found.against, policy)
+        some = slice(0, min(len(source.counts), _FRAMES_TO_FIND))
+        findings += mirror_findings(str(path), self._plain, found.labelling, source.clouds(some))
+        findings += findings_on_names(path, source.about, self._plain.marker_set, found.against, policy)
         return LabelledFile(
             path,
             found.labelling,
@@ -211,6 +218,11 @@ class FileLabeller:
         worn = self._finder.of(path, recording if recording.clouds().counts.any() else source.about)
         bodies = [*worn, *(one.second for one in worn if one.second is not None)]
         labeller, said, shown = self._of_worn(bodies, progress), recording.vertical, worn[0].vertical
+        # a person's standing trial narrows the model of the set itself
+        if len(bodies) == 1 and self.options.settings.in_time and not self.options.standing:
+            upright = recording if shown is None else replace(recording, vertical=shown)
+            wider = wider_model(labeller.models[0], upright.clouds(), progress=progress)
+            labeller = labeller if wider is None else self._of_wider(labeller, wider)
         if shown is None:
             labelled = labeller.label(path, progress)
         else:
@@ -219,7 +231,18 @@ class FileLabeller:
             labelled = labeller._label_source(path, labeller._open(path, shown if turned else self.options.vertical), progress)
             if turned:
                 labelled = replace(labelled, findings=(vertical_finding(str(path), said, shown), *labelled.findings))
-        return replace(labelled, worn=tuple(bodies), findings=(*labelled.findings, *findings_on_sets(path, bodies, self._finder.rules)))
+        findings = [*labelled.findings, *findings_on_sets(path, bodies, self._finder.rules)]
+        if labeller.wider is not None:
+            findings.append(_explained_by(path, labeller.wider.name, bodies[0].name))
+        return replace(labelled, worn=tuple(bodies), findings=tuple(findings))
+
+    def _of_wider(self, labeller: FileLabeller, wider: WiderModel) -> FileLabeller:
+        """What labels the files of a set whose points another model explains better, made once."""
+        key = (*labeller.models[0].marker_set.names, *wider.model.marker_set.names)
+        if key not in self._of_wider_sets:
+            options = replace(labeller.options, find_standing=False)
+            self._of_wider_sets[key] = FileLabeller(labeller.models, options, self.files, labeller.names, wider=wider)
+        return self._of_wider_sets[key]
 
     def _of_worn(self, worn: Sequence[WornMarkers], progress: Progress | None) -> FileLabeller:
         """What labels the files in which these sets are worn, made once."""
@@ -358,6 +381,13 @@ def body_names(models: Sequence[Path]) -> list[str]:
     return names if len(set(names)) == len(names) else [str(i + 1) for i in range(len(names))]
 
 
+def _explained_by(path: Path, wider: str, asked: str) -> Finding:
+    """That a set which nobody asked for has labelled."""
+    sentence = f"{path}: the points beside those of {asked} are like markers of {wider}; all were labelled so, and those of {asked} kept."
+    mend = f"Nothing need be done; give --markers {wider} to have all of them."
+    return Finding("label-wider-set", Severity.NOTE, str(path), sentence, mend)
+
+
 def findings_on_sets(path: Path, worn: Sequence[WornMarkers], rules: FindRules) -> list[Finding]:
     """What a person should know of the marker sets that were found: which may be another, and that there are several."""
     findings = []
@@ -365,7 +395,8 @@ def findings_on_sets(path: Path, worn: Sequence[WornMarkers], rules: FindRules) 
         if one.by == BY_POINTS and one.same_names < rules.sure:
             rest = ", ".join(f"{name} ({100 * chance:.2g} %)" for name, chance in one.others if chance > _WORTH_TELLING)
             rest = rest or "a set that is not shipped"
-            sentence = f"{path}: the points may be those of {one.name} ({100 * one.probability:.2g} %) or of {rest}; {one.name} was taken."
+            sentence = f"{path}: the points may be those of {one.name} ({100 * one.probability:.2g} %) or of {rest}; {one.name} was taken,"
+            sentence += f" by which {100 * one.same_names:.2g} % of the names are expected to be right."
             if one.shown < one.points:
                 sentence += f" Its markers explain {one.shown} of {one.points} points."
             mend = "Name the set with --markers; recordings of one person in one folder are judged together."

@@ -88,7 +88,7 @@ class LiveLabeller:
     def _find(self) -> None:
         """Look for the set in the frames that wait."""
         clouds = Clouds.from_points(self._waiting, self.rate, self._up)
-        finder = SetFinder(vertical=self._given, model_of=virtual_model)
+        finder = SetFinder(vertical=self._given)
         where = Path("the stream")
         try:
             (worn,) = finder.of(where, Recording.from_clouds(clouds))

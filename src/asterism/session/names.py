@@ -9,6 +9,7 @@ from pathlib import Path
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.recording import Clouds, Disagreement, Labelling, MarkerSet, Recording, check_labels, is_partly_labelled, keep_labels
+from asterism.session.mirror import exchanged_sides
 from asterism.session.options import CHECK, IGNORE, KEEP
 
 _PAIRS_SHOWN = 4
@@ -61,10 +62,13 @@ def join_disagreements(of_pieces: Sequence[tuple[int, Disagreement]]) -> list[Di
     return sorted(joined.values(), key=lambda each: -each.frames)
 
 
-def findings_on_names(path: Path, recording: Recording, against: Sequence[Disagreement], policy: str | None) -> list[Finding]:
+def findings_on_names(
+    path: Path, recording: Recording, marker_set: MarkerSet, against: Sequence[Disagreement], policy: str | None
+) -> list[Finding]:
     """What a person should know of names that contradict. recording: any frames of it."""
     findings = list[Finding]()
     if against and policy != IGNORE:
+        findings += exchanged_sides(str(path), marker_set, against)
         findings.append(_disagreement(path, recording, against, Severity.WARNING if policy == CHECK else Severity.NOTE))
     if against:
         findings += _out_of_date(path, recording)

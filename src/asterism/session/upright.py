@@ -40,13 +40,17 @@ def labelled_upright(labeller: RecordingLabeller, clouds: Clouds, verticals: lis
     """That of the verticals under which a recording gets clearly more labels than under its own; None where none does."""
     if not verticals:
         return None
-    # where most points are seen, a body shows most of itself
-    sums = np.convolve(clouds.counts, np.ones(min(_FRAMES, len(clouds))), "valid")
-    begin = int(sums.argmax())
-    part = clouds.frames(slice(begin, begin + _FRAMES))
+    part = fullest(clouds)
     own, *found = (_labels(labeller, part, vertical) for vertical in (clouds.vertical, *verticals))
     best = int(np.argmax(found))
     return verticals[best] if found[best] >= own + _LABELS else None
+
+
+def fullest(clouds: Clouds) -> Clouds:
+    """The piece of a recording in which most points are seen: there a body shows most of itself."""
+    sums = np.convolve(clouds.counts, np.ones(min(_FRAMES, len(clouds))), "valid")
+    begin = int(sums.argmax())
+    return clouds.frames(slice(begin, begin + _FRAMES))
 
 
 def _labels(labeller: RecordingLabeller, clouds: Clouds, vertical: Floats) -> float:

@@ -5,6 +5,7 @@ says, moved as hands and skin move them. Of real people they have typical postur
 """
 
 from asterism.skeleton.build import BuildRules
+from asterism.skeleton.counterparts import counterparts, with_markers_of
 from asterism.skeleton.movements import MOVEMENTS
 from asterism.skeleton.people import VirtualRules, virtual_people
 from asterism.skeleton.place_learning import LearnedPlaces, learn_places, marker_set_of, place_by_name, with_landmarks
@@ -16,9 +17,11 @@ __all__ = [
     "LearnedPlaces",
     "VirtualRules",
     "WearRules",
+    "counterparts",
     "learn_places",
     "marker_set_of",
     "place_by_name",
     "virtual_people",
     "with_landmarks",
+    "with_markers_of",
 ]

@@ -67,6 +67,7 @@ class WearRules:
     wand_length  outwards
     plate_turn   rad, of a plate about each axis, as it is strapped on. At half, a plate that sits askew is foreign; at double, plates of
                  four are hard to tell from themselves upside down
+    plate_shape  each marker of a plate from where the table has it: laboratories make their own plates and headbands
     skin         times `SKIN`
     swing        m, how far a rod's end swings while it moves at 1 m/s or faster
     """
@@ -80,6 +81,7 @@ class WearRules:
     wand_side: float = 0.10
     wand_length: float = 0.025
     plate_turn: float = 0.12
+    plate_shape: float = 0.008
     skin: float = 1.0
     swing: float = 0.003
 
@@ -156,7 +158,8 @@ def put_on(rng: np.random.Generator, build: Build, marker_set: MarkerSet, rules:
         spot = spot + flat * (common + one_side + both + own)
         if place.plate:
             turn = shared.setdefault(("turn", place.plate), vary(rules.plate_turn))
-            spot = spot + rotation_from_vector(turn) @ (_on_plate(place, middle_of[place.plate]) * (1.0, sign, 1.0))
+            on_plate = _on_plate(place, middle_of[place.plate]) * (1.0, sign, 1.0) + vary(rules.plate_shape)
+            spot = spot + rotation_from_vector(turn) @ on_plate
         if segment == "foot":
             # a marker of 8 mm radius does not sink into the floor
             spot[2] = max(spot[2], 0.008 - build.bones["ankle"])

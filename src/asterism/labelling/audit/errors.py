@@ -12,6 +12,7 @@ ALWAYS = "consistently exchanged against the others"
 JUMP = "jump"
 MISPLACED = "misplaced"
 DIFFERENT = "named differently in another recording"
+NAMED_OTHERWISE = "named otherwise than virtual people"
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,8 @@ class LabelError:
                  "misplaced": the markers are throughout where nobody else wears them. A hint: they may have been worn so
                  "named differently in another recording": laid on the same person's other recording, a stiff part fits under other names
                  only. A hint: one of the two is wrong, and nothing says which
+                 "named otherwise than virtual people": exchanged in the whole recording, by where the marker set says that markers sit.
+                 A hint: they may have been worn so
     gain         nats by which the corrected labels explain the frames better
     description  a sentence for people
     """
@@ -47,7 +50,7 @@ class LabelError:
     @property
     def damage(self) -> bool:
         """Whether training should leave out these samples; it keeps those of a hint."""
-        return self.kind not in (MISPLACED, DIFFERENT)
+        return self.kind not in (MISPLACED, DIFFERENT, NAMED_OTHERWISE)
 
     @property
     def finding(self) -> Finding:
@@ -68,6 +71,9 @@ class LabelError:
                 sentence,
                 "Look which of the recordings is right, and exchange the labels in the other.",
             )
+        if self.kind == NAMED_OTHERWISE:
+            mend = "Look at them, and exchange the labels; or name the set that is worn with --markers."
+            return Finding("audit-names-differ", Severity.WARNING, where, sentence, mend)
         return Finding("audit-misplaced", Severity.NOTE, where, sentence, "Check where the marker was worn.")
 
 

@@ -230,6 +230,20 @@ def factors(mean: Floats, covariance: Floats, rules: BodyRules, *, near: bool = 
     return np.concatenate([main.reshape(markers, 3, -1), moves], axis=2), noise
 
 
+def distance_variance(mean: Floats, covariance: Floats) -> Floats:
+    """How much the distance of each two markers varies in each key pose: (K, M, M) m2.
+
+    mean (K, M, 3) m; covariance (K, 3M, 3M) m2, of their places; as far as it is along the line between two.
+    """
+    poses, markers = mean.shape[:2]
+    blocks = covariance.reshape(poses, markers, 3, markers, 3).transpose(0, 1, 3, 2, 4)
+    own = blocks[:, np.arange(markers), np.arange(markers)]
+    of_difference = own[:, :, None] + own[:, None] - blocks - blocks.transpose(0, 2, 1, 3, 4)
+    away = mean[:, :, None] - mean[:, None]
+    along = away / np.maximum(np.linalg.norm(away, axis=3, keepdims=True), 1e-9)
+    return np.asarray(np.maximum(np.einsum("kija,kijab,kijb->kij", along, of_difference, along), 0.0))
+
+
 def subsample(people: Ints, per_person: int) -> Ints:
     """Rows of at most `per_person` frames of each person, evenly spread."""
     rows = [np.nonzero(people == person)[0] for person in np.unique(people)]

@@ -24,7 +24,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
 from asterism.geometry import align_about_z, fit_rigid
-from asterism.labelling.body.model import BodyModel
+from asterism.labelling.body.model import BodyModel, distance_variance
 from asterism.recording import NULL, Floats, Ints
 
 MAX_TWINS = 64
@@ -32,7 +32,7 @@ MAX_TWINS = 64
 
 CROSSED_ALIKE = 0.9
 """Share of the markers of one crossed part that another one may have: what is found is refined, so that a pair more or less is no other
-twin. At 0.7 the shanks of a standing person stay crossed (landmarks-49), as none of the parts ends at the knee; at 1 all parts are tried."""
+twin. At 0.7 the shanks of a standing person stay crossed (landmarks-49): none of the parts ends at the knee. At 1 all parts are tried."""
 
 RIGID_STD = 0.015
 """m; markers belong to one rigid group where their distances vary by less, of a body as large as a person. At 0.0075 a pelvis is none, at
@@ -122,20 +122,12 @@ def _mean_body(model: BodyModel) -> Floats:
 
 def _distance_std(model: BodyModel) -> Floats:
     """(M, M) m, how much the distance of each two markers varies as a person moves: in a key pose, and from one to the other."""
-    poses, markers = model.mean.shape[:2]
     weight = np.exp(model.log_weight) / np.exp(model.log_weight).sum()
-    distances, variance = np.empty((poses, markers, markers)), np.zeros((markers, markers))
-    for k, mean in enumerate(model.mean):
-        covariance = model.covariance(k) if model.within is None else model.within[k]
-        blocks = covariance.reshape(markers, 3, markers, 3).transpose(0, 2, 1, 3)
-        own = blocks[np.arange(markers), np.arange(markers)]
-        of_difference = own[:, None] + own[None] - blocks - blocks.transpose(1, 0, 2, 3)
-        away = mean[:, None] - mean[None]
-        distances[k] = np.linalg.norm(away, axis=2)
-        along = away / np.maximum(distances[k], 1e-9)[:, :, None]
-        variance += weight[k] * np.einsum("ija,ijab,ijb->ij", along, of_difference, along)
+    covariance = np.stack([model.covariance(k) for k in range(len(model.mean))]) if model.within is None else model.within
+    distances = np.linalg.norm(model.mean[:, :, None] - model.mean[:, None], axis=3)
+    variance = np.einsum("k,kij->ij", weight, distance_variance(model.mean, covariance))
     # what even the steadiest distance has is what was added for people and movements that the training lacks
-    variance -= variance[np.triu_indices(markers, 1)].min()
+    variance -= variance[np.triu_indices(len(variance), 1)].min()
     middle = np.einsum("k,kij->ij", weight, distances)
     return np.sqrt(np.maximum(variance + np.einsum("k,kij->ij", weight, (distances - middle) ** 2), 0.0))
 
@@ -158,7 +150,7 @@ def _parts(steady: Floats, mirrored: Ints) -> list[np.ndarray]:
 
 
 def _crossed(mean: Floats, parts: list[np.ndarray], mirrored: Ints) -> list[Ints]:
-    """The twins (M,) in which the limbs of a part (M,) have crossed, the largest first, none of which has most of its markers in another."""
+    """The twins (M,) in which the limbs of a part (M,) have crossed, the largest first, none of which is nearly a part of another."""
     found, seen, own = [], list[np.ndarray](), np.arange(len(mean))
     for part in sorted(parts, key=lambda part: -int(part.sum())):
         like = any((part & other).sum() > CROSSED_ALIKE * other.sum() for other in seen)

@@ -43,7 +43,6 @@ class StreamRules:
     max_score          nats, the most that one frame can say for or against a marker
     search_interval    s between searches where the carried labels explain the frames
     retry_interval     s between searches where they do not
-    max_evaluations    feature evaluations of one search with a large marker set
     search_effort      markers times labellings that one search refines at most, and markers times twins refined in one frame: so no push
                        of a large marker set takes long; twice as many may take twice as long
     max_ghost_evidence independent frames that count at most for whether a track is a marker or a ghost that moves with the body
@@ -59,7 +58,6 @@ class StreamRules:
     max_score: float = 15.0
     search_interval: float = 0.5
     retry_interval: float = 0.05
-    max_evaluations: int = 20_000
     search_effort: int = 450
     max_ghost_evidence: float = 3.0
     ghost_margin_loss: float = 3.0
@@ -157,6 +155,7 @@ class Stream:
         self._live = None if labeller.model.within is None else LiveBody(labeller.model, model.body_rules, self.rate, LiveRules())
         self._verdict = None if model.distances is None else LiveVerdict(model.distances, self.rate, LiveVerdictRules())
         refined = max(4, self._rules.search_effort // len(model.markers))
+        self._is_large = refined < MAX_LABELLINGS
         self._candidates = make_candidates(min(refined, MAX_LABELLINGS), len(model.markers))
         self._twins = LiveTwins(labeller, refined)
         self._restart()
@@ -238,8 +237,9 @@ class Stream:
         chosen, self._margin = self._contest(frame, carried, challenge, margin)
         if chosen.labelled < 3:
             return
-        # at once, since no label is sure before; but once in a push
-        if self._twins.lead is None and self._last_twins < self._pushed:
+        # at once, since no label is sure before; but once in a push, and with many markers in none that has searched
+        busy = self._last_twins == self._pushed or (self._is_large and self._last_search == self._pushed)
+        if self._twins.lead is None and not busy:
             self._twins.compare(xyz, chosen.point_of)
         if self._verdict is not None:
             self._verdict.add(np.where((chosen.point_of >= 0)[:, None], xyz[chosen.point_of], np.nan))
@@ -319,9 +319,8 @@ class Stream:
     def _search(self, frame: _Frame) -> Ints:
         """The best labelling of the frame that a search finds without knowing the past: (M,). For large marker sets the search is short."""
         labeller, settings = self._model.labeller, frame.settings
-        if len(self._candidates.proposals) < MAX_LABELLINGS:
+        if self._is_large:
             settings = settings._replace(
-                max_evaluations=self._rules.max_evaluations,
                 votes_needed=1,
                 extra_anchors=1,
                 max_votes_needed=2,

@@ -26,6 +26,7 @@ from asterism.labelling.features.registry import FEATURES, THESIS, Feature, desc
 from asterism.labelling.partial.capturability import Capturability, CapturabilityRules, MarkerSetChange, TargetRates, capturability
 from asterism.labelling.partial.full_solver_study import ChosenClassifier, SolverSize, boosting_table, fit_printed, solver_sizes
 from asterism.labelling.partial.matrix import MATRIX_RULES, PartialSolvers, Votes, VotingRules, label_by_matrix
+from asterism.labelling.partial.search_strategies import MINERS, search_partial_solvers
 from asterism.labelling.partial.solver import (
     FullSolver,
     FullSolverRules,
@@ -36,15 +37,7 @@ from asterism.labelling.partial.solver import (
     stack_frames,
     unpack_solvers,
 )
-from asterism.labelling.partial.solver_search import (
-    MINERS,
-    PRINTED,
-    PRINTED_FEATURES,
-    EvaluatedSolver,
-    SearchSettings,
-    SolverSearch,
-    search_partial_solvers,
-)
+from asterism.labelling.partial.solver_search import MINIMAL, PRINTED, PRINTED_FEATURES, EvaluatedSolver, SearchSettings, SolverSearch
 from asterism.labelling.partial.weak import (
     FeatureRanges,
     StrongClassifier,
@@ -58,6 +51,7 @@ __all__ = [
     "FEATURES",
     "MATRIX_RULES",
     "MINERS",
+    "MINIMAL",
     "PRINTED",
     "PRINTED_FEATURES",
     "THESIS",

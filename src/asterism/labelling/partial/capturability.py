@@ -12,18 +12,12 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.labelling.partial._matrix_kernels import count_confusions
+from asterism.labelling.partial.ensemble_choice import choose_ensemble
 from asterism.labelling.partial.full_solver_study import ChosenClassifier, SolverSize, boosting_table, fit_printed, solver_sizes
 from asterism.labelling.partial.matrix import PartialSolvers, classifiers_by_marker, label_by_matrix
+from asterism.labelling.partial.search_strategies import bottom_up
 from asterism.labelling.partial.solver import FullSolver, FullSolverRules, stack_frames
-from asterism.labelling.partial.solver_search import (
-    EvaluatedSolver,
-    MarkerSubset,
-    SearchSettings,
-    SolverSearch,
-    bottom_up,
-    choose_ensemble,
-    random_occlusions,
-)
+from asterism.labelling.partial.solver_search import EvaluatedSolver, MarkerSubset, SearchSettings, SolverSearch, random_occlusions
 from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Recording

@@ -107,35 +107,30 @@ def factor_pair_rules(arrays: SolverArrays, n_markers: int) -> tuple[SolverArray
     """Solvers without their classifiers of distance, height and two points' motion, and these as rules for pairs that all solvers share.
 
     The intervals of angles become those of their cosines, and kinds after LAST_INLINED come last at their depth, as `search_by_pairs` reads
-    them. A solver from `solver_search` has all classifiers of pairs over its markers, with the same intervals as
-    the others, so the labellings found are the same.
+    them. A solver from `solver_search` has all classifiers of pairs over its markers, so the labellings found are the same.
     """
-    shape = (n_markers, n_markers)
-    moving = np.array([feature.moving and feature.points == 2 for feature in FEATURES])[arrays.kinds]
-    used = np.unique(arrays.kinds[moving])
-    low, high = np.full((len(used), *shape), -np.inf), np.full((len(used), *shape), np.inf)
-    # Intervals that accept everything, narrowed by each classifier below.
-    rules = PairRules(np.full(shape, -np.inf), np.full(shape, np.inf), np.full(shape, -np.inf), np.full(shape, np.inf), used, low, high)
+    pairs = np.array([feature.moving and feature.points == 2 for feature in FEATURES])[arrays.kinds]
+    used = np.unique(arrays.kinds[pairs])
+    # Kinds 0 and 1 are distance and height, those of motion follow.
+    kinds = np.array([G2, G4, *used])
+    low, high = np.full((len(kinds), n_markers, n_markers), np.inf), np.full((len(kinds), n_markers, n_markers), -np.inf)
     depth_of = np.repeat(np.arange(len(arrays.markers)), np.diff(arrays.first_feature))
     start = np.repeat(arrays.first_depth[:-1], np.diff(arrays.first_depth))[depth_of]
-    a, b = arrays.markers[start + arrays.slots[:, 0]], arrays.markers[start + arrays.slots[:, 1]]
-    far, above = arrays.kinds == G2, arrays.kinds == G4
-    # A distance holds both ways round,
-    for one, other in ((a, b), (b, a)):
-        np.maximum.at(rules.near, (one[far], other[far]), arrays.low[far])
-        np.minimum.at(rules.far, (one[far], other[far]), arrays.high[far])
-    np.maximum.at(rules.below, (a[above], b[above]), arrays.low[above])
-    np.minimum.at(rules.above, (a[above], b[above]), arrays.high[above])
-    # and a height difference changes its sign.
-    np.maximum.at(rules.below, (b[above], a[above]), -arrays.high[above])
-    np.minimum.at(rules.above, (b[above], a[above]), -arrays.low[above])
-    place = np.searchsorted(used, arrays.kinds)
-    antisymmetric = moving & (arrays.kinds == G14)
-    for one, other, low_end, high_end in ((a, b, arrays.low, arrays.high), (b, a, *_exchanged(antisymmetric, arrays.low, arrays.high))):
-        np.maximum.at(rules.low, (place[moving], one[moving], other[moving]), low_end[moving])
-        np.minimum.at(rules.high, (place[moving], one[moving], other[moving]), high_end[moving])
-    # What became a rule for pairs is no classifier of a solver any more.
-    rest = ~(far | above | moving)
+    pairs |= (arrays.kinds == G2) | (arrays.kinds == G4)
+    a, b = arrays.markers[start + arrays.slots[:, 0]][pairs], arrays.markers[start + arrays.slots[:, 1]][pairs]
+    own = arrays.kinds[pairs]
+    place = (own[:, None] == kinds).argmax(axis=1)
+    ends = arrays.low[pairs], arrays.high[pairs]
+    # The widest interval is the rule: it rejects what every solver rejects. A rule holds both ways round,
+    for one, other, (low_end, high_end) in ((a, b, ends), (b, a, _exchanged(np.isin(own, (G4, G14)), *ends))):
+        np.minimum.at(low, (place, one, other), low_end)
+        np.maximum.at(high, (place, one, other), high_end)
+    # What became a rule is no classifier of a solver any more; a narrower one still is.
+    rest = ~pairs
+    rest[pairs] = (ends[0] > low[place, a, b]) | (ends[1] < high[place, a, b])
+    # Pairs without a classifier may be anywhere.
+    low, high = np.where(low > high, -np.inf, low), np.where(low > high, np.inf, high)
+    rules = PairRules(low[0], high[0], low[1], high[1], used, low[2:], high[2:])
     first = np.concatenate([[0], np.cumsum(rest)])[arrays.first_feature]
     low, high = angles_to_cosines(arrays.kinds, arrays.low, arrays.high)
     # At each depth the kinds that the kernel has inlined come first.

@@ -1,10 +1,10 @@
-"""Labelled frames in; small partial solvers with high hit rates that together cover the marker set out (thesis 4.5.2, 4.5.3)."""
+"""Labelled frames in; the partial solver of any subset of markers and its hit rates out (thesis 4.5.1, 4.5.2)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -21,11 +21,10 @@ from asterism.labelling.partial._evaluation_kernels import (
     handed_in_points,
 )
 from asterism.labelling.partial._pair_search_kernels import make_search_workspace
-from asterism.labelling.partial.matrix import PartialSolvers, VotingRules, classifiers_by_marker
-from asterism.labelling.partial.matrix_choice import Matrix, Points, choose_solvers, word_for
+from asterism.labelling.partial.matrix import VotingRules
+from asterism.labelling.partial.matrix_choice import Points, word_for
 from asterism.labelling.partial.solver import Solver, build_search_tree, factor_pair_rules, pack_solvers, replacement_table
 from asterism.labelling.partial.weak import FeatureRanges, WrongLabellings
-from asterism.progress import Progress
 from asterism.recording import Floats, Ints
 
 FEATURES = ("g1", "g2", "g4", "g6", "g7", "g8", "g19")
@@ -34,17 +33,8 @@ FEATURES = ("g1", "g2", "g4", "g6", "g7", "g8", "g19")
 FEATURES_OF_MANY = ("g2", "g4", "g7", "g19")
 """With more than `features.MANY_MARKERS` markers, whose triples and quadruples are too many to weigh them all."""
 
-MOST_IN_A_WORD = 64
-"""Markers up to which the points that a solver hands in fit the bits of a word. Larger sets are chosen by coverage."""
-
-MINERS = ("bottom-up", "top-down", "genetic", "genetic-all")
-"""The strategies of section 4.5.3; "genetic-all" also keeps what reached a target and died out later."""
-
 HANDED_IN_TOGETHER = 32
 """Solvers whose points are worked out together: their classifiers fit the cache, and a frame is loaded once for all."""
-
-FIRST_CHOICES = 3
-"""How often solvers are chosen on few patterns of hidden markers, for the choice on many. Not tuned."""
 
 MarkerSubset = tuple[int, ...]
 
@@ -85,6 +75,7 @@ class SearchSettings:
     for_printed_matrix   whether solvers are chosen by what the printed matrix gives with them (`matrix_choice`), else by what each knows
     wrong_cost           false occlusions that a false assignment weighs in that choice, times the share that may be wrong
     large_subsets        subsets of each size above `max_markers` that are tried at random for the printed matrix
+    minimal              whether boosting ends where every wrong labelling that can be rejected is, as section 4.3 prints it (step 3)
     """
 
     max_classifiers: int = 200
@@ -110,6 +101,7 @@ class SearchSettings:
     for_printed_matrix: bool = False
     wrong_cost: float = 0.01
     large_subsets: int = 40
+    minimal: bool = False
 
 
 PRINTED_FEATURES = ("g1", "g2", "g3", "g4", "g5", "g6", "g7", "g8", "g9")
@@ -133,6 +125,11 @@ PRINTED = SearchSettings(
 these values lie inside in spite of rounding. With 200 classifiers a solver of 14 markers finds a second labelling in 2.4 % of the frames
 of the training, with 1000 in none."""
 
+MINIMAL = replace(PRINTED, minimal=True)
+"""The thesis' solvers as section 4.3 prints them: with as few classifiers as reject what can be rejected. Fewer classifiers reject fewer
+right labellings and leave more wrong ones. With 60 instead of 1,000, for 14 markers and blocks that made no interval, 18 instead of 44 % of
+the frames have no labelling, and 7 % instead of none a second one."""
+
 
 @dataclass(frozen=True)
 class EvaluatedSolver:
@@ -148,9 +145,10 @@ class EvaluatedSolver:
     trials: Ints
     response_rates: Floats
 
-
-Trusted = tuple[EvaluatedSolver, NDArray[np.bool_]]
-"""A solver of the ensemble, and (M,) the markers that it may propose."""
+    @property
+    def subset(self) -> MarkerSubset:
+        """Its markers in rising order; the solver has them in the order of assignment."""
+        return tuple(sorted(self.solver.markers.tolist()))
 
 
 class SolverSearch:
@@ -221,12 +219,13 @@ class SolverSearch:
         rows = np.nonzero(self.reads[:, own].sum(axis=1) == self.point_counts)[0]
         if not len(rows):
             return None
-        most = self.settings.max_classifiers
+        most, minimal = self.settings.max_classifiers, self.settings.minimal
         # Pairs cost next to nothing, since solvers share them: boosting fills what is left.
-        if len(rows) > most:
+        if minimal or len(rows) > most:
             pairs = self.point_counts[rows] == 2
             left = most - int((pairs & ~self.moving[rows]).sum())
-            rows = np.concatenate([rows[pairs], self.wrong.boost(rows[~pairs], own, max(1, left))[0]])
+            boosted, _, enough = self.wrong.boost(rows[~pairs], own, max(1, left))
+            rows = np.concatenate([rows[pairs], boosted[:enough] if minimal else boosted])
         table = self.table[rows]
         bits = np.unpackbits(np.ascontiguousarray(table[:, own]).view(np.uint8), axis=2).sum(axis=(0, 2))
         # The marker whose exchange most classifiers notice is the best first one.
@@ -310,352 +309,3 @@ def random_occlusions(count: int, n_markers: int, most: int, rng: np.random.Gene
     ranks = np.argsort(np.argsort(rng.random((count, n_markers)), axis=1), axis=1)
     hidden: NDArray[np.bool_] = ranks < number[:, None]
     return hidden
-
-
-def check_miner(miner: str | None) -> None:
-    """Raise AsterismError for a miner that is not one of `MINERS`, or None."""
-    if miner is not None and miner not in MINERS:
-        raise AsterismError(f"miner {miner!r} is not known; choose among {', '.join(MINERS)}.")
-
-
-def search_partial_solvers(
-    frames: Floats,
-    groups: Ints,
-    *,
-    targets: ArrayLike = 0.9999,
-    miner: str = "bottom-up",
-    features: Sequence[str] | None = None,
-    settings: SearchSettings | None = None,
-    seed: int | np.random.Generator = 0,
-    progress: Progress | None = None,
-) -> PartialSolvers:
-    """Find partial solvers that reach the target hit rates and together cover the markers.
-
-    frames (N, M, 3) m, z up, NaN where missing, for features of motion (N, M, WIDTH); groups (N,) whose frame each is; targets a number or
-    (M,); miner one of `MINERS`; features by name, or None for `FEATURES` (`FEATURES_OF_MANY`), all of single frames.
-
-    A hit rate is measured on frames of the ground truth with 0 to 5 markers hidden: of the points that the solver proposes for a marker,
-    the share that is right. The thesis measures on whole frames. Hidden markers are stricter: they show a solver that takes another
-    marker's point where it should propose nothing. Where a solver finds several labellings, it proposes nothing for the markers in which
-    they differ; how often is in `EvaluatedSolver.response_rates`, which guides the choice of solvers and not the trust in them.
-
-    Equal seeds give equal solvers. Raises AsterismError for an unknown miner or fewer than three markers.
-    """
-    check_miner(miner)
-    if frames.shape[1] < 3:
-        raise AsterismError(f"{frames.shape[1]} markers cannot be told apart by distances and heights; a marker set needs at least three.")
-    search = SolverSearch(frames, groups, targets=targets, features=features, settings=settings, seed=seed)
-    report = progress or (lambda fraction, doing: None)
-    strategy = {"bottom-up": bottom_up, "top-down": top_down, "genetic": genetic, "genetic-all": genetic_all}[miner]
-    found = strategy(search, lambda fraction, doing: report(0.8 * fraction, doing))
-    return choose_ensemble(search, found, lambda fraction, doing: report(0.8 + 0.2 * fraction, doing))
-
-
-def bottom_up(search: SolverSearch, progress: Progress) -> list[EvaluatedSolver]:
-    """Algorithm 4.1: start with one marker each, add markers until a target is reached.
-
-    A solver that reaches the target in one of its markers joins the result and grows no further. Of the others, a level keeps the
-    `beam_width` best, an equal share for every marker, so that no part of the body is forgotten.
-    """
-    level: set[MarkerSubset] = {(marker,) for marker in range(search.n_markers)}
-    found: list[EvaluatedSolver] = []
-    largest = min(search.settings.max_markers, search.n_markers)
-    for size in range(2, largest + 1):
-        # Each subset once, whatever the order in which its markers came.
-        grown = sorted({tuple(sorted((*subset, m))) for subset in level for m in range(search.n_markers) if m not in subset})
-        # Neighbours that keep their distances make the best solvers.
-        grown = _most_rigid(search, grown, 4 * search.settings.beam_width)
-        waiting: list[EvaluatedSolver] = []
-        for number, subset in enumerate(grown):
-            if number % 16 == 0:
-                progress((size - 2 + number / len(grown)) / (largest - 1), f"solvers of {size} markers")
-            evaluated = search.evaluate(subset)
-            if evaluated is None:
-                continue
-            # A solver that reaches the goal grows no further: a larger one would only cost more.
-            (found if search.reaches_goal(evaluated) else waiting).append(evaluated)
-        if not waiting:
-            break
-        level = {tuple(sorted(e.solver.markers.tolist())) for e in _best_per_marker(search, waiting, search.settings.beam_width)}
-    progress(1.0, "searched")
-    return found
-
-
-def top_down(search: SolverSearch, progress: Progress) -> list[EvaluatedSolver]:
-    """Algorithm 4.2: start with all markers, take markers out as long as a target is reached.
-
-    A solver joins the result when none of its children reaches a target. (As printed, step 2d drops the child instead of keeping the
-    parent, which would return the solvers that fail.) A level keeps the `beam_width` best, an equal share for every marker; what reaches a
-    target and is not followed further joins the result too.
-    """
-    whole = search.evaluate(range(search.n_markers))
-    level = [] if whole is None else [whole]
-    found, size = list(level), search.n_markers
-    while level and size > 2:
-        parents: list[tuple[EvaluatedSolver, list[MarkerSubset]]] = []
-        wanted: set[MarkerSubset] = set()
-        for parent in level:
-            markers = sorted(parent.solver.markers.tolist())
-            children = [tuple(m for m in markers if m != out) for out in markers]
-            parents.append((parent, children))
-            wanted.update(children)
-        # Children of several parents are tried once.
-        tried = set(_most_rigid(search, sorted(wanted), 2 * search.settings.beam_width))
-        survivors: dict[MarkerSubset, EvaluatedSolver] = {}
-        for number, (parent, children) in enumerate(parents):
-            if number % 16 == 0:
-                progress(1.0 - size / search.n_markers + number / len(parents) / search.n_markers, f"solvers of {size - 1} markers")
-            able = _that_reach(search, [child for child in children if child in tried])
-            survivors.update(able)
-            # The smallest that reaches a target is what the search is after.
-            if not able:
-                found.append(parent)
-        following = [survivors[key] for key in sorted(survivors)]
-        level = _best_per_marker(search, following, search.settings.beam_width)
-        kept = {id(evaluated) for evaluated in level}
-        found += [evaluated for evaluated in following if id(evaluated) not in kept]
-        size -= 1
-    progress(1.0, "searched")
-    return found + level
-
-
-def _that_reach(search: SolverSearch, subsets: Iterable[MarkerSubset]) -> dict[MarkerSubset, EvaluatedSolver]:
-    """Of some subsets the solvers that reach a target."""
-    evaluated = {subset: search.evaluate(subset) for subset in subsets}
-    return {subset: one for subset, one in evaluated.items() if one is not None and search.reaches_goal(one)}
-
-
-def genetic(search: SolverSearch, progress: Progress) -> list[EvaluatedSolver]:
-    """The genetic search: those of the last population that reach a target."""
-    return list(_that_reach(search, sorted(evolve(search, progress))).values())
-
-
-def genetic_all(search: SolverSearch, progress: Progress) -> list[EvaluatedSolver]:
-    """The genetic search, with all that ever reached a target: what died out later costs nothing to keep."""
-    evolve(search, progress)
-    return [evaluated for _, evaluated in sorted(search.evaluated.items()) if search.reaches_target(evaluated).any()]
-
-
-def evolve(search: SolverSearch, progress: Progress) -> set[MarkerSubset]:
-    """The population after the last generation: subsets as chromosomes, crossover, mutation, and a quarter that dies out per generation.
-
-    Fitness is the best hit rate of the solver, capped at the target; among equals the smaller solver wins. Mutations are permutation,
-    addition and subtraction. Subtraction is drawn twice as often as the other mutations, which favours small solvers. At most twice
-    `beam_width` subsets live on.
-    """
-    rng, n, size = search.rng, search.n_markers, search.settings.beam_width
-    generations = search.settings.generations
-    # Six markers on average: smaller solvers fail, larger ones cost.
-    genes = rng.random((size, n)) < np.minimum(6.0 / n, 0.8)
-    population = {subset for row in genes if len(subset := _subset_of(row)) > 2}
-    for generation in range(generations):
-        progress(generation / generations, f"generation {generation + 1} of {generations}")
-        parents = sorted(population)
-        drawn = rng.integers(len(parents), size=(size // 2, 2))
-        for first, second in drawn:
-            mother, father = _genes_of(parents[first], n), _genes_of(parents[second], n)
-            crossed = np.where(rng.random(n) < 0.5, mother, father)
-            mutant = _mutated(mother, rng)
-            population.update(s for s in (_subset_of(crossed), _subset_of(mutant)) if 2 < len(s) <= search.settings.max_markers)
-        ranked = sorted(population, key=lambda subset: _rank_key(search, subset))
-        population = set(ranked[: max(size, int(0.75 * len(ranked)))][: 2 * size])
-    progress(1.0, "searched")
-    return population
-
-
-def _genes_of(subset: MarkerSubset, n: int) -> NDArray[np.bool_]:
-    genes = np.zeros(n, dtype=np.bool_)
-    genes[list(subset)] = True
-    return genes
-
-
-def _subset_of(genes: NDArray[np.bool_]) -> MarkerSubset:
-    return tuple(np.nonzero(genes)[0].tolist())
-
-
-def _mutated(genes: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.bool_]:
-    """A permutation (0), an addition (1) or a subtraction (2 and 3) of one marker."""
-    child = genes.copy()
-    ones, zeros = np.nonzero(genes)[0], np.nonzero(~genes)[0]
-    mutation = rng.integers(4)
-    if mutation != 1 and len(ones):
-        child[rng.choice(ones)] = False
-    if mutation <= 1 and len(zeros):
-        child[rng.choice(zeros)] = True
-    return child
-
-
-def _rank_key(search: SolverSearch, subset: MarkerSubset) -> tuple[float, int, float, MarkerSubset]:
-    """Sorts the fittest subset first."""
-    evaluated = search.evaluate(subset)
-    if evaluated is None:
-        # Nothing can be built of it: it ranks last.
-        return (1.0, len(subset), 0.0, subset)
-    shortfall = np.maximum(search.targets - evaluated.hit_rates, 0.0)
-    return (float(np.nanmin(shortfall)), len(subset), -float(evaluated.response_rates.max()), subset)
-
-
-def _most_rigid(search: SolverSearch, subsets: list[MarkerSubset], limit: int) -> list[MarkerSubset]:
-    """Of many subsets those whose pairs of markers keep the most constant distances: rigid neighbours are told apart best."""
-    if len(subsets) <= limit:
-        return subsets
-    width = search.weak.high - search.weak.low
-    narrowest = np.full((search.n_markers, search.n_markers), np.inf)
-    for row in np.nonzero((search.point_counts == 2) & ~search.moving)[0]:
-        a, b = np.nonzero(search.reads[row])[0]
-        narrowest[a, b] = narrowest[b, a] = min(narrowest[a, b], width[row])
-    np.fill_diagonal(narrowest, 0.0)
-    # Pairs without an interval count as far from rigid, not as impossible.
-    narrowest[np.isinf(narrowest)] = 10.0
-    markers = np.array(subsets)
-    cost = sum(narrowest[markers[:, [i]], markers].sum(axis=1) for i in range(markers.shape[1]))
-    kept: set[int] = set()
-    # An equal share for each marker, so that loose ones get solvers, too.
-    per_marker = max(1, limit // search.n_markers)
-    order = np.argsort(cost, kind="stable")
-    for marker in range(search.n_markers):
-        kept.update(order[(markers[order] == marker).any(axis=1)][:per_marker].tolist())
-    return [subsets[i] for i in sorted(kept)]
-
-
-def _best_per_marker(search: SolverSearch, candidates: list[EvaluatedSolver], limit: int) -> list[EvaluatedSolver]:
-    """The candidates with the highest hit rates, an equal share for every marker."""
-    if len(candidates) <= limit:
-        return candidates
-    hit_rates = np.nan_to_num(np.array([c.hit_rates for c in candidates]), nan=-1.0)
-    # The response rate decides among equals.
-    rates = hit_rates + 1e-3 * np.array([c.response_rates for c in candidates])
-    kept: set[int] = set()
-    per_marker = max(1, limit // search.n_markers)
-    for marker in range(search.n_markers):
-        kept.update(np.argsort(-rates[:, marker], kind="stable")[:per_marker].tolist())
-    return [candidates[i] for i in sorted(kept)]
-
-
-def choose_ensemble(search: SolverSearch, found: list[EvaluatedSolver], progress: Progress) -> PartialSolvers:
-    """The ensemble: of the solvers found those that, over random patterns of hidden markers, leave the fewest markers without a proposal.
-
-    Chosen one after the other by how much each adds, small ones first among equals; each is evaluated on the validation frames before it
-    is taken. For a marker that no solver reaches the target of, the best known solvers are taken, and the marker is not `covered`.
-    """
-    n = search.n_markers
-    # The points of a solver must fit the bits of a word.
-    if search.settings.for_printed_matrix and n <= MOST_IN_A_WORD:
-        chosen = _choose_for_matrix(search, sorted(_all_that_reach(search, found), key=_smallest_first), progress)
-    else:
-        chosen = _choose_for_coverage(search, sorted(found, key=_smallest_first), progress)
-    covered = np.any(np.array([reaches for _, reaches in chosen], dtype=np.bool_).reshape(-1, n), axis=0)
-    # A marker without a solver would never be labelled: the best known ones stand in.
-    for marker in np.nonzero(~covered)[0]:
-        able = [e for _, e in sorted(search.evaluated.items()) if e.hit_rates[marker] > 0]
-        best = sorted(able, key=lambda e: (-e.hit_rates[marker], len(e.solver.markers)))[: search.settings.substitutes]
-        chosen += [(e, np.arange(n) == marker) for e in best]
-    progress(1.0, f"{len(chosen)} solvers")
-    return PartialSolvers(
-        pack_solvers([e.solver for e, _ in chosen]),
-        np.array([e.hit_rates for e, _ in chosen]).reshape(-1, n),
-        np.array([e.trials for e, _ in chosen], dtype=np.int64).reshape(-1, n),
-        search.targets,
-        covered,
-        np.concatenate([np.empty(0, dtype=np.bool_), *(trusted[e.solver.markers] for e, trusted in chosen)]),
-        classifiers_by_marker(search.weak, search.table),
-    )
-
-
-def _smallest_first(evaluated: EvaluatedSolver) -> tuple[int, list[int]]:
-    return len(evaluated.solver.markers), sorted(evaluated.solver.markers.tolist())
-
-
-def _all_that_reach(search: SolverSearch, found: list[EvaluatedSolver]) -> list[EvaluatedSolver]:
-    """What a miner found, what reached the target on its way, and subsets too large for it, drawn at random.
-
-    With few markers hidden, large solvers label most: a hidden marker's neighbours leave them no second labelling.
-    """
-    for size in range(search.settings.max_markers + 1, search.n_markers):
-        for _ in range(search.settings.large_subsets):
-            search.evaluate(search.rng.permutation(search.n_markers)[:size].tolist())
-    known = {tuple(sorted(e.solver.markers.tolist())): e for e in found}
-    return [*(known | {s: e for s, e in search.evaluated.items() if search.reaches_target(e).any()}).values()]
-
-
-def _choose_for_matrix(search: SolverSearch, found: list[EvaluatedSolver], progress: Progress) -> list[Trusted]:
-    """Choice by what the printed matrix gives on frames with hidden markers, each solver validated before it is taken.
-
-    What many patterns of hidden markers tell of thousands of candidates costs minutes and gigabytes, and what few tell is partly luck. So
-    candidates are chosen on few patterns, and again from those left, `FIRST_CHOICES` times. Among these the choice is made on many.
-
-    A solver is trusted with the markers for which it reaches the target both times: what it proposes for another one had no part in the
-    choice, and would take other solvers' labels away.
-    """
-    s = search.settings
-    # Few patterns first: thousands of candidates on all of them would take gigabytes.
-    matrix, points = _handed_in(search, found, max(1, s.coverage_patterns // 4))
-    kept: list[int] = []
-    for _ in range(FIRST_CHOICES):
-        # Again from those left: what few patterns tell is partly luck.
-        kept += choose_solvers(matrix.emptied(), [e.solver.markers for e in found], points, s.max_solvers, without=kept)
-    del points
-    candidates = [found[i] for i in sorted(kept)]
-    matrix, points = _handed_in(search, candidates, s.coverage_patterns)
-    again: dict[int, EvaluatedSolver] = {}
-
-    def confirm(i: int) -> NDArray[np.bool_]:
-        markers = candidates[i].solver.markers
-        # Validation costs most, and a candidate may be asked for several times.
-        if i not in again:
-            validated = search.evaluate(markers.tolist(), validate=True)
-            assert validated is not None
-            again[i] = validated
-            progress(len(again) / s.max_solvers, f"{len(again)} solvers validated")
-        return search.reaches_target(again[i])[markers]
-
-    chosen = choose_solvers(matrix, [e.solver.markers for e in candidates], points, s.max_solvers, confirm=confirm)
-    return [(again[i], search.reaches_target(candidates[i]) & search.reaches_target(again[i])) for i in chosen]
-
-
-def _handed_in(search: SolverSearch, found: list[EvaluatedSolver], patterns: int) -> tuple[Matrix, list[Points]]:
-    """The empty matrices of frames with hidden markers, and what each solver hands in for the markers for which it reaches the target."""
-    n, s = search.n_markers, search.settings
-    trial = ValidationFrames(
-        search.frames,
-        search.rng.integers(len(search.frames), size=patterns),
-        random_occlusions(patterns, n, s.max_hidden, search.rng, least=1),
-        search.motion_unknown[np.arange(patterns) % len(search.motion_unknown)],
-    )
-    points = search.handed_in([e.solver for e in found], trial)
-    for e, own in zip(found, points, strict=True):
-        # What a solver proposes without reaching the target would take labels from others.
-        own[~search.reaches_target(e)[e.solver.markers]] = 0
-    return Matrix(trial.hidden.T, s.wrong_cost / max(1.0 - float(search.targets.mean()), 1e-6)), points
-
-
-def _choose_for_coverage(search: SolverSearch, found: list[EvaluatedSolver], progress: Progress) -> list[Trusted]:
-    """Greedy choice by the markers that a solver adds over patterns of hidden markers, each solver validated before it is taken."""
-    n, settings = search.n_markers, search.settings
-    patterns = settings.coverage_patterns
-    hidden = random_occlusions(patterns, n, settings.max_hidden + 1, search.rng)
-    lacking = (~hidden).astype(np.float64)
-    rates = np.array([search.reaches_target(e) * e.response_rates for e in found]).reshape(-1, n)
-    # A solver is ready where none of its markers is hidden.
-    ready = np.array([~hidden[:, e.solver.markers].any(axis=1) for e in found], dtype=np.float64).reshape(-1, patterns)
-    cost = 1.0 + settings.marker_cost * np.array([len(e.solver.markers) for e in found])
-    chosen: list[Trusted] = []
-    while len(chosen) < settings.max_solvers and len(found):
-        gain = ((ready @ lacking) * rates).sum(axis=1) / cost
-        best = int(np.argmax(gain))
-        if gain[best] < settings.min_gain:
-            break
-        validated = search.evaluate(found[best].solver.markers.tolist(), validate=True)
-        assert validated is not None
-        reaches = search.reaches_target(validated)
-        rate = reaches * validated.response_rates
-        # Its rate on the search's frames was luck: it goes back with the true one.
-        if (rate < rates[best] - settings.max_rate_drop).any():
-            rates[best] = rate
-            continue
-        # What it gives is no longer lacking, in proportion to its rate.
-        lacking *= 1.0 - ready[best][:, None] * rate
-        rates[best] = 0.0
-        chosen.append((validated, reaches))
-        progress(len(chosen) / settings.max_solvers, f"{len(chosen)} solvers chosen")
-    return chosen

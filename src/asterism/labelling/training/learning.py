@@ -20,7 +20,7 @@ from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, subsam
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.features.motion_points import frames_with_motion
 from asterism.labelling.features.registry import kinds_of, needs_motion
-from asterism.labelling.partial.solver_search import check_miner
+from asterism.labelling.partial.search_strategies import check_miner
 from asterism.labelling.training.calibration import (
     BESIDE_VIRTUAL_IN_FRAMES,
     BESIDE_VIRTUAL_IN_TIME,
@@ -41,6 +41,11 @@ from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording, subject
 
 SOLVER_RULES = ("partial-solvers", "thesis")
 """The rules that label by partial solvers. Each has its own, because the thesis' intervals are those that training showed."""
+
+SHARE_BESIDE_VIRTUAL = 0.5
+"""Share of the frames of all trials that are tried where training starts from virtual people: their confidence is known from ten sets, and
+a model's own trials only move it (`LabelCalibration`). All trials take as long as the rest of the training; half of this
+share saves a tenth more."""
 
 EARLIER_NAMES = {
     "carried_per_person": "sample_frames_per_person",
@@ -139,7 +144,8 @@ class TrainingRules:
 class TrainingConfig:
     """All that a training depends on besides its recordings.
 
-    miner  strategy of the search for partial solvers (`solver_search.MINERS`), None for none; "bottom-up" where `rules.features` are named
+    miner  strategy of the search for partial solvers (`search_strategies.MINERS`), None for none; "bottom-up" where `rules.features` are
+           named
     """
 
     seed: int = 0
@@ -298,7 +304,7 @@ def learn_body(
             body, anchors = whole.result()
             progress(0.2, "trying it on people left out")
             learned = [part for part in (future.result() for future in parts) if part is not None]
-            in_frames, in_time = _try_on_left_out(pool, learned, stretches, anchors.triples, config, progress)
+            in_frames, in_time = _try_on_left_out(pool, learned, stretches, anchors.triples, config, progress, few=virtual is not None)
         # Also at Ctrl-C: the tasks that have not begun must not keep the process alive.
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -380,12 +386,16 @@ def _try_on_left_out(
     triples: Ints,
     config: TrainingConfig,
     progress: Progress,
+    *,
+    few: bool,
 ) -> tuple[LabelTrials, LabelTrials]:
     """Label the frames, and the stretches, of all people left out, each by what is learned from the others; triples (A, 3) of all markers.
 
+    few: whether fewer trials do, see `SHARE_BESIDE_VIRTUAL`.
+
     Each group's frames and stretches are tasks of their own, so that no thread waits for the last group.
     """
-    rules = config.rules
+    rules = _fewer_trials(config.rules) if few else config.rules
     tasks = []
     for part in learned:
         # Intervals of the whole training would have seen the people left out.
@@ -395,7 +405,7 @@ def _try_on_left_out(
         # Each group draws its own occlusions, whatever the order in which tasks end.
         seed = config.seed + part.number
         settings = (RecordingLabellingSettings(), SubjectRules(), rules.body, seed)
-        tasks.append(pool.submit(_try_frames, model, part.tested, part.tested_people, rules, seed))
+        tasks.append(pool.submit(_try_frames, model, part.tested, part.tested_people, rules, seed, few))
         tasks.append(pool.submit(run_trials, model, chosen, rules.time_trials, *settings))
     found = []
     for i, task in enumerate(tasks):
@@ -426,6 +436,12 @@ def _folds(people: Ints, folds: int, *, alone: bool) -> list[Any]:
     # With one person, blocks in turn are the nearest to an unseen recording.
     block = np.arange(len(people)) // 10
     return [block % 2 == i for i in range(2)]
+
+
+def _fewer_trials(rules: TrainingRules) -> TrainingRules:
+    """The rules with the share of their trials that models need which start from virtual people."""
+    fields = ("trial_frames", "trial_labels", "min_trial_frames", "stretch_frames")
+    return replace(rules, **{name: max(1, round(SHARE_BESIDE_VIRTUAL * getattr(rules, name))) for name in fields})
 
 
 def _some_stretches(stretches: Sequence[tuple[int, Recording]], people: Ints, shown: Ints, rules: TrainingRules) -> list[Recording]:
@@ -460,22 +476,23 @@ def usual_score_of(body: BodyModel, frames: Floats, rules: TrainingRules, rng: n
     return float(np.quantile(scores, rules.usual_quantile)) if scores else None
 
 
-def _try_frames(tried: BodyLabeller, frames: Floats, people: Ints, rules: TrainingRules, seed: int) -> LabelTrials:
-    """The labels that frames of people left out get in all trials."""
+def _try_frames(tried: BodyLabeller, frames: Floats, people: Ints, rules: TrainingRules, seed: int, few: bool) -> LabelTrials:
+    """The labels that frames of people left out get in all trials; few: fewer frames with ghosts or clutter, each of which counts more."""
     rng = np.random.default_rng(seed)
     parts = []
     # A frame of many markers gives many labels: fewer frames say as much.
-    most = max(rules.min_trial_frames, rules.trial_labels // frames.shape[1])
-    rows_of = subsample(people, min(rules.trial_frames, most))
-    # The rate does not matter: frames are tried one by one.
-    recording = Recording(frames[rows_of], tuple(str(m) for m in range(frames.shape[1])), 100.0)
+    most = min(rules.trial_frames, max(rules.min_trial_frames, rules.trial_labels // frames.shape[1]))
+    labels = tuple(str(m) for m in range(frames.shape[1]))
     for trial in rules.trials:
-        clouds, truth = trial.in_frames(recording, rng)
+        # Ghosts are rarer in real frames than in the trials, must not rule the calibration, and take the most time.
+        weight = rules.ghost_trial_weight if trial.adds_points else 1.0
+        count = max(1, round(weight * most)) if few else most
+        # The rate does not matter: frames are tried one by one.
+        clouds, truth = trial.in_frames(Recording(frames[subsample(people, count)], labels, 100.0), rng)
         found = tried.label(clouds)
         given = found.point_of >= 0
         fits = usual_fits(found, clouds, tried.settings.usual_score)
         left_over = np.repeat(found.points_left, given.sum(axis=1)).astype(np.int64)
-        # Ghosts are rarer in real frames than in the trials, and must not rule the calibration.
-        weight = np.full(len(left_over), rules.ghost_trial_weight if trial.adds_points else 1.0)
-        parts.append(LabelTrials(found.margins[given], fits[given], left_over, (found.point_of == truth)[given].astype(np.float64), weight))
+        right = (found.point_of == truth)[given].astype(np.float64)
+        parts.append(LabelTrials(found.margins[given], fits[given], left_over, right, np.full(len(right), 1.0 if few else weight)))
     return LabelTrials.together(parts)

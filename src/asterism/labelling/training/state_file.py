@@ -125,6 +125,7 @@ def _plain_marker_set(marker_set: MarkerSet) -> dict[str, Any]:
         "pairs": marker_set.pairs,
         "segments": dict(marker_set.segments),
         "places": {name: asdict(place) for name, place in marker_set.places.items()},
+        "optional": marker_set.optional,
     }
 
 
@@ -135,8 +136,9 @@ def _marker_set(plain: dict[str, Any]) -> MarkerSet:
         {name: tuple(others) for name, others in plain["aliases"].items()},
         tuple((left, right) for left, right in plain["pairs"]),
         {name: tuple(members) for name, members in plain["segments"].items()},
-        # Models of an earlier Asterism do not say where markers sit.
+        # Models of an earlier Asterism do not say where markers sit, nor which are often left out.
         {name: _place(place) for name, place in plain.get("places", {}).items()},
+        tuple(plain.get("optional", ())),
     )
 
 

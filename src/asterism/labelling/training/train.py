@@ -12,8 +12,9 @@ from asterism.errors import AsterismError
 from asterism.labelling.body.model import BodyModel, length_scale
 from asterism.labelling.features.registry import MANY_MARKERS, THESIS
 from asterism.labelling.partial.matrix import PartialSolvers
-from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, SearchSettings, search_partial_solvers
-from asterism.labelling.training.calibration import BESIDE_VIRTUAL_IN_FRAMES, BESIDE_VIRTUAL_IN_TIME, curve_of
+from asterism.labelling.partial.search_strategies import search_partial_solvers
+from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, SearchSettings
+from asterism.labelling.training.calibration import BESIDE_VIRTUAL_IN_FRAMES, BESIDE_VIRTUAL_IN_TIME, stream_curves_of_virtual
 from asterism.labelling.training.learning import (
     TrainingConfig,
     TrainingState,
@@ -121,7 +122,6 @@ def train_on_virtual_people(marker_set: MarkerSet, config: TrainingConfig, progr
         "partial_solvers": {},
         "virtual_people": count,
     }
-    in_frames = BESIDE_VIRTUAL_IN_FRAMES.alone()
     report(1.0, "done")
     return ModelState(
         marker_set=marker_set,
@@ -129,13 +129,13 @@ def train_on_virtual_people(marker_set: MarkerSet, config: TrainingConfig, progr
         body=body,
         anchors=anchors,
         usual_score=usual_score,
-        calibrations=(curve_of(in_frames, 0), curve_of(in_frames, 1)),
+        calibrations=stream_curves_of_virtual(),
         least_confidence=least_confidence(config.target_hit_rate),
         frame_settings=rules.frames,
         certainty=Certainty(BESIDE_VIRTUAL_IN_TIME.alone(), least_confidence_in_time(config.target_hit_rate)),
         about=about,
         training=TrainingState(Sample(), config),
-        frame_calibration=in_frames,
+        frame_calibration=BESIDE_VIRTUAL_IN_FRAMES.alone(),
         distances=_distances(body, shown.frames, shown.people, config),
     )
 

@@ -58,7 +58,7 @@ def virtual_frames(marker_set: MarkerSet, people: int, seed: int) -> VirtualFram
     from asterism.skeleton import virtual_people
 
     placed = tuple(name for name in marker_set.names if name in marker_set.places)
-    worn = marker_set if len(placed) == len(marker_set) else _with_only(marker_set, placed)
+    worn = marker_set if len(placed) == len(marker_set) else with_only(marker_set, placed)
     recordings: Sequence[Recording] = virtual_people(worn, people=people, frames=FRAMES_EACH, rate=RATE, seed=seed)
     frames = np.full((sum(len(recording) for recording in recordings), len(marker_set), 3), np.nan)
     frames[:, [marker_set.names.index(name) for name in placed]] = np.concatenate([recording.positions for recording in recordings])
@@ -141,7 +141,7 @@ def _triangle_axes(corners: Floats) -> tuple[Floats, Floats, Floats]:
     return axes, corners.mean(axis=1), size
 
 
-def _with_only(marker_set: MarkerSet, names: Sequence[str]) -> MarkerSet:
+def with_only(marker_set: MarkerSet, names: Sequence[str]) -> MarkerSet:
     """A marker set of some of the markers."""
     return MarkerSet(
         tuple(names),
@@ -150,6 +150,7 @@ def _with_only(marker_set: MarkerSet, names: Sequence[str]) -> MarkerSet:
         tuple(pair for pair in marker_set.pairs if pair[0] in names and pair[1] in names),
         {segment: own for segment, members in marker_set.segments.items() if (own := tuple(m for m in members if m in names))},
         {name: place for name, place in marker_set.places.items() if name in names},
+        tuple(name for name in marker_set.optional if name in names),
     )
 
 

@@ -33,10 +33,14 @@ from asterism.labelling.whole.upright import turned, upright_turns
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints
 
-CROWDED_SEARCH = {"max_evaluations": 2_000_000, "votes_needed": 1, "max_votes_needed": 1, "extra_anchors": 1, "proposals_per_anchor": 2}
+VOTING_EVALUATIONS = 2_000_000
+"""Feature evaluations of a frame that votes, at most, ten times those of a frame by itself: the votes of few frames begin all labels.
+Chosen on 39 markers of virtual people among 78 points: with a quarter of them no anchor comes to an end, twice as many change nothing. With
+a tenth, 73 markers without a ghost are not found either. Most frames need a hundredth."""
+
+CROWDED_SEARCH = {"votes_needed": 1, "max_votes_needed": 1, "extra_anchors": 1, "proposals_per_anchor": 2}
 """The search for the first votes where frames show many ghosts (`RecordingLabellingSettings.crowded`): many frames vote, and labelling them
-together corrects what a short search of one misses. Chosen on six gait subjects in clutter, the evaluations on 39 markers of virtual people
-among 78 points: with a quarter of them no anchor comes to an end, with twice as many nothing changes."""
+together corrects what a short search of one misses. Chosen on six gait subjects in clutter."""
 
 
 @dataclass(frozen=True)
@@ -121,8 +125,8 @@ def label_scene(
         state = _coordinate_ascent(labellers, [scores], state.label, rules)
         stages["upright"] = state.label
 
-    def relabel(start: Ints) -> Ints:
-        return _coordinate_ascent(labellers, state.scores, start, rules).label
+    def relabel(start: Ints, without: Ints) -> Ints:
+        return _coordinate_ascent(labellers, state.scores, start, rules, without=without).label
 
     held = hold_against_twins(labellers, upright, state.label, relabel, rules.twins, rules)
     state = _coordinate_ascent(labellers, state.scores, held.label, rules, held.excess)
@@ -199,8 +203,8 @@ def _votes_of_one(
 ) -> Floats:
     """The votes of the sampled frames, labelled singly, for each tracklet: (J, M) nats."""
     crowd = np.diff(scene.sampled_offsets).mean() / labeller.body.mean.shape[1] if len(scene.sampled_frames) else 0.0
-    if crowd > rules.crowded:
-        labeller = replace(labeller, settings=labeller.settings._replace(**CROWDED_SEARCH))
+    search = {"max_evaluations": VOTING_EVALUATIONS, **(CROWDED_SEARCH if crowd > rules.crowded else {})}
+    labeller = replace(labeller, settings=labeller.settings._replace(**search))
     frames = voting_frames(scene, rules)
     points = np.nonzero(np.isin(scene.sampled_frame, frames))[0]
     offsets = np.concatenate([[0], np.cumsum(np.diff(scene.sampled_offsets)[frames])]).astype(np.int64)
@@ -266,12 +270,13 @@ def _coordinate_ascent(
     label: Ints,
     rules: RecordingLabellingSettings,
     excess: Floats | None = None,
+    without: Ints | None = None,
 ) -> _JointLabels:
     """Relabel until nothing changes, or labels come back.
 
     Two labels that are exchanged may be exchanged again in the next round, as leave-one-out scores take both points for what they are
     labelled. Of labels that give points to the same tracklets the best are taken, by the joint evidence of all points.
-    excess (L, L): see `HeldLabels`; none where not known.
+    excess (L, L): see `HeldLabels`; none where not known. without: columns that no tracklet may have.
     """
     scene, visited = scores[0].scene, list[tuple[float, Ints, Floats, list[Ints], float, int]]()
     for _ in range(rules.max_rounds):
@@ -279,6 +284,8 @@ def _coordinate_ascent(
         if excess is not None:
             given = label != NULL
             gain[given] -= excess[label[given]] * scene.independent[given, None]
+        if without is not None:
+            gain[:, without] = -np.inf
         gain, found, total = _with_ghost_credit(gain, scene, labellers, rules)
         visited.append((joint, label, gain, poses, total, int(found.rough.sum())))
         if any(np.array_equal(found.label, one[1]) for one in visited):

@@ -111,14 +111,13 @@ def compare_with_training(
     label (J,): labels as markers of this body, -1 for none; scores (Q, M) nats of the scene by the model as adapted to the subject, see
     `score_scene`.
     """
-    between = np.linalg.norm(labeller.model.mean[:, :, None] - labeller.model.mean[:, None], axis=3)
     unit = length_scale(labeller.model.mean[0], body_rules)
     deviation = np.empty(len(label))
     points = TrackedPoints(scene.sampled_xyz, scene.sampled_frame, scene.sampled_track, len(scene.sampled_frames))
     limits = DistanceLimits(
         rules.training_noise * unit, body_rules.size_std, rules.max_rigid_std * unit, MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION
     )
-    usual = training_deviations(points, label, between.min(axis=0), between.max(axis=0), limits, deviation)
+    usual = training_deviations(points, label, *labeller.distance_range, limits, deviation)
     return TrainingDeviations(deviation, float(usual), _in_unfamiliar_movement(labeller, scores, scene, label))
 
 

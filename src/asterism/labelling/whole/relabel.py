@@ -230,7 +230,7 @@ def _ascent(before: LabelledTracklets, problem: _RelabelProblem) -> SceneLabelli
     turns, held = before.long.found.turns if scene is before.upright else None, before.long.found.held
     if not np.array_equal(label, problem.start):
         rules = replace(before.settings.twins, rounds=0)
-        held = hold_against_twins([before.body.labeller], scene, label, lambda given: given, rules, before.settings)
+        held = hold_against_twins([before.body.labeller], scene, label, lambda given, _: given, rules, before.settings)
     return SceneLabelling(scene, label, margin, rival, before.long.found.bodies, 0.0, by_body, turns=turns, held=held)
 
 

@@ -27,6 +27,8 @@ from asterism.labelling.whole.scene import RecordingScene, labels_of_body, marke
 from asterism.labelling.whole.settings import RecordingLabellingSettings, TwinRules
 from asterism.recording import NULL, Floats, Ints
 
+NO_COLUMNS = np.empty(0, dtype=np.int64)
+
 
 def twin_limits(lead: Floats, label: Ints, rules: TwinRules) -> Floats:
     """What labels (P,), columns of all bodies, may be as certain as, by the lead (L,) of each column: (P,)."""
@@ -71,14 +73,14 @@ def hold_against_twins(
     labellers: Sequence[BodyLabeller],
     scene: RecordingScene,
     label: Ints,
-    relabel: Callable[[Ints], Ints],
+    relabel: Callable[[Ints, Ints], Ints],
     rules: TwinRules,
     settings: RecordingLabellingSettings,
 ) -> HeldLabels:
     """Hold the labels (J,) of a scene, columns of all bodies, against the twins of each body and against exchanges of two labels.
 
-    relabel: labels the scene from given labels (J,) on until they no longer change. O(frames) calls of `score_twins` and of
-    `score_exchanges`, and one `relabel` where a twin is better.
+    relabel: labels the scene from given labels (J,) on until they no longer change, without some columns. O(frames) calls of `score_twins`
+    and of `score_exchanges`, and one `relabel` where a twin is better.
     """
     few, offsets = with_fewer_samples(scene, rules.frames, settings), marker_offsets(labellers)
     lead, over_exchanges, excess = np.full(offsets[-1], np.inf), np.full(offsets[-1], np.inf), np.zeros((offsets[-1], offsets[-1]))
@@ -88,10 +90,12 @@ def hold_against_twins(
             lead[columns], better = _lead_over_twins(labeller, few, label, offsets, number, rules)
             if better is None or turn == rules.rounds:
                 break
-            other = relabel(better)
+            other = relabel(better, NO_COLUMNS)
             if joint_evidence(labellers, few, other) <= joint_evidence(labellers, few, label):
                 break
             label = other
+        if rules.rounds:
+            label = _without_optional(labellers, few, label, relabel, number)
         for turn in range(rules.rounds + 1):
             exchanges = _exchanges(labeller, few, label, offsets, number)
             best = None if turn == rules.rounds else exchanges.best()
@@ -100,6 +104,32 @@ def hold_against_twins(
             label = _permuted(label, best, offsets[number])
         excess[columns, columns], over_exchanges[columns] = exchanges.excess, exchanges.lead()
     return HeldLabels(label, np.maximum(lead, 0.0), np.maximum(over_exchanges, 0.0), excess)
+
+
+def _without_optional(
+    labellers: Sequence[BodyLabeller], few: RecordingScene, label: Ints, relabel: Callable[[Ints, Ints], Ints], number: int
+) -> Ints:
+    """The labels (J,), or better ones in which a body wears none of the markers that laboratories often leave out, or one of them less.
+
+    Looked for only where other markers have no point: an elbow that is called a marker of the upper arm leaves wrist and hand without one.
+    """
+    labeller, first = labellers[number], marker_offsets(labellers)[number]
+
+    def evidence(given: Ints) -> float:
+        worn = np.isin(first + np.arange(len(labeller.worn_odds)), given)
+        return joint_evidence(labellers, few, given) + float(labeller.worn_odds[worn].sum())
+
+    worn, often = np.isin(first + np.arange(len(labeller.worn_odds)), label), labeller.worn_odds == 0.0
+    optional = first + np.nonzero(often & worn)[0]
+    if not len(optional) or worn[~often].all():
+        return label
+    best = evidence(label)
+    for columns in (optional, *optional[:, None]):
+        other = relabel(np.where(np.isin(label, columns), NULL, label), columns)
+        found = evidence(other)
+        if found > best:
+            best, label = found, other
+    return label
 
 
 def _own_points(few: RecordingScene, label: Ints, own: Ints) -> tuple[Floats, Ints, Ints]:
@@ -153,6 +183,9 @@ def _exchanges(labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets
     seen = ~np.isnan(behind)
     mean = np.where(seen, behind, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
     mean[~seen.any(axis=1)] = np.inf
+    table, worn = model.table, np.isin(np.arange(markers), own)
+    # what laboratories leave out is known before any point is seen
+    mean += (worn - worn[table].astype(np.float64)) @ labeller.worn_odds
     excess, (one, other) = np.zeros((markers, markers)), model.pairs.T
     for a, b in ((one, other), (other, one)):
         ahead = mean[: len(one)]
@@ -161,7 +194,7 @@ def _exchanges(labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets
         # where both have points, half of it for each of the two; far from near, a tail says less than the scores
         too_high = np.maximum(ahead[known] - apart[a, b] / shown[a, b], 0.0)
         excess[a, b] = too_high * (1.0 - 0.5 * both[a, b] / shown[a, b])
-    return Exchanges(model.table, mean, excess)
+    return Exchanges(table, mean, excess)
 
 
 def _permuted(label: Ints, permutation: Ints, first: int) -> Ints:
