@@ -58,10 +58,7 @@ class WearRules:
     together     all markers of a segment: tables and people differ in what they call the segment. At half or double, 0.5 points fewer
                  right labels of markers on trunk and head
     symmetric    a marker and its mirror image, beside each marker's own spread
-    own          times each marker's spread, on one side
-    alike        m, over how far markers of a segment are put wrong alike: whoever puts two next to each other sees both, and nobody
-                 exchanges two vertebrae
-    alone        share of the variance of what is put wrong that each marker has for itself
+    own          times each marker's spread, by itself
     wand_height  of a rod or a marker placed by eye, share of the limb's length, both sides alike
     wand_side    the same, right against left: laboratories put them at different heights to tell sides apart
     wand_length  outwards
@@ -75,8 +72,6 @@ class WearRules:
     together: float = 0.008
     symmetric: float = 0.008
     own: float = 1.0
-    alike: float = 0.05
-    alone: float = 0.25
     wand_height: float = 0.14
     wand_side: float = 0.10
     wand_length: float = 0.025
@@ -125,8 +120,6 @@ def put_on(rng: np.random.Generator, build: Build, marker_set: MarkerSet, rules:
     shared: dict[object, Floats] = {}
     at = np.empty((len(marker_set), 3))
     places = places_of(marker_set)
-    mixed = _put_alike(places, rules)
-    own_draws, both_draws = (mixed @ vary(1.0, 3 * len(places)).reshape(-1, 3) for _ in range(2))
     middle_of = {plate: _middle(places, plate) for plate in {place.plate for place in places if place.plate}}
     for m, (name, place) in enumerate(zip(marker_set.names, places, strict=True)):
         segment, sign = place.plain_segment, -1.0 if place.side == "right" else 1.0
@@ -148,10 +141,10 @@ def put_on(rng: np.random.Generator, build: Build, marker_set: MarkerSet, rules:
         # small segments have their bony points close to each other
         common = common * (0.5 if segment in ("foot", "hand", "head") else 1.0)
         one_side = shared.setdefault(("segment", place.segment), vary(0.3 * rules.together))
-        both = shared.setdefault(("pair", pair), rules.symmetric * place.spread / USUAL_SPREAD * both_draws[m])
+        both = shared.setdefault(("pair", pair), vary(rules.symmetric * place.spread / USUAL_SPREAD))
         flat = np.array([1.0, THIN.get(segment, 1.0), 1.0])
         # markers of one plate are put on together
-        own = rules.own * place.spread * own_draws[m]
+        own = vary(rules.own * place.spread)
         if place.plate:
             both = 0.0 * both
             own = shared.setdefault(("plate", place.plate), own)
@@ -181,14 +174,6 @@ def put_on(rng: np.random.Generator, build: Build, marker_set: MarkerSet, rules:
     # a plate is too heavy to swing like a rod
     swing = np.array([rules.swing * (place.wand and not place.plate) for place in places])
     return Worn(tuple(place.segment for place in places), at, slide, along, swing)
-
-
-def _put_alike(places: tuple[Place, ...], rules: WearRules) -> Floats:
-    """(M, M), by which independent draws of variance 1 become such that are alike for near markers of a segment."""
-    at = np.array([np.array(place.at) * (1.0, 1.0, BONES[place.plain_segment] if place.limb else 1.0) for place in places])
-    same = np.array([[one.segment == other.segment for other in places] for one in places])
-    near = np.exp(-0.5 * ((at[:, None] - at) ** 2).sum(axis=2) / rules.alike**2)
-    return np.linalg.cholesky((1.0 - rules.alone) * same * near + rules.alone * np.eye(len(places)))
 
 
 def _middle(places: tuple[Place, ...], plate: str) -> tuple[float, float, float]:

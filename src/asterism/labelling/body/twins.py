@@ -7,8 +7,6 @@ time never leads from there to the truth, as each single exchange is worse. So w
     turned      by half a turn about the vertical, each marker with the one that then lies nearest; also with the pelvis left open, which
                 may be turned by a third, and with the feet
     flipped     front for back, as mirrored and turned at once
-    crossed     both legs, both shanks or both feet, each marker with the one that lies nearest once the one limb is shifted onto the other:
-                shanks that cross are left for right, and outside for inside
     in part     both arms, both legs, both feet mirrored, and all that they leave; a rigid group such as a plate or the pelvis turned
 
 What belongs to a limb follows from the training: its markers keep their distances, so that the tree of the steadiest distances is the
@@ -27,12 +25,8 @@ from asterism.geometry import align_about_z, fit_rigid
 from asterism.labelling.body.model import BodyModel, distance_variance
 from asterism.recording import NULL, Floats, Ints
 
-MAX_TWINS = 64
-"""Twins of a body at most: bounds the time of a frame. 15 markers have 13, 39 have 32, 59 have 63. Not tuned."""
-
-CROSSED_ALIKE = 0.9
-"""Share of the markers of one crossed part that another one may have: what is found is refined, so that a pair more or less is no other
-twin. At 0.7 the shanks of a standing person stay crossed (landmarks-49): none of the parts ends at the knee. At 1 all parts are tried."""
+MAX_TWINS = 40
+"""Twins of a body at most: bounds the time of a frame. 15 markers have 13, 59 have 38. Not tuned."""
 
 RIGID_STD = 0.015
 """m; markers belong to one rigid group where their distances vary by less, of a body as large as a person. At 0.0075 a pelvis is none, at
@@ -67,10 +61,8 @@ def twins_of(model: BodyModel, unit: float = 1.0) -> Ints:
     found = [mirrored, turned, mirrored[turned], np.where(central, mirrored, turned), np.where(central, NULL, turned)]
     # where turning and mirroring do not agree, as in feet, the other labels may tell better
     found.append(np.where(central | (turned != mirrored), NULL, turned))
-    parts = _parts(steady, mirrored)
-    found += [np.where(part, mirrored, np.arange(len(mean))) for part in parts]
-    found += _crossed(mean, parts, mirrored)
-    found += [np.where(part, mirrored, np.arange(len(mean))) for part in _neighbours(steady, mirrored)]
+    for part in (*_parts(steady, mirrored), *_neighbours(steady, mirrored)):
+        found.append(np.where(part, mirrored, np.arange(len(mean))))
     for group in groups:
         found += _group_turns(mean, group)
     return _different(found, len(mean))
@@ -146,24 +138,6 @@ def _parts(steady: Floats, mirrored: Ints) -> list[np.ndarray]:
             part = beyond | beyond[mirrored]
             if (mirrored[part] != np.nonzero(part)[0]).sum() >= 4 and not part.all():
                 found.append(part)
-    return found
-
-
-def _crossed(mean: Floats, parts: list[np.ndarray], mirrored: Ints) -> list[Ints]:
-    """The twins (M,) in which the limbs of a part (M,) have crossed, the largest first, none of which is nearly a part of another."""
-    found, seen, own = [], list[np.ndarray](), np.arange(len(mean))
-    for part in sorted(parts, key=lambda part: -int(part.sum())):
-        like = any((part & other).sum() > CROSSED_ALIKE * other.sum() for other in seen)
-        # what has markers in the middle is no pair of limbs
-        if like or (mirrored[part] == own[part]).any():
-            continue
-        seen.append(part)
-        one = own[part & (own < mirrored)]
-        other = mirrored[one]
-        nearest, _ = _assigned(mean[other], mean[one] - mean[one].mean(axis=0) + mean[other].mean(axis=0))
-        twin = own.copy()
-        twin[other], twin[one[nearest]] = one[nearest], other
-        found.append(twin)
     return found
 
 
