@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import logit
 
 from asterism import AsterismError, formats
 from asterism.labelling import virtual_model
@@ -126,3 +127,24 @@ def test_only_the_markers_asked_for_are_told() -> None:
     assert asked.confidence[0].tolist() == [0.999, 0.0, CERTAIN]
     assert others.names == ("Y",) and others.indices.tolist() == [[1]] * 2
     assert asked.verdict is not None and asked.verdict.exchangeable == (("HEE", "KNE"),)
+
+
+def test_labels_among_many_points_lose_certainty() -> None:
+    own = asked_columns()
+    # half as many other points as markers: with more, one person may pass for two
+    some = np.append(own, np.setdiff1d(np.arange(39), own)[:8])
+    points = replace(person(), positions=person().positions[:, some], labels=tuple(person().labels[m] for m in some)).frames(slice(0, 20))
+    clouds, _ = simulate_gaps_and_ghosts(points, 0, 0, seed=1)
+    model = virtual_model(ASKED)
+    distances = model.state.distances
+    assert distances is not None
+    doubtless = replace(distances, rules=replace(distances.rules, crowd_doubt=0.0))
+    before = type(model)(replace(model.state, distances=doubtless)).label_one_body(clouds)
+    after = model.label_one_body(clouds)
+    both = (before.indices >= 0) & (after.indices >= 0)
+    assert both.any()
+    lost = logit(before.confidence[both]) - logit(after.confidence[both])
+    assert lost == pytest.approx(distances.rules.crowd_doubt * np.log(24 / 16))
+    # its own markers are no crowd
+    alone, _ = simulate_gaps_and_ghosts(replace(points, positions=points.positions[:, :16], labels=points.labels[:16]), 0, 0, seed=1)
+    assert model.label_one_body(alone) == type(model)(replace(model.state, distances=doubtless)).label_one_body(alone)

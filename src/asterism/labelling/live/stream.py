@@ -155,6 +155,7 @@ class Stream:
         self._live = None if labeller.model.within is None else LiveBody(labeller.model, model.body_rules, self.rate, LiveRules())
         self._verdict = None if model.distances is None else LiveVerdict(model.distances, self.rate, LiveVerdictRules())
         refined = max(4, self._rules.search_effort // len(model.markers))
+        self._is_large = refined < MAX_LABELLINGS
         self._candidates = make_candidates(min(refined, MAX_LABELLINGS), len(model.markers))
         self._twins = LiveTwins(labeller, refined)
         self._restart()
@@ -236,8 +237,9 @@ class Stream:
         chosen, self._margin = self._contest(frame, carried, challenge, margin)
         if chosen.labelled < 3:
             return
-        # at once, since no label is sure before; but once in a push
-        if self._twins.lead is None and self._last_twins < self._pushed:
+        # at once, since no label is sure before; but once in a push, and with many markers in none that has searched
+        busy = self._last_twins == self._pushed or (self._is_large and self._last_search == self._pushed)
+        if self._twins.lead is None and not busy:
             self._twins.compare(xyz, chosen.point_of)
         if self._verdict is not None:
             self._verdict.add(np.where((chosen.point_of >= 0)[:, None], xyz[chosen.point_of], np.nan))
@@ -317,7 +319,7 @@ class Stream:
     def _search(self, frame: _Frame) -> Ints:
         """The best labelling of the frame that a search finds without knowing the past: (M,). For large marker sets the search is short."""
         labeller, settings = self._model.labeller, frame.settings
-        if len(self._candidates.proposals) < MAX_LABELLINGS:
+        if self._is_large:
             settings = settings._replace(
                 votes_needed=1,
                 extra_anchors=1,

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit, logit
 
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole.certainty import Certainty
@@ -129,14 +130,16 @@ def labelling_of(
     out = blank.indices, blank.confidence, np.full(blank.indices.shape, NULL, dtype=np.int64)
     one_of_each = np.zeros(int(labels.track.max(initial=NULL)) + 2, dtype=np.int64)  # the last one for no tracklet
     one_of_each[labels.track] = np.arange(len(labels.track))
-    of_tracks, rivals = _certainty(body, labels.of_some(one_of_each), verdict, rules), RivalCounts(len(body.markers))
+    mine = (labels.label == NULL) | (labels_of_body(labels.label, offsets, number) != NULL)
+    doubt = _crowd_doubt(body, clouds, labels, mine)
+    of_tracks, rivals = _certainty(body, labels.of_some(one_of_each), verdict, rules, doubt), RivalCounts(len(body.markers))
     for begin in range(0, len(clouds), FRAMES_AT_ONCE):
         frames = slice(begin, begin + FRAMES_AT_ONCE)
         some = clouds.frames(frames)
         here = labels.of_some(slice(clouds.offsets[begin], clouds.offsets[begin] + len(some.xyz)))
         certainty, least = (of_track[here.track] for of_track in of_tracks)
         short = np.nonzero((here.track == NULL) & (here.label != NULL))[0]
-        certainty[short], least[short] = _certainty(body, here.of_some(short), verdict, rules)
+        certainty[short], least[short] = _certainty(body, here.of_some(short), verdict, rules, doubt)
         label, rival = labels_of_body(here.label, offsets, number), labels_of_body(here.rival, offsets, number)
         rivals.add(label, rival, certainty, verdict_rules)
         chance = np.where(here.label == NULL, 0.5 * np.exp(np.minimum(here.margin, 0.0)), certainty)
@@ -148,7 +151,6 @@ def labelling_of(
         named = tuple(tuple(body.names[body.markers[marker]] for marker in pair) for pair in pairs)
         verdict = replace(verdict, exchangeable=named, rough=labels.found.rough)
     indices, confidence, candidates = out
-    mine = (labels.label == NULL) | (labels_of_body(labels.label, offsets, number) != NULL)
     for column in body.markers[beside_left_over(body.labeller.body.mean[0], indices[:, body.markers], clouds, mine)]:
         given = indices[:, column] != NULL
         confidence[given, column] = np.minimum(confidence[given, column], CERTAIN)
@@ -208,16 +210,28 @@ def _write(
 
 
 def _certainty(
-    body: BodyInRecording, labels: PointLabels, verdict: Verdict | None, rules: RecordingLabellingSettings
+    body: BodyInRecording, labels: PointLabels, verdict: Verdict | None, rules: RecordingLabellingSettings, doubt: float
 ) -> tuple[Floats, Floats]:
-    """How certain each label is, and below which it is taken back: (P,) each."""
+    """How certain each label is, and below which it is taken back: (P,) each. doubt: log odds that all of them lose."""
     certainty, least = labels.confidence(body.certainty, body.frame_certainty)
     certainty = np.minimum(certainty, confidence_limit(verdict))
     if labels.found.held is not None:
         # few people say little of where markers sit on others: to their model all near ones may be exchanged
         many = body.distances is None or not body.distances.few_people
         certainty = np.minimum(certainty, labels.found.held.limits(labels.label, rules.twins, with_exchanges=many))
-    return certainty, least
+    return (expit(logit(certainty) - doubt) if doubt else certainty), least
+
+
+def _crowd_doubt(body: BodyInRecording, clouds: Clouds, labels: PointLabels, mine: NDArray[np.bool_]) -> float:
+    """Log odds that labels lose where a usual frame shows more lasting points than the body has markers; see `VerdictRules.crowd_doubt`.
+
+    Of a model of many people only: one of few is tried among such points, and a foreign recording has evidence of its own.
+    mine (P,): points that may be of this body.
+    """
+    if body.distances is None or body.distances.spread is None or labels.foreign is not None:
+        return 0.0
+    counts = np.bincount(clouds.frame_of, weights=mine & (labels.track != NULL), minlength=len(clouds))
+    return body.distances.rules.crowd_doubt * float(np.log(max(1.0, np.median(counts) / len(body.markers))))
 
 
 def empty_labelling(body: BodyInRecording, clouds: Clouds) -> Labelling:
