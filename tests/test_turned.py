@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from models import trained
@@ -13,7 +15,7 @@ from asterism.labelling.body.twins import neighbours_of, twins_of
 from asterism.labelling.whole.joint import label_scene
 from asterism.labelling.whole.scene import RecordingScene, prepare_scene
 from asterism.labelling.whole.settings import RecordingLabellingSettings
-from asterism.labelling.whole.turned import Exchanges, hold_against_twins, joint_evidence
+from asterism.labelling.whole.turned import Exchanges, hold_against_twins, is_poor, joint_evidence
 from asterism.recording import Clouds, Ints, Labelling
 from asterism.simulation import simulate_walks
 from asterism.tracking.linking import find_tracklets
@@ -132,3 +134,22 @@ def test_neighbours_are_groups_of_four(walkers: asterism.MarkerModel) -> None:
     assert len(np.unique(groups, axis=0)) == len(groups)
     assert set(groups.ravel().tolist()) == set(range(len(NAMES)))
     assert any({"RASI", "LASI", "SACR"} <= {NAMES[m] for m in group} for group in groups)
+
+
+def test_labels_that_leave_points_over_and_fit_poorly_are_never_sure(walkers: asterism.MarkerModel) -> None:
+    """Each leg is labelled one marker along; the right labels are not poor, nor are they where four of them are left out."""
+    scene, right = walk_of_a_stranger()
+    settings, labeller = RecordingLabellingSettings(), walkers.body_labeller
+    assert not is_poor([labeller], scene, right, 0, settings.twins)
+    fewer = np.where(np.isin(right, [NAMES.index(name) for name in ("LTIB", "RTIB", "LHEE", "RHEE")]), -1, right)
+    assert not is_poor([labeller], scene, fewer, 0, settings.twins)
+    along = right.copy()
+    for side in "LR":
+        down = [NAMES.index(side + name) for name in ("THI", "KNE", "TIB", "ANK", "HEE", "TOE")]
+        for one, other in zip(down, [*down[2:], -1, -1], strict=True):
+            along[right == one] = other
+    assert is_poor([labeller], scene, along, 0, settings.twins)
+
+    held = hold_against_twins([labeller], scene, along, lambda label, _: label, replace(settings.twins, rounds=0), settings)
+    assert held.poor.all()
+    assert (held.limits(np.arange(len(NAMES)), settings.twins, with_exchanges=False) < 0.99).all()

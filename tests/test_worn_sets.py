@@ -22,7 +22,7 @@ from asterism.session import LabellingOptions, LiveLabeller, SetFinder, label_fi
 from asterism.session.labeller import findings_on_sets
 from asterism.session.mirror import exchanged_sides
 from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules
-from asterism.session.worn.find import Certainty, SetEvidence
+from asterism.session.worn.find import SetCertainty, SetEvidence
 from asterism.session.worn.fit import FrameFit
 from asterism.simulation import simulate_walks
 from asterism.skeleton import virtual_people
@@ -105,7 +105,7 @@ def frame_fit(*given: list[int], nats: tuple[float, float] = (40.0, 30.0)) -> Fr
 def test_what_is_left_over_makes_a_shipped_set_less_probable() -> None:
     """A marker that is seen in one frame of two is not missing; one that is never seen is, and a point without a marker is left over."""
     every, without, extra = [0, 1, 2, 3, 4, 5], [0, 1, 2, 3, 4, -1], [0, 1, 2, 3, 4, 5, -1]
-    up, rules = np.array([0.0, 0.0, 1.0]), Certainty()
+    up, rules = np.array([0.0, 0.0, 1.0]), SetCertainty()
 
     def chances(*fits: FrameFit) -> tuple[float, float]:
         sets, worn = SetEvidence(fits, up).chances(rules)

@@ -226,7 +226,9 @@ class Labelling:
         found = list[Finding]()
         if self.bodies > 1:
             sentence = f"{where}: two bodies wear the model's markers, and only one of them was labelled."
-            found.append(Finding("label-two-bodies", Severity.WARNING, where, sentence, "Give --model once for each of them."))
+            found.append(
+                Finding("label-two-bodies", Severity.WARNING, where, sentence, "Give --model, or --markers without one, once for each.")
+            )
         if self.verdict is not None:
             found += self.verdict.findings(where)
         if self.stretches > 1:

@@ -58,8 +58,8 @@ class ExchangeModel:
         one, other = self.pairs.T
         rows = np.arange(len(self.pairs))
         table[rows, one], table[rows, other] = other, one
-        rows = len(self.pairs) + np.arange(len(self.groups) * len(self._orders)).reshape(len(self.groups), -1)
-        table[rows[:, :, None], self.groups[:, None, :]] = self.groups[:, self._orders]
+        of_groups = len(self.pairs) + np.arange(len(self.groups) * len(self._orders)).reshape(len(self.groups), -1)
+        table[of_groups[:, :, None], self.groups[:, None, :]] = self.groups[:, self._orders]
         return table
 
     @property
@@ -128,7 +128,7 @@ class _Conditional:
     def of_frames(cls, frames: Floats, shown: NDArray[np.bool_], mean: Floats, covariance: Floats) -> _Conditional:
         placed = align_about_z(frames, mean)
         seen, count, hidden = np.repeat(shown, 3), int(shown.sum()), int((~shown).sum())
-        precision = np.linalg.inv(covariance[np.ix_(seen, seen)])
+        precision: Floats = np.asarray(np.linalg.inv(covariance[np.ix_(seen, seen)]), dtype=np.float64)
         residual = (placed - mean)[:, shown].reshape(len(frames), -1)
         across = covariance[np.ix_(~seen, seen)]
         gain = across @ precision
@@ -209,9 +209,9 @@ class _Conditional:
         seen, size = self.shown[group], len(group)
         there, away = self.place[group[seen]], self.place[group[~seen]]
         count, hidden = 3 * len(there), 3 * len(away)
-        spread = np.linalg.inv(self.precision[np.ix_(there, range(3), there, range(3))].reshape(count, count))
+        spread = np.linalg.inv(self.precision[np.ix_(there, np.arange(3), there, np.arange(3))].reshape(count, count))
         deviation = self.pull[:, there].reshape(-1, count) @ spread
-        gain = self.gain[np.ix_(away, range(3), there, range(3))].reshape(hidden, count)
+        gain = self.gain[np.ix_(away, np.arange(3), there, np.arange(3))].reshape(hidden, count)
         mean, covariance = np.empty((len(self.placed), size, 3)), np.empty((3 * size, 3 * size))
         mean[:, seen] = self.placed[:, group[seen]] - deviation.reshape(len(mean), len(there), 3)
         mean[:, ~seen] = self.predicted[:, away] - (deviation @ gain.T).reshape(len(mean), len(away), 3)
@@ -219,7 +219,7 @@ class _Conditional:
         covariance[np.ix_(of_seen, of_seen)] = spread
         covariance[np.ix_(of_hidden, of_seen)] = gain @ spread
         covariance[np.ix_(of_seen, of_hidden)] = (gain @ spread).T
-        left = self.left[np.ix_(away, range(3), away, range(3))].reshape(hidden, hidden)
+        left = self.left[np.ix_(away, np.arange(3), away, np.arange(3))].reshape(hidden, hidden)
         covariance[np.ix_(of_hidden, of_hidden)] = left + gain @ spread @ gain.T
         return mean, covariance
 

@@ -21,6 +21,10 @@ class TwinRules:
     rounds       how often a better twin is held against its own twins
     exchange_scale nats a frame over the best exchange that multiply the odds of a label by e. See docs/labelling.md. At
                  half of it 6 of 100 labels at 0.99 are wrong, at twice half of the right ones are below
+    poor_left    points left over beside markers without one, a frame, from which a body may be explained poorly
+    poor_gain    nats a label, beyond what nearly every frame of people left out earns, below which it then is. Of `movement`, labels one
+                 segment along have -0.1 to 0.8, right ones 0.7 to 2.9, 2.2 in the middle. At half a third of the former is sure, at
+                 double a fifth of the latter is not where points are left over
     """
 
     frames: int = 8
@@ -30,6 +34,8 @@ class TwinRules:
     scale: float = 4.4
     rounds: int = 3
     exchange_scale: float = 1.2
+    poor_left: float = 2.0
+    poor_gain: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole._twin_kernels import TwinScores, score_exchanges, score_twins
 from asterism.labelling.whole.scene import RecordingScene, labels_of_body, marker_offsets, score_scene, with_fewer_samples
 from asterism.labelling.whole.settings import RecordingLabellingSettings, TwinRules
+from asterism.labelling.whole.verdict import CERTAIN
 from asterism.recording import NULL, Floats, Ints
 
 NO_COLUMNS = np.empty(0, dtype=np.int64)
@@ -54,19 +55,22 @@ class HeldLabels:
             where there is none
     over_exchanges  (L,) the same over exchanges of few markers
     excess  (L, L) nats a frame by which the leave-one-out score of a column's points as another column is too high for an exchange
+    poor    (L,) whether the body of a column is explained poorly, see `is_poor`
     """
 
     label: Ints
     lead: Floats
     over_exchanges: Floats
     excess: Floats
+    poor: NDArray[np.bool_]
 
     def limits(self, label: Ints, rules: TwinRules, *, with_exchanges: bool) -> Floats:
         """What labels (P,), columns of all bodies, may be as certain as: (P,), 1 for none."""
+        limits = np.minimum(twin_limits(self.lead, label, rules), np.where(np.append(self.poor, False)[label], CERTAIN, 1.0))
         if not with_exchanges:
-            return twin_limits(self.lead, label, rules)
+            return limits
         of_exchange = expit(self.over_exchanges / rules.exchange_scale)
-        return np.minimum(twin_limits(self.lead, label, rules), np.append(of_exchange, 1.0)[label])
+        return np.minimum(limits, np.append(of_exchange, 1.0)[label])
 
 
 def hold_against_twins(
@@ -103,7 +107,23 @@ def hold_against_twins(
                 break
             label = _permuted(label, best, offsets[number])
         excess[columns, columns], over_exchanges[columns] = exchanges.excess, exchanges.lead()
-    return HeldLabels(label, np.maximum(lead, 0.0), np.maximum(over_exchanges, 0.0), excess)
+    poor = np.repeat([is_poor(labellers, few, label, number, rules) for number in range(len(labellers))], np.diff(offsets))
+    return HeldLabels(label, np.maximum(lead, 0.0), np.maximum(over_exchanges, 0.0), excess, poor)
+
+
+def is_poor(labellers: Sequence[BodyLabeller], few: RecordingScene, label: Ints, number: int, rules: TwinRules) -> bool:
+    """Whether the labels (J,) explain little of a body: points are left over beside missing markers, and labels hardly earn what is usual.
+
+    A body that is labelled one segment along, thighs as shanks and shanks as feet, has no better exchange beside it.
+    """
+    labeller, own = labellers[number], labels_of_body(label, marker_offsets(labellers), number)
+    _, begins, track = _own_points(few, label, own)
+    labelled, points = float((own[track] != NULL).sum()), float(len(track))
+    frames = max(len(begins) - 1, 1)
+    if min(points / frames, len(labeller.worn_odds)) - labelled / frames < rules.poor_left or not labelled:
+        return False
+    earned = frames * (joint_evidence([labeller], few, own) + labeller.settings.first_ghost_cost)
+    return earned < (labeller.settings.usual_score + rules.poor_gain) * labelled
 
 
 def _without_optional(

@@ -55,7 +55,7 @@ class FindRules:
 
 
 @dataclass(frozen=True)
-class Certainty:
+class SetCertainty:
     """How evidence becomes a probability.
 
     Fitted by maximum likelihood, with `FitRules.extra` and `FitRules.missing`, on 198 files of virtual people who wear all shipped sets and
@@ -164,11 +164,11 @@ class SetEvidence:
         """Nats a point by which a body explains them better than a box of their size does."""
         return float(np.mean([fit.better for fit in self.fits]))
 
-    def is_body(self, certainty: Certainty) -> bool:
+    def is_body(self, certainty: SetCertainty) -> bool:
         """Whether a shipped set would rather be worn than not if each of the points had a marker, and each marker a point."""
         return certainty.worn + certainty.better * self.better >= 0.0
 
-    def chances(self, certainty: Certainty) -> tuple[Floats, float]:
+    def chances(self, certainty: SetCertainty) -> tuple[Floats, float]:
         """The log probabilities (S,) of the sets if one of them is worn, and the probability of that."""
         seen, sizes = self.seen, self.every[0].sizes
         nats = self.nats + certainty.some * (seen < sizes)
@@ -191,7 +191,7 @@ class SetFinder:
     files: Sequence[Path] = ()
     vertical: ArrayLike | str | None = None
     rules: FindRules = field(default_factory=FindRules)
-    certainty: Certainty = field(default_factory=Certainty)
+    certainty: SetCertainty = field(default_factory=SetCertainty)
     _evidence: dict[Path, SetEvidence | None] = field(default_factory=dict)
 
     def of(self, path: Path, recording: Recording) -> tuple[WornMarkers, ...]:
@@ -340,7 +340,7 @@ def _without_ghosts(clouds: Clouds, rules: FindRules) -> Clouds:
     return clouds.select(lasts >= min(rules.brief * clouds.rate, 0.5 * float(np.median(lasts)))) if len(lasts) else clouds
 
 
-def _most_probable(own: SetEvidence, chances: Floats, worn: float, certainty: Certainty) -> WornMarkers:
+def _most_probable(own: SetEvidence, chances: Floats, worn: float, certainty: SetCertainty) -> WornMarkers:
     """The set with most evidence, with its probability, and what else it may be. chances: log probabilities if one is worn."""
     names, probable = list(placed_sets()), np.exp(chances) * worn
     first, *others = np.argsort(-probable, kind="stable").tolist()

@@ -34,8 +34,8 @@ class FitRules:
     reach     m beyond which a point is on no marker while a posture is sought
     rounds    of refinement
     extra     log density (nats per m3) of a point that is no marker of the set: it may be anywhere about the body, in 6 m3
-    missing   log odds of a marker that no point shows: one of 18. These two were fitted with `Certainty`, which says how. Half and double
-              of `extra` raise the log loss from 0.12 to 0.13 and 0.14, of `missing` to 0.16 and 0.18, with 0 to 2 of 180 sure sets wrong
+    missing   log odds of a marker that no point shows: one of 18. These two were fitted with `SetCertainty`, which says how. Half or twice
+              `extra` raise the log loss from 0.12 to 0.13 and 0.14, of `missing` to 0.16 and 0.18, with 0 to 2 of 180 sure sets wrong
     astray    share of the markers that lie `far` (m) off: in a posture that virtual people do not know, or placed elsewhere. Without them a
               raised hand costs a marker that is missing and a point that is extra
     hopeless  nats behind the best set from which a set is not held against further postures
