@@ -293,7 +293,8 @@ def test_a_long_file_of_another_body_is_called_so(kind: str, labels: Labels, tmp
 def test_markers_that_one_stretch_may_exchange_are_named(labels: Labels, tmp_path: Path) -> None:
     asterism.write(tmp_path / "walk.c3d", moving())
     model = ByColumn(MarkerSet(MARKERS), [verdict(FITS), verdict(FITS, ("A", "B")), verdict(FITS, ("C", "D"))])
-    by_ranges, whole = labels.both(tmp_path / "walk.c3d", model)
+    # with the axis given, each stretch is labelled once, and takes the next verdict
+    by_ranges, whole = labels.both(tmp_path / "walk.c3d", model, "--vertical", "z")
     told = [finding["sentence"] for finding in by_ranges.findings if finding["code"] == "label-exchangeable"]
     assert labels.was_long and ["A and B" in told[0], "C and D" in told[1]] == [True, True]
     same(by_ranges, whole)
