@@ -74,8 +74,10 @@ def test_markers_placed_elsewhere_are_said_and_no_label_is_certain(ensemble: ast
 
 @pytest.mark.parametrize("time", [True, False], ids=["whole", "frame by frame"])
 @pytest.mark.parametrize("spread", [0.3, 0.6])
-def test_what_is_no_body_is_said_and_gets_no_label(ensemble: asterism.MarkerModel, walks: list[Recording], spread: float, time: bool) -> None:
-    """Points as near each other as markers may pass for another person. Single frames stand alone: there the verdict takes no label back."""
+def test_what_is_no_body_is_said_and_gets_no_label(
+    ensemble: asterism.MarkerModel, walks: list[Recording], spread: float, time: bool
+) -> None:
+    """Points as near as markers may pass for another person. Single frames stand alone: there the verdict takes no label back."""
     labelling = (ensemble.label if time else ensemble.label_frames)(loose_points(walks[4], spread).clouds())
     assert labelling.verdict is not None
     assert labelling.verdict.kind == OTHER_BODY or (spread == 0.3 and labelling.verdict.kind == OTHER_PERSON)
