@@ -244,6 +244,12 @@ def legs(tmp_path: Path) -> Path:
     return tmp_path / "walk, anonymous.c3d"
 
 
+@pytest.mark.parametrize(("markers", "told"), [("cmu", True), ("helen-hayes", False)])
+def test_a_set_of_which_few_markers_are_there_is_told(markers: str, told: bool, legs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("label", legs, "-o", legs.parent / "out", "--markers", markers) == int(told)
+    assert ("[label-few-markers]" in capsys.readouterr().err) == told
+
+
 @pytest.mark.parametrize(
     ("wrong", "near"),
     [

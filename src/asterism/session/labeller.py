@@ -39,7 +39,7 @@ from asterism.session.sources import FrameSource, open_source
 from asterism.session.standing import StandingTrials
 from asterism.session.upright import labelled_upright, other_verticals, vertical_finding
 from asterism.session.wider import wider_model
-from asterism.session.worn import BY_POINTS, GIVEN, FindRules, SetFinder, WornMarkers
+from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules, SetFinder, WornMarkers
 
 _FRAMES_TO_FIND = 3000
 """Frames of a file among which the marker set is looked for: half a minute at 100 Hz. Of a longer file, a person has come into view by then
@@ -47,6 +47,9 @@ or the frames with most points are as good."""
 
 _WORTH_TELLING = 0.01
 """Probability below which another set is not named."""
+
+_MOST = 0.5
+"""Share of a set's markers that a usual frame shows where the set is worn."""
 
 _NARROWED_KEPT = 8
 """Narrowed models that are kept. Files of one person follow each other; a model has some megabytes."""
@@ -232,6 +235,8 @@ class FileLabeller:
             if turned:
                 labelled = replace(labelled, findings=(vertical_finding(str(path), said, shown), *labelled.findings))
         findings = [*labelled.findings, *findings_on_sets(path, bodies, self._finder.rules)]
+        if BY_NAMES not in {one.by for one in bodies}:
+            findings += _few_markers(path, labelled.labelling, labelled.clouds, [one.name for one in bodies])
         if labeller.wider is not None:
             findings.append(_explained_by(path, labeller.wider.name, bodies[0].name))
         return replace(labelled, worn=tuple(bodies), findings=tuple(findings))
@@ -415,6 +420,22 @@ def _nothing_labelled(path: Path, labelling: Labelling) -> list[Finding]:
         return []
     mend = "Check the marker set, the unit of length and the vertical; `asterism info` shows them."
     return [Finding("label-nothing", Severity.ERROR, str(path), f"{path}: no point got a label.", mend)]
+
+
+def _few_markers(path: Path, labelling: Labelling, clouds: Clouds, sets: Sequence[str]) -> list[Finding]:
+    """The finding that most markers of a set which nobody has seen worn are not there: fewer points may be those of a smaller set."""
+    counts, given = np.asarray(clouds.counts), (labelling.indices >= 0).sum(axis=1)
+    if not given.any():
+        return []
+    # frames that show much of the body; it may be out of view in the others
+    usual = int(np.median(given[counts >= np.median(counts[counts > 0])]))
+    # most of the set: at half of it, a set of thrice as many markers passes; at double, any hidden marker is told
+    if usual >= _MOST * len(labelling.names):
+        return []
+    sentence = f"{path}: {usual} of {len(labelling.names)} markers of {' and '.join(sets)} have a label in a usual frame; "
+    sentence += "another set may be worn, or part of the body is not in view."
+    mend = "Leave --markers out to have the set found, or name the one that is worn; check the labels with `asterism review`."
+    return [Finding("label-few-markers", Severity.WARNING, str(path), sentence, mend)]
 
 
 def _few_frames(path: Path, labelling: Labelling) -> list[Finding]:
