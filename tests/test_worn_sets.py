@@ -22,7 +22,7 @@ from asterism.session import LabellingOptions, LiveLabeller, SetFinder, label_fi
 from asterism.session.labeller import findings_on_sets
 from asterism.session.mirror import exchanged_sides
 from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules
-from asterism.session.worn.find import SetCertainty, SetEvidence
+from asterism.session.worn.find import SetCertainty, SetEvidence, _most_probable, evidence_of
 from asterism.session.worn.fit import FrameFit
 from asterism.simulation import simulate_walks
 from asterism.skeleton import virtual_people
@@ -207,18 +207,34 @@ def test_files_of_a_folder_are_judged_together(tmp_path: Path) -> None:
         assert other.probability >= one.probability - 1e-9
 
 
-def test_two_people_who_wear_one_set_are_both_labelled(tmp_path: Path) -> None:
-    one, other = simulate_walks(2, frames=100, markers="helen-hayes", seed=3)
-    both = np.concatenate([one.positions, other.positions + np.array([0.0, 1.5, 0.0])], axis=1)
-    order = np.random.default_rng(0).permutation(both.shape[1])
-    asterism.write(tmp_path / "two.c3d", Recording(both[:, order], tuple(f"*{m}" for m in range(len(order))), one.rate))
-    labelled = label_file(tmp_path / "two.c3d")
-    assert "label-two-sets" in {finding.code for finding in labelled.findings}
-    truth = np.argsort(order)
-    given = labelled.labelling.indices
-    # whose labels come first is free
-    right = max((given == np.roll(truth, shift)).mean() for shift in (0, 15))
-    assert right > 0.99
+@pytest.mark.parametrize("people", [2, 3])
+def test_people_who_wear_one_set_are_all_labelled(people: int, tmp_path: Path) -> None:
+    walks = simulate_walks(people, frames=100, markers="helen-hayes", seed=3)
+    together = np.concatenate([walk.positions + np.array([0.0, 1.5 * i, 0.0]) for i, walk in enumerate(walks)], axis=1)
+    order = np.random.default_rng(0).permutation(together.shape[1])
+    labels = tuple(f"*{m}" for m in range(len(order)))
+    asterism.write(tmp_path / "people.c3d", Recording(together[:, order], labels, walks[0].rate))
+    labelled = label_file(tmp_path / "people.c3d")
+    assert [one.name for one in labelled.worn] == ["helen-hayes"] * people
+    (note,) = [finding for finding in labelled.findings if finding.code == "label-two-sets"]
+    assert f"{'two' if people == 2 else 'three'} bodies" in note.sentence
+    # whose labels come first is free, but each person has those of one body
+    given, truth = labelled.labelling.indices.reshape(-1, people, 15), np.argsort(order).reshape(people, 15)
+    right = np.array([[(given[:, body] == points).mean() for points in truth] for body in range(people)])
+    assert sorted(right.argmax(axis=1)) == list(range(people))
+    assert (right.max(axis=1) > 0.99).all()
+
+
+def test_a_body_comes_after_a_prop() -> None:
+    """Evidence of a prop between two bodies ends nothing."""
+    (walk,) = simulate_walks(1, frames=60, markers="helen-hayes", seed=3)
+    own = evidence_of(walk.clouds())
+    tray = np.random.default_rng(1).uniform(-0.15, 0.15, (1, 14, 3)) + np.array([0.0, 6.0, 1.0])
+    prop = evidence_of(anonymous(replace(walk, positions=np.tile(tray, (60, 1, 1)), labels=walk.labels[:14])).clouds())
+    assert own is not None and prop is not None and not prop.is_body(SetCertainty())
+    between = replace(own, second=replace(prop, second=own))
+    worn = _most_probable(between, *between.chances(SetCertainty()), SetCertainty())
+    assert [one.name for one in worn.bodies] == ["helen-hayes", "helen-hayes"]
 
 
 def test_a_single_file_that_should_not_be_used_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -48,6 +48,8 @@ or the frames with most points are as good."""
 _WORTH_TELLING = 0.01
 """Probability below which another set is not named."""
 
+_NUMBERS = {2: "two", 3: "three", 4: "four"}
+
 _MOST = 0.5
 """Share of a set's markers that a usual frame shows where the set is worn."""
 
@@ -219,7 +221,7 @@ class FileLabeller:
         source = open_source(path, self.options, by_ranges=True)
         recording = source.frames(slice(0, min(len(source.counts), _FRAMES_TO_FIND)))
         worn = self._finder.of(path, recording if recording.clouds().counts.any() else source.about)
-        bodies = [*worn, *(one.second for one in worn if one.second is not None)]
+        bodies = [body for one in worn for body in one.bodies]
         labeller, said, shown = self._of_worn(bodies, progress), recording.vertical, worn[0].vertical
         # a person's standing trial narrows the model of the set itself
         if len(bodies) == 1 and self.options.settings.in_time and not self.options.standing:
@@ -408,7 +410,8 @@ def findings_on_sets(path: Path, worn: Sequence[WornMarkers], rules: FindRules) 
             findings.append(Finding("label-set-unsure", Severity.WARNING, str(path), sentence, mend))
     if len(worn) > 1 and worn[0].by != GIVEN:
         names = list(dict.fromkeys(one.name for one in worn))
-        sentence = f"{path}: two bodies wear {'different marker sets, ' if len(names) > 1 else ''}{' and '.join(names)}; each was labelled."
+        sentence = f"{path}: {_NUMBERS.get(len(worn), len(worn))} bodies wear "
+        sentence += f"{'different marker sets, ' if len(names) > 1 else ''}{' and '.join(names)}; each was labelled."
         mend = "Where that is wrong, name the set with --markers, once for each body."
         findings.append(Finding("label-two-sets", Severity.NOTE, str(path), sentence, mend))
     return findings
@@ -433,7 +436,7 @@ def _few_markers(path: Path, labelling: Labelling, clouds: Clouds, sets: Sequenc
     if usual >= _MOST * len(labelling.names):
         return []
     sentence = f"{path}: {usual} of {len(labelling.names)} markers of {' and '.join(sets)} have a label in a usual frame; "
-    sentence += "another set may be worn, or part of the body is not in view."
+    sentence += "another set may be worn, part of the body be out of view, or the movement be an unusual one."
     mend = "Leave --markers out to have the set found, or name the one that is worn; check the labels with `asterism review`."
     return [Finding("label-few-markers", Severity.WARNING, str(path), sentence, mend)]
 
