@@ -19,6 +19,7 @@ from asterism.files.cache import cache_folder
 from asterism.labelling import virtual_model
 from asterism.recording import Disagreement, MarkerSet, Recording
 from asterism.session import LabellingOptions, LiveLabeller, SetFinder, label_file
+from asterism.session.coincident import coincident_findings
 from asterism.session.labeller import findings_on_sets
 from asterism.session.mirror import exchanged_sides
 from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules
@@ -264,6 +265,23 @@ def legs(tmp_path: Path) -> Path:
 def test_a_set_of_which_few_markers_are_there_is_told(markers: str, told: bool, legs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("label", legs, "-o", legs.parent / "out", "--markers", markers) == int(told)
     assert ("[label-few-markers]" in capsys.readouterr().err) == told
+
+
+@pytest.mark.parametrize(("apart", "told"), [(0.0, True), (0.0004, True), (0.003, False)])
+def test_points_that_coincide_are_told(apart: float, told: bool) -> None:
+    (walk,) = simulate_walks(1, frames=60, seed=5)
+    twice = np.concatenate([walk.positions, walk.positions[:, :4] + np.array([apart, 0.0, 0.0])], axis=1)
+    found = coincident_findings("walk.c3d", anonymous(replace(walk, positions=twice, labels=("",) * twice.shape[1])).clouds())
+    assert [finding.code for finding in found] == ["label-coincident"] * told
+    assert not told or "8 of the 19 points" in found[0].sentence
+
+
+def test_a_file_with_each_point_twice_says_why_it_has_no_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (walk,) = simulate_walks(1, frames=60, seed=5)
+    twice = np.concatenate([walk.positions, walk.positions], axis=1)
+    asterism.write(tmp_path / "twice.c3d", anonymous(replace(walk, positions=twice, labels=("",) * 30)))
+    assert run("label", tmp_path / "twice.c3d", "-o", tmp_path / "out", "--markers", "helen-hayes") == 1
+    assert "[label-coincident]" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -31,6 +31,7 @@ from asterism.progress import Progress
 from asterism.recording import Clouds, Disagreement, Floats, Labelling, MarkerSet, Recording
 from asterism.recording.display import counted
 from asterism.recording.verdict import OTHER_BODY
+from asterism.session.coincident import coincident_findings
 from asterism.session.labelled import LabelledFile
 from asterism.session.mirror import mirror_findings
 from asterism.session.names import choose_name_policy, findings_on_names, join_disagreements, merge_file_names
@@ -198,6 +199,7 @@ class FileLabeller:
         findings += found.labelling.findings(str(path))
         findings += _nothing_labelled(path, found.labelling) or _few_frames(path, found.labelling)
         some = slice(0, min(len(source.counts), _FRAMES_TO_FIND))
+        findings += coincident_findings(str(path), source.clouds(some))
         findings += mirror_findings(str(path), self._plain, found.labelling, source.clouds(some))
         findings += findings_on_names(path, source.about, self._plain.marker_set, found.against, policy)
         return LabelledFile(
