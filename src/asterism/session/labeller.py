@@ -240,7 +240,7 @@ class FileLabeller:
                 labelled = replace(labelled, findings=(vertical_finding(str(path), said, shown), *labelled.findings))
         findings = [*labelled.findings, *findings_on_sets(path, bodies, self._finder.rules)]
         if BY_NAMES not in {one.by for one in bodies}:
-            findings += _few_markers(path, labelled.labelling, labelled.clouds, [one.name for one in bodies])
+            findings += _few_markers(path, labelled.labelling, labelled.clouds, bodies)
         if labeller.wider is not None:
             findings.append(_explained_by(path, labeller.wider.name, bodies[0].name))
         return replace(labelled, worn=tuple(bodies), findings=tuple(findings))
@@ -427,7 +427,7 @@ def _nothing_labelled(path: Path, labelling: Labelling) -> list[Finding]:
     return [Finding("label-nothing", Severity.ERROR, str(path), f"{path}: no point got a label.", mend)]
 
 
-def _few_markers(path: Path, labelling: Labelling, clouds: Clouds, sets: Sequence[str]) -> list[Finding]:
+def _few_markers(path: Path, labelling: Labelling, clouds: Clouds, worn: Sequence[WornMarkers]) -> list[Finding]:
     """The finding that most markers of a set which nobody has seen worn are not there: fewer points may be those of a smaller set."""
     counts, given = np.asarray(clouds.counts), (labelling.indices >= 0).sum(axis=1)
     if not given.any():
@@ -437,9 +437,15 @@ def _few_markers(path: Path, labelling: Labelling, clouds: Clouds, sets: Sequenc
     # most of the set: at half of it, a set of thrice as many markers passes; at double, any hidden marker is told
     if usual >= _MOST * len(labelling.names):
         return []
-    sentence = f"{path}: {usual} of {len(labelling.names)} markers of {' and '.join(sets)} have a label in a usual frame; "
+    sentence = (
+        f"{path}: {usual} of {len(labelling.names)} markers of {' and '.join(one.name for one in worn)} have a label in a usual frame; "
+    )
     sentence += "another set may be worn, part of the body be out of view, or the movement be an unusual one."
-    mend = "Leave --markers out to have the set found, or name the one that is worn; check the labels with `asterism review`."
+    named = worn[0].by == GIVEN
+    mend = (
+        "Leave --markers out to have the set found, or name the one that is worn" if named else "Name the set that is worn with --markers"
+    )
+    mend += "; check the labels with `asterism review`."
     return [Finding("label-few-markers", Severity.WARNING, str(path), sentence, mend)]
 
 
