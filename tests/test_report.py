@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 from asterism.labelling import ConfidenceScore, ConfidenceTally, Reliability
 from asterism.labelling.partial.capturability import TargetRates
 from asterism.labelling.partial.full_solver_study import ChosenClassifier, SolverSize
@@ -167,6 +168,13 @@ def test_the_table_of_files_says_which_can_be_used(tmp_path: Path, walk: Recordi
 
 
 # What every page is
+
+
+def test_the_label_page_says_what_was_found(tmp_path: Path, walk: Recording) -> None:
+    assert "What to know" not in "".join(make_label_page(tmp_path / "without.html", walk).text)
+    found = Finding("label-vertical", Severity.WARNING, "walk.c3d", "walk.c3d: y is up & not z.", "Say it.")
+    text = "".join(make_label_page(tmp_path / "with.html", walk, findings=[found]).text)
+    assert "What to know before using it" in text and "y is up & not z." in text
 
 
 def test_pages_are_self_contained_and_small(tmp_path: Path, walk: Recording) -> None:

@@ -12,6 +12,7 @@ from scipy.special import logit
 
 from asterism import AsterismError, formats
 from asterism.labelling import virtual_model
+from asterism.labelling.correction import Name, Right, Swap
 from asterism.labelling.recording_labeller import LabellingSettings, RecordingLabeller, WiderModel
 from asterism.labelling.whole.verdict import CERTAIN
 from asterism.recording import Clouds, Labelling, MarkerSet, Place, Recording
@@ -148,3 +149,38 @@ def test_labels_among_many_points_lose_certainty() -> None:
     # its own markers are no crowd
     alone, _ = simulate_gaps_and_ghosts(replace(points, positions=points.positions[:, :16], labels=points.labels[:16]), 0, 0, seed=1)
     assert model.label_one_body(alone) == type(model)(replace(model.state, distances=doubtless)).label_one_body(alone)
+
+
+def test_what_the_larger_set_labelled_can_be_corrected(tmp_path: Path) -> None:
+    """The model of the markers asked for labels again where a person says something, with the points of the others left out."""
+    path = tmp_path / "walk.trc"
+    # T10 is no marker of the set asked for, and LTIB is out of view at times
+    positions = person().positions.copy()
+    positions[20:40, person().labels.index("LTIB")] = np.nan
+    formats.write(path, replace(person(), positions=positions, labels=tuple(f"*{m + 1}" for m in range(39)), metadata={}))
+    labelled = label_file(path, options=LabellingOptions(markers=(ASKED,), in_memory=True))
+    first, correction = labelled.labelling, labelled.correction()
+    assert "label-wider-set" in {finding.code for finding in labelled.findings}
+    assert correction.labelling == first
+    names = list(correction.names)
+
+    def piece_of(label: str) -> int:
+        (point,) = np.nonzero(correction.clouds.columns[: correction.clouds.counts[0]] == person().labels.index(label))[0]
+        return int(correction.pieces.id[correction.pieces.of_point[point]])
+
+    # a right label that is confirmed changes nothing
+    correction.apply(Right(piece_of("LKNE")))
+    assert (correction.labelling.indices == first.indices).all()
+    # a point that only the larger set knows becomes a marker, and the marker's own point loses it
+    change = correction.apply(Name(piece_of("T10"), "LANK"))
+    assert {part.piece for part in change.pieces} >= {piece_of("T10"), piece_of("LANK")}
+    rest = np.array([name != "LANK" for name in names])
+    assert (correction.labelling.indices[:, rest] == first.indices[:, rest]).mean() > 0.98
+    correction.undo()
+    # two that a person exchanges are exchanged
+    correction.apply(Swap(piece_of("LASI"), piece_of("RASI")))
+    left, right = names.index("LASI"), names.index("RASI")
+    assert (correction.labelling.indices[:, [left, right]] == first.indices[:, [right, left]]).all()
+    correction.undo()
+    correction.undo()
+    assert correction.labelling == first

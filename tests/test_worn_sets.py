@@ -19,10 +19,11 @@ from asterism.files.cache import cache_folder
 from asterism.labelling import virtual_model
 from asterism.recording import Disagreement, MarkerSet, Recording
 from asterism.session import LabellingOptions, LiveLabeller, SetFinder, label_file
+from asterism.session.coincident import coincident_findings
 from asterism.session.labeller import findings_on_sets
 from asterism.session.mirror import exchanged_sides
 from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules
-from asterism.session.worn.find import SetCertainty, SetEvidence
+from asterism.session.worn.find import SetCertainty, SetEvidence, _most_probable, evidence_of
 from asterism.session.worn.fit import FrameFit
 from asterism.simulation import simulate_walks
 from asterism.skeleton import virtual_people
@@ -207,18 +208,34 @@ def test_files_of_a_folder_are_judged_together(tmp_path: Path) -> None:
         assert other.probability >= one.probability - 1e-9
 
 
-def test_two_people_who_wear_one_set_are_both_labelled(tmp_path: Path) -> None:
-    one, other = simulate_walks(2, frames=100, markers="helen-hayes", seed=3)
-    both = np.concatenate([one.positions, other.positions + np.array([0.0, 1.5, 0.0])], axis=1)
-    order = np.random.default_rng(0).permutation(both.shape[1])
-    asterism.write(tmp_path / "two.c3d", Recording(both[:, order], tuple(f"*{m}" for m in range(len(order))), one.rate))
-    labelled = label_file(tmp_path / "two.c3d")
-    assert "label-two-sets" in {finding.code for finding in labelled.findings}
-    truth = np.argsort(order)
-    given = labelled.labelling.indices
-    # whose labels come first is free
-    right = max((given == np.roll(truth, shift)).mean() for shift in (0, 15))
-    assert right > 0.99
+@pytest.mark.parametrize("people", [2, 3])
+def test_people_who_wear_one_set_are_all_labelled(people: int, tmp_path: Path) -> None:
+    walks = simulate_walks(people, frames=100, markers="helen-hayes", seed=3)
+    together = np.concatenate([walk.positions + np.array([0.0, 1.5 * i, 0.0]) for i, walk in enumerate(walks)], axis=1)
+    order = np.random.default_rng(0).permutation(together.shape[1])
+    labels = tuple(f"*{m}" for m in range(len(order)))
+    asterism.write(tmp_path / "people.c3d", Recording(together[:, order], labels, walks[0].rate))
+    labelled = label_file(tmp_path / "people.c3d")
+    assert [one.name for one in labelled.worn] == ["helen-hayes"] * people
+    (note,) = [finding for finding in labelled.findings if finding.code == "label-two-sets"]
+    assert f"{'two' if people == 2 else 'three'} bodies" in note.sentence
+    # whose labels come first is free, but each person has those of one body
+    given, truth = labelled.labelling.indices.reshape(-1, people, 15), np.argsort(order).reshape(people, 15)
+    right = np.array([[(given[:, body] == points).mean() for points in truth] for body in range(people)])
+    assert sorted(right.argmax(axis=1)) == list(range(people))
+    assert (right.max(axis=1) > 0.99).all()
+
+
+def test_a_body_comes_after_a_prop() -> None:
+    """Evidence of a prop between two bodies ends nothing."""
+    (walk,) = simulate_walks(1, frames=60, markers="helen-hayes", seed=3)
+    own = evidence_of(walk.clouds())
+    tray = np.random.default_rng(1).uniform(-0.15, 0.15, (1, 14, 3)) + np.array([0.0, 6.0, 1.0])
+    prop = evidence_of(anonymous(replace(walk, positions=np.tile(tray, (60, 1, 1)), labels=walk.labels[:14])).clouds())
+    assert own is not None and prop is not None and not prop.is_body(SetCertainty())
+    between = replace(own, second=replace(prop, second=own))
+    worn = _most_probable(between, *between.chances(SetCertainty()), SetCertainty())
+    assert [one.name for one in worn.bodies] == ["helen-hayes", "helen-hayes"]
 
 
 def test_a_single_file_that_should_not_be_used_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -242,6 +259,29 @@ def legs(tmp_path: Path) -> Path:
     """A walk with points without names."""
     asterism.write(tmp_path / "walk, anonymous.c3d", anonymous(simulate_walks(1, frames=60, seed=5)[0]))
     return tmp_path / "walk, anonymous.c3d"
+
+
+@pytest.mark.parametrize(("markers", "told"), [("cmu", True), ("helen-hayes", False)])
+def test_a_set_of_which_few_markers_are_there_is_told(markers: str, told: bool, legs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("label", legs, "-o", legs.parent / "out", "--markers", markers) == int(told)
+    assert ("[label-few-markers]" in capsys.readouterr().err) == told
+
+
+@pytest.mark.parametrize(("apart", "told"), [(0.0, True), (0.0004, True), (0.003, False)])
+def test_points_that_coincide_are_told(apart: float, told: bool) -> None:
+    (walk,) = simulate_walks(1, frames=60, seed=5)
+    twice = np.concatenate([walk.positions, walk.positions[:, :4] + np.array([apart, 0.0, 0.0])], axis=1)
+    found = coincident_findings("walk.c3d", anonymous(replace(walk, positions=twice, labels=("",) * twice.shape[1])).clouds())
+    assert [finding.code for finding in found] == ["label-coincident"] * told
+    assert not told or "8 of the 19 points" in found[0].sentence
+
+
+def test_a_file_with_each_point_twice_says_why_it_has_no_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (walk,) = simulate_walks(1, frames=60, seed=5)
+    twice = np.concatenate([walk.positions, walk.positions], axis=1)
+    asterism.write(tmp_path / "twice.c3d", anonymous(replace(walk, positions=twice, labels=("",) * 30)))
+    assert run("label", tmp_path / "twice.c3d", "-o", tmp_path / "out", "--markers", "helen-hayes") == 1
+    assert "[label-coincident]" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

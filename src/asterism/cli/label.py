@@ -129,7 +129,7 @@ def label(options: LabelOptions) -> None:
         _table(rows)
     page = options.page
     if page is not None and results:
-        _report(page, options, run.labeller, results)
+        _report(page, options, run.labeller, results, batch.findings)
     _console.write_json(
         options.json,
         {
@@ -276,7 +276,7 @@ def _by_marker(labelling: Labelling, clouds: Clouds) -> dict[str, dict[str, Any]
     return found
 
 
-def _report(path: Path, options: LabelOptions, labeller: FileLabeller, results: Sequence[_Result]) -> None:
+def _report(path: Path, options: LabelOptions, labeller: FileLabeller, results: Sequence[_Result], findings: Sequence[Finding]) -> None:
     """Write the page on all files; those that an earlier run has finished are in its table only."""
     from asterism.report import label_report
 
@@ -298,6 +298,7 @@ def _report(path: Path, options: LabelOptions, labeller: FileLabeller, results: 
         title=f"{len(rows)} labelled recordings" if len(rows) > 1 else f"{rows[0]['file'].name}, labelled",
         files=rows,
         model_info={**about, **labeller.about},
+        findings=findings,
     )
 
 

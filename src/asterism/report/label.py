@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.findings import Finding
 from asterism.recording import Clouds, Floats, Ints, Labelling, LabelStates, MarkerSet, label_states
 from asterism.recording.shares import SURE
 from asterism.recording.verdict import FITS, OTHER_BODY
-from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, short_names, tinted, write_page
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, findings_table, percent, short_names, tinted, write_page
 from asterism.report.player import WRONG, ShownRecording, pack_recordings
 
 
@@ -76,6 +77,7 @@ def label_report(
     title: str,
     files: Sequence[Mapping[str, Any]] = (),
     model_info: Mapping[str, Any] | None = None,
+    findings: Sequence[Finding] = (),
 ) -> None:
     """Write an HTML page on labelled files, with each of them in 3D and over time.
 
@@ -83,6 +85,7 @@ def label_report(
     files       a mapping per file: file, frames, labelled, likely, unsure, hidden (shares 0..1), verdict, readiness, use,
                 frames_per_second; what is absent is counted in the recording, or shows as a dash
     model_info  facts for the foot of the page: model, seed, rules, ...
+    findings    on the files
 
     A page of many files shows some of them with fewer frames per second, so that it stays small. Raises AsterismError where the file cannot
     be written.
@@ -95,6 +98,7 @@ def label_report(
     names = short_names([str(row.get("file", "")) or "the recording" for row in rows])
     sections = [
         Section("Files", table=_files(rows, names), note=_note(recordings)),
+        *([Section("What to know before using it", table=findings_table(findings))] if findings else []),
         *([_against_truth(recordings)] if any(one.truth is not None for one in recordings) else []),
         *_pictures(recordings, rows, names),
         *([Section(f"Markers of {names[0]}" if len(recordings) == 1 else "Markers of all files", table=_markers(recordings, names))]),
@@ -122,7 +126,9 @@ def _counted(recordings: Sequence[LabelledRecording], number: int, row: Mapping[
 def _lead(recordings: Sequence[LabelledRecording]) -> str:
     if not recordings:
         return "No recording was labelled."
-    markers, frames = len(recordings[0].labelling.names), sum(len(one.clouds) for one in recordings)
+    sets = sorted({len(one.labelling.names) for one in recordings})
+    # files of a run may be of different marker sets
+    markers, frames = str(sets[0]) if len(sets) == 1 else f"{sets[0]} to {sets[-1]}", sum(len(one.clouds) for one in recordings)
     seconds = sum(len(one.clouds) / one.clouds.rate for one in recordings)
     if len(recordings) == 1:
         return f"{markers} markers in {frames:,} frames at {recordings[0].clouds.rate:g} frames per second ({seconds:.1f} s)."

@@ -31,6 +31,7 @@ from asterism.progress import Progress
 from asterism.recording import Clouds, Disagreement, Floats, Labelling, MarkerSet, Recording
 from asterism.recording.display import counted
 from asterism.recording.verdict import OTHER_BODY
+from asterism.session.coincident import coincident_findings
 from asterism.session.labelled import LabelledFile
 from asterism.session.mirror import mirror_findings
 from asterism.session.names import choose_name_policy, findings_on_names, join_disagreements, merge_file_names
@@ -39,7 +40,7 @@ from asterism.session.sources import FrameSource, open_source
 from asterism.session.standing import StandingTrials
 from asterism.session.upright import labelled_upright, other_verticals, vertical_finding
 from asterism.session.wider import wider_model
-from asterism.session.worn import BY_POINTS, GIVEN, FindRules, SetFinder, WornMarkers
+from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules, SetFinder, WornMarkers
 
 _FRAMES_TO_FIND = 3000
 """Frames of a file among which the marker set is looked for: half a minute at 100 Hz. Of a longer file, a person has come into view by then
@@ -47,6 +48,11 @@ or the frames with most points are as good."""
 
 _WORTH_TELLING = 0.01
 """Probability below which another set is not named."""
+
+_NUMBERS = {2: "two", 3: "three", 4: "four"}
+
+_MOST = 0.5
+"""Share of a set's markers that a usual frame shows where the set is worn."""
 
 _NARROWED_KEPT = 8
 """Narrowed models that are kept. Files of one person follow each other; a model has some megabytes."""
@@ -193,6 +199,7 @@ class FileLabeller:
         findings += found.labelling.findings(str(path))
         findings += _nothing_labelled(path, found.labelling) or _few_frames(path, found.labelling)
         some = slice(0, min(len(source.counts), _FRAMES_TO_FIND))
+        findings += coincident_findings(str(path), source.clouds(some))
         findings += mirror_findings(str(path), self._plain, found.labelling, source.clouds(some))
         findings += findings_on_names(path, source.about, self._plain.marker_set, found.against, policy)
         return LabelledFile(
@@ -216,7 +223,7 @@ class FileLabeller:
         source = open_source(path, self.options, by_ranges=True)
         recording = source.frames(slice(0, min(len(source.counts), _FRAMES_TO_FIND)))
         worn = self._finder.of(path, recording if recording.clouds().counts.any() else source.about)
-        bodies = [*worn, *(one.second for one in worn if one.second is not None)]
+        bodies = [body for one in worn for body in one.bodies]
         labeller, said, shown = self._of_worn(bodies, progress), recording.vertical, worn[0].vertical
         # a person's standing trial narrows the model of the set itself
         if len(bodies) == 1 and self.options.settings.in_time and not self.options.standing:
@@ -232,6 +239,8 @@ class FileLabeller:
             if turned:
                 labelled = replace(labelled, findings=(vertical_finding(str(path), said, shown), *labelled.findings))
         findings = [*labelled.findings, *findings_on_sets(path, bodies, self._finder.rules)]
+        if BY_NAMES not in {one.by for one in bodies}:
+            findings += _few_markers(path, labelled.labelling, labelled.clouds, bodies)
         if labeller.wider is not None:
             findings.append(_explained_by(path, labeller.wider.name, bodies[0].name))
         return replace(labelled, worn=tuple(bodies), findings=tuple(findings))
@@ -403,7 +412,8 @@ def findings_on_sets(path: Path, worn: Sequence[WornMarkers], rules: FindRules) 
             findings.append(Finding("label-set-unsure", Severity.WARNING, str(path), sentence, mend))
     if len(worn) > 1 and worn[0].by != GIVEN:
         names = list(dict.fromkeys(one.name for one in worn))
-        sentence = f"{path}: two bodies wear {'different marker sets, ' if len(names) > 1 else ''}{' and '.join(names)}; each was labelled."
+        sentence = f"{path}: {_NUMBERS.get(len(worn), len(worn))} bodies wear "
+        sentence += f"{'different marker sets, ' if len(names) > 1 else ''}{' and '.join(names)}; each was labelled."
         mend = "Where that is wrong, name the set with --markers, once for each body."
         findings.append(Finding("label-two-sets", Severity.NOTE, str(path), sentence, mend))
     return findings
@@ -415,6 +425,28 @@ def _nothing_labelled(path: Path, labelling: Labelling) -> list[Finding]:
         return []
     mend = "Check the marker set, the unit of length and the vertical; `asterism info` shows them."
     return [Finding("label-nothing", Severity.ERROR, str(path), f"{path}: no point got a label.", mend)]
+
+
+def _few_markers(path: Path, labelling: Labelling, clouds: Clouds, worn: Sequence[WornMarkers]) -> list[Finding]:
+    """The finding that most markers of a set which nobody has seen worn are not there: fewer points may be those of a smaller set."""
+    counts, given = np.asarray(clouds.counts), (labelling.indices >= 0).sum(axis=1)
+    if not given.any():
+        return []
+    # frames that show much of the body; it may be out of view in the others
+    usual = int(np.median(given[counts >= np.median(counts[counts > 0])]))
+    # most of the set: at half of it, a set of thrice as many markers passes; at double, any hidden marker is told
+    if usual >= _MOST * len(labelling.names):
+        return []
+    sentence = (
+        f"{path}: {usual} of {len(labelling.names)} markers of {' and '.join(one.name for one in worn)} have a label in a usual frame; "
+    )
+    sentence += "another set may be worn, part of the body be out of view, or the movement be an unusual one."
+    named = worn[0].by == GIVEN
+    mend = (
+        "Leave --markers out to have the set found, or name the one that is worn" if named else "Name the set that is worn with --markers"
+    )
+    mend += "; check the labels with `asterism review`."
+    return [Finding("label-few-markers", Severity.WARNING, str(path), sentence, mend)]
 
 
 def _few_frames(path: Path, labelling: Labelling) -> list[Finding]:

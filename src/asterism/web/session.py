@@ -159,7 +159,8 @@ class CorrectionTrial:
         labelled = labeller.label(self.path)
         correction = labelled.correction()
         self.findings = labelled.findings
-        self.notes += [finding.sentence for finding in labelled.findings]
+        # the page names the trial itself
+        self.notes += [finding.sentence.removeprefix(f"{self.path}: ") for finding in labelled.findings]
         folder = self.options.log_folder
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)

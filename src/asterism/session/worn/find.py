@@ -91,7 +91,7 @@ class WornMarkers:
     others        sets that it may be instead, with their probabilities, the most probable first
     same_names    probability that a point's name is right by which set ever: sets share most names, and differ in a few points
     shown, points its markers that the points show in a frame, and the points of that frame; of names, those found and all
-    second        the set of a second body in view, where there is one
+    second        the set of the next body in view, where there is one; it has the one after that as its own
     vertical      what points up where the points lie as its markers do; None where the file's names or a person decided
     """
 
@@ -105,6 +105,11 @@ class WornMarkers:
     points: int = 0
     second: WornMarkers | None = None
     vertical: Floats | None = None
+
+    @property
+    def bodies(self) -> tuple[WornMarkers, ...]:
+        """The sets of all bodies in view, this one first."""
+        return (self,) if self.second is None else (self, *self.second.bodies)
 
     @property
     def words(self) -> str:
@@ -136,7 +141,7 @@ class SetEvidence:
 
     every     fit of a frame
     vertical  what points up
-    second    of another body
+    second    of the next body, which has that of the one after it
     """
 
     every: tuple[FrameFit, ...]
@@ -321,16 +326,19 @@ def evidence_of(
     grid = np.linspace(0, len(full) - 1, 3 * rules.frames + 4).round().astype(int)[1:-1]
     first = np.unique(grid[2::3])
     chosen = full[first if between is None else np.setdiff1d(grid, first)]
-    fits, seconds = list[FrameFit](), list[FrameFit]()
+    of_bodies = list[list[FrameFit]]()  # the largest of each frame first
     for frame in chosen:
-        bodies = _apart(rotate_z_up(clouds[frame], clouds.vertical), rules)
-        for place, body in zip((fits, seconds), bodies, strict=False):
-            place.append(fit_frame(body, shapes or _shapes(), FitRules()))
+        for rank, body in enumerate(_apart(rotate_z_up(clouds[frame], clouds.vertical), rules)):
+            of_bodies += [[]] if rank == len(of_bodies) else []
+            of_bodies[rank].append(fit_frame(body, shapes or _shapes(), FitRules()))
     if between is not None:
-        return replace(between, every=(*between.every, *fits))
-    # a second body is there where most frames show it
-    second = SetEvidence(tuple(seconds), clouds.vertical) if 2 * len(seconds) > len(fits) else None
-    return SetEvidence(tuple(fits), clouds.vertical, second) if fits else None
+        return replace(between, every=(*between.every, *of_bodies[0])) if of_bodies else between
+    found: SetEvidence | None = None
+    for fits in reversed(of_bodies):
+        # another body is there where most frames show it
+        if 2 * len(fits) > len(of_bodies[0]):
+            found = SetEvidence(tuple(fits), clouds.vertical, found)
+    return found
 
 
 def _without_ghosts(clouds: Clouds, rules: FindRules) -> Clouds:
@@ -347,10 +355,11 @@ def _most_probable(own: SetEvidence, chances: Floats, worn: float, certainty: Se
     same = float(probable @ _same_names(own.fits, first))
     shown = int(np.median([(fit.given[first] >= 0).sum() for fit in own.fits]))
     points = int(np.median([fit.given.shape[1] for fit in own.fits]))
-    second = None
-    if own.second is not None:
-        # a second thing that is like no set is a prop
-        second = _most_probable(own.second, *own.second.chances(certainty), certainty) if own.second.is_body(certainty) else None
+    # a thing that is like no set is a prop, and bodies may come after it
+    other = own.second
+    while other is not None and not other.is_body(certainty):
+        other = other.second
+    second = None if other is None else _most_probable(other, *other.chances(certainty), certainty)
     instead = tuple((names[other], float(probable[other])) for other in others[:3])
     name = names[first]
     probability = float(probable[first])
