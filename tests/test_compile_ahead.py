@@ -14,7 +14,7 @@ from models import trained
 import asterism
 from asterism.labelling import compile_ahead
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
-from asterism.labelling.whole import _distance_kernels, _kernels, _residual_kernels
+from asterism.labelling.whole import _distance_kernels, _kernels, _short_kernels, _twin_kernels
 from asterism.simulation import simulate_walks
 from asterism.tracking import _cut_kernels, chain_kernels, link_kernels
 
@@ -34,10 +34,10 @@ ENTRIES: dict[str, Any] = {
             "settle_dominant",
             "best_split",
             "margins_of",
-            "branch_and_bound",
         ],
-        _distance_kernels: ["rigid_deviations", "training_deviations"],
-        _residual_kernels: ["prediction_residuals", "residual_deviations"],
+        _distance_kernels: ["training_deviations"],
+        _twin_kernels: ["score_twins", "score_exchanges"],
+        _short_kernels: ["label_short"],
     }.items()
     for name in names
 }

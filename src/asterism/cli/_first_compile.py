@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import subprocess
 
 _SECONDS = 50
-"""Processor time that the kernels of one command take to compile, at most (s, cores of 2024): of `label` 40 to 47 s were measured, of
+"""Processor time that the kernels of one command take to compile, at most (s, cores of 2024): of `label` 34 to 37 s were measured, of
 `train` 42 s. On two idle cores it is over sooner, beside other work later."""
 _AHEAD = {"demo": ["tracking", "whole"], "label": ["whole"], "evaluate": ["tracking", "whole"], "warm-up": ["whole"]}
 """Steps of `labelling.compile_ahead` that each command reaches after it has compiled others itself."""

@@ -28,13 +28,15 @@ def compile_tracking() -> None:
 
 
 def compile_whole() -> None:
-    """Compile what decides on the labels of a recording as a whole, after its frames were labelled."""
+    """Compile what decides on the labels of each recording as a whole, after its frames were labelled.
+
+    Kernels that only some recordings need are left to the run that needs them.
+    """
     from asterism.labelling.body._workspace_kernels import BodyArrays, FrameSettings
-    from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
+    from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, training_deviations
     from asterism.labelling.whole._kernels import (
         FrameScores,
         best_split,
-        branch_and_bound,
         margins_of,
         overlaps,
         rivals_weight,
@@ -42,7 +44,8 @@ def compile_whole() -> None:
         settle_dominant,
         sum_scores,
     )
-    from asterism.labelling.whole._residual_kernels import ResidualLimits, prediction_residuals, residual_deviations
+    from asterism.labelling.whole._short_kernels import Expected, ShortLabels, ShortLimits, label_short
+    from asterism.labelling.whole._twin_kernels import TwinScores, score_exchanges, score_twins
 
     body = BodyArrays(
         mean=_floats(0, 0, 3),
@@ -56,11 +59,9 @@ def compile_whole() -> None:
         log_weight=_floats(0),
     )
     xyz, offsets, track, label, gain = _floats(0, 3), np.zeros(1, dtype=np.int64), _ints(0), _ints(0), _floats(0, 1)
-    score_frames(xyz, offsets, track, label, body, _zeros(FrameSettings), FrameScores(_floats(0, 0), _floats(0), _ints(0)))
-    prediction_residuals(xyz, offsets, track, label, body, _zeros(FrameSettings), xyz)
-    residual_deviations(xyz, track, label, _zeros(ResidualLimits), _floats(0))
+    settings, none = _zeros(FrameSettings), np.zeros(0, dtype=np.bool_)
+    score_frames(xyz, offsets, track, label, body, settings, FrameScores(_floats(0, 0), _floats(0), _ints(0)))
     points, limits = TrackedPoints(xyz, track, track, 0), _zeros(DistanceLimits)
-    rigid_deviations(points, label, _floats(0, 0), limits, _floats(0))
     training_deviations(points, label, _floats(0, 0), _floats(0, 0), limits, _floats(0))
     sum_scores(track, _floats(0, 0), 0.0, 0.0, _floats(0, 0), _floats(0))
     pairs = overlaps(gain, track, track, track)
@@ -68,7 +69,11 @@ def compile_whole() -> None:
     settle_dominant(gain, pairs, 1)
     best_split(gain)
     margins_of(gain, label, track, track, track)
-    branch_and_bound(gain, track, track, 1, label)
+    score_exchanges(xyz, offsets, track, label, body, settings, _floats(0, 0), _ints(0, 0), _ints(0, 0))
+    twins = TwinScores(_floats(0, 0), _ints(0, 0, 0))
+    score_twins(xyz, offsets, track, label, _ints(0, 0), body, settings, 0.0, 0.0, 0, none, twins)
+    short = ShortLabels(label, _floats(0), none, none, _ints(0, 4), _ints(0, 4))
+    label_short(xyz, offsets, none, body, settings, _zeros(ShortLimits), Expected(_floats(0, 0, 3), _floats(0, 0)), short)
 
 
 STEPS: dict[str, Callable[[], None]] = {"tracking": compile_tracking, "whole": compile_whole}
