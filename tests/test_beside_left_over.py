@@ -1,11 +1,15 @@
-"""A label beside an absent neighbour and points without a name is not sure."""
+"""A label beside an absent neighbour and points without a name is not sure, nor is a marker that few wear beside a doubtful one."""
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
-from asterism.labelling.whole.point_labels import beside_left_over
-from asterism.recording import NULL, Clouds
+import numpy as np
+import pytest
+
+from asterism.labelling import virtual_model
+from asterism.labelling.whole.point_labels import beside_doubtful, beside_left_over
+from asterism.recording import NULL, Clouds, MarkerSet
 
 ARM = np.array([[0.0, 0.0, 1.4], [0.0, 0.0, 1.25], [0.0, 0.0, 1.1], [0.0, 0.0, 0.95], [0.0, 0.0, 0.85]])
 """m; shoulder, upper arm, elbow, forearm, wrist, at a distance of 1 m from nothing else."""
@@ -33,3 +37,21 @@ def test_points_far_off_are_no_reason() -> None:
 
 def test_a_whole_body_is_never_looked_at() -> None:
     assert not any(doubtful([0, 1, 2, 3, 4], np.vstack([ARM, [[0.0, 0.1, 1.1]]])))
+
+
+ELBOW = {"sure": (1, 0.995, NULL), "below 0.99": (1, 0.98, NULL), "taken back": (NULL, 0.6, 1), "in a gap": (NULL, 0.0, NULL)}
+
+
+@pytest.mark.parametrize("elbow", ELBOW)
+def test_an_upper_arm_is_no_surer_than_the_elbow_beside_it(elbow: str) -> None:
+    """Many laboratories leave out the former, so that it alone is doubtful; and only where the elbow has a point that may be another's."""
+    marker_set = MarkerSet.load("plug-in-gait")
+    labeller = virtual_model(marker_set).body_labeller
+    upper, lower = (marker_set.names.index(name) for name in ("LUPA", "LELB"))
+    shape = (10, len(marker_set))
+    indices, confidence, candidates = np.zeros(shape, dtype=np.int64), np.full(shape, 0.995), np.full(shape, NULL, dtype=np.int64)
+    indices[:, lower], confidence[:, lower], candidates[:, lower] = ELBOW[elbow]
+    found = beside_doubtful(labeller, indices, confidence, candidates)
+    assert found[upper] == (elbow in ("below 0.99", "taken back"))
+    assert {marker_set.names[m] for m in np.nonzero(found)[0]} <= {"LUPA", "LFRM"}
+    assert not beside_doubtful(replace(labeller, often_left_out=None), indices, confidence, candidates).any(), "everyone wears all of them"

@@ -100,11 +100,41 @@ def test_the_right_labels_are_ahead_where_neighbours_move_together() -> None:
     np.testing.assert_allclose(model.behind(exchanged, FREEDOM)[0], -ahead, rtol=0.01)  # each is placed by its own labels
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(0, 4))
+@settings(max_examples=10, deadline=None)
+def test_other_points_are_held_against_labels_by_ratios_of_densities(seed: int, hidden: int) -> None:
+    """Of the place of one marker, all others given: that of its point and that of a point without a label."""
+    rng = np.random.default_rng(seed)
+    model = random_model(rng, poses=1)
+    frames = frames_of(rng, model, 2, hidden)
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    others = rng.uniform(-0.3, 0.3, (2, 3, 3))
+    others[0, 2] = np.nan
+    found = model.behind_others(frames @ turn.T, others @ turn.T, FREEDOM)
+    mean, covariance = model.mean[0], model.covariance[0]
+    for e, frame in enumerate(frames):
+        moved = align_about_z(np.concatenate([frame, others[e]])[None], np.concatenate([mean, np.full((3, 3), np.nan)]))[0]
+        shown = ~np.isnan(frame[:, 0])
+        for m in range(MARKERS):
+            if not shown[m]:
+                assert np.isnan(found[:, m, e]).all()
+                continue
+            rest, own = np.repeat(shown & (np.arange(MARKERS) != m), 3), np.repeat(np.arange(MARKERS) == m, 3)
+            gain = covariance[np.ix_(own, rest)] @ np.linalg.inv(covariance[np.ix_(rest, rest)])
+            left = covariance[np.ix_(own, own)] - gain @ covariance[np.ix_(rest, own)]
+            expected = mean[m] + gain @ (moved[:MARKERS] - mean).ravel()[rest]
+            squares = [float((at - expected) @ np.linalg.solve(left, at - expected)) for at in (moved[m], *moved[MARKERS:])]
+            logs = -0.5 * (FREEDOM + 3) * np.log1p(np.array(squares) / FREEDOM)
+            np.testing.assert_allclose(found[:, m, e], logs[0] - logs[1:], rtol=1e-6, atol=1e-6)
+
+
 @pytest.mark.parametrize("hidden", [5, 6, 7])
 def test_frames_of_fewer_than_three_labels_tell_nothing(hidden: int) -> None:
     rng = np.random.default_rng(hidden)
     model = random_model(rng)
-    assert np.isnan(model.behind(frames_of(rng, model, 2, hidden), FREEDOM)).all()
+    frames = frames_of(rng, model, 2, hidden)
+    assert np.isnan(model.behind(frames, FREEDOM)).all()
+    assert np.isnan(model.behind_others(frames, np.zeros((2, 1, 3)), FREEDOM)).all()
 
 
 def test_what_laboratories_often_leave_out_is_not_taken_for_what_all_wear() -> None:

@@ -74,13 +74,22 @@ def test_a_twin_gives_no_point_twice(walkers: asterism.MarkerModel) -> None:
         assert (twin != np.arange(len(NAMES))).sum() >= 3
 
 
-def walk_of_a_stranger(frames: int = 60) -> tuple[RecordingScene, Ints]:
-    """A walk of a person whom the model does not know, every marker in view, and the right labels (J,) of its tracklets."""
+def walk_of_a_stranger(frames: int = 60, beside: str = "", shown: slice = slice(None)) -> tuple[RecordingScene, Ints]:
+    """A walk of a person whom the model does not know, every marker in view, and the right labels (J,) of its tracklets.
+
+    beside: a marker 3 cm above which another one without a name is worn; shown: the frames that show it.
+    """
     walk = simulate_walks(subjects=1, frames=frames, seed=300)[0]
+    labels = [NAMES.index(name) for name in walk.labels]
+    if beside:
+        other = np.full((frames, 1, 3), np.nan)
+        other[shown, 0] = walk.positions[shown, walk.labels.index(beside)] + [0.0, 0.0, 0.03]
+        walk = replace(walk, positions=np.concatenate([walk.positions, other], axis=1), labels=(*walk.labels, "other"))
+        labels.append(-1)
     clouds = walk.clouds()
     scene = prepare_scene(clouds, find_tracklets(clouds), RecordingLabellingSettings())
     right = np.empty(len(scene.first), dtype=np.int64)
-    right[scene.track] = [NAMES.index(walk.labels[column]) for column in clouds.columns[scene.order]]
+    right[scene.track] = np.array(labels)[clouds.columns[scene.order]]
     return scene, right
 
 
@@ -153,3 +162,26 @@ def test_labels_that_leave_points_over_and_fit_poorly_are_never_sure(walkers: as
     held = hold_against_twins([labeller], scene, along, lambda label, _: label, replace(settings.twins, rounds=0), settings)
     assert held.poor.all()
     assert (held.limits(np.arange(len(NAMES)), settings.twins, with_exchanges=False) < 0.99).all()
+
+
+@pytest.mark.parametrize("marker", ["SACR", "RTHI", "LKNE"])
+def test_a_marker_beside_a_point_without_a_name_is_not_sure(walkers: asterism.MarkerModel, marker: str) -> None:
+    """Once for the person: which of the two is the marker, no other frame tells. Its label stays, and far ones are as sure as before."""
+    settings, column = RecordingLabellingSettings(), NAMES.index(marker)
+    limits, found = {}, {}
+    for which, shown in (("always", slice(None)), ("halves", slice(0, 45)), ("ghost", slice(0, 20))):
+        scene, right = walk_of_a_stranger(beside=marker, shown=shown)
+        held = hold_against_twins(
+            [walkers.body_labeller], scene, right, lambda label, _: label, replace(settings.twins, rounds=0), settings
+        )
+        found[which] = held
+        limits[which] = held.limits(np.arange(len(NAMES)), settings.twins, with_exchanges=True)
+        np.testing.assert_array_equal(held.label, right)
+    assert found["always"].over_others[column] < 5.0
+    assert found["halves"].over_others[column] < 5.0, "a gap takes no point off"
+    assert np.isinf(found["ghost"].over_others).all(), "which comes and goes"
+    assert limits["always"][column] < 0.99
+    without = replace(found["always"], over_others=np.full(len(NAMES), np.inf))
+    before = without.limits(np.arange(len(NAMES)), settings.twins, with_exchanges=True)
+    assert limits["always"][column] >= min(before[column], 0.98), "no label is taken back for it"
+    assert (found["always"].over_others > 5.6).sum() >= len(NAMES) // 2

@@ -90,6 +90,29 @@ class ExchangeModel:
                     begin += len(self._orders)
         return out
 
+    def behind_others(self, frames: Floats, others: Floats, freedom: float) -> Floats:
+        """By how many nats each marker's label is behind in each frame where one of N other points gets it in place of its own: (N, M, E).
+
+        frames (E, M, 3) m, z up, NaN where missing; others (E, N, 3) m, of no marker; NaN where either is missing, and in frames of fewer
+        than three labels. O(E' K M^3 + E M N) for E' different sets of markers in view.
+        """
+        shown = ~np.isnan(frames[:, :, 0])
+        markers, count = frames.shape[1], others.shape[1]
+        out = np.full((count, markers, len(frames)), np.nan)
+        patterns, which = np.unique(shown, axis=0, return_inverse=True)
+        for p, pattern in enumerate(patterns):
+            rows = np.nonzero(which.ravel() == p)[0]
+            if pattern.sum() < 3:
+                continue
+            for k, own in self._by_pose(frames[rows], pattern):
+                at = rows[own]
+                given = _Conditional.of_frames(frames[at], pattern, self.mean[k], self.covariance[k])
+                # what has no place in the mean body is moved with the rest
+                mean = np.concatenate([self.mean[k], np.full((count, 3), np.nan)])
+                beside = align_about_z(np.concatenate([frames[at], others[at]], axis=1), mean)[:, markers:]
+                out[np.ix_(np.arange(count), np.nonzero(pattern)[0], at)] = given.behind_others(beside, freedom)
+        return out
+
     def _by_pose(self, frames: Floats, shown: NDArray[np.bool_]) -> Iterable[tuple[int, Ints]]:
         """Which key pose explains which of these frames (E, M, 3) best; all show the same markers (M,)."""
         coordinates, scores = np.repeat(shown, 3), np.empty((len(self.mean), len(frames)))
@@ -181,6 +204,16 @@ class _Conditional:
         taken = (apart * np.linalg.solve(wider, apart.transpose(0, 2, 1)).transpose(0, 2, 1)).sum(axis=2)
         scale = 0.5 * (np.linalg.slogdet(wider)[1] - np.linalg.slogdet(spread)[1])
         return _log_t(own, 3, freedom) - _log_t(taken, 3, freedom) + scale[:, None]
+
+    def behind_others(self, others: Floats, freedom: float) -> Floats:
+        """`ExchangeModel.behind_others` of placed points (E, N, 3) for the V markers in view: (N, V, E)."""
+        every = np.arange(self.precision.shape[0])
+        precision = self.precision[every, :, every]
+        deviation = np.einsum("evi,vij->evj", self.pull, np.linalg.inv(precision))
+        own = (deviation * self.pull).sum(axis=2)
+        apart = others[:, :, None] - (self.placed[:, self.shown] - deviation)[:, None]
+        taken = np.einsum("envi,vij,envj->env", apart, precision, apart)
+        return np.asarray((_log_t(own, 3, freedom)[:, None] - _log_t(taken, 3, freedom)).transpose(1, 2, 0))
 
     def behind_orders(self, group: Ints, orders: Ints, freedom: float) -> Floats:
         """By how many nats each permutation (W, m) of a group (m,) is behind in each frame: (W, E)."""

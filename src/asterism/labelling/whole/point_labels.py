@@ -151,9 +151,9 @@ def labelling_of(
         named = tuple(tuple(body.names[body.markers[marker]] for marker in pair) for pair in pairs)
         verdict = replace(verdict, exchangeable=named, rough=labels.found.rough)
     indices, confidence, candidates = out
-    for column in body.markers[beside_left_over(body.labeller.body.mean[0], indices[:, body.markers], clouds, mine)]:
-        given = indices[:, column] != NULL
-        confidence[given, column] = np.minimum(confidence[given, column], CERTAIN)
+    own = body.markers
+    _limit(own[beside_left_over(body.labeller.body.mean[0], indices[:, own], clouds, mine)], indices, confidence)
+    _limit(own[beside_doubtful(body.labeller, indices[:, own], confidence[:, own], candidates[:, own])], indices, confidence)
     return Labelling(indices, confidence, body.names, candidates, verdict)
 
 
@@ -164,9 +164,7 @@ def beside_left_over(mean: Floats, indices: Ints, clouds: Clouds, mine: NDArray[
     arm fits as well as the right name, once for a person, where hands place the latter anywhere along the arm. But the elbow then has no
     point, and wrists that belong to it are left over. O(M^2 + F n) for `FRAMES_LOOKED_AT` frames of n points.
     """
-    apart = np.linalg.norm(mean[:, None] - mean, axis=2)
-    np.fill_diagonal(apart, np.inf)
-    near = np.argsort(apart, axis=1)[:, :NEIGHBOURS]
+    apart, near = _neighbours(mean)
     absent = 2 * (indices != NULL).sum(axis=0) < len(indices)
     suspects = np.nonzero(~absent & absent[near].any(axis=1))[0]
     found, shown = np.zeros(len(mean), dtype=np.int64), np.zeros(len(mean), dtype=np.int64)
@@ -179,6 +177,32 @@ def beside_left_over(mean: Floats, indices: Ints, clouds: Clouds, mine: NDArray[
             reach = 2.0 * max(apart[marker, other] for other in near[marker] if absent[other])
             found[marker] += bool((np.linalg.norm(points[free] - points[indices[frame, marker]], axis=1) < reach).any())
     return 2 * found > shown
+
+
+def beside_doubtful(labeller: BodyLabeller, indices: Ints, confidence: Floats, candidates: Ints) -> NDArray[np.bool_]:
+    """Markers (M,) that many laboratories leave out, and that are labelled beside a neighbour of whose label most frames are not sure.
+
+    indices, confidence, candidates (T, M); labels that were taken back are candidates. The neighbour's name may be this one's point's:
+    nothing is lost where nobody wears this one. An arm that is labelled one marker along, elbow as upper arm and wrist as elbow, is no
+    exchange of few markers, but hardly all of it is sure.
+    """
+    given = indices != NULL
+    known = given | (candidates != NULL)
+    doubtful = known.any(axis=0) & (2 * (given & (confidence > CERTAIN)).sum(axis=0) <= known.sum(axis=0))
+    return (labeller.worn_odds == 0.0) & doubtful[_neighbours(labeller.body.mean[0])[1]].any(axis=1)
+
+
+def _neighbours(mean: Floats) -> tuple[Floats, Ints]:
+    """How far markers are apart in the mean body (M, 3) m, infinitely from themselves: (M, M); and the nearest of each: (M, NEIGHBOURS)."""
+    apart = np.linalg.norm(mean[:, None] - mean, axis=2)
+    np.fill_diagonal(apart, np.inf)
+    return apart, np.argsort(apart, axis=1)[:, :NEIGHBOURS]
+
+
+def _limit(columns: Ints, indices: Ints, confidence: Floats) -> None:
+    """No label of these markers is sure: indices, confidence (T, markers of the set), the latter in place."""
+    here = confidence[:, columns]
+    confidence[:, columns] = np.where(indices[:, columns] != NULL, np.minimum(here, CERTAIN), here)
 
 
 def _write(

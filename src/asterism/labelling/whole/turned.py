@@ -54,6 +54,7 @@ class HeldLabels:
     lead    (L,) nats a frame by which each column is ahead of the best twin that labels most of its points otherwise, 0 or more, infinite
             where there is none
     over_exchanges  (L,) the same over exchanges of few markers
+    over_others     (L,) the same over points without a label that may be the marker in place of its own
     excess  (L, L) nats a frame by which the leave-one-out score of a column's points as another column is too high for an exchange
     poor    (L,) whether the body of a column is explained poorly, see `is_poor`
     """
@@ -61,6 +62,7 @@ class HeldLabels:
     label: Ints
     lead: Floats
     over_exchanges: Floats
+    over_others: Floats
     excess: Floats
     poor: NDArray[np.bool_]
 
@@ -69,7 +71,9 @@ class HeldLabels:
         limits = np.minimum(twin_limits(self.lead, label, rules), np.where(np.append(self.poor, False)[label], CERTAIN, 1.0))
         if not with_exchanges:
             return limits
-        of_exchange = expit(self.over_exchanges / rules.exchange_scale)
+        # margins have weighed points left over, once for each independent frame: what they may be takes no label back
+        of_others = np.maximum(expit(self.over_others / rules.exchange_scale), CERTAIN)
+        of_exchange = np.minimum(expit(self.over_exchanges / rules.exchange_scale), of_others)
         return np.minimum(limits, np.append(of_exchange, 1.0)[label])
 
 
@@ -87,7 +91,8 @@ def hold_against_twins(
     and of `score_exchanges`, and one `relabel` where a twin is better.
     """
     few, offsets = with_fewer_samples(scene, rules.frames, settings), marker_offsets(labellers)
-    lead, over_exchanges, excess = np.full(offsets[-1], np.inf), np.full(offsets[-1], np.inf), np.zeros((offsets[-1], offsets[-1]))
+    lead, over_exchanges, over_others = np.full((3, offsets[-1]), np.inf)
+    excess = np.zeros((offsets[-1], offsets[-1]))
     for number, labeller in enumerate(labellers):
         columns = slice(offsets[number], offsets[number + 1])
         for turn in range(rules.rounds + 1):
@@ -107,8 +112,9 @@ def hold_against_twins(
                 break
             label = _permuted(label, best, offsets[number])
         excess[columns, columns], over_exchanges[columns] = exchanges.excess, exchanges.lead()
+        over_others[columns] = _lead_over_others(labeller, few, label, offsets, number)
     poor = np.repeat([is_poor(labellers, few, label, number, rules) for number in range(len(labellers))], np.diff(offsets))
-    return HeldLabels(label, np.maximum(lead, 0.0), np.maximum(over_exchanges, 0.0), excess, poor)
+    return HeldLabels(label, np.maximum(lead, 0.0), np.maximum(over_exchanges, 0.0), np.maximum(over_others, 0.0), excess, poor)
 
 
 def is_poor(labellers: Sequence[BodyLabeller], few: RecordingScene, label: Ints, number: int, rules: TwinRules) -> bool:
@@ -215,6 +221,28 @@ def _exchanges(labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets
         too_high = np.maximum(ahead[known] - apart[a, b] / shown[a, b], 0.0)
         excess[a, b] = too_high * (1.0 - 0.5 * both[a, b] / shown[a, b])
     return Exchanges(table, mean, excess)
+
+
+def _lead_over_others(labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets: Ints, number: int) -> Floats:
+    """The lead (M,) of the labels of the body with this number over points without a label, in nats a frame; infinite without any.
+
+    A marker beside others of a larger set is one event for the whole recording, as an exchange is. The median over the sampled frames that
+    show a marker: a point that is beside it in few of them is a ghost, and one in a gap goes on as another tracklet.
+    """
+    own = labels_of_body(label, offsets, number)
+    xyz, begins, track = _own_points(few, label, own)
+    frames, markers = len(begins) - 1, int(offsets[number + 1] - offsets[number])
+    frame_of, free = np.repeat(np.arange(frames), np.diff(begins)), np.nonzero(own[track] == NULL)[0]
+    placed, lead = placed_points(frame_of, own[track], xyz, frames, markers), np.full(markers, np.inf)
+    others = np.full((frames, int(np.bincount(frame_of[free], minlength=1).max()), 3), np.nan)
+    others[frame_of[free], np.arange(len(free)) - np.searchsorted(frame_of[free], frame_of[free])] = xyz[free]
+    behind = labeller.exchanges.behind_others(placed, others, labeller.settings.tail_freedom)
+    least = np.where(np.isnan(behind), np.inf, behind).min(axis=0, initial=np.inf)
+    for marker in range(markers):
+        seen = ~np.isnan(placed[:, marker, 0])
+        if seen.any():
+            lead[marker] = np.median(least[marker, seen])
+    return lead
 
 
 def _permuted(label: Ints, permutation: Ints, first: int) -> Ints:
