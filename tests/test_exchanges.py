@@ -78,7 +78,7 @@ def test_exchanges_are_ratios_of_densities(seed: int, hidden: int) -> None:
     rng = np.random.default_rng(seed)
     model = random_model(rng)
     frames = frames_of(rng, model, 3, hidden)
-    found, table = model.behind(frames, FREEDOM), model.table
+    found, table = model.held(frames, FREEDOM).behind(), model.table
     assert (np.sort(table, axis=1) == np.arange(MARKERS)).all()
     wanted = np.array([[plain_behind(model, frame, permutation) for frame in frames] for permutation in table])
     np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-5)
@@ -93,11 +93,11 @@ def test_the_right_labels_are_ahead_where_neighbours_move_together() -> None:
     mean[0, 1] = mean[0, 0] + [0.01, 0.0, 0.0]
     model = ExchangeModel(mean, covariance[None], np.zeros(1), np.array([[0, 1]]), model.groups)
     frames = frames_of(rng, model, 50, 0)
-    ahead = model.behind(frames, FREEDOM)[0]
+    ahead = model.held(frames, FREEDOM).behind()[0]
     assert (ahead > 0.0).all()
     exchanged = frames.copy()
     exchanged[:, [0, 1]] = frames[:, [1, 0]]
-    np.testing.assert_allclose(model.behind(exchanged, FREEDOM)[0], -ahead, rtol=0.01)  # each is placed by its own labels
+    np.testing.assert_allclose(model.held(exchanged, FREEDOM).behind()[0], -ahead, rtol=0.01)  # each is placed by its own labels
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 4))
@@ -110,7 +110,7 @@ def test_other_points_are_held_against_labels_by_ratios_of_densities(seed: int, 
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     others = rng.uniform(-0.3, 0.3, (2, 3, 3))
     others[0, 2] = np.nan
-    found = model.behind_others(frames @ turn.T, others @ turn.T, FREEDOM)
+    found = model.held(frames @ turn.T, FREEDOM).behind_others(others @ turn.T)
     mean, covariance = model.mean[0], model.covariance[0]
     for e, frame in enumerate(frames):
         moved = align_about_z(np.concatenate([frame, others[e]])[None], np.concatenate([mean, np.full((3, 3), np.nan)]))[0]
@@ -133,8 +133,8 @@ def test_frames_of_fewer_than_three_labels_tell_nothing(hidden: int) -> None:
     rng = np.random.default_rng(hidden)
     model = random_model(rng)
     frames = frames_of(rng, model, 2, hidden)
-    assert np.isnan(model.behind(frames, FREEDOM)).all()
-    assert np.isnan(model.behind_others(frames, np.zeros((2, 1, 3)), FREEDOM)).all()
+    assert np.isnan(model.held(frames, FREEDOM).behind()).all()
+    assert np.isnan(model.held(frames, FREEDOM).behind_others(np.zeros((2, 1, 3)))).all()
 
 
 def test_what_laboratories_often_leave_out_is_not_taken_for_what_all_wear() -> None:

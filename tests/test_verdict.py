@@ -83,6 +83,7 @@ def test_what_is_no_body_is_said_and_gets_no_label(
     assert labelling.verdict.kind == OTHER_BODY or (spread == 0.3 and labelling.verdict.kind == OTHER_PERSON)
     assert labelling.verdict.findings()[0].severity >= Severity.WARNING
     assert not time or (labelling.indices < 0).all()
+    assert not time or labelling.verdict.kind != OTHER_BODY or labelling.confidence.max() <= 0.5
 
 
 def test_a_model_of_many_people_counts_each_distance_by_how_much_it_differs_among_them() -> None:

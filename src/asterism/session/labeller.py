@@ -28,7 +28,7 @@ from asterism.labelling.virtual_model import virtual_model
 from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.labelling.whole.verdict import MIN_FRAMES
 from asterism.progress import Progress
-from asterism.recording import Clouds, Disagreement, Floats, Labelling, MarkerSet, Recording
+from asterism.recording import Clouds, Disagreement, Labelling, MarkerSet
 from asterism.recording.display import counted
 from asterism.recording.verdict import OTHER_BODY
 from asterism.session.coincident import coincident_findings
@@ -38,7 +38,7 @@ from asterism.session.names import choose_name_policy, findings_on_names, join_d
 from asterism.session.options import LabellingOptions
 from asterism.session.sources import FrameSource, open_source
 from asterism.session.standing import StandingTrials
-from asterism.session.upright import labelled_upright, other_verticals, vertical_finding
+from asterism.session.upright import labelled_upright, vertical_finding
 from asterism.session.wider import wider_model
 from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules, SetFinder, WornMarkers
 
@@ -157,12 +157,12 @@ class FileLabeller:
         if self.options.vertical is not None:
             return self._label_source(path, self._open(path, self.options.vertical), progress)
         source = self._open(path, None)
-        some = slice(0, min(len(source.counts), _FRAMES_TO_FIND))
-        said, other = source.about.vertical, self._upright(source.clouds(some), source.frames(some))
+        recording = source.frames(_beginning(source))
+        said, other = source.about.vertical, labelled_upright(self._plain, recording)
         labelled = self._label_source(path, source if other is None else self._open(path, other), progress)
         # whatever points up, the body may be another: then all axes are tried before it is refused
         if other is None and (labelled.verdict is not None and labelled.verdict.kind == OTHER_BODY):
-            other = self._upright(source.clouds(some), source.frames(some), every=True)
+            other = labelled_upright(self._plain, recording, every=True)
             labelled = labelled if other is None else self._label_source(path, self._open(path, other), progress)
         if other is None:
             return labelled
@@ -175,10 +175,6 @@ class FileLabeller:
         source = open_source(path, replace(self.options, vertical=vertical), by_ranges=by_ranges)
         self._compile(source)
         return source
-
-    def _upright(self, clouds: Clouds, recording: Recording, *, every: bool = False) -> Floats | None:
-        """What points up where that is clearly not what a recording says; None where it is. every: see `other_verticals`."""
-        return labelled_upright(self._plain, clouds, other_verticals(recording, every=every))
 
     def _label_source(self, path: Path, source: FrameSource, progress: Progress | None) -> LabelledFile:
         """Label the recording of a file. Raises AsterismError as `label` does."""
@@ -198,9 +194,9 @@ class FileLabeller:
         seconds = time.perf_counter() - started
         findings += found.labelling.findings(str(path))
         findings += _nothing_labelled(path, found.labelling) or _few_frames(path, found.labelling)
-        some = slice(0, min(len(source.counts), _FRAMES_TO_FIND))
-        findings += coincident_findings(str(path), source.clouds(some))
-        findings += mirror_findings(str(path), self._plain, found.labelling, source.clouds(some))
+        clouds = source.clouds(_beginning(source))
+        findings += coincident_findings(str(path), clouds)
+        findings += mirror_findings(str(path), self._plain, found.labelling, clouds)
         findings += findings_on_names(path, source.about, self._plain.marker_set, found.against, policy)
         return LabelledFile(
             path,
@@ -221,7 +217,7 @@ class FileLabeller:
         """Label a file whose marker set is to be found. Raises AsterismError as `label` does, and where no shipped set is like it."""
         # finding reads the points of a few frames; of a long file, only of its beginning
         source = open_source(path, self.options, by_ranges=True)
-        recording = source.frames(slice(0, min(len(source.counts), _FRAMES_TO_FIND)))
+        recording = source.frames(_beginning(source))
         worn = self._finder.of(path, recording if recording.clouds().counts.any() else source.about)
         bodies = [body for one in worn for body in one.bodies]
         labeller, said, shown = self._of_worn(bodies, progress), recording.vertical, worn[0].vertical
@@ -342,7 +338,7 @@ class FileLabeller:
             try:
                 recording = formats.read(trial, vertical=self.options.vertical)
                 # a laboratory's files err alike
-                other = None if self.options.vertical is not None else self._upright(recording.clouds(), recording)
+                other = None if self.options.vertical is not None else labelled_upright(self._plain, recording)
                 recording = recording if other is None else replace(recording, vertical=other)
                 self._narrowed[trial] = self.models[0].adapt(recording, self.options.settings.subject)
             except AsterismError as problem:
@@ -382,6 +378,11 @@ def label_file(
     if any(isinstance(model, str | Path) for model in several):
         raise AsterismError("label_file takes models, not their files; load each with MarkerModel.load(path).")
     return FileLabeller(several, options or LabellingOptions(), [Path(file) for file in files]).label(Path(path), progress)
+
+
+def _beginning(source: FrameSource) -> slice:
+    """The frames of a file that tell what is worn, and what is up."""
+    return slice(0, min(len(source.counts), _FRAMES_TO_FIND))
 
 
 def body_names(models: Sequence[Path]) -> list[str]:

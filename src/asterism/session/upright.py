@@ -36,21 +36,22 @@ def other_verticals(recording: Recording, *, every: bool = False) -> list[Floats
     return [axis for axis in axes if axis @ recording.vertical < _OTHER] if every else []
 
 
-def labelled_upright(labeller: RecordingLabeller, clouds: Clouds, verticals: list[Floats]) -> Floats | None:
-    """That of the verticals under which a recording gets clearly more labels than under its own; None where none does."""
+def labelled_upright(labeller: RecordingLabeller, recording: Recording, *, every: bool = False) -> Floats | None:
+    """That of `other_verticals` under which a recording gets clearly more labels than under its own; None where none does."""
+    verticals = other_verticals(recording, every=every)
     if not verticals:
         return None
-    part = fullest(clouds)
-    own, *found = (_labels(labeller, part, vertical) for vertical in (clouds.vertical, *verticals))
+    part = fullest(recording.clouds())
+    own, *found = (_labels(labeller, part, vertical) for vertical in (part.vertical, *verticals))
     best = int(np.argmax(found))
     return verticals[best] if found[best] >= own + _LABELS else None
 
 
-def fullest(clouds: Clouds) -> Clouds:
-    """The piece of a recording in which most points are seen: there a body shows most of itself."""
-    sums = np.convolve(clouds.counts, np.ones(min(_FRAMES, len(clouds))), "valid")
-    begin = int(sums.argmax())
-    return clouds.frames(slice(begin, begin + _FRAMES))
+def fullest(clouds: Clouds, frames: int = _FRAMES) -> Clouds:
+    """So many frames in one piece, that in which most points are seen: there a body shows most of itself."""
+    counts = np.asarray(clouds.counts)
+    begin = int(np.convolve(counts, np.ones(min(frames, len(counts))), "valid").argmax())
+    return clouds.frames(slice(begin, begin + frames))
 
 
 def _labels(labeller: RecordingLabeller, clouds: Clouds, vertical: Floats) -> float:

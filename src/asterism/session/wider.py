@@ -18,6 +18,7 @@ from asterism.labelling.virtual_model import virtual_model
 from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, MarkerSet
+from asterism.session.upright import fullest
 from asterism.session.worn.find import evidence_of, placed_sets
 from asterism.skeleton import counterparts, with_markers_of
 
@@ -64,7 +65,7 @@ def wider_model(model: MarkerModel, clouds: Clouds, rules: WiderRules | None = N
     likely = [list(placed_sets())[at] for at in best if nats[at] > nats[best[0]] - rules.behind]
     if MarkerSet.load(likely[0]).names == asked.names:
         return None
-    part = _fullest(clouds, rules.frames)
+    part = fullest(clouds, rules.frames)
     found, most, (least, _) = None, -1.0, _sure(RecordingLabeller(model), part, rules)
     for name in likely:
         for wider in _candidates(name, asked, progress):
@@ -85,13 +86,6 @@ def _candidates(name: str, asked: MarkerSet, progress: Progress | None) -> Itera
     if own.any():
         both, columns = with_markers_of(other, asked, columns)
         yield WiderModel(name, virtual_model(both, progress=progress), columns, by_name | own)
-
-
-def _fullest(clouds: Clouds, frames: int) -> Clouds:
-    """So many frames in one piece in which most points are seen."""
-    counts = np.asarray(clouds.counts)
-    begin = int(np.convolve(counts, np.ones(min(frames, len(counts))), "valid").argmax())
-    return clouds.frames(slice(begin, begin + frames))
 
 
 def _sure(labeller: RecordingLabeller, clouds: Clouds, rules: WiderRules) -> tuple[float, float]:

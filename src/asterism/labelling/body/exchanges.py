@@ -8,8 +8,9 @@ deviate by more than expected, its spread may be larger, as in `log_tail`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import permutations
 
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from asterism.geometry import align_about_z
 from asterism.labelling.body._score_kernels import MAX_DISTANCE
 from asterism.labelling.body.model import MOVES, BodyModel
-from asterism.recording import NULL, Floats, Ints
+from asterism.recording import Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -50,68 +51,40 @@ class ExchangeModel:
         apart = np.linalg.norm(body.mean[:, :, None] - body.mean[:, None], axis=3).min(axis=0)
         return cls(body.mean, covariance, body.log_weight, np.argwhere(np.triu(apart < MAX_DISTANCE, 1)), groups)
 
-    @property
+    @cached_property
     def table(self) -> Ints:
         """All exchanges (W, M): for each marker the one whose point it takes. Pairs first, then the permutations of each group."""
-        markers = self.mean.shape[1]
-        table = np.tile(np.arange(markers), (len(self.pairs) + len(self.groups) * len(self._orders), 1))
+        markers, orders = self.mean.shape[1], len(self._orders)
+        table = np.tile(np.arange(markers), (len(self.pairs) + len(self.groups) * orders, 1))
         one, other = self.pairs.T
         rows = np.arange(len(self.pairs))
         table[rows, one], table[rows, other] = other, one
-        of_groups = len(self.pairs) + np.arange(len(self.groups) * len(self._orders)).reshape(len(self.groups), -1)
+        of_groups = len(self.pairs) + np.arange(len(self.groups) * orders).reshape(len(self.groups), -1)
         table[of_groups[:, :, None], self.groups[:, None, :]] = self.groups[:, self._orders]
         return table
 
-    @property
+    @cached_property
     def _orders(self) -> Ints:
         """Permutations of a group that move three of its markers or more; exchanges of two are among the pairs."""
         size = self.groups.shape[1]
         return np.array([order for order in permutations(range(size)) if sum(i != o for i, o in enumerate(order)) >= 3]).reshape(-1, size)
 
-    def behind(self, frames: Floats, freedom: float) -> Floats:
-        """By how many nats each exchange of `table` is behind the labels in each frame: (W, E).
+    def held(self, frames: Floats, freedom: float) -> HeldFrames:
+        """Labelled frames (E, M, 3) m, z up, NaN where missing, to be held against exchanges and other points.
 
-        frames (E, M, 3) m, z up, NaN where missing; NaN for an exchange that leaves the frame as it is, and in frames of fewer than three
-        labels. O(E' (K M^3 + N + G m!)) for E' different sets of markers in view, and O(E (N + G m!)).
+        freedom: degrees of freedom of the tail. O(E' K M^3) for E' different sets of markers in view.
         """
-        shown = ~np.isnan(frames[:, :, 0])
-        out = np.full((len(self.pairs) + len(self.groups) * len(self._orders), len(frames)), np.nan)
+        shown, parts = ~np.isnan(frames[:, :, 0]), list[tuple[Ints, int, _Conditional]]()
         patterns, which = np.unique(shown, axis=0, return_inverse=True)
         for p, pattern in enumerate(patterns):
             rows = np.nonzero(which.ravel() == p)[0]
+            # two points leave the body's turn open
             if pattern.sum() < 3:
                 continue
             for k, own in self._by_pose(frames[rows], pattern):
-                given = _Conditional.of_frames(frames[rows[own]], pattern, self.mean[k], self.covariance[k])
-                out[: len(self.pairs), rows[own]] = given.behind_pairs(self.pairs, freedom)
-                begin = len(self.pairs)
-                for group in self.groups:
-                    out[begin : begin + len(self._orders), rows[own]] = given.behind_orders(group, self._orders, freedom)
-                    begin += len(self._orders)
-        return out
-
-    def behind_others(self, frames: Floats, others: Floats, freedom: float) -> Floats:
-        """By how many nats each marker's label is behind in each frame where one of N other points gets it in place of its own: (N, M, E).
-
-        frames (E, M, 3) m, z up, NaN where missing; others (E, N, 3) m, of no marker; NaN where either is missing, and in frames of fewer
-        than three labels. O(E' K M^3 + E M N) for E' different sets of markers in view.
-        """
-        shown = ~np.isnan(frames[:, :, 0])
-        markers, count = frames.shape[1], others.shape[1]
-        out = np.full((count, markers, len(frames)), np.nan)
-        patterns, which = np.unique(shown, axis=0, return_inverse=True)
-        for p, pattern in enumerate(patterns):
-            rows = np.nonzero(which.ravel() == p)[0]
-            if pattern.sum() < 3:
-                continue
-            for k, own in self._by_pose(frames[rows], pattern):
-                at = rows[own]
-                given = _Conditional.of_frames(frames[at], pattern, self.mean[k], self.covariance[k])
-                # what has no place in the mean body is moved with the rest
-                mean = np.concatenate([self.mean[k], np.full((count, 3), np.nan)])
-                beside = align_about_z(np.concatenate([frames[at], others[at]], axis=1), mean)[:, markers:]
-                out[np.ix_(np.arange(count), np.nonzero(pattern)[0], at)] = given.behind_others(beside, freedom)
-        return out
+                of_pose = rows[own]
+                parts.append((of_pose, k, _Conditional.of_frames(frames[of_pose], pattern, self.mean[k], self.covariance[k])))
+        return HeldFrames(self, frames, freedom, parts)
 
     def _by_pose(self, frames: Floats, shown: NDArray[np.bool_]) -> Iterable[tuple[int, Ints]]:
         """Which key pose explains which of these frames (E, M, 3) best; all show the same markers (M,)."""
@@ -123,6 +96,48 @@ class ExchangeModel:
             scores[k] = self.log_weight[k] - np.log(np.diag(lower)).sum() - 0.5 * squares
         best = scores.argmax(axis=0)
         return [(int(k), np.nonzero(best == k)[0]) for k in np.unique(best)]
+
+
+@dataclass(frozen=True)
+class HeldFrames:
+    """Labelled frames (E, M, 3) and what the points of a frame say of each other: see `ExchangeModel.held`.
+
+    parts  which frames show the same markers in the same key pose, that pose, and what their points say
+    """
+
+    model: ExchangeModel
+    frames: Floats
+    freedom: float
+    parts: Sequence[tuple[Ints, int, _Conditional]]
+
+    def behind(self) -> Floats:
+        """By how many nats each exchange of the model's `table` is behind the labels in each frame: (W, E).
+
+        NaN for an exchange that leaves the frame as it is, and in frames of fewer than three labels. O(E (N + G m!)), and O(E' (N + G m!))
+        for E' different sets of markers in view.
+        """
+        pairs, orders = self.model.pairs, self.model._orders
+        out = np.full((len(self.model.table), len(self.frames)), np.nan)
+        for rows, _, given in self.parts:
+            out[: len(pairs), rows] = given.behind_pairs(pairs, self.freedom)
+            for number, group in enumerate(self.model.groups):
+                begin = len(pairs) + number * len(orders)
+                out[begin : begin + len(orders), rows] = given.behind_orders(group, orders, self.freedom)
+        return out
+
+    def behind_others(self, others: Floats) -> Floats:
+        """By how many nats each marker's label is behind in each frame where one of N other points gets it in place of its own: (N, M, E).
+
+        others (E, N, 3) m, of no marker. NaN where either is missing, and in frames of fewer than three labels. O(E M N).
+        """
+        markers, count = self.frames.shape[1], others.shape[1]
+        out = np.full((count, markers, len(self.frames)), np.nan)
+        for rows, k, given in self.parts:
+            # what has no place in the mean body is moved with the rest
+            mean = np.concatenate([self.model.mean[k], np.full((count, 3), np.nan)])
+            beside = align_about_z(np.concatenate([self.frames[rows], others[rows]], axis=1), mean)[:, markers:]
+            out[np.ix_(np.arange(count), np.nonzero(given.shown)[0], rows)] = given.behind_others(beside, self.freedom)
+        return out
 
 
 @dataclass(frozen=True)
@@ -206,7 +221,7 @@ class _Conditional:
         return _log_t(own, 3, freedom) - _log_t(taken, 3, freedom) + scale[:, None]
 
     def behind_others(self, others: Floats, freedom: float) -> Floats:
-        """`ExchangeModel.behind_others` of placed points (E, N, 3) for the V markers in view: (N, V, E)."""
+        """`HeldFrames.behind_others` of placed points (E, N, 3) for the V markers in view: (N, V, E)."""
         every = np.arange(self.precision.shape[0])
         precision = self.precision[every, :, every]
         deviation = np.einsum("evi,vij->evj", self.pull, np.linalg.inv(precision))
@@ -260,11 +275,3 @@ class _Conditional:
 def _log_t(squares: Floats, coordinates: int, freedom: float) -> Floats:
     """What a squared Mahalanobis distance takes from the log density of a t distribution of so many coordinates, nats."""
     return np.asarray(-0.5 * (freedom + coordinates) * np.log1p(np.maximum(squares, 0.0) / freedom))
-
-
-def placed_points(frame_of: Ints, marker: Ints, xyz: Floats, frames: int, markers: int) -> Floats:
-    """Labelled points as frames (E, M, 3), NaN where missing: frame_of, marker (P,), -1 for none; xyz (P, 3) m."""
-    out = np.full((frames, markers, 3), np.nan)
-    given = marker != NULL
-    out[frame_of[given], marker[given]] = xyz[given]
-    return out

@@ -161,10 +161,14 @@ class BodyLabeller:
         return ExchangeModel.of_body(self.model, neighbours_of(self.model))
 
     @cached_property
+    def optional(self) -> NDArray[np.bool_]:
+        """(M,) the markers that many laboratories leave out."""
+        return np.zeros(self.body.mean.shape[1], dtype=np.bool_) if self.often_left_out is None else self.often_left_out
+
+    @cached_property
     def worn_odds(self) -> Floats:
         """The log odds that a laboratory puts each marker on: (M,)."""
-        often = np.zeros(self.body.mean.shape[1], dtype=np.bool_) if self.often_left_out is None else self.often_left_out
-        return np.where(often, 0.0, logit(1.0 - LEFT_OUT))
+        return np.where(self.optional, 0.0, logit(1.0 - LEFT_OUT))
 
     @cached_property
     def distance_range(self) -> tuple[Floats, Floats]:

@@ -18,7 +18,7 @@ from scipy.special import expit, gammaln, logit
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole.joint import SceneLabelling
 from asterism.labelling.whole.plausibility import own_deviations
-from asterism.labelling.whole.scene import RecordingScene, with_fewer_samples
+from asterism.labelling.whole.scene import RecordingScene, placed_points, with_fewer_samples
 from asterism.labelling.whole.settings import ForeignRules, RecordingLabellingSettings
 from asterism.labelling.whole.turned import joint_evidence
 from asterism.labelling.whole.verdict import RigidDistances, log_distances, median_and_std
@@ -169,11 +169,7 @@ class Samples:
 
     def positions(self, label: Ints, markers: int) -> Floats:
         """Positions of the markers (E, M, 3) m under labels (J,), NaN where they have no point."""
-        out = np.full((self.frames, markers, 3), np.nan)
-        own = label[self.track]
-        given = own != NULL
-        out[self.frame[given], own[given]] = self.xyz[given]
-        return out
+        return placed_points(self.frame, label[self.track], self.xyz, self.frames, markers)
 
     def fullest(self) -> tuple[Ints, Floats]:
         """The tracklets (n,) in the first frame with most points, and their points (n, 3) m."""

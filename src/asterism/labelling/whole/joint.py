@@ -26,7 +26,7 @@ from asterism.labelling.whole._kernels import FrameScores, margins_of, overlaps,
 from asterism.labelling.whole.assignment import Assignment, assign_tracklets
 from asterism.labelling.whole.bodies import find_bodies, follow_bodies, votes_of_bodies
 from asterism.labelling.whole.plausibility import compare_with_training, ghost_penalty
-from asterism.labelling.whole.scene import RecordingScene, SceneScores, labels_of_body, marker_offsets
+from asterism.labelling.whole.scene import RecordingScene, SceneScores, labels_of_body, marker_offsets, placed_points
 from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.labelling.whole.turned import HeldLabels, hold_against_twins
 from asterism.labelling.whole.upright import turned, upright_turns
@@ -362,10 +362,9 @@ def _adapted_body(
 ) -> BodyModel:
     """The model of the body with this number, adapted by the tracklets whose labels have large margins."""
     label, poses = labels_of_body(state.label, state.offsets, number), state.poses[number]
-    firm = (label != NULL) & (state.margin >= rules.adapt_margin)
-    frames = np.full((len(scene.sampled_frames), labeller.body.mean.shape[1], 3), np.nan)
-    points = np.nonzero(firm[scene.sampled_track])[0]
-    frames[scene.sampled_frame[points], label[scene.sampled_track[points]]] = scene.sampled_xyz[points]
+    firm = np.where(state.margin >= rules.adapt_margin, label, NULL)
+    shape = len(scene.sampled_frames), labeller.body.mean.shape[1]
+    frames = placed_points(scene.sampled_frame, firm[scene.sampled_track], scene.sampled_xyz, *shape)
     usable = shows_enough(frames)
     if labeller.model.within is None or not usable.any():
         return labeller.model

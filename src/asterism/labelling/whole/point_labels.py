@@ -18,7 +18,7 @@ from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole.certainty import Certainty
 from asterism.labelling.whole.foreign import ForeignConfidence
 from asterism.labelling.whole.joint import SceneLabelling
-from asterism.labelling.whole.scene import labels_of_body
+from asterism.labelling.whole.scene import labels_of_body, placed_points
 from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.labelling.whole.verdict import (
     CERTAIN,
@@ -189,7 +189,7 @@ def beside_doubtful(labeller: BodyLabeller, indices: Ints, confidence: Floats, c
     given = indices != NULL
     known = given | (candidates != NULL)
     doubtful = known.any(axis=0) & (2 * (given & (confidence > CERTAIN)).sum(axis=0) <= known.sum(axis=0))
-    return (labeller.worn_odds == 0.0) & doubtful[_neighbours(labeller.body.mean[0])[1]].any(axis=1)
+    return labeller.optional & doubtful[_neighbours(labeller.body.mean[0])[1]].any(axis=1)
 
 
 def _neighbours(mean: Floats) -> tuple[Floats, Ints]:
@@ -272,9 +272,7 @@ def _verdict_of(body: BodyInRecording, number: int, clouds: Clouds, labels: Poin
     if len(scene.sampled_frames) >= MIN_FRAMES:
         return judge_scene(scene, labels.found.label, offsets, number, body.distances)
     own, frames = labels_of_body(labels.label, offsets, number), len(clouds)
-    positions = np.full((frames, int(offsets[number + 1] - offsets[number]), 3), np.nan)
-    given = own != NULL
-    positions[clouds.frame_of[given], own[given]] = clouds.xyz[given]
-    free = given | (labels.label == NULL)  # the points of other bodies are theirs
+    positions = placed_points(clouds.frame_of, own, clouds.xyz, frames, int(offsets[number + 1] - offsets[number]))
+    free = (own != NULL) | (labels.label == NULL)  # the points of other bodies are theirs
     counts = np.bincount(clouds.frame_of, weights=free, minlength=frames).astype(np.int64)
     return judge(positions, counts, body.distances)

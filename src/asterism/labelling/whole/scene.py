@@ -206,3 +206,10 @@ def labels_of_body(label: Ints, offsets: Ints, number: int) -> Ints:
     if len(offsets) == 2:
         return label
     return np.where((label >= offsets[number]) & (label < offsets[number + 1]), label - offsets[number], NULL)
+
+
+def placed_points(frame_of: Ints, marker: Ints, xyz: Floats, frames: int, markers: int) -> Floats:
+    """Labelled points as frames (T, M, 3) m, NaN where missing: frame_of, marker (P,), -1 for none; xyz (P, 3) m."""
+    out, given = np.full((frames, markers, 3), np.nan), marker != NULL
+    out[frame_of[given], marker[given]] = xyz[given]
+    return out

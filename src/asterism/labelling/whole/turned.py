@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from asterism.labelling.body._search_kernels import LAID
-from asterism.labelling.body.exchanges import placed_points
+from asterism.labelling.body.exchanges import HeldFrames
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole._twin_kernels import TwinScores, score_exchanges, score_twins
-from asterism.labelling.whole.scene import RecordingScene, labels_of_body, marker_offsets, score_scene, with_fewer_samples
+from asterism.labelling.whole.scene import RecordingScene, labels_of_body, marker_offsets, placed_points, score_scene, with_fewer_samples
 from asterism.labelling.whole.settings import RecordingLabellingSettings, TwinRules
 from asterism.labelling.whole.verdict import CERTAIN
 from asterism.recording import NULL, Floats, Ints
@@ -106,13 +106,13 @@ def hold_against_twins(
         if rules.rounds:
             label = _without_optional(labellers, few, label, relabel, number)
         for turn in range(rules.rounds + 1):
-            exchanges = _exchanges(labeller, few, label, offsets, number)
+            exchanges, held = _exchanges(labeller, few, label, offsets, number)
             best = None if turn == rules.rounds else exchanges.best()
             if best is None:
                 break
             label = _permuted(label, best, offsets[number])
         excess[columns, columns], over_exchanges[columns] = exchanges.excess, exchanges.lead()
-        over_others[columns] = _lead_over_others(labeller, few, label, offsets, number)
+        over_others[columns] = _lead_over_others(held, few, label, offsets, number)
     poor = np.repeat([is_poor(labellers, few, label, number, rules) for number in range(len(labellers))], np.diff(offsets))
     return HeldLabels(label, np.maximum(lead, 0.0), np.maximum(over_exchanges, 0.0), np.maximum(over_others, 0.0), excess, poor)
 
@@ -145,9 +145,9 @@ def _without_optional(
         worn = np.isin(first + np.arange(len(labeller.worn_odds)), given)
         return joint_evidence(labellers, few, given) + float(labeller.worn_odds[worn].sum())
 
-    worn, often = np.isin(first + np.arange(len(labeller.worn_odds)), label), labeller.worn_odds == 0.0
-    optional = first + np.nonzero(often & worn)[0]
-    if not len(optional) or worn[~often].all():
+    worn = np.isin(first + np.arange(len(labeller.optional)), label)
+    optional = first + np.nonzero(labeller.optional & worn)[0]
+    if not len(optional) or worn[~labeller.optional].all():
         return label
     best = evidence(label)
     for columns in (optional, *optional[:, None]):
@@ -197,15 +197,19 @@ class Exchanges:
         return None if (found == np.arange(len(found))).all() else found
 
 
-def _exchanges(labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets: Ints, number: int) -> Exchanges:
-    """Hold the labels of the body with this number against exchanges of two markers, and permutations of three or four side by side."""
+def _exchanges(labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets: Ints, number: int) -> tuple[Exchanges, HeldFrames]:
+    """Hold the labels of the body with this number against exchanges of two markers, and permutations of three or four side by side.
+
+    With the frames that were held, for what else they are held against.
+    """
     own, model = labels_of_body(label, offsets, number), labeller.exchanges
     xyz, begins, track = _own_points(few, label, own)
     markers, frames = model.mean.shape[1], len(begins) - 1
     apart, both, shown = np.empty((markers, markers)), *(np.empty((markers, markers), dtype=np.int64) for _ in range(2))
     score_exchanges(xyz, begins, track, own, labeller.body, labeller.settings, apart, both, shown)
     placed = placed_points(np.repeat(np.arange(frames), np.diff(begins)), own[track], xyz, frames, markers)
-    behind = model.behind(placed, labeller.settings.tail_freedom)
+    held = model.held(placed, labeller.settings.tail_freedom)
+    behind = held.behind()
     seen = ~np.isnan(behind)
     mean = np.where(seen, behind, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
     mean[~seen.any(axis=1)] = np.inf
@@ -220,26 +224,26 @@ def _exchanges(labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets
         # where both have points, half of it for each of the two; far from near, a tail says less than the scores
         too_high = np.maximum(ahead[known] - apart[a, b] / shown[a, b], 0.0)
         excess[a, b] = too_high * (1.0 - 0.5 * both[a, b] / shown[a, b])
-    return Exchanges(table, mean, excess)
+    return Exchanges(table, mean, excess), held
 
 
-def _lead_over_others(labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets: Ints, number: int) -> Floats:
-    """The lead (M,) of the labels of the body with this number over points without a label, in nats a frame; infinite without any.
+def _lead_over_others(held: HeldFrames, few: RecordingScene, label: Ints, offsets: Ints, number: int) -> Floats:
+    """The lead (M,) of the labels of the body with this number, held, over points without a label, in nats a frame; infinite without any.
 
     A marker beside others of a larger set is one event for the whole recording, as an exchange is. The median over the sampled frames that
     show a marker: a point that is beside it in few of them is a ghost, and one in a gap goes on as another tracklet.
     """
     own = labels_of_body(label, offsets, number)
     xyz, begins, track = _own_points(few, label, own)
-    frames, markers = len(begins) - 1, int(offsets[number + 1] - offsets[number])
+    frames, markers = held.frames.shape[:2]
     frame_of, free = np.repeat(np.arange(frames), np.diff(begins)), np.nonzero(own[track] == NULL)[0]
-    placed, lead = placed_points(frame_of, own[track], xyz, frames, markers), np.full(markers, np.inf)
+    lead = np.full(markers, np.inf)
     others = np.full((frames, int(np.bincount(frame_of[free], minlength=1).max()), 3), np.nan)
     others[frame_of[free], np.arange(len(free)) - np.searchsorted(frame_of[free], frame_of[free])] = xyz[free]
-    behind = labeller.exchanges.behind_others(placed, others, labeller.settings.tail_freedom)
+    behind = held.behind_others(others)
     least = np.where(np.isnan(behind), np.inf, behind).min(axis=0, initial=np.inf)
     for marker in range(markers):
-        seen = ~np.isnan(placed[:, marker, 0])
+        seen = ~np.isnan(held.frames[:, marker, 0])
         if seen.any():
             lead[marker] = np.median(least[marker, seen])
     return lead

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import expit, logit
 
 from asterism.labelling.whole._distance_kernels import LEAST_DISTANCE, frame_deviations, frame_scatters
-from asterism.labelling.whole.scene import RecordingScene, labels_of_body
+from asterism.labelling.whole.scene import RecordingScene, labels_of_body, placed_points
 from asterism.recording import NULL, Floats, Ints
 from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, Verdict
 
@@ -295,9 +295,8 @@ def judge_scene(scene: RecordingScene, label: Ints, offsets: Ints, number: int, 
         return None
     own = labels_of_body(label, offsets, number)
     frames = len(scene.sampled_frames)
-    positions = np.full((frames, int(offsets[number + 1] - offsets[number]), 3), np.nan)
-    points = np.nonzero(own[scene.sampled_track] != NULL)[0]
-    positions[scene.sampled_frame[points], own[scene.sampled_track[points]]] = scene.sampled_xyz[points]
+    markers = int(offsets[number + 1] - offsets[number])
+    positions = placed_points(scene.sampled_frame, own[scene.sampled_track], scene.sampled_xyz, frames, markers)
     free = (label == NULL) | (own != NULL)  # the points of other bodies are theirs
     counts = np.bincount(scene.sampled_frame, weights=free[scene.sampled_track], minlength=frames).astype(np.int64)
     return judge(positions, counts, reference)
