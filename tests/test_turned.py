@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,14 +11,17 @@ from models import trained
 from standing import MARKER_SET, standing_clouds
 
 import asterism
+from asterism.labelling import virtual_model
+from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.body.twins import neighbours_of, twins_of
 from asterism.labelling.whole.joint import label_scene
 from asterism.labelling.whole.scene import RecordingScene, prepare_scene
 from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.labelling.whole.turned import Exchanges, hold_against_twins, is_poor, joint_evidence
-from asterism.recording import Clouds, Ints, Labelling
+from asterism.recording import Clouds, Ints, Labelling, MarkerSet
 from asterism.simulation import simulate_walks
+from asterism.skeleton import virtual_people
 from asterism.tracking.linking import find_tracklets
 
 NAMES = MARKER_SET.names
@@ -185,3 +189,52 @@ def test_a_marker_beside_a_point_without_a_name_is_not_sure(walkers: asterism.Ma
     before = without.limits(np.arange(len(NAMES)), settings.twins, with_exchanges=True)
     assert limits["always"][column] >= min(before[column], 0.98), "no label is taken back for it"
     assert (found["always"].over_others > 5.6).sum() >= len(NAMES) // 2
+
+
+def test_a_body_is_tried_without_the_markers_that_many_leave_out() -> None:
+    """Elbows are called markers of the upper arm, and wrists and hands have no name: no exchange gives them one."""
+    marker_set = MarkerSet.load("plug-in-gait")
+    names, labeller, settings = marker_set.names, virtual_model(marker_set).body_labeller, RecordingLabellingSettings()
+    person = virtual_people(marker_set, 2, 60, seed=9)[0]
+    clouds = person.select([name for name in names if name[1:] not in ("UPA", "FRM")]).clouds()
+    scene = prepare_scene(clouds, find_tracklets(clouds), settings)
+    place = {tuple(at): m for frame in person.positions for m, at in enumerate(frame)}
+    right = np.empty(len(scene.first), dtype=np.int64)
+    right[scene.track] = [place[tuple(at)] for at in scene.xyz]
+    along = right.copy()
+    for side in "LR":
+        for one, other in (("ELB", "UPA"), ("WRA", None), ("WRB", None), ("FIN", None)):
+            along[right == names.index(side + one)] = -1 if other is None else names.index(side + other)
+
+    # an ascent that stays where it is, unless the upper arm's marker is out of the question
+    def ascent(start: Ints, without: Ints) -> Ints:
+        return right if names.index("LUPA") in without else start
+
+    held = hold_against_twins([labeller], scene, along, ascent, settings.twins, settings)
+    np.testing.assert_array_equal(held.label, right)
+
+
+def test_distances_may_be_those_of_all_people_where_many_taught_the_model() -> None:
+    """Key poses are of the mean person: the rods and elbows of others sit elsewhere."""
+    labeller = virtual_model("plug-in-gait").body_labeller
+    low, high = labeller.distance_range
+    least, most = replace(labeller, many_people=False).distance_range
+    apart = ~np.eye(len(low), dtype=bool)
+    assert (low[apart] < least[apart]).all()
+    assert (high[apart] > most[apart]).all()
+    names = MarkerSet.load("plug-in-gait").names
+    rod, knee = names.index("LTHI"), names.index("LKNE")
+    assert (high - low - (most - least))[rod, knee] > 0.05, "rods sit 14 % of the thigh higher or lower"
+
+
+def test_frames_that_vote_search_farther_than_frames_by_themselves(walkers: asterism.MarkerModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The votes of few frames begin all labels."""
+    asked, label_frames = list[int](), BodyLabeller.label_frames
+
+    def counted(labeller: BodyLabeller, *given: Any, **named: Any) -> Any:
+        asked.append(labeller.settings.max_evaluations)
+        return label_frames(labeller, *given, **named)
+
+    monkeypatch.setattr(BodyLabeller, "label_frames", counted)
+    walkers.label(simulate_walks(subjects=1, frames=30, seed=3)[0].clouds())
+    assert min(asked) >= 10 * walkers.body_labeller.settings.max_evaluations
