@@ -18,7 +18,7 @@ from asterism.formats._findings import located, missing_samples, units_assumed, 
 from asterism.formats._physical import COMPUTED, UNNAMED, kinds_by_name
 from asterism.formats._vertical import estimate_vertical, vertical_from_positions
 from asterism.recording import Event, Floats, MarkerSet, ProcessingStep, Recording, as_vertical, canonical, without_subject
-from asterism.recording.arrays import nan_median
+from asterism.recording.arrays import missing_codes, nan_median
 from asterism.recording.display import metres
 
 __all__ = [
@@ -273,7 +273,8 @@ def body_size(raw: Floats) -> float:
     # Some two hundred frames tell the size as well as an hour does.
     some = raw[:: max(1, len(raw) // 200)]
     # Numbers from damage must not decide: infinite, or beyond what squares can hold.
-    some = np.where(np.isfinite(some).all(axis=2, keepdims=True) & (np.abs(some) < 1e100).all(axis=2, keepdims=True), some, np.nan)
+    usable = np.isfinite(some).all(axis=2) & (np.abs(some) < 1e100).all(axis=2) & ~missing_codes(some)
+    some = np.where(usable[:, :, None], some, np.nan)
     some = some[(~np.isnan(some[:, :, 0])).sum(axis=1) > 1]
     if not len(some):
         return float("nan")
@@ -292,6 +293,14 @@ def _unit_by_size(size: float, raw: Floats) -> str:
     return "m" if len(away) and float(np.median(away)) < 12 else "mm"
 
 
+def coded_samples(coded: Floats) -> list[Finding]:
+    """A finding about samples (n, 3), in the file's unit, that are a number for "missing"; none where there are none."""
+    if not len(coded):
+        return []
+    worst = coded[0][np.abs(coded[0]).argmax()]
+    return [missing_samples(f"{len(coded)} samples are {worst:.10g}, a number for missing ones; taken as missing")]
+
+
 def as_metres(raw: Floats, scale: float, zero_is_missing: bool = True) -> tuple[Floats, list[Finding]]:
     """Positions in metres, NaN for what cannot be a place (not finite, beyond 1000 km, zero in all three); and findings."""
     with np.errstate(over="ignore", invalid="ignore"):
@@ -300,8 +309,10 @@ def as_metres(raw: Floats, scale: float, zero_is_missing: bool = True) -> tuple[
         impossible = np.any(np.isinf(raw) | (np.abs(positions) > _FURTHEST), axis=2)
     # Many programs write a missing sample as three zeros.
     zero = np.all(raw == 0, axis=2) & zero_is_missing
-    positions[impossible | zero | np.isnan(positions).any(axis=2)] = np.nan
-    findings = []
+    coded = missing_codes(raw)
+    impossible &= ~coded
+    positions[impossible | zero | coded | np.isnan(positions).any(axis=2)] = np.nan
+    findings = coded_samples(raw[coded])
     if impossible.any():
         findings.append(missing_samples(f"{int(impossible.sum())} samples are infinite or beyond 1000 km; taken as missing"))
     if zero.any():

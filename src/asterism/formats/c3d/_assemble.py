@@ -6,7 +6,8 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.formats.c3d._edit import with_number
-from asterism.formats.c3d._file import BLOCK, C3DFile
+from asterism.formats.c3d._file import C3DFile
+from asterism.formats.c3d._layout import BLOCK
 from asterism.formats.c3d._numbers import Words
 from asterism.formats.c3d._parameters import Parameters, Record
 

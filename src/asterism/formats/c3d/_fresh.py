@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.formats.c3d._edit import LOG_GROUP, MOST_STRINGS, event_records, floats_record, integers_record, log_record, strings_record
-from asterism.formats.c3d._file import BLOCK, ranges
+from asterism.formats.c3d._file import ranges
+from asterism.formats.c3d._layout import BLOCK
 from asterism.formats.c3d._numbers import PC
 from asterism.formats.c3d._parameters import CHARACTER, Record, make_group, make_parameter
 from asterism.recording import Floats, Recording
