@@ -44,6 +44,9 @@ def nan_quantile(values: Floats, shares: ArrayLike, axis: int) -> Floats:
 
     As `numpy.nanquantile`, which, like `numpy.nanmedian`, loads `numpy.ma`: a tenth of the time that a short command takes.
     """
+    # Of no values at all none is there.
+    if not values.shape[axis]:
+        return np.full((np.size(shares), *np.delete(values.shape, axis)), np.nan)
     # Sorting puts NaN last, so that the values that are there come first.
     ordered = np.sort(values, axis=axis)
     # At least 0: a row without a value takes its first NaN.

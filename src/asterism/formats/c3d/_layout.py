@@ -16,8 +16,9 @@ Source: the public C3D format specification.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -30,7 +31,8 @@ from asterism.formats.c3d._parameters import Parameters, parse_parameters
 from asterism.recording import Event
 
 BLOCK = 512
-_LIMIT = 65535
+LIMIT = 65535
+"""The most that 16 bits count."""
 _FRAMES_COMPARED = 200
 """Frames by which it is told in which layout points move least: some seconds."""
 _LABEL_KEY = 12345
@@ -55,7 +57,7 @@ class Header:
     def frames(self) -> int:
         """The number of frames that first and last frame give; where the last one is wrapped round 16 bits, wrapped as well."""
         count = self.last_frame - self.first_frame + 1
-        return count if count >= 0 else count + _LIMIT + 1
+        return count if count >= 0 else count + LIMIT + 1
 
 
 @dataclass(frozen=True)
@@ -131,10 +133,10 @@ class _Start:
     claims: tuple[Layout, ...]
     ends: tuple[int, ...]
 
-    @property
-    def whole(self) -> bool:
-        """Whether no parameter lies across the start."""
-        return not any(record.cut for record in self.parameters.records)
+    @cached_property
+    def clean(self) -> bool:
+        """Whether no parameter lies across the start, and nothing but zeros between the last one and the start."""
+        return not any(record.cut for record in self.parameters.records) and not any(self.parameters.tail)
 
 
 def find_layout(raw: bytes | bytearray, path: str, processor: Processor, header: Header) -> tuple[Parameters, Layout, list[Finding]]:
@@ -147,14 +149,14 @@ def find_layout(raw: bytes | bytearray, path: str, processor: Processor, header:
     found = _that_fills(raw, processor, starts) or _by_length(raw, processor, header, starts)
     sure = found is not None
     if found is None:
-        start = next((start for start in starts if start.whole), starts[0])
+        start = starts[0]
         found = start, _that_leaves_least(raw, path, processor, start, findings)
     start, layout = found
     if len({start.at, header.data_at or start.at, *_data_start(start.parameters)}) > 1:
         said = "".join(f", POINT:DATA_START {_block(at)}" for at in _data_start(start.parameters))
         sentence = f"the header says that data begin in block {_block(header.data_at)}{said}; block {_block(start.at)} was used"
         # Without the length of the file it is the header's word against that of the parameters.
-        doubt = not sure and len([other for other in starts if other.whole]) > 1
+        doubt = not sure and len(starts) > 1 and start.clean == starts[1].clean
         findings.append(header_doubt(sentence) if doubt else header_conflict(sentence))
     findings += _about_counts(raw, header, start, layout)
     return start.parameters, layout, findings
@@ -177,9 +179,9 @@ def _starts(raw: bytes | bytearray, processor: Processor, header: Header) -> lis
     # The second block is where the parameters themselves begin, mostly; the last place is always there.
     places = [place for place in dict.fromkeys(places) if BLOCK <= place <= size and place != at]
     sections = [(place, parameters(place)) for place in places]
-    return [
-        _Start(place, section, tuple(_claims(header, section, place)), tuple(_ends(section, place, size))) for place, section in sections
-    ]
+    starts = [_Start(place, own, tuple(_claims(header, own, place)), tuple(_ends(own, place, size))) for place, own in sections]
+    # Data that begin in the midst of a parameter, or late, where there is something before them, are less likely, whoever says so.
+    return sorted(starts, key=lambda start: not start.clean)
 
 
 def _data_start(parameters: Parameters) -> list[int]:
@@ -195,7 +197,7 @@ def _ends(parameters: Parameters, start: int, size: int) -> Iterator[int]:
         if group == "POINT" or not block or parameters.count(group, "USED") == 0:
             continue
         # The pointer has 16 bits: behind 32 MB it is wrapped round them.
-        step = BLOCK * (_LIMIT + 1)
+        step = BLOCK * (LIMIT + 1)
         for end in reversed(range((block - 1) * BLOCK, size, step)):
             if end > start:
                 yield end
@@ -219,8 +221,8 @@ def _spent(name: str, count: int, header: Header, frames: int) -> bool:
     """Whether a count says nothing against so many frames: at the limit of 16 bits, wrapped round it, or not given."""
     if count <= 0 or name == "POINT:LONG_FRAMES":
         return count <= 0
-    at_limit = count == _LIMIT or (name == "the header" and header.last_frame == _LIMIT)
-    return frames >= count and (at_limit or (frames > count and (frames - count) % (_LIMIT + 1) == 0))
+    at_limit = count == LIMIT or (name == "the header" and header.last_frame == LIMIT)
+    return frames >= count and (at_limit or (frames > count and (frames - count) % (LIMIT + 1) == 0))
 
 
 def _claims(header: Header, parameters: Parameters, start: int) -> Iterator[Layout]:
@@ -231,10 +233,10 @@ def _claims(header: Header, parameters: Parameters, start: int) -> Iterator[Layo
     if channels is not None:
         analog.append(channels * header.analog_per_point_frame)
         if rates[0] and rates[1]:
-            analog.append(channels * min(max(round(rates[0] / rates[1]), 0), _LIMIT))
+            analog.append(channels * min(max(round(rates[0] / rates[1]), 0), LIMIT))
     # 65535 is what a 16-bit count shows of more frames: it comes last.
     counts = dict.fromkeys(count for count in _counts(header, parameters).values() if count > 0)
-    frames = sorted(counts, key=lambda count: count == _LIMIT) or [0]
+    frames = sorted(counts, key=lambda count: count == LIMIT) or [0]
     scale = parameters.number("POINT", "SCALE")
     signs = [header.scale] if np.isfinite(header.scale) and header.scale != 0 else []
     signs += [scale] if scale else []
@@ -246,11 +248,17 @@ def _claims(header: Header, parameters: Parameters, start: int) -> Iterator[Layo
         yield Layout(start, length, count, samples, real)
 
 
+def _fills(raw: bytes | bytearray, layout: Layout, end: int) -> bool:
+    """Whether a layout leaves less than a block, or a whole one of zeros, which some programs write behind a full block."""
+    left = end - layout.stop
+    return 0 <= left < BLOCK or (left == BLOCK and not any(raw[layout.stop : end]))
+
+
 def _that_fills(raw: bytes | bytearray, processor: Processor, starts: Sequence[_Start]) -> tuple[_Start, Layout] | None:
     """The claim that fills the room of the data but for its last block."""
     for start in starts:
         for end in start.ends:
-            fits = [claim for claim in start.claims if claim.frames and claim.width and 0 <= end - claim.stop < BLOCK]
+            fits = [claim for claim in start.claims if claim.frames and claim.width and _fills(raw, claim, end)]
             if fits:
                 # What ends a block is zeros, mostly: data behind the last frame speak for a claim that reads them.
                 clean = [claim for claim in fits if not any(raw[claim.stop : end])]
@@ -263,18 +271,29 @@ def _by_length(raw: bytes | bytearray, processor: Processor, header: Header, sta
     for start in starts:
         counts = _counts(header, start.parameters)
         for end in start.ends:
-            fits = []
+            fits: dict[tuple[int, int, bool], Layout] = {}
             for claim in start.claims:
-                frames = (end - start.at) // claim.frame_bytes if claim.frame_bytes else 0
-                whole = replace(claim, frames=frames)
-                # Padding of the last block may have the length of frames, and is zeros.
-                while frames > 1 and end - whole.stop + claim.frame_bytes < BLOCK and not any(raw[whole.stop - claim.frame_bytes : end]):
-                    frames -= 1
-                    whole = replace(claim, frames=frames)
-                fits += [whole] if all(_spent(name, count, header, frames) for name, count in counts.items()) else []
-            if any(fit.frames for fit in fits):
-                return start, _stillest(raw, processor, [fit for fit in fits if fit.frames])
+                for layout in _lengthened(raw, claim, end, counts.values()):
+                    if layout.frames and all(_spent(name, count, header, layout.frames) for name, count in counts.items()):
+                        fits.setdefault(_shape(layout), layout)
+            if fits:
+                return start, _stillest(raw, processor, list(fits.values()))
     return None
+
+
+def _lengthened(raw: bytes | bytearray, claim: Layout, end: int, counts: Collection[int]) -> Iterator[Layout]:
+    """A claim with other numbers of frames: those that are wrapped round 16 bits and fill the room; then all for which there is room."""
+    size = claim.frame_bytes
+    if not size:
+        return
+    room = (end - claim.start) // size
+    wrapped = (replace(claim, frames=room - (room - count) % (LIMIT + 1)) for count in counts if 0 < count <= room)
+    yield from (layout for layout in wrapped if _fills(raw, layout, end))
+    left = end - claim.start - room * size
+    # Padding of the last block may have the length of frames, and is zeros.
+    while room > 1 and left + size <= BLOCK and not any(raw[end - left - size : end]):
+        room, left = room - 1, left + size
+    yield replace(claim, frames=room)
 
 
 def _that_leaves_least(raw: bytes | bytearray, path: str, processor: Processor, start: _Start, findings: list[Finding]) -> Layout:
@@ -377,7 +396,7 @@ def first_frame_of(header: Header, parameters: Parameters, frames: int, events: 
         return header.first_frame, None
     trial = begin[0] + 65536 * begin[1]
     # The header's number has 16 bits only, and some programs count its frames from 0.
-    if trial == header.first_frame or trial + frames - 1 > _LIMIT or max(trial, header.first_frame) <= 1:
+    if trial == header.first_frame or trial + frames - 1 > LIMIT or max(trial, header.first_frame) <= 1:
         return max(trial, min(header.first_frame, 1)), None
     weights = [
         (counts.get(name) == frames, sum(-1.0 <= event.time * rate - first + 1 <= frames for event in events))

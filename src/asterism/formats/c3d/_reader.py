@@ -63,6 +63,7 @@ def points_of(file: C3DFile, some: slice | None = None) -> Points:
         findings=(*file.findings, *file.doubts, *found, *coded_samples(file.coded)),
         extra={"encoding": encoding_of(file), "metres_per_unit": scale},
         log=log_of(file.parameters),
+        frames=file.layout.frames,
     )
 
 
