@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +12,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._folders import Trial, check_folder, check_output, trials
-from asterism.cli._labelling import check_labelling, file_labeller, file_names, model_json, model_text
+from asterism.cli._labelling import check_labelling, file_labeller, file_names, labelled_line, labelled_row, model_json, model_text
 from asterism.cli._options import (
     DropComputed,
     Files,
@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
 PAGE = "asterism-label.html"
 """The page on a folder of recordings, among the outputs, where --report names none."""
-_NUMBERS = ("labelled", "likely", "unsure", "hidden", "frames_per_second")
-"""Numbers of a file that may not be known."""
 _MOST_SHOWN = 100
 """Recordings that the page shows frame by frame; its table has all. More would not fit into the memory of a small computer."""
 
@@ -110,7 +108,7 @@ def label(options: LabelOptions) -> None:
 
     Each file is written to FOLDER under its name and format, with everything else in it unchanged. Points that are not labelled become
     *1, *2, ... A line per file says which share of all markers in all frames is labelled (confidence 99 % or more), likely (less) and
-    unsure (not labelled in a frame with points left over). The rules whole-body label a recording as a whole, by its tracks;
+    unsure (not labelled, though a point left over may be it); the rest is hidden. The rules whole-body label a recording as a whole, by its tracks;
     --frame-wise turns that off. Recordings of more than two million points are labelled in stretches of minutes; C3D files of this length
     are never in memory as a whole, unless a report, a folder, --for or several models need that.
     Of a folder, all recordings below it are labelled, and keep their places below FOLDER, with a page on all of them. A trial in which the
@@ -184,6 +182,7 @@ class _Run:
     def result(self, trial: Trial, progress: Progress | None) -> _Result:
         """Label one file and write it, or take over what an earlier run has finished."""
         from asterism.cli._recordings import not_carried
+        from asterism.recording import LABEL_STATES
 
         # the place tells what an earlier run has finished, so that its suffix comes first
         trial = self._as_program_reads(trial)
@@ -197,11 +196,11 @@ class _Run:
                     self.batch.found(finding)
                 here = {"file": trial.path, "output": target, "finished_before": True, "changed": before.changed}
                 # JSON keeps a number that is not known as null
-                unknown = {name: float("nan") for name in _NUMBERS if before.row[name] is None}
+                unknown = {name: float("nan") for name in (*LABEL_STATES, "frames_per_second") if before.row[name] is None}
                 return _Result({**before.row, **unknown, **here})
             check_output(trial.path, target, self.options.overwrite)
         labelled = self.labeller.label(trial.path, _share(progress, self.batch, self.count, trial.path))
-        row, findings = _row(trial.path, target, labelled), self._findings(labelled)
+        row, findings = _row(target, labelled), self._findings(labelled)
         for finding in findings:
             self.batch.found(finding)
         # the record is written before the output: a run that is stopped between knows that the output is not whole
@@ -238,29 +237,11 @@ class _Run:
         return LabelledRecording(labelled.labelling, labelled.clouds, labelled.marker_set, None, labelled.about.first_frame)
 
 
-def _row(path: Path, target: Path, labelled: LabelledFile) -> dict[str, Any]:
+def _row(target: Path, labelled: LabelledFile) -> dict[str, Any]:
     """What the table and the JSON say of a labelled file."""
-    from asterism.recording import label_shares
-
-    labelling, clouds = labelled.labelling, labelled.clouds
-    return {
-        "file": path,
-        "output": target,
-        "frames": len(clouds),
-        **asdict(label_shares(labelling, clouds)),
-        "markers": _by_marker(labelling, clouds),
-        "marker_set": [one.to_dict() for one in labelled.worn] or None,
-        "worn": ", ".join(one.words for one in labelled.worn) or None,
-        "virtual_people": bool(labelled.worn),
-        "subject": labelled.standing,
-        "known_labels": labelled.file_names,
-        "verdict": None if labelled.verdict is None else labelled.verdict.kind,
-        "readiness": labelled.readiness.kind,
-        "use": labelled.readiness.words,
-        "look_at": labelled.readiness.look_at,
-        "frames_per_second": len(clouds) / labelled.seconds if labelled.seconds else float("nan"),
-        "not_carried": [],
-    }
+    speed = len(labelled.clouds) / labelled.seconds if labelled.seconds else float("nan")
+    markers = _by_marker(labelled.labelling, labelled.clouds)
+    return {**labelled_row(labelled), "output": target, "markers": markers, "frames_per_second": speed, "not_carried": []}
 
 
 def _check(options: LabelOptions) -> None:
@@ -325,29 +306,22 @@ def _share(progress: Progress | None, batch: _console.Batch, files: int, path: P
 
 
 def _line(row: dict[str, Any]) -> str:
-    from asterism.cli._recordings import shares_text
-    from asterism.recording.display import counted
-
-    by = "" if row["subject"] is None else f", with {row['subject']}"
-    by += f"; {row['worn']}, a model of virtual people" if row["worn"] else ""
-    # a single file has no table that would say so
-    by += f"; {row['use']}" if row["readiness"] == "do-not-use" else ""
-    if row.get("finished_before"):
-        by += f"; labelled by an earlier run, {row['output']} {'was changed since and ' if row['changed'] else ''}stays"
-    return f"{row['file']}: {counted(row['frames'], 'frame')}, {shares_text(row)}, {_console.count(row['frames_per_second'])} frames/s{by}"
+    changed = "was changed since and " if row.get("changed") else ""
+    return labelled_line(row) + (f"; labelled by an earlier run, {row['output']} {changed}stays" if "finished_before" in row else "")
 
 
 def _table(rows: Sequence[dict[str, Any]]) -> None:
     """All files of a run, those that an earlier run has finished among them."""
+    from asterism.recording import LABEL_STATES
 
     _console.table(
         f"{len(rows)} recordings",
-        ["file", "frames", "labelled", "likely", "unsure", "hidden", "standing trial", "the model", "use"],
+        ["file", "frames", *LABEL_STATES, "standing trial", "the model", "use"],
         [
             [
                 str(row["file"]),
                 _console.count(row["frames"]),
-                *(_console.percent(row[name]) for name in ("labelled", "likely", "unsure", "hidden")),
+                *(_console.percent(row[name]) for name in LABEL_STATES),
                 Path(str(row["subject"])).name if row["subject"] else "–",
                 row["verdict"] or "–",
                 row["use"],

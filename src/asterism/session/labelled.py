@@ -10,7 +10,7 @@ from pathlib import Path
 from asterism.findings import Finding, Severity
 from asterism.labelling import MarkerModel, ReviewItem
 from asterism.labelling.correction import Correction, FirstLabels
-from asterism.labelling.correction.readiness import DO_NOT_USE, Readiness, readiness
+from asterism.labelling.correction.readiness import DO_NOT_USE, Readiness, readiness, to_look_at
 from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller
 from asterism.recording import Clouds, Labelling, MarkerSet, Recording
 from asterism.recording.verdict import Verdict
@@ -68,8 +68,13 @@ class LabelledFile:
 
     @cached_property
     def items(self) -> Sequence[ReviewItem]:
-        """What a person should check, by expected gain. Of a recording that is not in memory, without the points."""
+        """All pieces of tracks with doubts, by expected gain. Of a recording that is not in memory, without the points."""
         return self.copy.items()
+
+    @property
+    def to_look_at(self) -> list[ReviewItem]:
+        """Those of them that a person should look at: as many as `readiness` says."""
+        return to_look_at(self.items)
 
     @cached_property
     def readiness(self) -> Readiness:
