@@ -255,7 +255,10 @@ def test_the_command_lists_pieces_by_gain(folder: Path, capsys: pytest.CaptureFi
 def test_what_the_file_says_is_kept_when_asked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("review", folder / "labelled.c3d", "-m", folder / "two.model", "--keep-labels") == 0
     shares, verdict = capsys.readouterr().out.splitlines()
-    assert shares.endswith("100.00 % labelled, 0.00 % likely, 0.00 % unsure, 0.00 % hidden; ready") and verdict == "No piece of a track needs a look."
+    assert (
+        shares.endswith("100.00 % labelled, 0.00 % likely, 0.00 % unsure, 0.00 % hidden; ready")
+        and verdict == "No piece of a track needs a look."
+    )
 
 
 def test_a_batch_goes_on_after_a_bad_file(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @takes(ReviewOptions)
 def review(options: ReviewOptions) -> None:
-    """List the pieces of tracks to look at first, or correct their labels.
+    """List the pieces of tracks to look at, or correct them.
 
     The files are labelled as `asterism label` does it, with the same options: without --model, by virtual people. Nothing is written to
     them. A line is a piece of a track between two gaps: one name for it corrects all its frames. The gain is the expected number of its
