@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.labelling.correction.event_log import REDO, SAVED, UNDO, CorrectionLog, hash_of_models, hash_of_points
+from asterism.labelling.correction.event_log import REDO, SAVED, UNDO, CorrectionLog, damaged_line, hash_of_models, hash_of_points
 from asterism.labelling.correction.pieces import (
     Pieces,
     cut_before,
@@ -269,12 +269,11 @@ class Correction:
         """Take what a log holds, and write to it from now on. Raises AsterismError where an entry does not fit the recording."""
         done: list[Touch] = []
         undone: list[Touch] = []
-        # The header is line 1 of the file.
-        for number, entry in enumerate(log.entries, 2):
+        for number, entry in zip(log.lines, log.entries, strict=True):
             try:
                 _replay(entry, done, undone)
             except (KeyError, TypeError, ValueError, IndexError, OverflowError) as problem:
-                raise AsterismError(f"{log.path}, line {number} is damaged; move the log away, and correct anew.") from problem
+                raise damaged_line(log.path, number) from problem
         # An entry that is well formed may still name a point that this recording lacks.
         try:
             solved = self._solve(done)
