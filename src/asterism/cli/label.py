@@ -108,9 +108,9 @@ def label(options: LabelOptions) -> None:
 
     Each file is written to FOLDER under its name and format, with everything else in it unchanged. Points that are not labelled become
     *1, *2, ... A line per file says which share of all markers in all frames is labelled (confidence 99 % or more), likely (less) and
-    unsure (not labelled, though a point left over may be it); the rest is hidden. The rules whole-body label a recording as a whole, by its tracks;
-    --frame-wise turns that off. Recordings of more than two million points are labelled in stretches of minutes; C3D files of this length
-    are never in memory as a whole, unless a report, a folder, --for or several models need that.
+    unsure (not labelled, though a point left over may be it); the rest is hidden. The rules whole-body label a recording as a whole, by its
+    tracks; --frame-wise turns that off. Recordings of more than two million points are labelled in stretches of minutes; C3D files of this
+    length are never in memory as a whole, unless a report, a folder, --for or several models need that.
     Of a folder, all recordings below it are labelled, and keep their places below FOLDER, with a page on all of them. A trial in which the
     person stands, found by its name or by what it shows, narrows the model to the person. A run that was stopped goes on where it was.
     With several people or objects in the volume, give --model once for each of them; names that two of them share become 1:LASI and
