@@ -27,6 +27,7 @@ pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 
 from asterism.web import CorrectionSession, PageAddress, SessionOptions, serve  # noqa: E402
+from asterism.web import session as web_session  # noqa: E402
 
 
 def sitting(folder: Path, count: int = 1, **options: Any) -> CorrectionSession:
@@ -258,9 +259,57 @@ def test_a_recording_that_changed_on_the_disk_is_not_saved_over(tmp_path: Path) 
 
 
 def test_two_sittings_of_one_file(tmp_path: Path) -> None:
-    with served(sitting(tmp_path)), served(sitting(tmp_path)) as other:
-        [trial] = other.get("/api/trials")["trials"]
-        assert trial["state"] == "failed" and "open in another program" in trial["error"]
+    with served(sitting(tmp_path)) as browser, served(sitting(tmp_path)) as early:
+        touched(browser)
+        # One that was open before the log was begun is told with its first answer; one that comes later, at once.
+        state = early.get("/api/trials/0/state")
+        event = {"kind": "name", "piece": long_piece(state), "marker": "SACR"}
+        status, body, _ = early.ask("/api/trials/0/touch", {"revision": state["revision"], "event": event})
+        assert status == 400 and "begun by another program" in json.loads(body)["error"]
+        assert early.get("/api/trials/0/state")["touches"] == 0
+        with served(sitting(tmp_path)) as late:
+            [trial] = late.get("/api/trials")["trials"]
+            assert trial["state"] == "failed" and "open in another program" in trial["error"]
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_a_file_that_was_being_saved_when_the_program_was_killed_is_known_as_ours(
+    when: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = web_session.write_atomically
+
+    def killed(path: Path, data: bytes) -> None:
+        if when == "after":
+            write(path, data)
+        raise AsterismError("killed")
+
+    with served(sitting(tmp_path)) as browser:
+        touched(browser)
+        browser.post("/api/trials/0/save", {})
+        touched(browser, "LASI")
+        monkeypatch.setattr(web_session, "write_atomically", killed)
+        assert browser.ask("/api/trials/0/save", {})[0] == 400
+    monkeypatch.undo()
+    with served(sitting(tmp_path)) as browser:
+        assert browser.get("/api/trials/0/state")["saved"] == (when == "after")
+        browser.post("/api/trials/0/save", {})
+        assert browser.get("/api/trials/0/state")["saved"]
+
+
+def test_answers_go_on_into_a_new_log_where_it_was_deleted(tmp_path: Path) -> None:
+    log = tmp_path / "walk1.c3d.asterism-log.jsonl"
+    with served(sitting(tmp_path)) as browser:
+        touched(browser)
+        log.unlink()
+        touched(browser, "LASI")
+        log.write_text("notes")
+        state = browser.get("/api/trials/0/state")
+        status, body, _ = browser.ask("/api/trials/0/undo", {"revision": state["revision"]})
+        assert status == 400 and "changed or replaced" in json.loads(body)["error"]
+        assert browser.get("/api/trials/0/state")["touches"] == 2
+    (tmp_path / "walk1.c3d.asterism-log-2.jsonl").replace(log)
+    with served(sitting(tmp_path)) as browser:
+        assert browser.get("/api/trials/0/state")["touches"] == 2
 
 
 def test_logs_can_be_in_a_folder_of_their_own(tmp_path: Path) -> None:
