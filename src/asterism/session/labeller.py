@@ -162,7 +162,7 @@ class FileLabeller:
             labelled = labelled if other is None else self._label_source(path, self._open(path, other), progress)
         if other is None:
             return labelled
-        return replace(labelled, findings=(vertical_finding(str(path), said, other), *labelled.findings))
+        return replace(labelled, found=(vertical_finding(str(path), said, other), *labelled.found))
 
     def _open(self, path: Path, vertical: ArrayLike | str | None) -> FrameSource:
         """The recording of a file. Raises AsterismError as `label` does."""
@@ -229,13 +229,13 @@ class FileLabeller:
             turned = not np.allclose(shown, said)
             labelled = labeller._label_source(path, labeller._open(path, shown if turned else self.options.vertical), progress)
             if turned:
-                labelled = replace(labelled, findings=(vertical_finding(str(path), said, shown), *labelled.findings))
-        findings = [*labelled.findings, *findings_on_sets(path, bodies, self._finder.rules)]
+                labelled = replace(labelled, found=(vertical_finding(str(path), said, shown), *labelled.found))
+        findings = [*labelled.found, *findings_on_sets(path, bodies, self._finder.rules)]
         if BY_NAMES not in {one.by for one in bodies}:
             findings += _few_markers(path, labelled.labelling, labelled.clouds, bodies)
         if labeller.wider is not None:
             findings.append(_explained_by(path, labeller.wider.name, bodies[0].name))
-        return replace(labelled, worn=tuple(bodies), findings=tuple(findings))
+        return replace(labelled, worn=tuple(bodies), found=tuple(findings))
 
     def _of_wider(self, labeller: FileLabeller, wider: WiderModel) -> FileLabeller:
         """What labels the files of a set whose points another model explains better, made once."""

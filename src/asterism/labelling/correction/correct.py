@@ -19,7 +19,7 @@ from asterism.labelling.correction.pieces import (
     point_of_piece,
     table_of_pieces,
 )
-from asterism.labelling.correction.readiness import Readiness, readiness
+from asterism.labelling.correction.readiness import Readiness, readiness, to_look_at
 from asterism.labelling.correction.relabelling import Relabelling
 from asterism.labelling.correction.touches import Cut, Ghost, Name, PointInFrame, Request, Right, Swap, SwapMarkers, Touch
 from asterism.labelling.recording_labeller import LabelledBodies, LabellingSettings, RecordingLabeller
@@ -166,12 +166,16 @@ class Correction:
         return hash_of_points(self.clouds), hash_of_models(self.models)
 
     def items(self) -> list[ReviewItem]:
-        """What a person should check, by expected gain, without what they have answered."""
+        """All pieces of tracks with doubts, by expected gain, without what a person has answered."""
         if self._items is None:
             pieces = self.pieces
             found = review(self.labelling, self.clouds, tracklets=self._solved.tracklets)
             self._items = [item for item in found if not pieces.person[pieces.of_point[item.points[0]]]]
         return self._items
+
+    def to_look_at(self) -> list[ReviewItem]:
+        """Those of them that a person should look at: as many as `verdict` says."""
+        return to_look_at(self.items())
 
     @property
     def verdict(self) -> Readiness:
