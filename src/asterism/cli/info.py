@@ -47,7 +47,10 @@ def info(options: InfoOptions) -> None:
     for path in _shown(options.files, batch):
         with batch.file(path):
             contents.append({"file": path, **_content(path, batch, show=options.json != "-")})
-    _console.write_json(options.json, {"command": "info", "files": contents, "failed": batch.failed})
+    _console.write_json(
+        options.json,
+        {"command": "info", "files": contents, "failed": batch.failed, "findings": [finding.to_dict() for finding in batch.findings]},
+    )
     raise typer.Exit(batch.close())
 
 
