@@ -42,6 +42,11 @@ def header_doubt(sentence: str) -> Finding:
     return Finding("format-header-doubt", Severity.WARNING, "", sentence, "Look at the recording, and correct the file or export it again.")
 
 
+def plate_doubt(sentence: str) -> Finding:
+    """A force plate cannot be read, or what it says is doubtful."""
+    return Finding("format-force-plate", Severity.WARNING, "", sentence, "Check the FORCE_PLATFORM group, and export the file again.")
+
+
 def cut_off(sentence: str) -> Finding:
     """The file, or a line or section of it, ends too early."""
     return Finding("format-cut-off", Severity.WARNING, "", sentence, "Export or copy the file again.")
