@@ -43,7 +43,8 @@ def read_trc(path: Path) -> Points:
     """All points of a TRC file, with tabs, commas, semicolons or blanks between its cells.
 
     A sample is missing where it is blank, NaN in any spelling, or zero in all three coordinates. The number of points is that of the
-    columns, not that in the header: points without a name may stand behind those with one, another number in each line. The vertical is what the data show, else Y, as in OpenSim.
+    columns, not that in the header: points without a name may stand behind those with one, another number in each line. The vertical is
+    what the data show, else Y, as in OpenSim.
 
     Raises AsterismError, naming file and line, where the header is not that of a TRC file or a cell is not a number.
     """
@@ -104,9 +105,7 @@ def _sheet(path: Path, lines: list[str]) -> _TrcParts:
     widths = [len(cells_of(line.rstrip(), between)) if '"' in line else len(line.rstrip().split(between)) for line in lines[data_at:]]
     widest = max(widths, default=0)
     if widest * len(widths) > 50 * sum(widths) + 1_000_000:
-        raise AsterismError(
-            f"{path}, line {data_at + 1 + widths.index(widest)}: {widest:,} cells, far more than in other lines; correct it."
-        )
+        raise AsterismError(f"{path}, line {data_at + 1 + widths.index(widest)}: {widest:,} cells, far more than in others; correct it.")
     labels, known, findings = _labels(
         path, lines[names_at], delimiter, len(_axes(axes)) // 3, number_of(header.get("nummarkers", "")), -(-max(widest - 2, 0) // 3)
     )
@@ -210,7 +209,7 @@ def _labels(
     labels = [cells[i] for i in range(0, places[-1] + 1, 3)] if over and places else named
     known = len(labels)
     # Of names that stand elsewhere only the order counts, which tells nothing where some points have none.
-    fits = known == said or (beside and known <= count) or known == count or not count
+    fits = known in (said, count) or (beside and known <= count) or not count
     if not over and not fits:
         raise AsterismError(
             f"{path}: {known} names and {count} points, and the names do not stand over the columns; write each name over its X."

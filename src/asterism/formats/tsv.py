@@ -35,7 +35,7 @@ _OTHER_DATA = {
 
 @dataclass(frozen=True)
 class _Head:
-    """The lines above the table: their keys with values, the events, the lines of events without a time, and the place of the line that follows."""
+    """The lines above the table: their keys with values, the events, the lines of unread ones, and the place of what follows."""
 
     values: dict[str, list[str]]
     events: list[Event]
