@@ -24,7 +24,13 @@ def units_assumed(sentence: str) -> Finding:
 
 def vertical_conflict(sentence: str) -> Finding:
     """The file declares another vertical than its markers show."""
-    return Finding("format-vertical-conflict", Severity.NOTE, "", sentence, "Give the vertical with --vertical where this is wrong.")
+    mend = "Look which way is up, and give it with --vertical; correct it in the file."
+    return Finding("format-vertical-conflict", Severity.WARNING, "", sentence, mend)
+
+
+def vertical_assumed(sentence: str) -> Finding:
+    """The file declares no vertical, and its points do not show one clearly."""
+    return Finding("format-vertical-assumed", Severity.NOTE, "", sentence, "Give the vertical with --vertical where this is wrong.")
 
 
 def rate_conflict(sentence: str) -> Finding:
