@@ -35,7 +35,7 @@ def vertical(benchmark: BenchmarkRun) -> Iterator[Figure]:
         (one, np.add(other, [gap, 0.0, 0.0])) for one, other in zip(walks, walks[1:10] + walks[:1], strict=False) for gap in (0.6, 1.2, 2.0)
     ]
     merged = [np.concatenate(pair, axis=1) for pair in pairs]
-    read_as = [_read_again(Recording(both, [f"*{i}" for i in range(both.shape[1])], 100.0), declared=False) for both in merged]
+    read_as = [_read_again(Recording(both, ("*",) * both.shape[1], 100.0), declared=False) for both in merged]
     yield Figure("pairs of walkers, undeclared: z", ">= 30", sum(float(again.vertical[2]) for again in read_as), "files", len(pairs))
 
 

@@ -213,7 +213,7 @@ def settle_vertical(
         raise AsterismError(f"{path} does not say which way is up and its points do not show it; give vertical=, for example vertical='z'.")
     shown = chances_of(evidence)
     how = "data" if shown.argmax() == best and shown[best] >= LIKELIER else "convention"
-    if chances[best] >= 1.0 - _DOUBT:
+    if np.sort(chances)[-2] < _DOUBT:
         return AXES[best].copy(), how, []
     sentence = f"the file does not say which way is up, and its points do not show it clearly; {axis_name(AXES[best])} was taken"
     return AXES[best].copy(), how, [vertical_assumed(sentence)]
@@ -227,9 +227,9 @@ def _declared_vertical(declared: Floats, evidence: Floats) -> tuple[Floats, str,
     names = f"the file declares {axis_name(declared)} as up, its points are a body with {axis_name(AXES[best])} up"
     if best != said and chances[best] >= LIKELIER:
         return AXES[best].copy(), "data against file", [vertical_conflict(f"{names}, which was taken")]
-    if chances[said] >= 1.0 - _DOUBT:
-        return declared, "file", []
     other = int(np.where(np.arange(6) == said, 0.0, chances).argmax())
+    if chances[other] < _DOUBT:
+        return declared, "file", []
     sentence = (
         f"the file declares {axis_name(declared)} as up, which was taken, but its points may be a body with {axis_name(AXES[other])} up"
     )

@@ -25,15 +25,15 @@ chance decides, at twice a head that is upside down passes."""
 
 
 def other_verticals(recording: Recording, *, every: bool = False) -> list[Floats]:
-    """What may point up instead of the vertical that a file says: what the points of a body show, where that is something else.
+    """What may point up instead of the vertical that a recording was read with: what its points show, where that is something else.
 
-    every: all other axes, where the points show nothing else, since nothing was found with the vertical of the file.
+    every: all other axes behind it, since nothing was found with the vertical that was read.
     """
     shown = vertical_from_positions(recording.positions, recording.labels)
-    if shown is not None and shown @ recording.vertical < _OTHER:
-        return [shown]
+    found = [] if shown is None else [shown]
     axes = np.concatenate([np.eye(3), -np.eye(3)])
-    return [axis for axis in axes if axis @ recording.vertical < _OTHER] if every else []
+    others = [*found, *(axis for axis in axes if every and not any(axis @ one > _OTHER for one in found))]
+    return [axis for axis in others if axis @ recording.vertical < _OTHER]
 
 
 def labelled_upright(labeller: RecordingLabeller, recording: Recording, *, every: bool = False) -> Floats | None:
