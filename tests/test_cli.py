@@ -263,7 +263,9 @@ def test_label_names_the_points_of_a_stranger(
     before = source.read_bytes()
     assert run("label", source, "--model", model, "-o", tmp_path / "out", "--report", tmp_path / "report.html") == 0
     line = capsys.readouterr().out
-    assert re.search(r"nameless\.c3d: 100 frames, [\d.]+ % labelled, [\d.]+ % likely, [\d.]+ % unsure, [\d,]+ frames/s", line), line
+    assert re.search(
+        r"nameless\.c3d: 100 frames, [\d.]+ % labelled, [\d.]+ % likely, [\d.]+ % unsure, [\d.]+ % hidden, [\d,]+ frames/s", line
+    ), line
     labelled = formats.read(tmp_path / "out" / "nameless.c3d", markers=MARKERS)
     given = labelled.visible
     assert given.mean() > 0.7, f"{given.mean():.1%} of the markers labelled"

@@ -188,7 +188,7 @@ def test_the_page_opens_with_its_list_and_hostile_names_as_text(review: FakeRevi
         seen = int((review.marker[review.clouds.tracks[review.clouds.frame_of == 0]] >= 0).sum())  # type: ignore[index]
         elements = opened(f"http://127.0.0.1:{server.server_port}/?token={TOKEN}", tmp_path, r"class=\"line current\"")
         items = hostile.state()["items"]
-        assert f"To check: {len(items)}" in elements and f"Look at {len(items)} pieces of tracks." in elements
+        assert f"To look at: {len(items)}" in elements and f"Look at {len(items)} pieces of tracks." in elements
         first = next(item for item in items)
         assert re.search(rf"frame {101 + first['frame']}, \d+ of 15 markers", elements) and seen > 0
         assert "<img" not in elements and "onerror" in elements and "\u202e" not in elements and "a\ufffdb" in elements
@@ -253,7 +253,7 @@ def test_a_wrong_token_is_said(review: FakeReview, tmp_path: Path) -> None:
     server = serve(review)
     try:
         elements = opened(f"http://127.0.0.1:{server.server_port}/?token=old", tmp_path, "of an earlier run")
-        assert "To check:" not in elements
+        assert "To look at:" not in elements
     finally:
         server.shutdown()
         server.server_close()

@@ -18,7 +18,7 @@ from asterism.findings import Severity
 from asterism.labelling.whole._distance_kernels import frame_scatters
 from asterism.labelling.whole.verdict import RigidDistances, RivalCounts, VerdictRules, judge
 from asterism.recording import Floats, Recording
-from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, Verdict
+from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, UNKNOWN, Verdict
 from asterism.simulation import simulate_gaps_and_ghosts, simulate_standing, simulate_walks
 
 pytestmark = pytest.mark.kernels
@@ -186,8 +186,27 @@ def test_one_person_gives_the_smallest_limit_and_other_people_widen_it() -> None
 
 def test_no_points_are_nothing_to_judge() -> None:
     verdict = judge(np.full((10, 20, 3), np.nan), np.zeros(10, dtype=np.int64), rigid_body())
-    assert verdict.kind == FITS
+    assert verdict.kind == UNKNOWN
     assert np.isnan(verdict.scatter)
+
+
+def test_markers_too_few_to_compare_do_not_fit() -> None:
+    """Three of twenty markers, all that are in view: three distances, which any three points have about as well."""
+    positions = np.tile(BODY, (20, 1, 1))
+    positions[:, 3:] = np.nan
+    verdict = judge(positions, np.full(20, 3), rigid_body())
+    assert verdict.kind == UNKNOWN and verdict.max_confidence < 0.99
+    positions[:, 3:10] = BODY[3:10]
+    assert judge(positions, np.full(20, 10), rigid_body()).kind == FITS
+
+
+def test_a_person_who_enters_late_is_judged_where_they_are() -> None:
+    """Fifteen still points, and the body in a tenth of the frames: the same verdict as of these frames alone."""
+    positions, counts = np.full((200, 20, 3), np.nan), np.full(200, 15)
+    positions[180:], counts[180:] = BODY, 35
+    verdict = judge(positions, counts, rigid_body())
+    assert verdict == judge(positions[180:], counts[180:], rigid_body())
+    assert verdict.labelled == 1.0
 
 
 def test_exchangeable_markers_are_said_once() -> None:

@@ -138,8 +138,3 @@ def labels_kept(path: Path, labelling: Labelling, recording: Recording, clouds: 
         return keep_labels(labelling, recording, clouds, marker_set)
     except AsterismError as problem:
         raise AsterismError(f"{path}: {problem}") from None
-
-
-def shares_text(row: Mapping[str, Any]) -> str:
-    """What became of a recording's markers, in words: the shares in `row`, as `LabelShares` names them."""
-    return ", ".join(f"{_console.percent(row[name])} {name}" for name in ("labelled", "likely", "unsure"))

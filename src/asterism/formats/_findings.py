@@ -43,6 +43,11 @@ def header_conflict(sentence: str) -> Finding:
     return Finding("format-header-conflict", Severity.NOTE, "", sentence, "Export the file again where it should hold more.")
 
 
+def header_doubt(sentence: str) -> Finding:
+    """Parts of the file contradict each other, and the file does not show which is right."""
+    return Finding("format-header-doubt", Severity.WARNING, "", sentence, "Look at the recording, and correct the file or export it again.")
+
+
 def cut_off(sentence: str) -> Finding:
     """The file, or a line or section of it, ends too early."""
     return Finding("format-cut-off", Severity.WARNING, "", sentence, "Export or copy the file again.")
@@ -56,6 +61,11 @@ def short_rows(sentence: str) -> Finding:
 def missing_samples(sentence: str) -> Finding:
     """Samples that cannot be positions were taken as missing."""
     return Finding("format-missing-samples", Severity.NOTE, "", sentence, "Export the file again where they should be positions.")
+
+
+def events_outside(sentence: str) -> Finding:
+    """Events lie before the first frame or behind the last one."""
+    return Finding("format-events-outside", Severity.NOTE, "", sentence, "Check the first frame's number where the file was cut.")
 
 
 def frame_numbers(sentence: str) -> Finding:

@@ -7,12 +7,13 @@ from asterism.recording.known_labels import Disagreement, check_labels, is_partl
 from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, shipped_sets, without_subject
 from asterism.recording.place import Place, landmarks
 from asterism.recording.processing import ProcessingStep, log_as_text, log_from_text
-from asterism.recording.shares import SURE, LabelShares, LabelStates, label_shares, label_states
+from asterism.recording.shares import LABEL_STATES, SURE, LabelShares, LabelStates, label_shares, label_states
 from asterism.recording.trajectories import Event, Recording, keep_labels, subject_of
 from asterism.recording.verdict import Verdict
 from asterism.recording.worn_set import WornSet, worn_marker_sets
 
 __all__ = [
+    "LABEL_STATES",
     "NULL",
     "SURE",
     "Blobs",

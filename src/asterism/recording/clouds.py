@@ -230,7 +230,7 @@ class Labelling:
                 Finding("label-two-bodies", Severity.WARNING, where, sentence, "Give --model, or --markers without one, once for each.")
             )
         if self.verdict is not None:
-            found += self.verdict.findings(where)
+            found += self.verdict.findings(where, labels=bool((self.indices >= 0).any()))
         if self.stretches > 1:
             sentence = f"{where} is long: it was labelled in {self.stretches} stretches, which were joined where they overlap."
             mend = "Nothing need be done; a label differs from that of the whole only where a stretch alone does not show what it is."

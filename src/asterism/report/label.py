@@ -29,8 +29,6 @@ class LabelledRecording:
     truth        (T, M) int, for each marker its place in its frame's cloud, -1 where it is hidden; None where it is not known
     first_frame  the number that the file gives its first frame
 
-    A marker without a label counts as unsure where its frame has points left over, as hidden where none is left. Where the truth is
-    given, it decides.
     """
 
     labelling: Labelling
@@ -41,7 +39,7 @@ class LabelledRecording:
 
     @cached_property
     def states(self) -> LabelStates:
-        """What became of each marker in each frame, by what is left over."""
+        """What became of each marker in each frame."""
         return label_states(self.labelling, self.clouds)
 
     @cached_property
@@ -56,13 +54,13 @@ class LabelledRecording:
 
     @cached_property
     def unsure(self) -> NDArray[np.bool_]:
-        """(T, M) whether a marker got no label though it may be in view."""
-        return self.states.unsure if self.truth is None else np.asarray(~self.given & (self.truth >= 0))
+        """(T, M) whether a marker got no label though a point without one may be it."""
+        return self.states.unsure
 
     @cached_property
     def hidden(self) -> NDArray[np.bool_]:
-        """(T, M) whether a marker got no label and is out of view."""
-        return ~self.given & ~self.unsure
+        """(T, M) whether a marker got no label and no point is left that may be it."""
+        return self.states.hidden
 
     @cached_property
     def wrong(self) -> NDArray[np.bool_] | None:
@@ -97,7 +95,7 @@ def label_report(
     rows = [{**_counted(recordings, i, row), **row} for i, row in enumerate(given_rows)]
     names = short_names([str(row.get("file", "")) or "the recording" for row in rows])
     sections = [
-        Section("Files", table=_files(rows, names), note=_note(recordings)),
+        Section("Files", table=_files(rows, names), note=_NOTE),
         *([Section("What to know before using it", table=findings_table(findings))] if findings else []),
         *([_against_truth(recordings)] if any(one.truth is not None for one in recordings) else []),
         *_pictures(recordings, rows, names),
@@ -206,16 +204,10 @@ _MANY_UNSURE = 0.02
 _FEW_WRONG = 0.001
 """Share of wrong labels up to which the page marks it as good: the target hit rate of a model by default."""
 _NOTE = (
-    "Unsure: a marker without a label in a frame with unlabelled points (the marker may be hidden, and the points may be ghosts). "
-    "Hidden: a marker without a label in a frame in which every point has a label."
+    "Labelled: a label with a confidence of 99 % or more. Likely: a label with less. "
+    "Unsure: a marker without a label, where one of the unlabelled points may be it. "
+    "Hidden: a marker without a label, where none is left that may be it: all points have a label, or the others are ghosts."
 )
-_NOTE_WITH_TRUTH = "Unsure: a marker in view without a label. Hidden: a marker out of view without a label, which is right."
-_NOTE_LIKELY = "Labelled: a label with a confidence of 99 % or more. Likely: a label with less. "
-
-
-def _note(recordings: Sequence[LabelledRecording]) -> str:
-    known = [one.truth is not None for one in recordings]
-    return _NOTE_LIKELY + (_NOTE_WITH_TRUTH if known and all(known) else _NOTE)
 
 
 def _files(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Table:

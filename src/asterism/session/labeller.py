@@ -28,7 +28,7 @@ from asterism.labelling.virtual_model import virtual_model
 from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.labelling.whole.verdict import MIN_FRAMES
 from asterism.progress import Progress
-from asterism.recording import Clouds, Disagreement, Labelling, MarkerSet
+from asterism.recording import Clouds, Disagreement, Ints, Labelling, MarkerSet
 from asterism.recording.display import counted
 from asterism.recording.verdict import OTHER_BODY
 from asterism.session.coincident import coincident_findings
@@ -167,7 +167,7 @@ class FileLabeller:
             labelled = labelled if other is None else self._label_source(path, self._open(path, other), progress)
         if other is None:
             return labelled
-        return replace(labelled, findings=(vertical_finding(str(path), said, other), *labelled.findings))
+        return replace(labelled, found=(vertical_finding(str(path), said, other), *labelled.found))
 
     def _open(self, path: Path, vertical: ArrayLike | str | None) -> FrameSource:
         """The recording of a file. Raises AsterismError as `label` does."""
@@ -194,7 +194,7 @@ class FileLabeller:
         copy = found.source.finish(found.labelling, policy, self.options.by)
         seconds = time.perf_counter() - started
         findings += found.labelling.findings(str(path))
-        findings += _nothing_labelled(path, found.labelling) or _few_frames(path, found.labelling)
+        findings += _nothing_labelled(path, found.labelling) or _few_frames(path, source.counts)
         clouds = source.clouds(_beginning(source))
         findings += coincident_findings(str(path), clouds)
         findings += mirror_findings(str(path), self._plain, found.labelling, clouds)
@@ -234,13 +234,13 @@ class FileLabeller:
             turned = not np.allclose(shown, said)
             labelled = labeller._label_source(path, labeller._open(path, shown if turned else self.options.vertical), progress)
             if turned:
-                labelled = replace(labelled, findings=(vertical_finding(str(path), said, shown), *labelled.findings))
-        findings = [*labelled.findings, *findings_on_sets(path, bodies, self._finder.rules)]
+                labelled = replace(labelled, found=(vertical_finding(str(path), said, shown), *labelled.found))
+        findings = [*labelled.found, *findings_on_sets(path, bodies, self._finder.rules)]
         if BY_NAMES not in {one.by for one in bodies}:
             findings += _few_markers(path, labelled.labelling, labelled.clouds, bodies)
         if labeller.wider is not None:
             findings.append(_explained_by(path, labeller.wider.name, bodies[0].name))
-        return replace(labelled, worn=tuple(bodies), findings=tuple(findings))
+        return replace(labelled, worn=tuple(bodies), found=tuple(findings))
 
     def _of_wider(self, labeller: FileLabeller, wider: WiderModel) -> FileLabeller:
         """What labels the files of a set whose points another model explains better, made once."""
@@ -451,12 +451,13 @@ def _few_markers(path: Path, labelling: Labelling, clouds: Clouds, worn: Sequenc
     return [Finding("label-few-markers", Severity.WARNING, str(path), sentence, mend)]
 
 
-def _few_frames(path: Path, labelling: Labelling) -> list[Finding]:
-    """The finding that a file is too short for its movement to speak for the labels."""
-    frames = len(labelling.indices)
+def _few_frames(path: Path, counts: Ints) -> list[Finding]:
+    """The finding that a file shows too little for its movement to speak for the labels; counts (T,) points of each frame."""
+    frames = int((np.asarray(counts) > 0).sum())
     if frames >= MIN_FRAMES:
         return []
-    sentence = f"{path}: {counted(frames, 'frame')} cannot show which distances stay while a body moves; the posture alone gave the labels."
+    sentence = f"{path}: {counted(frames, 'frame')} with points cannot show which distances stay while a body moves; "
+    sentence += "the posture alone gave the labels."
     mend = "Check them with `asterism review`, or give the whole recording: its other frames make them sure."
     return [Finding("label-few-frames", Severity.NOTE, str(path), sentence, mend)]
 

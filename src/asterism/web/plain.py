@@ -49,9 +49,7 @@ def _plain_trial(trial: CorrectionTrial) -> dict[str, Any]:
             "rate": correction.recording.rate,
             "first_frame": correction.recording.first_frame,
             "verdict": plain_verdict(correction.verdict),
-            "labelled": _number(shares.labelled),
-            "likely": _number(shares.likely),
-            "unsure": _number(shares.unsure),
+            **{name: _number(share) for name, share in vars(shares).items()},
             "touches": len(correction.touches),
             "saved": trial.is_saved,
         }
@@ -90,7 +88,7 @@ def plain_state(trial: CorrectionTrial, correction: Correction) -> dict[str, Any
                 "gain": round(item.gain, 3),
                 "alternatives": [[name, round(chance, 6)] for name, chance in item.alternatives],
             }
-            for item in correction.items()[:ITEMS]
+            for item in correction.to_look_at()[:ITEMS]
         ],
         "verdict": plain_verdict(correction.verdict),
         "can_undo": correction.can_undo,

@@ -9,7 +9,8 @@ import numpy as np
 
 from asterism.labelling.review import ReviewItem
 from asterism.recording import Clouds, Labelling
-from asterism.recording.verdict import OTHER_BODY
+from asterism.recording.shares import SURE
+from asterism.recording.verdict import OTHER_BODY, OTHER_PERSON
 
 READY, LOOK, DO_NOT_USE = "ready", "look", "do-not-use"
 
@@ -69,25 +70,33 @@ def readiness(labelling: Labelling, clouds: Clouds, items: Sequence[ReviewItem],
     visible = int(np.minimum(clouds.counts, len(labelling.names)).sum())
     error = min(1.0, sum(item.gain for item in items) / max(visible, 1))
     look_at = len(to_look_at(items, rules))
-    verdict = labelling.verdict
+    verdict, given = labelling.verdict, int((labelling.indices >= 0).sum())
     if verdict is not None and not verdict.fits:
         # A recording that does not fit hides its errors: points without a label count as missing.
         unanswered = sum(item.samples for item in items if item.marker is None)
-        error = max(error, min(unanswered, visible - int((labelling.indices >= 0).sum())) / max(visible, 1))
+        error = max(error, min(unanswered, visible - given) / max(visible, 1))
+
+    def judged(kind: str, sentence: str) -> Readiness:
+        return Readiness(kind, sentence, look_at, error)
+
     # Nothing was labelled, so that there are no labels whose errors could be counted.
-    if verdict is not None and verdict.kind == OTHER_BODY and not (labelling.indices >= 0).any():
-        return Readiness(DO_NOT_USE, "Do not use: this is no body that the model knows, and no label was given.", look_at, error)
+    if not given:
+        why = "this is no body that the model knows, and " if verdict is not None and verdict.kind == OTHER_BODY else ""
+        return judged(DO_NOT_USE, f"Do not use: {why}no label was given.")
     if error > rules.max_error:
-        sentence = f"Do not use: {100 * error:.0f} % of the labels are expected to be wrong or missing."
-        return Readiness(DO_NOT_USE, sentence, look_at, error)
-    # A recording of too few points shows nothing that could contradict the model.
-    if visible and not (labelling.indices >= 0).any():
-        return Readiness(DO_NOT_USE, "Do not use: no label was given.", look_at, error)
-    # Two halves that may be exchanged as a whole show no error in any single label.
-    exchangeable = () if verdict is None else verdict.exchangeable
-    if exchangeable:
-        names = "; ".join(f"{', '.join(group[:-1])} and {group[-1]}" for group in exchangeable)
-        return Readiness(LOOK, f"Look: {names} may be exchanged throughout.", look_at, error)
-    if look_at:
-        return Readiness(LOOK, f"Look at {look_at} piece{'s' if look_at > 1 else ''} of tracks.", look_at, error)
-    return Readiness(READY, "Ready: no label needs a look.", 0, error)
+        return judged(DO_NOT_USE, f"Do not use: {100 * error:.0f} % of the labels are expected to be wrong or missing.")
+    # What concerns the whole recording shows no error in any single label.
+    if labelling.bodies > 1:
+        return judged(LOOK, "Look: a second person wears the model's markers and has no label; give the model once for each.")
+    if verdict is not None and verdict.exchangeable:
+        names = "; ".join(f"{', '.join(group[:-1])} and {group[-1]}" for group in verdict.exchangeable)
+        return judged(LOOK, f"Look: {names} may be exchanged throughout.")
+    pieces = f"{look_at} piece{'s' if look_at > 1 else ''} of tracks"
+    # What a person has confirmed is sure, whatever the model knows.
+    if verdict is not None and not verdict.fits and (labelling.confidence[labelling.indices >= 0] < SURE).any():
+        teach = " Then teach it with `asterism learn`." if verdict.kind == OTHER_PERSON else ""
+        if look_at:
+            return judged(LOOK, f"Look at {pieces}: {verdict.limited_by}, so that no label of it is sure.{teach}")
+        # No piece stands out, so that one look at the whole is enough.
+        return judged(LOOK, f"Look once: the labels agree with each other, but {verdict.limited_by}, so that none is sure.{teach}")
+    return judged(LOOK, f"Look at {pieces}.") if look_at else judged(READY, "Ready: no label needs a look.")

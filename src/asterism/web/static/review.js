@@ -227,7 +227,7 @@
 
     next(by) {
       const i = this.labels.nextItem(this.selected, this.wasItem, by);
-      if (i < 0) this.messages.say("Nothing is left to check.");
+      if (i < 0) this.messages.say("Nothing is left to look at.");
       else this.goToItem(i);
     }
 
