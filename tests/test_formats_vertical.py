@@ -93,9 +93,10 @@ def lying(height: float) -> np.ndarray:
     return body + np.random.default_rng(0).uniform(0, 0.2, (1, len(GAIT), 3))
 
 
-def test_somebody_lying_on_the_floor_is_not_stood_up_by_names():
-    told = vertical_from_positions(lying(0.01), GAIT)
-    assert told is None or tuple(told) == (0, 0, 1)
+def test_somebody_lying_on_the_floor_is_not_stood_up_by_names(tmp_path):
+    for usual in ({"declared": np.array([0.0, 0.0, 1.0])}, {"fallback": np.array([0.0, 0.0, 1.0])}):
+        vector, _, said = settle_vertical(tmp_path, lying(0.01), GAIT, **usual)
+        assert (tuple(vector), [finding.code[:15] for finding in said]) == ((0, 0, 1), ["format-vertical"])
 
 
 def test_somebody_lying_on_a_bed_does_not_overrule_the_file(tmp_path):

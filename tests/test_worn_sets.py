@@ -354,14 +354,14 @@ def in_a_corner(recording: Recording, axes: list[int]) -> Recording:
 @pytest.mark.parametrize("door", ["points", "given", "names", "trained"])
 def test_a_wrong_vertical_is_noticed(door: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Labels are those of the file that says what is up; a finding tells what was taken. Who says what is up is believed."""
-    # the reader sees it where whole bodies stand; of legs alone it sees too little, so that labelling has to
+    # of legs alone the reader sees too little, so that labelling has to
     markers, frames = ("optitrack-rizzoli-lower", 20) if door == "points" else ("plug-in-gait", 5)
     truth = person(markers).frames(slice(0, frames))
     file, straight = (tmp_path / name for name in ("wrong.c3d", "right.c3d"))
     shown = truth if door == "names" else anonymous(truth)
     asterism.write(file, in_a_corner(shown, [1, 2, 0]))
     asterism.write(straight, in_a_corner(shown, [0, 1, 2]))
-    assert (asterism.read(file).vertical[2] == 1.0) == (door == "points")
+    assert door != "points" or asterism.read(file).vertical[2] == 1.0, "the reader itself sees it, so that this tests nothing"
     words = ["--markers", markers] if door == "given" else []
     if door == "trained":
         virtual_model(markers).save(tmp_path / "mine.model")

@@ -16,7 +16,7 @@ from asterism.files.text import some_of
 from asterism.findings import Finding
 from asterism.formats._findings import events_outside, located, missing_samples, units_assumed, vertical_assumed, vertical_conflict
 from asterism.formats._physical import COMPUTED, UNNAMED, kinds_by_name
-from asterism.formats._vertical import AXES, LIKELIER, axis_of, chances_of, vertical_evidence, vertical_from_positions
+from asterism.formats._vertical import AXES, LIKELIER, VerticalEvidence, axis_of, chances_of, vertical_evidence, vertical_from_positions
 from asterism.recording import Event, Floats, MarkerSet, ProcessingStep, Recording, as_vertical, axis_name, canonical, without_subject
 from asterism.recording.arrays import missing_codes, nan_median
 from asterism.recording.display import metres
@@ -225,14 +225,14 @@ def settle_vertical(
     if declared is not None:
         return _declared_vertical(as_vertical(declared), evidence)
     custom = None if fallback is None else as_vertical(fallback)
-    chances = chances_of(evidence, _before(custom, 1.0 - _CUSTOM))
+    chances = chances_of(evidence.total, _before(custom, 1.0 - _CUSTOM))
     best = int(chances.argmax())
     # Of several that may be meant, custom says which.
     if chances[best] < LIKELIER and custom is not None:
         best = axis_of(custom)
     elif chances[best] < LIKELIER:
         raise AsterismError(f"{path} does not say which way is up and its points do not show it; give vertical=, for example vertical='z'.")
-    shown = chances_of(evidence)
+    shown = chances_of(evidence.total)
     how = "data" if shown.argmax() == best and shown[best] >= LIKELIER else "convention"
     if np.sort(chances)[-2] < _DOUBT:
         return AXES[best].copy(), how, []
@@ -240,20 +240,21 @@ def settle_vertical(
     return AXES[best].copy(), how, [vertical_assumed(sentence)]
 
 
-def _declared_vertical(declared: Floats, evidence: Floats) -> tuple[Floats, str, list[Finding]]:
+def _declared_vertical(declared: Floats, evidence: VerticalEvidence) -> tuple[Floats, str, list[Finding]]:
     """A declared vertical, or the one that points contradict it with; where the vertical comes from; and what is to be said."""
-    said = axis_of(declared)
-    chances = chances_of(evidence, _before(declared, _MISDECLARED))
-    best = int(chances.argmax())
-    names = f"the file declares {axis_name(declared)} as up, its points are a body with {axis_name(AXES[best])} up"
-    if best != said and chances[best] >= LIKELIER:
-        return AXES[best].copy(), "data against file", [vertical_conflict(f"{names}, which was taken")]
-    other = int(np.where(np.arange(6) == said, 0.0, chances).argmax())
-    if chances[other] < _DOUBT:
+    before = _before(declared, _MISDECLARED)
+    chances = chances_of(evidence.total, before)
+    best, name = int(chances.argmax()), axis_name(declared)
+    if best != axis_of(declared) and chances[best] >= LIKELIER:
+        sentence = f"the file declares {name} as up, its points are a body with {axis_name(AXES[best])} up, which was taken"
+        return AXES[best].copy(), "data against file", [vertical_conflict(sentence)]
+    # Names may contradict it alone: somebody lies, or the file is wrong.
+    others = np.maximum(chances, chances_of(evidence.named, before))
+    others[axis_of(declared)] = 0.0
+    if others.max() < _DOUBT:
         return declared, "file", []
-    sentence = (
-        f"the file declares {axis_name(declared)} as up, which was taken, but its points may be a body with {axis_name(AXES[other])} up"
-    )
+    other = axis_name(AXES[others.argmax()])
+    sentence = f"the file declares {name} as up, which was taken, but its points may be a body with {other} up"
     return declared, "file", [vertical_conflict(sentence)]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +25,7 @@ ankles are on it."""
 _AT_ZERO = 0.05
 """Distance of a floor from zero height, in such sizes, at which zero is no sign any more: 10 cm for a person."""
 
-_WEIGHTS = {
-    "level": 0.45, "many": 1.6, "share": 1.2, "zero": 5.0, "travel": 2.2, "extent": 1.65, "still": 2.0, "named": 2.75,
-}  # fmt: skip
+_WEIGHTS = {"level": 0.7, "many": 2.25, "zero": 5.0, "travel": 1.4, "extent": 1.5, "still": 2.2, "named": 1.2}
 """Log odds for one unit of each sign of `signs_of`. Fitted as one conditional logit over the six axes, to recordings of other people than
 those that judge it: whole, cut to 0.3 to 3 s and to one frame, with half of the markers, without names, in pieces, moved in the room, and
 two people merged. At half of them or double nearly the same axes win; what changes is how sure they are."""
@@ -54,6 +53,14 @@ LIKELIER = 0.5
 """Probability from which an axis is taken: it is likelier than all others together."""
 
 
+@dataclass(frozen=True)
+class VerticalEvidence:
+    """What is said for each of `AXES`, nats: by all signs (6,), and by names alone (6,); zeros where nothing is."""
+
+    total: Floats
+    named: Floats
+
+
 def vertical_from_positions(positions: Floats, labels: Sequence[str] = ()) -> Floats | None:
     """The axis that points up, from how a body stands and moves, or None where that does not show.
 
@@ -62,25 +69,26 @@ def vertical_from_positions(positions: Floats, labels: Sequence[str] = ()) -> Fl
 
     Returns a unit vector along one of the six axis directions, never a tilted one. See `vertical_evidence`.
     """
-    chances = chances_of(vertical_evidence(positions, labels))
+    chances = chances_of(vertical_evidence(positions, labels).total)
     return AXES[chances.argmax()].copy() if chances.max() >= LIKELIER else None
 
 
-def vertical_evidence(positions: Floats, labels: Sequence[str] = ()) -> Floats:
-    """(6,) nats: what positions and names say for each of `AXES` pointing up; zeros where they say nothing.
+def vertical_evidence(positions: Floats, labels: Sequence[str] = ()) -> VerticalEvidence:
+    """What positions and names say for each of `AXES` pointing up.
 
     positions (T, P, 3) in any one unit, NaN missing; labels (P,), or none. The signs are those of a body under gravity: many of its points
     touch one floor, and touch it again over time; points on the floor do not move up and down; a body travels along the floor; it is
     longest upwards; laboratories put zero on the floor; and heads are above feet, where names tell them. O(frames * points), of at most
     400 frames.
     """
-    signs = signs_of(positions, labels)
+    positions = np.asarray(positions, dtype=np.float64)
+    signs = {name: _WEIGHTS[name] * sign for name, sign in signs_of(positions, labels).items()}
     if not signs:
-        return np.zeros(6)
-    chances = chances_of(np.sum([_WEIGHTS[name] * sign for name, sign in signs.items()], axis=0))
-    points = np.isfinite(np.asarray(positions)[:: max(1, len(positions) // _MOST_FRAMES), :, 0]).sum(axis=1)
+        return VerticalEvidence(np.zeros(6), np.zeros(6))
+    points = np.isfinite(positions[:: max(1, len(positions) // _MOST_FRAMES), :, 0]).sum(axis=1)
     thing = 0.5 ** (float(np.median(points[points >= 3])) / _HALVING) if (points >= 3).any() else 1.0
-    return np.asarray(np.log((1.0 - thing) * 6.0 * chances + thing))
+    total = np.log((1.0 - thing) * 6.0 * chances_of(np.sum(list(signs.values()), axis=0)) + thing)
+    return VerticalEvidence(total, signs.get("named", np.zeros(6)))
 
 
 def signs_of(positions: Floats, labels: Sequence[str] = ()) -> dict[str, Floats]:
@@ -146,7 +154,8 @@ def _along(height: Floats, rise: Floats, moving: NDArray[np.bool_], size: float)
     low, top = np.nanmin(height, axis=1), np.nanmax(height, axis=1)
     # A tenth of the frames may be below: jumps down from something, and ghosts.
     floor, late = nan_quantile(low, [0.1, 0.9], axis=0)
-    near = height < floor + _FLOOR * size
+    # The lowest of each frame that reaches the floor: who travels passes any place with all points.
+    near = (height < low[:, None] + _FLOOR * size) & (np.abs(low - floor) < _FLOOR * size)[:, None]
     seen = np.isfinite(height)
     of_points = near.sum(axis=0)
     shares = of_points[of_points > 0] / of_points.sum()
@@ -164,7 +173,6 @@ def _along(height: Floats, rise: Floats, moving: NDArray[np.bool_], size: float)
         "level": -float(np.log((late - floor) / size + 0.01)),
         # entropy: how many points take part, also where each is in many pieces
         "many": -float((shares * np.log(shares)).sum()),
-        "share": float(np.log(near.sum() / seen.sum() + 0.01)),
         "zero": float(np.exp(-0.5 * (floor / (_AT_ZERO * size)) ** 2)),
         "still": still,
     }
@@ -185,7 +193,7 @@ def _by_names(now: Floats, labels: Sequence[str]) -> Floats:
         return np.zeros(6)
     cosine = (rise / np.where(length > 0, length, np.inf)).mean(axis=0) * (len(length) / (length > 0).sum())
     # Without the pelvis two levels may be a bent limb.
-    return np.asarray(AXES @ cosine * (1.0 if len(known) > 2 or _PELVIS in known else 0.6))
+    return np.asarray(-np.log(1.0 - AXES @ cosine + 0.05) * (1.0 if len(known) > 2 or _PELVIS in known else 0.6))
 
 
 def _level(label: str) -> int:
