@@ -13,7 +13,7 @@ from asterism.cli import main
 from asterism.errors import NoMarkers
 from asterism.findings import Finding, Severity
 from asterism.formats import describe, read, write
-from asterism.formats.c3d._edit import floats_record, integers_record
+from asterism.formats.c3d._edit import floats_record, integers_record, strings_record
 from asterism.formats.c3d._file import C3DFile, open_c3d
 from asterism.formats.c3d._numbers import PC
 from asterism.formats.c3d._parameters import Record, make_group
@@ -278,3 +278,47 @@ def test_a_file_of_computed_points_only_has_no_markers(names: tuple[str, ...], t
     told = describe(path)["points"]
     assert (told["physical"], told["computed"]) == ([], list(names))
     assert read(path, markers=names).labels == names
+
+
+def named(path: Path, names: list[bytes]) -> bytes:
+    """Bytes of a file whose points have these names."""
+    file = written(path, walk(60, len(names)))
+    group = file.parameters.group_id("POINT")
+    assert group is not None
+    labels: dict[tuple[str, str], Record | None] = {("POINT", "LABELS"): strings_record("LABELS", group, names, 4, PC)}
+    return changed(file, {}, labels)
+
+
+@pytest.mark.parametrize(
+    ("names", "encoding", "finding"),
+    [
+        (("右膝", "左膝", "ヒザ", "C7"), "cp932", "in Shift-JIS"),
+        (("Fußspitze", "épaule", "cœur", "C7"), "cp1252", ""),
+        (("Łokieć", "Žebro", "koleno", "C7"), "cp1250", ""),
+        (("右膝", "左膝", "ヒザ", "Größe"), "utf-8", ""),
+    ],
+)
+def test_names_are_read_in_the_encoding_that_they_have(names: tuple[str, ...], encoding: str, finding: str, tmp_path: Path) -> None:
+    path = tmp_path / "names.c3d"
+    path.write_bytes(named(path, [name.encode(encoding) for name in names]))
+    recording = read(path)
+    assert recording.labels == names
+    assert said(recording, finding) if finding else not findings_of(recording)
+    write(tmp_path / "again.c3d", recording)
+    assert (tmp_path / "again.c3d").read_bytes() == path.read_bytes()
+    # New names are UTF-8, beside the old ones.
+    write(tmp_path / "new.c3d", replace(recording, labels=("Größe", *names[1:])))
+    assert read(tmp_path / "new.c3d").labels == ("Größe", *names[1:])
+
+
+def test_names_in_an_unknown_encoding_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "names.c3d"
+    path.write_bytes(named(path, [name.encode("gbk") for name in ("右膝盖", "左膝盖", "左脚踝", "右脚踝")]))
+    assert said(read(path), "encoding of the names is not known", Severity.NOTE)
+
+
+def test_a_name_that_its_field_cuts_within_a_character_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "names.c3d"
+    for encoding in ("cp932", "utf-8"):
+        path.write_bytes(named(path, ["右膝外".encode(encoding)[:-1], b"C7", b"LKNE", b"RKNE"]))
+        assert read(path).labels[0].startswith("右膝")

@@ -67,6 +67,11 @@ def frame_numbers(sentence: str) -> Finding:
     return Finding("format-frame-numbers", Severity.NOTE, "", sentence, "Check the frame column.")
 
 
+def text_encoding(sentence: str) -> Finding:
+    """Names are in another encoding than UTF-8 and the usual European ones."""
+    return Finding("format-text-encoding", Severity.NOTE, "", sentence, "Export the file again with names in UTF-8 or in plain letters.")
+
+
 def point_names(sentence: str) -> Finding:
     """Points have no name, or a name occurs several times."""
     return Finding("format-point-names", Severity.NOTE, "", sentence, "Name each point once.")

@@ -20,7 +20,7 @@ from asterism.formats._columns import METRES_PER_UNIT, body_size
 from asterism.formats._findings import header_conflict, header_doubt, rate_conflict
 from asterism.formats.c3d._layout import BLOCK, Header, Layout, find_layout, first_frame_of, header_of
 from asterism.formats.c3d._numbers import PC, PROCESSORS, Processor, Words
-from asterism.formats.c3d._parameters import Parameters, text_of
+from asterism.formats.c3d._parameters import Parameters
 from asterism.recording import Event, Floats
 from asterism.recording.arrays import missing_codes
 
@@ -208,7 +208,7 @@ class C3DFile:
     @cached_property
     def labels(self) -> list[str]:
         """One label per point; a point without one is called `*` and its place, counted from 1."""
-        found = [text_of(raw) for raw in self.raw_labels]
+        found = [self.parameters.text_of(raw) for raw in self.raw_labels]
         return [label or f"*{place + 1}" for place, label in enumerate(found)]
 
     @cached_property
