@@ -168,15 +168,15 @@ def test_a_cropped_file_has_the_first_frame_that_fits_its_frames(tmp_path: Path)
     (tmp_path / "cropped.c3d").write_bytes(changed(file, {}, stale))
     recording = read(tmp_path / "cropped.c3d")
     assert (len(recording), recording.first_frame) == (100, 101)
-    assert said(recording, "first frame is 1 by TRIAL and 101 by the header; 101 was used", Severity.NOTE)
+    assert said(recording, "first frame is 1 by TRIAL, 101 by the header; 101 was used", Severity.NOTE)
     # Or it changed neither the numbers in TRIAL nor the events, and counts anew in the header.
     (tmp_path / "anew.c3d").write_bytes(changed(file, {4: 1, 5: 100}, {}))
     recording = read(tmp_path / "anew.c3d")
     assert recording.first_frame == 101
-    assert said(recording, "101 was used", Severity.NOTE)
+    assert said(recording, "101 was used, which fits the frames and events better", Severity.NOTE)
     without = written(tmp_path / "plain.c3d", walk(100, first_frame=101))
     (tmp_path / "plain.c3d").write_bytes(changed(without, {4: 1, 5: 100}, {}))
-    assert said(read(tmp_path / "plain.c3d"), "101 was used", Severity.WARNING)
+    assert said(read(tmp_path / "plain.c3d"), "101 by TRIAL, 1 by the header; 101 was used", Severity.WARNING)
 
 
 @pytest.mark.parametrize("suffix", ["c3d", "npz"])

@@ -255,7 +255,7 @@ class C3DFile:
 
     @cached_property
     def _first_frame(self) -> tuple[int, Finding | None]:
-        return first_frame_of(self.header, self.parameters, self.layout.frames, self.events, self.rate)
+        return first_frame_of(self.header, self.parameters, self.layout, self.events, self.rate)
 
     @cached_property
     def doubts(self) -> tuple[Finding, ...]:
