@@ -214,6 +214,36 @@ def test_of_three_rates_two_decide(tmp_path: Path) -> None:
     assert said(recording, "100 was used", Severity.NOTE)
 
 
+@pytest.mark.parametrize("claim", ["header", "parameters"])
+def test_a_wrong_number_of_points_gives_way_to_the_one_that_fills_the_file(claim: str, tmp_path: Path) -> None:
+    file = written(tmp_path / "walk.c3d", walk(24))
+    # 24 frames of one point more or less have less than a block, so that both numbers fill the file
+    for points in (len(NAMES) - 1, len(NAMES) + 1):
+        raw = changed(file, {2: points}) if claim == "header" else changed(file, {}, integers(file, "POINT", "USED", points))
+        (tmp_path / "other.c3d").write_bytes(raw)
+        recording = read(tmp_path / "other.c3d")
+        np.testing.assert_allclose(recording.positions, walk(24).positions, atol=1e-6)
+        assert said(recording, f"{points} points are declared by")
+
+
+def test_points_that_leap_are_told_where_a_file_contradicts_itself(tmp_path: Path) -> None:
+    file = written(tmp_path / "walk.c3d", walk(24))
+    wrong = len(NAMES) - 1
+    raw = changed(file, {2: wrong}, {**integers(file, "POINT", "USED", wrong), ("POINT", "LABELS"): None})
+    (tmp_path / "other.c3d").write_bytes(raw)
+    assert said(read(tmp_path / "other.c3d", vertical="z"), "leap from frame to frame", Severity.WARNING)
+
+
+def test_the_points_of_a_cut_file_are_those_that_move_least(tmp_path: Path) -> None:
+    file = written(tmp_path / "walk.c3d", walk(64, 8))
+    raw = changed(file, {2: 4})
+    # What is left has room for 64 frames of 4 points, and for 32 of 8.
+    (tmp_path / "cut.c3d").write_bytes(raw[: file.layout.start + 64 * 4 * 16 + 40])
+    recording = read(tmp_path / "cut.c3d")
+    np.testing.assert_allclose(recording.positions, walk(32, 8).positions, atol=1e-6)
+    assert said(recording, "breaks off", Severity.WARNING)
+
+
 def as_integers(file: C3DFile, scale: float, stated: float) -> bytes:
     """The file's bytes with its points as 16-bit integers of that scale, and another scale in POINT:SCALE."""
     head = bytearray(changed(file, {}, floats(file, "POINT", "SCALE", stated))[: file.layout.start])
@@ -237,6 +267,13 @@ def test_of_two_scales_the_one_that_makes_a_person_is_used(tmp_path: Path) -> No
     assert said(read(path), "0.1 was used", Severity.WARNING)
     path.write_bytes(as_integers(file, 0.1, -0.1))
     assert not findings_of(read(path)), "the sign is the number format, which the length shows"
+
+
+def test_integers_without_a_scale_are_told(tmp_path: Path) -> None:
+    raw = bytearray(as_integers(written(tmp_path / "walk.c3d", walk()), 1.0, 0.0))
+    raw[12:16] = bytes(4)
+    (tmp_path / "bare.c3d").write_bytes(raw)
+    assert said(read(tmp_path / "bare.c3d"), "length of an integer step", Severity.WARNING)
 
 
 @pytest.mark.parametrize("code", [-9999.0, 9999999.0, 999999.0, -9999.99])

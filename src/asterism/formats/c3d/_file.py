@@ -78,6 +78,8 @@ class C3DFile:
         claims = (self.header.scale, self.parameters.number("POINT", "SCALE") or 0.0)
         # A scale of 0 would put all points into the origin.
         scales = [abs(scale) for scale in claims if np.isfinite(scale) and scale != 0]
+        if not scales and not self.layout.real:
+            return 1.0, header_doubt("neither the header nor POINT:SCALE gives the length of an integer step; one unit was used")
         if self.layout.real or len(scales) < 2 or abs(scales[0] / scales[1] - 1) < _SAME_SCALE:
             return (scales or [1.0])[0], None
         some = slice(None, None, max(1, self.layout.frames // 200))
