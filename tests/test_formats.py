@@ -35,7 +35,7 @@ def body(frames: int = 20, rate: float = 100.0, missing: bool = True) -> Recordi
     positions[:, :, 2] = heights
     if missing:
         positions[3:5, 2] = np.nan
-    return Recording(positions, NAMES, rate, as_vertical("z"), (Event("Foot Strike", 0.05, "Left"),), {"subject": "Ann"}, first_frame=11)
+    return Recording(positions, NAMES, rate, as_vertical("z"), (Event("Foot Strike", 0.15, "Left"),), {"subject": "Ann"}, first_frame=11)
 
 
 positions_of_bodies = arrays(np.float64, (5, 8, 3), elements=st.floats(-2.0, 2.0, width=32)).map(
@@ -67,7 +67,7 @@ def test_events_come_back_where_the_format_has_them(tmp_path, suffix):
     path = tmp_path / f"walk.{suffix}"
     write(path, body())
     (event,) = read(path).events
-    assert event.time == pytest.approx(0.05, abs=1e-6)
+    assert event.time == pytest.approx(0.15, abs=1e-6)
     assert event.label.endswith("Foot Strike")
     if suffix in ("csv", "npz"):
         assert event.context == "Left"
@@ -553,7 +553,7 @@ def test_description_counts_what_is_there(tmp_path):
     assert found["points"] == {"physical": list(NAMES[:-1]), "computed": [], "unnamed": ["*1"]}
     assert found["missing"] == pytest.approx(2 / (20 * 7))
     assert found["vertical"] == [0.0, 0.0, 1.0]
-    assert found["events"] == [{"label": "Foot Strike", "context": "Left", "time": 0.05}]
+    assert found["events"] == [{"label": "Foot Strike", "context": "Left", "time": 0.15}]
     json.dumps(found)
 
 

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, NoMarkers
 from asterism.files.text import some_of
 from asterism.findings import Finding
-from asterism.formats._findings import located, missing_samples, units_assumed, vertical_conflict
+from asterism.formats._findings import events_outside, located, missing_samples, units_assumed, vertical_conflict
 from asterism.formats._physical import COMPUTED, UNNAMED, kinds_by_name
 from asterism.formats._vertical import estimate_vertical, vertical_from_positions
 from asterism.recording import Event, Floats, MarkerSet, ProcessingStep, Recording, as_vertical, canonical, without_subject
-from asterism.recording.arrays import nan_median
+from asterism.recording.arrays import missing_codes, nan_median
 from asterism.recording.display import metres
 
 __all__ = [
@@ -56,6 +56,7 @@ class Points:
     fallback   the vertical where nothing else determines it, or None
     findings   what a person should know about the file; their sentences name no file (`located` adds it)
     log        what was done to the recording before it was written
+    frames     number of frames of the file; None: as many as `positions` has, which may be a sample of them
     """
 
     positions: Floats
@@ -73,6 +74,7 @@ class Points:
     findings: tuple[Finding, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
     log: tuple[ProcessingStep, ...] = ()
+    frames: int | None = None
 
     def __post_init__(self) -> None:
         longest = max(map(len, self.labels), default=0)
@@ -80,6 +82,20 @@ class Points:
         if longest > _LONGEST_LABEL:
             number = next(i for i, label in enumerate(self.labels) if len(label) == longest) + 1
             raise AsterismError(f"point {number} has a name of {longest:,} characters; give it one of at most {_LONGEST_LABEL:,}.")
+
+    @property
+    def found(self) -> tuple[Finding, ...]:
+        """The findings, with one about events that lie outside the recording."""
+        begin = (self.first_frame - 1) / self.rate if self.first_time is None else self.first_time
+        end = begin + (len(self.positions) if self.frames is None else self.frames) / self.rate
+        # A frame more on either side: some programs count frames from 0, others from 1.
+        margin = 1.001 / self.rate
+        outside = [event for event in self.events if not begin - margin <= event.time <= end + margin]
+        if not outside:
+            return self.findings
+        times = f"{min(event.time for event in outside):.2f} to {max(event.time for event in outside):.2f} s"
+        few = f"{len(outside)} of {len(self.events)} events lie outside the recording, which is from {begin:.2f} to {end:.2f} s ({times})"
+        return (*self.findings, events_outside(few))
 
     @property
     def kind_of_points(self) -> tuple[str, ...]:
@@ -102,6 +118,11 @@ def recording_of(
     labels, subject = without_common_subject(points.labels)
     kinds = np.array(points.kind_of_points, dtype=object)
     physical = np.nonzero(kinds != COMPUTED)[0]
+    if markers is None and labels and not len(physical):
+        raise NoMarkers(
+            f"{path} holds no markers, only {len(labels)} points that a model computed, such as joint centres, angles or forces "
+            f"({some_of(labels)}); choose a recording with markers, or name those that are markers with --markers."
+        )
     if markers is None:
         columns, names = physical, tuple(labels[c] for c in physical)
     else:
@@ -115,7 +136,7 @@ def recording_of(
     # What a model computed stands anywhere and would mislead the search for the vertical.
     bodily = points.positions if len(physical) == len(labels) else points.positions[:, physical]
     up, how = settle_vertical(path, bodily, [labels[c] for c in physical], vertical, declared=points.declared, fallback=points.fallback)
-    findings = points.findings
+    findings = points.found
     if how == "data against file":
         findings = (*findings, vertical_conflict("the declared vertical contradicts the markers; the vertical is that of the markers"))
     # The writer must find each sample again in its own file.
@@ -273,7 +294,8 @@ def body_size(raw: Floats) -> float:
     # Some two hundred frames tell the size as well as an hour does.
     some = raw[:: max(1, len(raw) // 200)]
     # Numbers from damage must not decide: infinite, or beyond what squares can hold.
-    some = np.where(np.isfinite(some).all(axis=2, keepdims=True) & (np.abs(some) < 1e100).all(axis=2, keepdims=True), some, np.nan)
+    usable = np.isfinite(some).all(axis=2) & (np.abs(some) < 1e100).all(axis=2) & ~missing_codes(some)
+    some = np.where(usable[:, :, None], some, np.nan)
     some = some[(~np.isnan(some[:, :, 0])).sum(axis=1) > 1]
     if not len(some):
         return float("nan")
@@ -292,6 +314,14 @@ def _unit_by_size(size: float, raw: Floats) -> str:
     return "m" if len(away) and float(np.median(away)) < 12 else "mm"
 
 
+def coded_samples(coded: Floats) -> list[Finding]:
+    """A finding about samples (n, 3), in the file's unit, that are a number for "missing"; none where there are none."""
+    if not len(coded):
+        return []
+    worst = coded[0][np.abs(coded[0]).argmax()]
+    return [missing_samples(f"{len(coded)} samples are {worst:.10g}, a number for missing ones; taken as missing")]
+
+
 def as_metres(raw: Floats, scale: float, zero_is_missing: bool = True) -> tuple[Floats, list[Finding]]:
     """Positions in metres, NaN for what cannot be a place (not finite, beyond 1000 km, zero in all three); and findings."""
     with np.errstate(over="ignore", invalid="ignore"):
@@ -300,8 +330,10 @@ def as_metres(raw: Floats, scale: float, zero_is_missing: bool = True) -> tuple[
         impossible = np.any(np.isinf(raw) | (np.abs(positions) > _FURTHEST), axis=2)
     # Many programs write a missing sample as three zeros.
     zero = np.all(raw == 0, axis=2) & zero_is_missing
-    positions[impossible | zero | np.isnan(positions).any(axis=2)] = np.nan
-    findings = []
+    coded = missing_codes(raw)
+    impossible &= ~coded
+    positions[impossible | zero | coded | np.isnan(positions).any(axis=2)] = np.nan
+    findings = coded_samples(raw[coded])
     if impossible.any():
         findings.append(missing_samples(f"{int(impossible.sum())} samples are infinite or beyond 1000 km; taken as missing"))
     if zero.any():

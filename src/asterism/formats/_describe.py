@@ -65,7 +65,7 @@ def described(path: Path, points: Points) -> dict[str, Any]:
         "gaps": gaps(seen),
         "events": [{"label": e.label, "context": e.context, "time": e.time} for e in points.events],
         "log": [str(step) for step in points.log],
-        "findings": located(path, [*points.findings, *_repeated(labels)]),
+        "findings": located(path, [*points.found, *_repeated(labels)]),
     }
 
 

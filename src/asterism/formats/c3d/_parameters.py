@@ -147,6 +147,14 @@ class Parameters:
                 # A new parameter stands behind its group, where readers look for it.
                 after = next((i for i, r in enumerate(records) if r.is_group and r.group == change.group), -1)
                 records.insert(after + 1, change)
+        return self._of(records)
+
+    def without(self, group: str) -> Parameters:
+        """The section without a group and its parameters."""
+        number = self.group_id(group)
+        return self._of([record for record in self.records if record.group != number])
+
+    def _of(self, records: Sequence[Record]) -> Parameters:
         # A chain that ended by its link needs a zero record once something follows.
         ended_by_link = bool(self.records) and self.records[-1].last
         tail = b"\0\0" + self.tail[2:] if ended_by_link else self.tail

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError, NoMarkers
 from asterism.findings import Finding
-from asterism.formats._columns import Points, metres_per_unit, recording_of
+from asterism.formats._columns import Points, coded_samples, metres_per_unit, recording_of
 from asterism.formats._physical import COMPUTED, point_kinds
 from asterism.formats.c3d._edit import COMPUTED_GROUPS, log_of
 from asterism.formats.c3d._file import C3DFile, numbered, open_c3d
@@ -60,9 +60,10 @@ def points_of(file: C3DFile, some: slice | None = None) -> Points:
         first_frame=file.first_frame,
         events=file.events,
         subject=one_subject(file),
-        findings=(*file.findings, *found),
+        findings=(*file.findings, *file.doubts, *found, *coded_samples(file.coded)),
         extra={"encoding": encoding_of(file), "metres_per_unit": scale},
         log=log_of(file.parameters),
+        frames=file.layout.frames,
     )
 
 

@@ -23,12 +23,12 @@ from asterism.formats.c3d._confidence import with_confidence
 from asterism.formats.c3d._edit import label_parameters, log_of, with_declared, with_events, with_log, with_number
 from asterism.formats.c3d._file import C3DFile, parse_c3d, ranges
 from asterism.formats.c3d._fresh import fresh_c3d
+from asterism.formats.c3d._layout import LIMIT
 from asterism.formats.c3d._numbers import Words
 from asterism.formats.c3d._parameters import Parameters, Record, text_of
 from asterism.formats.c3d._reader import in_metres, scaled, unit_of
 from asterism.recording import Floats, Ints, LabelStates, Recording
 
-_MOST_POINTS = 65535
 COMPUTED_ENDING = b"_computed"
 """What follows the label of a computed point where a marker of the recording has the same label."""
 
@@ -130,10 +130,8 @@ def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: st
     """
     seen = without_common_subject(file.labels)[0]
     slots = _slots(seen, recording, main, file.layout.points)
-    if len(slots) > _MOST_POINTS:
-        raise AsterismError(
-            f"{target}: {len(slots)} points are more than the {_MOST_POINTS} that a C3D file can hold; write fewer columns."
-        )
+    if len(slots) > LIMIT:
+        raise AsterismError(f"{target}: {len(slots)} points are more than the {LIMIT} that a C3D file can hold; write fewer columns.")
     renamed = _renamed_computed(file, seen, recording, slots)
     labels = _labels(file, seen, recording, slots, renamed, target)
     # Columns that stay in their places with their labels leave the parameters untouched.
@@ -150,6 +148,9 @@ def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: st
         parameters = with_declared(parameters, gone, {text_of(file.raw_labels[place]): text_of(raw) for place, raw in renamed.items()})
     if recording.events != file.events:
         parameters = with_events(parameters, recording.events)
+    # Readers that see this group count no more frames than 16 bits do; without rotations it says nothing.
+    if parameters is not file.parameters and file.layout.frames >= LIMIT and file.parameters.count("ROTATION", "USED") == 0:
+        parameters = parameters.without("ROTATION")
     if recording.log != log_of(file.parameters):
         parameters = with_log(parameters, recording.log)
     rate = recording.rate if recording.rate != file.rate else None
