@@ -22,7 +22,7 @@ _SCRIPTS = {
     "views": "rows.gait rows.whole_body",
     "garment": "pattern.speed capture.whole_speed reading.hard_images capture.dense",
     "hostile": "long_recordings.long_recordings damaged_files.damaged_files",
-    "motion": "paper.toy gait.knee angles.sparse angles.dense coverage.coverage",
+    "motion": "paper.toy gait.knee clinical.plug_in_gait angles.sparse angles.dense coverage.coverage",
     "house": "startup.startup install.install install.ci",
 }
 CHAPTERS = {

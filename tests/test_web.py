@@ -9,9 +9,13 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
+import time
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 import numpy as np
 import pytest
@@ -49,6 +53,9 @@ def test_a_touch_saves_the_file_and_its_history(tmp_path: Path) -> None:
     with served(sitting(tmp_path)) as browser:
         [trial] = browser.get("/api/trials")["trials"]
         assert trial["state"] == "ready" and trial["first_frame"] == 11 and not trial["saved"]
+        state = browser.get("/api/trials/0/state")
+        unsure = sum(last - first + 1 for runs in state["unsure"] for first, last in runs)
+        assert unsure == round(trial["unsure"] * trial["frames"] * len(state["markers"])), "the timeline shows what the list says"
         answer = touched(browser)
         [said] = [part for part in answer["changed"] if part["by_person"]]
         assert said["after"] == "SACR" and answer["state"]["touches"] == 1
@@ -374,8 +381,63 @@ def test_a_machine_without_a_browser_gets_the_address(tmp_path: Path, monkeypatc
 
     said: list[str] = []
     monkeypatch.setattr(serving.webbrowser, "open", lambda address: False)
-    serving._open("http://127.0.0.1:1/", said.append)
-    assert said == ["No browser could be opened; open the address yourself."]
+    for leading in (tmp_path / "page.html", None):
+        serving._open(leading, said.append)
+    assert said == 2 * ["No browser could be opened; open the address yourself."]
+
+
+@pytest.mark.parametrize(("host", "warned"), [("127.0.0.1", False), ("localhost", False), ("0.0.0.0", True)])
+def test_the_token_is_in_no_argument_and_a_network_is_warned_of(
+    host: str, warned: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import uvicorn
+
+    from asterism.web import serving
+
+    opened: list[tuple[str, int, str]] = []
+
+    def browser(address: str) -> bool:
+        file = Path(url2pathname(urlsplit(address).path))
+        opened.append((address, file.stat().st_mode & 0o777, file.read_text(encoding="utf-8")))
+        return True
+
+    def run(self: Any, sockets: Any) -> None:
+        while not opened:
+            time.sleep(0.01)
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(serving.os.path, "isdir", lambda path: False)
+    monkeypatch.setattr(serving.webbrowser, "open", browser)
+    monkeypatch.setattr(uvicorn.Server, "run", run)
+    said: list[str] = []
+    serve(CorrectionSession([], model(), SessionOptions((tmp_path / "gait.model",))), PageAddress(host), said.append)
+    [(address, mode, page)] = opened
+    url = said[0].removeprefix("The page is at ")
+    token = url.rpartition("=")[2]
+    assert len(token) == 32 and token not in address and f'url={url}"' in page
+    assert mode == 0o600 or os.name != "posix"
+    assert any("nothing is encrypted" in sentence for sentence in said) == warned
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("port", "given", "known"),
+    [
+        (80, "127.0.0.1", True),
+        (80, "127.0.0.1:80", True),
+        (80, "localhost", True),
+        (80, "[::1]", True),
+        (80, "evil.example", False),
+        (81, "127.0.0.1", False),
+        (81, "[::1]:81", True),
+        (81, "[::1]", False),
+        (80, "", False),
+    ],
+)
+def test_a_browser_leaves_out_port_80(port: int, given: str, known: bool) -> None:
+    from asterism.web.guard import Guard
+
+    assert Guard(None, "token", "127.0.0.1", port)._is_own_name(given) == known
 
 
 def test_a_hundred_columns_of_odd_names(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import typer
 
 from asterism.cli import _console, _first_compile, body, calibrate, garment, rig
 from asterism.cli._plain_values import PlainValuesCommand, PlainValuesGroup
+from asterism.cli._streams import StandardOutputError, guard_standard_streams
 from asterism.errors import AsterismError
 
 _RENAMED = {
@@ -136,6 +137,23 @@ _python_shows = warnings.showwarning
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run one command line (by default the process') and return its exit status; see `asterism --help` for the meanings."""
+    if args is None:
+        guard_standard_streams()
+    try:
+        status = _run(args)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return status
+    except BrokenPipeError:
+        sys.stdout = None  # the reader is gone: nothing is left to flush at exit
+        return 1
+    except StandardOutputError as problem:
+        sys.stdout = None
+        _console.error(str(problem))
+        return 2
+
+
+def _run(args: Sequence[str] | None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             # a name that the terminal cannot show must not end the run
@@ -148,14 +166,13 @@ def main(args: Sequence[str] | None = None) -> int:
             _first_compile.prepare(words)
             warnings.showwarning = _show_warning
         status = command_line(words)(args=words or ["--help"], prog_name="asterism", standalone_mode=False)
+    except (BrokenPipeError, StandardOutputError):
+        raise
     except AsterismError as problem:
         _console.error(str(problem))
         return 2
     except (KeyboardInterrupt, typer.Abort):
         status = 130
-    except BrokenPipeError:
-        sys.stdout = None  # the reader is gone: nothing is left to flush at exit
-        return 1
     except OSError as problem:
         _console.error(_console.reason(problem))
         return 2

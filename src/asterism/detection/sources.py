@@ -25,6 +25,8 @@ IMAGES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp", ".j
 _PAGED = {".tif", ".tiff"}
 _MOST_BYTES = 2**31 - 1
 """What OpenCV takes as one file in memory."""
+_LEAST_PAGE = 50
+"""Bytes that describe a page of a TIFF at least: its width, its height, how its pixels are meant and where they are."""
 _SPARSE = 10
 """Frame numbers that leave more than this many places for each image are no frame numbers."""
 
@@ -200,8 +202,10 @@ def _page(file: Path, at: int, place: int) -> NDArray[Any] | None:
         there, pages = cv2.imreadmulti(str(file), start=place, count=1, flags=cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
         return np.asarray(pages[0]) if there and len(pages) else None
     order, big = _tiff(content)
-    # The mapping is private: the file on disk stays as it is.
-    struct.pack_into(order + ("Q" if big else "I"), content.data, 8 if big else 4, at)
+    # The mapping is private: the file on disk stays as it is. This page becomes the last one, too, or OpenCV counts those behind it.
+    kind = order + ("Q" if big else "I")
+    struct.pack_into(kind, content.data, 8 if big else 4, at)
+    struct.pack_into(kind, content.data, _next_page(content, at, order, big), 0)
     return _decoded(file, np.asarray(content), at)
 
 
@@ -218,22 +222,28 @@ def _pages(file: Path) -> tuple[tuple[int, ...], bool]:
     order, big = _tiff(content)
     if not order:
         return (), False
-    count, entry, offset = ("Q", 20, "Q") if big else ("H", 12, "I")
-
-    def number(kind: str, at: int) -> int:
-        return int(struct.unpack_from(order + kind, content.data, at)[0])
-
+    kind = order + ("Q" if big else "I")
     found: dict[int, None] = {}
     try:
-        at = number(offset, 8 if big else 4)
-        # A damaged file may lead back to a page that was read; that would never end.
+        at = int(struct.unpack_from(kind, content.data, 8 if big else 4)[0])
+        # A damaged file may lead back to a page that was read, or through pages that share their bytes: that would not end.
         while at and at not in found:
-            following = number(offset, at + struct.calcsize(order + count) + entry * number(count, at))
+            end = _next_page(content, at, order, big)
+            following = int(struct.unpack_from(kind, content.data, end)[0])
+            if end - at < _LEAST_PAGE or len(found) * _LEAST_PAGE > len(content):
+                return tuple(found), True
             found[at] = None
             at = following
     except struct.error:
         return tuple(found), True
-    return tuple(found), False
+    return tuple(found), at != 0
+
+
+def _next_page(content: NDArray[np.uint8], at: int, order: str, big: bool) -> int:
+    """Where the description of a TIFF's page says where the next one is. Raises struct.error where it is beyond the file."""
+    count, entry = ("Q", 20) if big else ("H", 12)
+    entries = int(struct.unpack_from(order + count, content.data, at)[0])
+    return at + struct.calcsize(order + count) + entry * entries
 
 
 def _decoded(file: Path, content: NDArray[np.uint8], page: int = 0) -> NDArray[Any] | None:

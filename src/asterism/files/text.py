@@ -125,8 +125,11 @@ def some_of(names: Sequence[str], most: int = 5) -> str:
 
 
 def number_of(cell: str) -> float | None:
-    """A number in any common spelling, NaN for a spelling of missing, None for anything else."""
+    """A number in any common spelling, NaN for a spelling of missing, None for anything else. A single comma is a decimal sign."""
     cell = cell.strip().strip('"').strip()
     if cell.casefold() in _MISSING:
         return float("nan")
+    # The cell is cut out already, so that its comma separates no cells.
+    if cell.count(",") == 1 and "." not in cell and cell[-1] != ",":
+        cell = cell.replace(",", ".")
     return float(cell) if _NUMBER.fullmatch(cell) else None
