@@ -23,7 +23,7 @@ _SCRIPTS = {
     "garment": "pattern.speed capture.whole_speed reading.hard_images capture.dense",
     "files": "vertical.vertical",
     "hostile": "long_recordings.long_recordings damaged_files.damaged_files",
-    "motion": "paper.toy gait.knee angles.sparse angles.dense coverage.coverage",
+    "motion": "paper.toy gait.knee clinical.plug_in_gait angles.sparse angles.dense coverage.coverage",
     "house": "startup.startup install.install install.ci",
 }
 CHAPTERS = {

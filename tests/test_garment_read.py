@@ -127,7 +127,7 @@ def plain_circles(centres: np.ndarray) -> Circles:
     """Circles of 4 px on dark cloth."""
     n, (width, height) = len(centres), (centres.max(axis=0) + 20).astype(int)
     nothing = np.zeros((height, width), np.uint8)
-    return Circles(centres, np.tile(0.01 * np.eye(2), (n, 1, 1)), np.tile(np.eye(2), (n, 1, 1)), np.ones((n, 3)), nothing, 1.0)
+    return Circles(centres, np.tile(0.01 * np.eye(2), (n, 1, 1)), np.tile(np.eye(2), (n, 1, 1)), np.ones((n, 3)), nothing, 1.0, 18.0)
 
 
 def test_misread_colours_are_corrected_and_never_make_a_wrong_identity() -> None:

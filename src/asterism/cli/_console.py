@@ -298,7 +298,7 @@ def write_json(where: str | None, content: Mapping[str, Any]) -> None:
 
     text = json.dumps(as_json(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     if where == "-":
-        if sys.stdout is None or sys.stdout.name == os.devnull:
+        if sys.stdout is None or getattr(sys.stdout, "name", "") == os.devnull:
             raise StandardOutputError("standard output is closed; give --json the name of a file.")
         sys.stdout.write(text)
         sys.stdout.flush()

@@ -68,8 +68,7 @@ def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str
             if marker_set is None:
                 # computed points and numbers for tracks are no markers
                 recording = recording.select(named_markers(recording))
-            if not recording.visible.any():
-                raise AsterismError(f"{path} has no labelled point; label it first, or name its markers with --markers.")
+            with_names(path, recording.labels if recording.visible.any() else ())
             recordings.append(recording)
     if not recordings:
         raise AsterismError("none of the files can be used; the reasons are above.")
@@ -111,6 +110,13 @@ def uncovered_markers(model: Path, partial_solvers: Mapping[str, Mapping[str, An
             mend = "Give lower targets (--target-hit-rate, --marker-target), more recordings, or move the marker: asterism capturability."
             found.append(Finding("model-uncovered-markers", Severity.NOTE, str(model), sentence, mend))
     return found
+
+
+def with_names(path: Path, names: tuple[str, ...]) -> tuple[str, ...]:
+    """The names of a file's markers. Raises AsterismError where there are none."""
+    if not names:
+        raise AsterismError(f"{path} has no labelled point; label it first, or name its markers with --markers.")
+    return names
 
 
 def report_warnings(recording: Recording, batch: _console.Batch) -> None:

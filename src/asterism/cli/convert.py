@@ -12,7 +12,7 @@ from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import ForProgram, Json, Markers, Overwrite, Vertical, marker_names, vertical_axis
 from asterism.errors import AsterismError
-from asterism.findings import Finding
+from asterism.findings import Finding, exit_status
 
 
 @dataclass(frozen=True)
@@ -49,13 +49,16 @@ def convert(options: ConvertOptions) -> None:
     if is_rig(source):
         findings, lost = _convert_rig(source, target, axis, wanted if options.program is None else options.program)
     elif options.program is not None:
-        recording, left = formats.for_program(formats.read(source, wanted, axis), options.program.value, target)
+        recording = formats.read(source, wanted, axis)
+        findings = list(recording.warnings)
+        recording, left = formats.for_program(recording, options.program.value, target)
         lost = [*left, *formats.write(target, recording)]
     # the whole file, with all that the formats have in common
     elif wanted is None:
-        lost = formats.convert(source, target, axis)
+        findings, lost = formats.convert_and_tell(source, target, axis)
     else:
-        lost = formats.write(target, formats.read(source, wanted, axis))
+        recording = formats.read(source, wanted, axis)
+        findings, lost = list(recording.warnings), formats.write(target, recording)
     findings += not_carried(target, lost)
     for finding in findings:
         _console.report(finding)
@@ -72,6 +75,7 @@ def convert(options: ConvertOptions) -> None:
             "findings": [finding.to_dict() for finding in findings],
         },
     )
+    raise typer.Exit(exit_status(findings))
 
 
 def _convert_rig(source: Path, target: Path, vertical: Any, markers: Any) -> tuple[list[Finding], list[str]]:

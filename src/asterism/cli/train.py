@@ -77,7 +77,7 @@ def train(options: TrainOptions) -> None:
     from asterism.cli._recordings import left_out_markers, marker_set_of, uncovered_markers
 
     marker_set = marker_set_of(options.markers)
-    recordings, absent = _read(options.files, marker_set, options.vertical, options.virtual_people)
+    recordings, absent, warned = _read(options.files, marker_set, options.vertical, options.virtual_people)
     from asterism.labelling import MarkerModel
 
     errors: list[Any] = []
@@ -106,7 +106,7 @@ def train(options: TrainOptions) -> None:
     ]
     # what the audit found was reported when it was found
     audited = [*(error.finding for error in errors), *otherwise]
-    findings = [*notes, *audited]
+    findings = [*warned, *notes, *audited]
     for finding in notes:
         _console.report(finding)
     if options.json != "-":
@@ -124,8 +124,8 @@ def train(options: TrainOptions) -> None:
             "seconds": seconds,
         },
     )
-    # notes do not change the status; labels that were left out, or are learned under doubtful names, do
-    raise typer.Exit(exit_status(audited))
+    # labels that were left out, or are learned under doubtful names, change the status, and so does what is wrong with a file
+    raise typer.Exit(exit_status([*warned, *audited]))
 
 
 def _rules(virtual_people: int | None, **given: Any) -> TrainingRules:
@@ -137,8 +137,9 @@ def _rules(virtual_people: int | None, **given: Any) -> TrainingRules:
 
 def _read(
     files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | None, virtual_people: int | None
-) -> tuple[list[Recording], list[Finding]]:
-    """The files' recordings: with the set's markers, else each with all its named ones; and which markers some files lack.
+) -> tuple[list[Recording], list[Finding], list[Finding]]:
+    """The files' recordings: with the set's markers, else each with all its named ones; which markers some files lack; and what was
+    found while they were read, which is also printed.
 
     Raises AsterismError where a file cannot be used.
     """
@@ -152,9 +153,8 @@ def _read(
     batch.tell_passed_over()
     if batch.failed:
         raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; correct them or leave them out.")
-    return recordings, [] if marker_set is None else _absent_markers(
-        batch.done, recordings, marker_set, by_virtual_people=virtual_people != 0
-    )
+    absent = [] if marker_set is None else _absent_markers(batch.done, recordings, marker_set, by_virtual_people=virtual_people != 0)
+    return recordings, absent, batch.findings
 
 
 def _absent_markers(

@@ -9,6 +9,7 @@ from asterism.formats._confidence import LabelConfidence
 from asterism.formats._dispatch import (
     check_suffix,
     convert,
+    convert_and_tell,
     describe,
     is_recording_file,
     read,
@@ -34,6 +35,7 @@ __all__ = [
     "check_suffix",
     "computed_labels",
     "convert",
+    "convert_and_tell",
     "describe",
     "for_program",
     "is_recording_file",

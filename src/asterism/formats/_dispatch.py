@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError, NoMarkers, guarded_reading
 from asterism.files.text import decoded, lines_of
+from asterism.findings import Finding
 from asterism.formats._columns import Points, recording_of
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats._describe import described
@@ -306,6 +307,11 @@ def convert(source: str | Path, target: str | Path, vertical: ArrayLike | str | 
     >>> convert("walk.npz", "walk.trc")
     ['the vertical: TRC readers take Y as up or determine it from the data']
     """
+    return convert_and_tell(source, target, vertical)[1]
+
+
+def convert_and_tell(source: str | Path, target: str | Path, vertical: ArrayLike | str | None = None) -> tuple[list[Finding], list[str]]:
+    """`convert`, with what reading the source found, and what the target could not carry."""
     from asterism.formats import npz, storage
 
     source, target = Path(source), Path(target)
@@ -319,13 +325,14 @@ def convert(source: str | Path, target: str | Path, vertical: ArrayLike | str | 
                 raise AsterismError(
                     f"{source} holds a table of values and no marker positions; write it as {', '.join(_TABLES)}, not as {target.name}."
                 )
-            return storage.write_table(target, table)
+            return [], storage.write_table(target, table)
     if kind == "NPZ":
         with guarded_reading(source):
             clouds = npz.read_npz_clouds(source)
         if clouds is not None and target.suffix.casefold() in (".npz", ".csv"):
-            return write(target, clouds)
-    return write(target, read(source, vertical=vertical))
+            return [], write(target, clouds)
+    recording = read(source, vertical=vertical)
+    return list(recording.warnings), write(target, recording)
 
 
 def _function(name: str) -> Callable[..., Any]:

@@ -16,7 +16,8 @@ from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
 from asterism.formats._confidence import LabelConfidence
-from asterism.formats._tables import rate_of
+from asterism.formats._findings import unread_events
+from asterism.formats._tables import decimal_points, rate_of
 from asterism.formats._writing import all_points
 from asterism.recording import Clouds, Floats, Ints, Recording
 
@@ -91,7 +92,7 @@ def read_long(path: Path) -> Points:
         first_time=float(times[0]) if times is not None and len(times) and np.isfinite(times[0]) else None,
         events=comments.events,
         subject=comments.subject,
-        findings=(*found, *findings, *missing),
+        findings=(*found, *findings, *missing, *unread_events(comments.unread)),
     )
 
 
@@ -162,6 +163,7 @@ def _samples(
     values: list[list[float]] = []
     marks: list[str] = []
     numbers: list[int] = []
+    with_point = decimal_points(path, lines[start:], delimiter)
     last = max([*wanted, -1 if name_at is None else name_at])
     for i in range(start, len(lines)):
         line = lines[i]
@@ -174,11 +176,11 @@ def _samples(
                 break
             raise AsterismError(f"{path}, line {i + 1}: {len(cells)} cells where the header has more; correct or remove this line.")
         try:
-            row = [float(cells[k]) for k in wanted]
+            row = [float(cells[k] if with_point is None else with_point(cells[k])) for k in wanted]
         except ValueError:
             row = []
             for k in wanted:
-                number = number_of(cells[k].replace(",", ".") if delimiter == ";" else cells[k])
+                number = number_of(cells[k] if with_point is None else with_point(cells[k]))
                 if number is None:
                     raise AsterismError(
                         f"{path}, line {i + 1}, column {k + 1}: {cells[k].strip()[:30]!r} is not a number; correct it or leave it blank."

@@ -14,8 +14,9 @@ from asterism.findings import Finding
 from asterism.formats._columns import METRES_PER_UNIT, Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
 from asterism.formats._confidence import LabelConfidence
+from asterism.formats._findings import header_conflict, unread_events
 from asterism.formats._groups import exact_groups, marker_groups
-from asterism.formats._tables import frames_in_place, rate_of, rows_of_numbers
+from asterism.formats._tables import frames_in_place, frames_of, lead_of, rate_of, rows_of_numbers
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.recording import Recording
 
@@ -48,8 +49,12 @@ def read_wide(path: Path) -> Points:
     if not groups:
         shown = some_of([name for name in names if name])
         raise NoMarkers(f"{path} has no marker in its header ({shown}): name three columns LKNE_x, LKNE_y, LKNE_z to make one.")
-    values, findings = rows_of_numbers(path, _numbers_only(lines[body_at:], names, rest, delimiter), body_at + 1, delimiter, len(names))
-    raw = values[:, [column for group in groups for column in group.columns]].reshape(len(values), len(groups), 3)
+    columns = [column for group in groups for column in group.columns]
+    body = _numbers_only(lines[body_at:], names, rest, delimiter)
+    values, findings = rows_of_numbers(path, body, body_at + 1, delimiter, len(names), lead_of(columns, len(names)))
+    raw = values[:, columns].reshape(len(values), len(groups), 3)
+    if comments.frames is not None and comments.frames != len(values):
+        findings.append(header_conflict(f"the header says {comments.frames} frames, the file holds {len(values)}"))
     unit = comments.units or units or next((group.units for group in groups if group.units), None)
     scale, name, found = metres_per_unit(path, unit, raw)
     positions, missing = as_metres(raw, scale)
@@ -66,6 +71,8 @@ def read_wide(path: Path) -> Points:
         # A frame column also shows the frames that were left out.
         positions, numbered, jumps = frames_in_place(values[:, frame_at], positions)
         first = numbered if len(values) else first
+    elif times is not None:
+        positions, _, jumps = frames_in_place(frames_of(times, rate), positions)
     return Points(
         positions,
         tuple(group.name for group in groups),
@@ -77,7 +84,7 @@ def read_wide(path: Path) -> Points:
         first_time=float(times[0]) if times is not None and len(times) and np.isfinite(times[0]) else None,
         events=comments.events,
         subject=comments.subject,
-        findings=(*found, *findings, *missing, *jumps),
+        findings=(*found, *findings, *missing, *jumps, *unread_events(comments.unread)),
     )
 
 
@@ -168,7 +175,7 @@ def _numbers_only(lines: list[str], names: list[str], rest: list[int], delimiter
     first = next((line for line in lines if line.strip(" ,;\t")), "")
     cells = cells_of(first, delimiter)
     # Columns of text, such as a subject, are blanked, or no row would be one of numbers.
-    words = [i for i in rest if i < len(cells) and number_of(cells[i].replace(",", ".")) is None]
+    words = [i for i in rest if i < len(cells) and number_of(cells[i]) is None]
     if not words or delimiter is None or len(cells) > len(names):
         return lines
     kept = []

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from asterism.findings import Finding
 from asterism.recording import Clouds, Floats, Ints, Labelling, LabelStates, MarkerSet, label_states
+from asterism.recording.display import short_names
 from asterism.recording.shares import SURE
 from asterism.recording.verdict import FITS, OTHER_BODY
-from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, findings_table, percent, short_names, tinted, write_page
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, findings_table, percent, tinted, write_page
 from asterism.report.player import WRONG, ShownRecording, pack_recordings
 
 

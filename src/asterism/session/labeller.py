@@ -40,11 +40,7 @@ from asterism.session.sources import FrameSource, open_source
 from asterism.session.standing import StandingTrials
 from asterism.session.upright import labelled_upright, vertical_finding
 from asterism.session.wider import wider_model
-from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules, SetFinder, WornMarkers
-
-_FRAMES_TO_FIND = 3000
-"""Frames of a file among which the marker set is looked for: half a minute at 100 Hz. Of a longer file, a person has come into view by then
-or the frames with most points are as good."""
+from asterism.session.worn import BY_NAMES, BY_POINTS, FRAMES_TO_FIND, GIVEN, FindRules, SetFinder, WornMarkers
 
 _WORTH_TELLING = 0.01
 """Probability below which another set is not named."""
@@ -383,7 +379,7 @@ def label_file(
 
 def _beginning(source: FrameSource) -> slice:
     """The frames of a file that tell what is worn, and what is up."""
-    return slice(0, min(len(source.counts), _FRAMES_TO_FIND))
+    return slice(0, min(len(source.counts), FRAMES_TO_FIND))
 
 
 def body_names(models: Sequence[Path]) -> list[str]:

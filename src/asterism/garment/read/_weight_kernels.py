@@ -137,17 +137,16 @@ def slants(centres, moments, at, fits, cells, out):
 
 
 @kernel
-def bumps(grey, centres, at, fits, cells, rise, out):
+def bumps(flat, sizes, centres, at, fits, cells, rise, out):
     """By how much the colourfulness rises and falls again on the way from a circle to its neighbours, where there should be dark cloth.
 
-    IN  grey (h, w) uint8; centres (n, 2); at (rows, cols) of `occupy`; fits (n,); cells (n, 2); rise (2,) that counts: as a share of the
-        lower end, and at least
+    IN  flat, sizes of `grey_levels`; centres (n, 2); at (rows, cols) of `occupy`; fits (n,); cells (n, 2); rise (1 + levels,) that
+        counts: as a share of the lower end, and at least at each level
     OUT out (n,) largest fall as a share of the lower end, 0 where it nowhere rises
 
     O(n). Twin: tests/twins_garment_read.py
     """
     steps = 12
-    flat, width = grey.ravel(), grey.shape[1]
     for i in range(len(cells)):
         out[i] = 0.0
         if cells[i, 0] < 0:
@@ -156,7 +155,7 @@ def bumps(grey, centres, at, fits, cells, rise, out):
             j = there(at, fits, cells[i, 0] + _DOWN[d], cells[i, 1] + _RIGHT[d])
             if j < 0:
                 continue
-            fall, _, end = bump(flat, width, centres[i, 0], centres[i, 1], centres[j, 0], centres[j, 1], steps, rise)
+            fall, _, end = bump(flat, sizes, centres[i, 0], centres[i, 1], centres[j, 0], centres[j, 1], steps, rise)
             # As a share of the lower end, because the same bump is more beside a faint circle.
             out[i] = max(out[i], fall / end)
 

@@ -150,7 +150,7 @@ def _odds(circles: Circles, likelihood: Floats, own: Floats, pattern: Pattern, r
     growth.rivals(centres, pattern.colours, heads, following, _SIDE, cells, at, fits, rival)
     weigh.evidence(at, fits, cells, own, _RADIUS, around)
     weigh.smoothness(centres, at, fits, cells, off)
-    weigh.bumps(circles.grey, centres, at, fits, cells, np.array(rules.bump), bump)
+    weigh.bumps(*circles.levels, centres, at, fits, cells, circles.rises(*rules.bump, rules.cloth_noise), bump)
     slant = np.empty(n)
     weigh.slants(centres, circles.moments, at, fits, cells, slant)
     predictors = {

@@ -53,6 +53,7 @@ class ReadRules:
     length         (2,) pitches, of a link as the ellipses at its ends have it, in the mean
     rise           share of a circle's colourfulness by which the gap to its neighbour may rise and fall in between
     rise_noise     the same, in standard deviations of the noise
+    cloth_noise    the same, in standard deviations of what dark cloth shows, at the size of the image at which the gap has some ten pixels
     misread        share of colours that are misread at most, in the evidence
     map_evidence   nats, evidence that the whole map of a neighbourhood needs beyond chance
     map_evidence_supported  the same where other maps that have `map_evidence` hold more than half of the circles that have a cell: the
@@ -97,6 +98,7 @@ class ReadRules:
     length: tuple[float, float] = (0.65, 1.4)
     rise: float = 0.08
     rise_noise: float = 1.3
+    cloth_noise: float = 4.0
     misread: float = 0.01
     map_evidence: float = 16.0
     map_evidence_supported: float = 10.0
