@@ -100,7 +100,7 @@ def read_clouds(path: str | Path, vertical: ArrayLike | str | None = None) -> Cl
         if _kind_of(path) == "NPZ":
             clouds = npz.read_npz_clouds(path)
             if clouds is not None:
-                return clouds
+                return replace(clouds, vertical=read(path, vertical=vertical).vertical)
         # Anything else is read as a recording, and loses its labels.
         return read(path, vertical=vertical).clouds()
 
