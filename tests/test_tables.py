@@ -306,11 +306,12 @@ def test_a_lost_or_doubled_separator_costs_its_frame_and_is_said(tmp_path, suffi
         np.testing.assert_array_equal(back.positions[seen], plain.positions[seen])
 
 
-@pytest.mark.parametrize("suffix", [".trc", ".tsv", ".csv", ".sto", ".motive"])
+@pytest.mark.parametrize("suffix", [".trc", ".tsv", ".csv", ".sto", ".motive", ".optitrack"])
 def test_random_damage_is_read_right_or_refused_or_said(tmp_path, suffix):
     random = Random(34)
-    text = motive(body()) if suffix == ".motive" else text_of(tmp_path, suffix)
-    path = tmp_path / f"walk{'.csv' if suffix == '.motive' else suffix}"
+    others = {".motive": motive(body()), ".optitrack": optitrack(body(), "1.1")}
+    text = others[suffix] if suffix in others else text_of(tmp_path, suffix)
+    path = tmp_path / f"walk{'.csv' if suffix in others else suffix}"
     path.write_text(text)
     plain = read(path, vertical="z")
     between = "," if path.suffix == ".csv" else "\t"
@@ -343,7 +344,35 @@ def test_random_damage_is_read_right_or_refused_or_said(tmp_path, suffix):
             seen = np.isfinite(back.positions)
             assert (seen == np.isfinite(plain.positions)).all(), (kind, at, lines[at - 1 : at + 1])
             np.testing.assert_array_equal(back.positions[seen], plain.positions[seen], str((kind, at)))
-    assert quiet < 40, "most damage must show"
+    assert quiet < 45, "most damage must show"
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (lambda text: text.replace("Unlabeled Trajectories", "Unlabeled"), "format-header-conflict"),
+        (lambda text: text.replace("8;0;300,5;900;100,5\n", ""), "format-cut-off"),
+        (lambda text: text.replace("Context;Name;", "Context;"), "format-events-unread"),
+        (lambda text: text.replace("0,1;x\n", "0,1;x;"), "format-events-unread"),
+        (lambda text: text.replace("8;0;101,5", "7;0;101,5"), "format-frame-numbers"),
+    ],
+    ids=["unknown section", "no rows", "no names of events", "two events in a line", "a frame twice"],
+)
+def test_damage_in_a_nexus_export_is_said(tmp_path, damage, told):
+    text = NEXUS.replace("Ann;Right;Foot Strike;soon;x\n", "")
+    (tmp_path / "plain.csv").write_text(text)
+    (tmp_path / "walk.csv").write_text(damage(text))
+    assert told not in codes(read(tmp_path / "plain.csv"))
+    assert told in codes(read(tmp_path / "walk.csv"))
+
+
+@pytest.mark.parametrize(
+    ("whole", "shorter"), [(";;Ann:LKNE", ";Ann:LKNE"), ("Frame;Sub Frame;X;Y;Z\n;;mm;mm;mm\n8", "Frame;X;Y;Z\n;;mm;mm;mm\n8")]
+)
+def test_a_nexus_header_that_lost_a_cell_is_refused(tmp_path, whole, shorter):
+    (tmp_path / "walk.csv").write_text(NEXUS.replace(whole, shorter))
+    with pytest.raises(AsterismError, match="does not stand over an X"):
+        read(tmp_path / "walk.csv")
 
 
 VALUES = {
