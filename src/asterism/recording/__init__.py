@@ -1,6 +1,6 @@
 """The types of the data: arrays in; recordings, clouds, blobs, labellings and marker sets out."""
 
-from asterism.recording.arrays import Floats, Ints, as_vertical
+from asterism.recording.arrays import Floats, Ints, as_vertical, axis_name
 from asterism.recording.blobs import Blobs
 from asterism.recording.clouds import NULL, Clouds, Evidence, Labelling
 from asterism.recording.force_plate import ForcePlate
@@ -35,6 +35,7 @@ __all__ = [
     "Verdict",
     "WornSet",
     "as_vertical",
+    "axis_name",
     "canonical",
     "check_labels",
     "is_partly_labelled",
