@@ -106,8 +106,12 @@ def labelled_row(labelled: LabelledFile) -> dict[str, Any]:
         "subject": labelled.standing,
         "known_labels": labelled.file_names,
         "verdict": None if labelled.verdict is None else labelled.verdict.kind,
+        # what no label is more certain than, and why
+        "max_confidence": None if labelled.verdict is None else labelled.verdict.max_confidence,
+        "limited_by": None if labelled.verdict is None else labelled.verdict.limited_by,
         "readiness": labelled.readiness.kind,
         "use": labelled.readiness.words,
+        "why": labelled.readiness.why or None,
         "look_at": labelled.readiness.look_at,
     }
 
@@ -124,7 +128,8 @@ def labelled_line(row: Mapping[str, Any]) -> str:
     if row["subject"] is not None:
         parts.append(f"with {row['subject']}")
     worn = f"; {row['worn']}, a model of virtual people" if row["worn"] else ""
-    return f"{row['file']}: {', '.join(parts)}{worn}; {row['use']}"
+    why = f": {row['why']}" if row.get("why") else ""
+    return f"{row['file']}: {', '.join(parts)}{worn}; {row['use']}{why}"
 
 
 def shares_text(row: Mapping[str, Any]) -> str:

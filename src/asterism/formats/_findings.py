@@ -71,6 +71,11 @@ def unread_events(line_numbers: Sequence[int]) -> list[Finding]:
     return [Finding("format-events-unread", Severity.WARNING, "", sentence, "Correct the times of these events in the file.")]
 
 
+def values_left_out(sentence: str) -> Finding:
+    """Columns of a table hold no positions, such as forces, and are not read."""
+    return Finding("format-values-left-out", Severity.NOTE, "", sentence, "Name positions with x, y and z behind the marker's name.")
+
+
 def missing_samples(sentence: str) -> Finding:
     """Samples that cannot be positions were taken as missing."""
     return Finding("format-missing-samples", Severity.NOTE, "", sentence, "Export the file again where they should be positions.")
