@@ -9,8 +9,8 @@ from random import Random
 import numpy as np
 import pytest
 
-from asterism.errors import AsterismError
-from asterism.formats import read, write
+from asterism.errors import AsterismError, NoMarkers
+from asterism.formats import describe, read, write
 from asterism.formats._tables import decimal_points, separator_of
 from asterism.recording import Event, Recording, as_vertical
 
@@ -306,11 +306,12 @@ def test_a_lost_or_doubled_separator_costs_its_frame_and_is_said(tmp_path, suffi
         np.testing.assert_array_equal(back.positions[seen], plain.positions[seen])
 
 
-@pytest.mark.parametrize("suffix", [".trc", ".tsv", ".csv", ".sto", ".motive"])
+@pytest.mark.parametrize("suffix", [".trc", ".tsv", ".csv", ".sto", ".motive", ".optitrack"])
 def test_random_damage_is_read_right_or_refused_or_said(tmp_path, suffix):
     random = Random(34)
-    text = motive(body()) if suffix == ".motive" else text_of(tmp_path, suffix)
-    path = tmp_path / f"walk{'.csv' if suffix == '.motive' else suffix}"
+    others = {".motive": motive(body()), ".optitrack": optitrack(body(), "1.1")}
+    text = others[suffix] if suffix in others else text_of(tmp_path, suffix)
+    path = tmp_path / f"walk{'.csv' if suffix in others else suffix}"
     path.write_text(text)
     plain = read(path, vertical="z")
     between = "," if path.suffix == ".csv" else "\t"
@@ -343,4 +344,146 @@ def test_random_damage_is_read_right_or_refused_or_said(tmp_path, suffix):
             seen = np.isfinite(back.positions)
             assert (seen == np.isfinite(plain.positions)).all(), (kind, at, lines[at - 1 : at + 1])
             np.testing.assert_array_equal(back.positions[seen], plain.positions[seen], str((kind, at)))
-    assert quiet < 40, "most damage must show"
+    assert quiet < 45, "most damage must show"
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (lambda text: text.replace("Unlabeled Trajectories", "Unlabeled"), "format-header-conflict"),
+        (lambda text: text.replace("8;0;300,5;900;100,5\n", ""), "format-cut-off"),
+        (lambda text: text.replace("Context;Name;", "Context;"), "format-events-unread"),
+        (lambda text: text.replace("0,1;x\n", "0,1;x;"), "format-events-unread"),
+        (lambda text: text.replace("8;0;101,5", "7;0;101,5"), "format-frame-numbers"),
+    ],
+    ids=["unknown section", "no rows", "no names of events", "two events in a line", "a frame twice"],
+)
+def test_damage_in_a_nexus_export_is_said(tmp_path, damage, told):
+    text = NEXUS.replace("Ann;Right;Foot Strike;soon;x\n", "")
+    (tmp_path / "plain.csv").write_text(text)
+    (tmp_path / "walk.csv").write_text(damage(text))
+    assert told not in codes(read(tmp_path / "plain.csv"))
+    assert told in codes(read(tmp_path / "walk.csv"))
+
+
+@pytest.mark.parametrize(
+    ("whole", "shorter"), [(";;Ann:LKNE", ";Ann:LKNE"), ("Frame;Sub Frame;X;Y;Z\n;;mm;mm;mm\n8", "Frame;X;Y;Z\n;;mm;mm;mm\n8")]
+)
+def test_a_nexus_header_that_lost_a_cell_is_refused(tmp_path, whole, shorter):
+    (tmp_path / "walk.csv").write_text(NEXUS.replace(whole, shorter))
+    with pytest.raises(AsterismError, match="does not stand over an X"):
+        read(tmp_path / "walk.csv")
+
+
+VALUES = {
+    "inertial sensors": "time,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z",
+    "an accelerometer": "time,AccX,AccY,AccZ",
+    "inertial sensors by number": "time,IMU1_acc_x,IMU1_acc_y,IMU1_acc_z,IMU1_gyro_x,IMU1_gyro_y,IMU1_gyro_z",
+    "letters": "time,ax,ay,az,gx,gy,gz,mx,my,mz",
+    "a force plate": "time,Fx,Fy,Fz,Mx,My,Mz",
+    "force plates": "time,FP1_Fx,FP1_Fy,FP1_Fz,FP1_Mx,FP1_My,FP1_Mz",
+    "joint angles": "time,LKneeAngles_x,LKneeAngles_y,LKneeAngles_z",
+}
+
+
+@pytest.mark.parametrize("header", VALUES.values(), ids=list(VALUES))
+@pytest.mark.parametrize("two_rows", [False, True])
+def test_forces_and_inertial_sensors_are_no_markers(tmp_path, header, two_rows):
+    columns = header.count(",")
+    rows = [f"{t / 100}," + ",".join(f"{0.1 * k + 0.01 * t:.3f}" for k in range(columns)) for t in range(12)]
+    units = ["", "s" + ",N" * columns] if two_rows else [""]
+    path = tmp_path / "values.csv"
+    path.write_text("\n".join([header, *units[1:], *rows]) + "\n")
+    with pytest.raises(NoMarkers, match=r"is a table of values .* and no recording"):
+        read(path)
+    assert two_rows or describe(path)["format"] == "CSV table"
+
+
+def test_units_tell_which_columns_are_positions(tmp_path):
+    rows = "\n".join(f"{t / 100},0.5,{t},1.0,10,20,{700 + t}" for t in range(12))
+    (tmp_path / "both.csv").write_text(f"time,P_x,P_y,P_z,R_x,R_y,R_z\ns,m,m,m,N,N,N\n{rows}\n")
+    back = read(tmp_path / "both.csv", vertical="z")
+    assert back.labels == ("P",)
+    left_out = next(f for f in back.metadata["findings"] if f.code == "format-values-left-out")
+    assert "R_x (n)" in left_out.sentence
+
+
+@pytest.mark.parametrize("name", ["ACC", "ASIS_R", "KNEE_V", "PROTUB"])
+def test_markers_with_names_near_those_of_values_stay(tmp_path, name):
+    rows = "\n".join(f"{t / 100},0.5,{t / 10},1.0,0.5,0.6,1.7" for t in range(12))
+    (tmp_path / "walk.csv").write_text(f"time,{name}_x,{name}_y,{name}_z,C7_x,C7_y,C7_z\n{rows}\n")
+    assert read(tmp_path / "walk.csv", vertical="z").labels == (name, "C7")
+
+
+def test_markers_beside_forces_of_a_treadmill(tmp_path):
+    header = "Time,LHEE.PosX,LHEE.PosY,LHEE.PosZ,FP1.ForX,FP1.ForY,FP1.ForZ,FP1.MomX,FP1.MomY,FP1.MomZ"
+    rows = "\n".join(f"{t / 100},0.5,0.{t},1.0,1,2,700,4,5,6" for t in range(12))
+    (tmp_path / "walk.txt").write_text((header + "\n" + rows).replace(",", "\t") + "\n")
+    back = read(tmp_path / "walk.txt", vertical="y")
+    assert back.labels == ("LHEE",)
+    assert "format-values-left-out" in codes(back)
+
+
+QTM_OTHERS = {
+    "6D data": "NO_OF_BODIES\t1\nFREQUENCY\t100\nDATA_INCLUDED\t6D\nBODY_NAMES\tB\n\nB X\tY\tZ\tRoll\tPitch\tYaw\n1\t2\t3\t0\t0\t0",
+    "force plate": "NO_OF_SAMPLES\t1\nFREQUENCY\t1000\nFORCE_PLATE_NAME\tKistler\nFORCE_PLATE_LENGTH\t600\n\nForce_X\tForce_Y\n1\t2",
+    "analog data": "NO_OF_SAMPLES\t1\nNO_OF_CHANNELS\t1\nFREQUENCY\t1000\nCHANNEL_NAMES\tEMG1\n\n1",
+}
+
+
+@pytest.mark.parametrize("what", QTM_OTHERS)
+def test_other_exports_of_qtm_are_named(tmp_path, what):
+    (tmp_path / "walk.tsv").write_text(f"NO_OF_FRAMES\t1\n{QTM_OTHERS[what]}\n")
+    with pytest.raises(NoMarkers, match=rf"{what}.*no trajectories of markers"):
+        read(tmp_path / "walk.tsv")
+
+
+def optitrack(recording: Recording, version: str, hand: str = "righthanded") -> str:
+    """The recording as the programs before Motive 1.8 export it: Y up, one rigid body, points without a name behind the markers."""
+    lines = [
+        'comment,"OptiTrack Export Data"',
+        f"info,version,{version}",
+        f"info,framecount,{len(recording)}",
+        "info,rigidbodycount,1",
+        hand,
+    ]
+    sign = -1 if hand == "lefthanded" else 1
+    for t, places in enumerate(recording.positions[:, :, [1, 2, 0]].tolist()):
+        cells = []
+        for k, (x, y, z) in enumerate(places):
+            if x == x:
+                cells += [f"{x:.5f},{y:.5f},{sign * z:.5f},{k}" + (f',"{recording.labels[k]}"' if version == "1.1" else "")]
+        cells += ["0.1,0.2,0.3,99" + ("," if version == "1.1" else "")] * (t % 2)
+        lines.append(f"frame,{t},{t / 100:.6f},1,1,0.1,0.2,0.3,0,0,0,1,0,0,0,{len(cells)}," + ",".join(cells))
+        lines.append(f'rigidbody,{t},{t / 100:.6f},"Body",1,0,0')
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("hand", ["righthanded", "lefthanded"])
+def test_optitrack_1_1(tmp_path, hand):
+    path = tmp_path / "take.csv"
+    path.write_text(optitrack(body(), "1.1", hand))
+    back = read(path)
+    assert (back.labels, back.rate, tuple(back.vertical)) == ((*NAMES, "*1"), 100.0, (0.0, 1.0, 0.0))
+    np.testing.assert_allclose(back.positions[:, :8], body().positions[:, :, [1, 2, 0]], atol=1e-9)
+    assert np.isfinite(back.positions[1::2, 8]).all() and np.isnan(back.positions[::2, 8]).all()
+    assert ("format-header-conflict" in codes(back)) == (hand == "lefthanded")
+    assert "format-values-left-out" in codes(back), "the rigid body"
+
+
+def test_optitrack_1_0_has_points_without_names(tmp_path):
+    (tmp_path / "take.csv").write_text(optitrack(body(), "1.0"))
+    back = read(tmp_path / "take.csv")
+    assert set(back.labels) == {f"*{k}" for k in range(1, 10)}
+    assert back.clouds().counts.tolist() == [8 - (t in (3, 4)) + t % 2 for t in range(24)]
+
+
+def test_an_optitrack_row_that_does_not_come_out_even_is_named(tmp_path):
+    lines = optitrack(body(), "1.1").split("\n")
+    lines[9] = lines[9].rsplit(",", 2)[0]
+    (tmp_path / "take.csv").write_text("\n".join(lines))
+    with pytest.raises(AsterismError, match=r"line 10: a row of a frame"):
+        read(tmp_path / "take.csv")
+    (tmp_path / "take.csv").write_text("\n".join(line for line in lines if not line.startswith("frame")))
+    with pytest.raises(NoMarkers, match="no marker"):
+        read(tmp_path / "take.csv")

@@ -23,7 +23,7 @@ class Comments:
     frames: int | None = None
     events: tuple[Event, ...] = ()
     unread: tuple[int, ...] = ()
-    """The numbers of the lines, counted from 1, that hold an event without a time."""
+    """The numbers of the lines, counted from 1, that hold an event without a time or a name."""
 
 
 def comments_of(lines: Sequence[str]) -> Comments:
@@ -43,7 +43,7 @@ def comments_of(lines: Sequence[str]) -> Comments:
             time, _, rest = value.partition(",")
             context, _, label = rest.partition(",")
             seconds = number_of(time)
-            if seconds is not None and seconds == seconds:
+            if seconds is not None and seconds == seconds and label.strip():
                 events.append(Event(label.strip(), seconds, context.strip()))
             else:
                 unread.append(number)

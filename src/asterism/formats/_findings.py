@@ -24,7 +24,13 @@ def units_assumed(sentence: str) -> Finding:
 
 def vertical_conflict(sentence: str) -> Finding:
     """The file declares another vertical than its markers show."""
-    return Finding("format-vertical-conflict", Severity.NOTE, "", sentence, "Give the vertical with --vertical where this is wrong.")
+    mend = "Look which way is up, and give it with --vertical; correct it in the file."
+    return Finding("format-vertical-conflict", Severity.WARNING, "", sentence, mend)
+
+
+def vertical_assumed(sentence: str) -> Finding:
+    """The file declares no vertical, and its points do not show one clearly."""
+    return Finding("format-vertical-assumed", Severity.NOTE, "", sentence, "Give the vertical with --vertical where this is wrong.")
 
 
 def rate_conflict(sentence: str) -> Finding:
@@ -63,6 +69,11 @@ def unread_events(line_numbers: Sequence[int]) -> list[Finding]:
         return []
     sentence = f"{len(line_numbers)} events have no time that can be read and are left out, first in line {line_numbers[0]}"
     return [Finding("format-events-unread", Severity.WARNING, "", sentence, "Correct the times of these events in the file.")]
+
+
+def values_left_out(sentence: str) -> Finding:
+    """Columns of a table hold no positions, such as forces, and are not read."""
+    return Finding("format-values-left-out", Severity.NOTE, "", sentence, "Name positions with x, y and z behind the marker's name.")
 
 
 def missing_samples(sentence: str) -> Finding:

@@ -14,7 +14,7 @@ from asterism.files.atomic import utf8, write_atomically
 from asterism.files.text import cell_text, cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes, some_of
 from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
-from asterism.formats._findings import header_conflict, located
+from asterism.formats._findings import header_conflict, located, values_left_out
 from asterism.formats._groups import ColumnGroup, exact_groups, marker_groups
 from asterism.formats._tables import frames_in_place, frames_of, rate_of, rows_of_numbers
 from asterism.formats._writing import all_points
@@ -186,9 +186,11 @@ def points_of_table(path: Path, table: TimeSeriesTable) -> Points:
         raise NoMarkers(
             f"{path} holds {what} ({some_of(table.names)}), no marker positions; use asterism.formats.read_table or convert it to CSV."
         )
-    groups, _ = _groups_of(table)
+    groups, rest = _groups_of(table)
     raw = table.values[:, [column for group in groups for column in group.columns]].reshape(len(table.values), len(groups), 3)
     findings = list(table.findings)
+    if rest:
+        findings.append(values_left_out(f"the columns {some_of([table.names[i] for i in rest])} are no positions and are left out"))
     scale, units, found = metres_per_unit(path, table.units or next((g.units for g in groups if g.units), None), raw)
     positions, missing = as_metres(raw, scale)
     rate = rate_of(path, table.said_rate, table.times, findings)

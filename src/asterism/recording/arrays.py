@@ -39,6 +39,18 @@ def as_vertical(vertical: ArrayLike | str) -> Floats:
     return vector / np.linalg.norm(vector)
 
 
+def axis_name(vertical: Floats) -> str:
+    """A vertical as --vertical takes it: an axis where it is one, else three numbers.
+
+    >>> axis_name(np.array([0.0, -1.0, 0.0]))
+    '-y'
+    """
+    axis = int(np.abs(vertical).argmax())
+    if abs(vertical[axis]) > 1.0 - 1e-6:
+        return f"{'-' if vertical[axis] < 0 else ''}{'xyz'[axis]}"
+    return ",".join(f"{number:.4g}" for number in vertical)
+
+
 def nan_quantile(values: Floats, shares: ArrayLike, axis: int) -> Floats:
     """The quantiles along an axis of the values that are there, NaN where none is, one after the other along a new first axis.
 
