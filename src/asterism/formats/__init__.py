@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from asterism.formats._computed import computed_labels, without_computed
     from asterism.formats._programs import PROGRAMS, for_program, write_for_program
     from asterism.formats._vertical import vertical_from_positions
-    from asterism.formats.c3d.plates import read_force_plates
+    from asterism.formats.c3d.plates import force_plates
     from asterism.formats.csv_blobs import read_blobs, write_blobs
     from asterism.formats.opensim_forces import companions
     from asterism.formats.storage import TimeSeriesTable, read_table, write_table
@@ -41,13 +41,13 @@ __all__ = [
     "convert_and_tell",
     "describe",
     "for_program",
+    "force_plates",
     "is_recording_file",
     "read",
     "read_blobs",
     "read_clouds",
     "read_confidence",
     "read_evidence",
-    "read_force_plates",
     "read_table",
     "vertical_from_positions",
     "wanted_columns",
@@ -60,12 +60,12 @@ __all__ = [
 ]
 
 _MODULE_OF = {
+    "force_plates": "c3d.plates",
     "vertical_from_positions": "_vertical",
     "wanted_columns": "_columns",
     **dict.fromkeys(("computed_labels", "without_computed"), "_computed"),
     **dict.fromkeys(("PROGRAMS", "for_program", "write_for_program"), "_programs"),
     "companions": "opensim_forces",
-    "read_force_plates": "c3d.plates",
     **dict.fromkeys(("read_blobs", "write_blobs"), "csv_blobs"),
     **dict.fromkeys(("TimeSeriesTable", "read_table", "write_table"), "storage"),
 }

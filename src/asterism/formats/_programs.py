@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.formats._columns import METRES_PER_UNIT
 from asterism.formats._dispatch import write
 from asterism.formats.c3d._file import C3DFile
 from asterism.formats.c3d.plates import force_plates
@@ -90,11 +89,10 @@ def write_for_program(recording: Recording, program: str, target: str | Path, **
     """
     prepared, left = for_program(recording, program, target)
     left += write(target, prepared, **marks)
-    if program == "opensim" and isinstance(recording.source, C3DFile):
-        unit = METRES_PER_UNIT.get(str(recording.metadata.get("units", "")).casefold())
-        plates, findings = force_plates(recording.source, unit)
+    if program == "opensim" and isinstance(recording.source, C3DFile) and len(recording):
+        plates, findings = force_plates(recording)
         for finding in findings:
-            what, _, why = finding.sentence.removeprefix(f"{recording.source.path}: ").rstrip(".").partition(" is left out: ")
+            what, _, why = finding.sentence.rpartition(f"{recording.source.path}: ")[2].rstrip(".").partition(" cannot be used: ")
             left.append(f"{what} ({why})")
         if plates:
             turn = rotation_between(recording.vertical, as_vertical(PROGRAMS[program].up))

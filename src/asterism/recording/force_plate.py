@@ -1,48 +1,38 @@
-"""A force plate and what it measured; when something stands on it, out."""
+"""What a force plate measured beside a recording of markers."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.errors import AsterismError
 from asterism.recording.arrays import Floats
 
-UNLOADED = 20.0
-"""N, the force out of the surface below which nothing is known to stand on a plate, as gait laboratories have it. The centre of pressure is
-a moment divided by this force. At half of it the noise of older plates stands on them; at double the first and last hundredth of a second
-of a step is missing."""
-
-
-SOMEBODY = 50.0
-"""N, the force from which somebody stands on a plate, and it is not its drift: five kilograms. At half, the drift of older plates counts as
-somebody; at double, a small child does not."""
-
-SHORTEST = 0.05
-"""s, no foot stands or swings for less. At half, the shaking of a treadmill is a step; at double, quick steps of a child are none."""
+LOADED = 20.0
+"""N of vertical force from which a plate counts as loaded, as gait laboratories take it. Amplifiers drift by a few N; at half, drift is a
+step, at double a strike is told a millisecond late."""
 
 
 @dataclass(frozen=True)
 class ForcePlate:
-    """A force plate in the axes of its recording, and the load on it over time: what the plate does to the body.
+    """Forces on a person from one plate, in the axes of the recording that it belongs to.
 
-    corners    (4, 3) m, of the surface, in their order about it
-    normal     (3,) unit vector out of the surface
-    rate       samples per second
-    start      s, the time of the first sample on the recording's clock
-    forces     (S, 3) N
-    pressures  (S, 3) m, the centre of pressure on the surface, NaN where the force out of it is below `UNLOADED`
-    moments    (S, 3) N m, the free moment: about the normal, at the centre of pressure; NaN as there
+    number       of the plate in the file, from 1
+    corners      (4, 3) m, of the surface
+    force        (S, 3) N, on the person: upwards where somebody stands
+    moment       (S, 3) N m, of that force about `centre`
+    rate         samples per second; the first sample is at the recording's first frame
+    vertical     (3,) up
     """
 
+    number: int
     corners: Floats
-    normal: Floats
+    force: Floats
+    moment: Floats
     rate: float
-    start: float
-    forces: Floats
-    pressures: Floats
-    moments: Floats
+    vertical: Floats
 
     @property
     def centre(self) -> Floats:
@@ -50,30 +40,47 @@ class ForcePlate:
         return np.asarray(self.corners.mean(axis=0))
 
     @property
-    def loaded(self) -> NDArray[np.bool_]:
-        """(S,) bool, where something is known to stand on it."""
-        return np.isfinite(self.pressures[:, 0])
+    def load(self) -> Floats:
+        """(S,) N, the vertical force."""
+        return np.asarray(self.force @ self.vertical)
 
     @property
-    def times(self) -> Floats:
-        """(S,) s, on the recording's clock."""
-        return self.start + np.arange(len(self.forces)) / self.rate
+    def loaded(self) -> NDArray[np.bool_]:
+        """(S,) whether somebody stands on it."""
+        return np.asarray(self.load > LOADED)
 
-    def contacts(self) -> list[slice]:
-        """The runs of samples in which somebody stands on it, the next of which begins when the foot has left it."""
-        edges, load = np.diff(np.concatenate([[0], self.loaded.astype(np.int8), [0]])), self.forces @ self.normal
-        begins, ends = np.nonzero(edges > 0)[0], np.nonzero(edges < 0)[0]
-        # A foot that comes back at once has not left.
-        apart = begins[1:] - ends[:-1] >= SHORTEST * self.rate
-        begins, ends = begins[np.concatenate([[True], apart])[: len(begins)]], ends[np.concatenate([apart, [True]])[: len(ends)]]
-        runs = [slice(int(a), int(b)) for a, b in zip(begins, ends, strict=True) if b - a >= SHORTEST * self.rate]
-        return [run for run in runs if load[run].max() >= SOMEBODY]
+    @property
+    def pressure(self) -> Floats:
+        """(S, 3) m, the centre of pressure on the surface; NaN where the plate is not loaded."""
+        load = np.where(self.loaded, self.load, np.nan)[:, None]
+        # About the centre of pressure the moment is along the vertical: v x M / F.
+        return np.asarray(self.centre + np.cross(self.vertical, self.moment) / load + self._lean(load))
 
-    def on_surface(self, points: Floats, beyond: float = 0.0) -> NDArray[np.bool_]:
-        """(N,) bool, whether points (N, 3) in m lie over the surface, or at most `beyond` m outside its edges."""
-        one, other = self.corners[0] - self.corners[1], self.corners[1] - self.corners[2]
-        inside = np.ones(len(points), dtype=np.bool_)
-        for side in (one, other):
-            length = float(np.linalg.norm(side))
-            inside &= np.abs((points - self.centre) @ (side / length)) <= 0.5 * length + beyond
-        return inside
+    def _lean(self, load: Floats) -> Floats:
+        """(S, 3) m: none on a level surface; elsewhere as far as the surface rises towards the point."""
+        flat = np.cross(self.vertical, self.moment) / load
+        normal = np.cross(self.corners[1] - self.corners[0], self.corners[3] - self.corners[0])
+        rise = -(flat @ normal) / float(normal @ self.vertical)
+        return np.asarray(rise[:, None] * self.vertical)
+
+    @property
+    def free_moment(self) -> Floats:
+        """(S,) N m about the vertical through the centre of pressure; NaN where the plate is not loaded."""
+        arm = self.pressure - self.centre
+        return np.asarray((self.moment - np.cross(arm, self.force)) @ self.vertical)
+
+    def at(self, rate: float, frames: int) -> ForcePlate:
+        """With as many samples as the recording has frames, each the mean of the samples of half a frame before and behind it.
+
+        Raises AsterismError where the plate has fewer samples than frames.
+        """
+        step = self.rate / rate
+        if step < 0.999 or len(self.force) < frames * step - step:
+            raise AsterismError(f"plate {self.number} has {len(self.force)} samples at {self.rate:g} Hz, too few for {frames} frames.")
+        edges = np.clip(np.round((np.arange(frames + 1) - 0.5) * step).astype(int), 0, len(self.force) - 1)
+        edges[1:] = np.maximum(edges[1:], edges[:-1] + 1)
+        edges = np.minimum(edges, len(self.force))
+        sums = [np.concatenate([np.zeros((1, 3)), np.cumsum(values, axis=0)]) for values in (self.force, self.moment)]
+        width = np.maximum(edges[1:] - edges[:-1], 1)[:, None]
+        force, moment = ((total[edges[1:]] - total[edges[:-1]]) / width for total in sums)
+        return replace(self, force=force, moment=moment, rate=rate)

@@ -157,7 +157,8 @@ class FileLabeller:
         said, other = source.about.vertical, labelled_upright(self._plain, recording)
         labelled = self._label_source(path, source if other is None else self._open(path, other), progress)
         # whatever points up, the body may be another: then all axes are tried before it is refused
-        if other is None and (labelled.verdict is not None and labelled.verdict.kind == OTHER_BODY):
+        refused = labelled.verdict is not None and labelled.verdict.kind == OTHER_BODY
+        if other is None and (refused or not (labelled.labelling.indices >= 0).any()):
             other = labelled_upright(self._plain, recording, every=True)
             labelled = labelled if other is None else self._label_source(path, self._open(path, other), progress)
         if other is None:
