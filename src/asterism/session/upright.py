@@ -11,6 +11,7 @@ from asterism.formats import vertical_from_positions
 from asterism.labelling.recording_labeller import RecordingLabeller
 from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.recording import Clouds, Floats, Recording
+from asterism.recording.display import significant
 
 _OTHER = 0.5
 """Cosine of the angle between verticals from which they are one: 60 degrees. Axes are 90 degrees apart, a tilted floor a few."""
@@ -76,4 +77,4 @@ def _name(vertical: Floats) -> str:
     axis = int(np.abs(vertical).argmax())
     if abs(vertical[axis]) > 1.0 - 1e-6:
         return f"{'-' if vertical[axis] < 0 else ''}{'xyz'[axis]}"
-    return ",".join(f"{number:.4g}" for number in vertical)
+    return ",".join(significant(number, 4) for number in vertical)
