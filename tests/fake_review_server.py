@@ -54,6 +54,7 @@ class FakeReview:
                 "person": self.person.tolist(),
                 "track": list(range(len(self.marker))),
             },
+            "unsure": [[[0, 4], [20, 29]], *([] for _ in self.names[1:])],
             "items": [
                 {"piece": 100 + k, "frame": int(self.first[k]), "gain": float(doubt[k]), "alternatives": [[self.names[0], 0.3]]}
                 for k in order

@@ -13,7 +13,7 @@ from asterism.cli import main
 from asterism.errors import NoMarkers
 from asterism.findings import Finding, Severity
 from asterism.formats import describe, read, write
-from asterism.formats.c3d._edit import floats_record, integers_record
+from asterism.formats.c3d._edit import floats_record, integers_record, strings_record
 from asterism.formats.c3d._file import C3DFile, open_c3d
 from asterism.formats.c3d._numbers import PC
 from asterism.formats.c3d._parameters import Record, make_group
@@ -168,15 +168,15 @@ def test_a_cropped_file_has_the_first_frame_that_fits_its_frames(tmp_path: Path)
     (tmp_path / "cropped.c3d").write_bytes(changed(file, {}, stale))
     recording = read(tmp_path / "cropped.c3d")
     assert (len(recording), recording.first_frame) == (100, 101)
-    assert said(recording, "first frame is 1 by TRIAL and 101 by the header; 101 was used", Severity.NOTE)
+    assert said(recording, "first frame is 1 by TRIAL, 101 by the header; 101 was used", Severity.NOTE)
     # Or it changed neither the numbers in TRIAL nor the events, and counts anew in the header.
     (tmp_path / "anew.c3d").write_bytes(changed(file, {4: 1, 5: 100}, {}))
     recording = read(tmp_path / "anew.c3d")
     assert recording.first_frame == 101
-    assert said(recording, "101 was used", Severity.NOTE)
+    assert said(recording, "101 was used, which fits the frames and events better", Severity.NOTE)
     without = written(tmp_path / "plain.c3d", walk(100, first_frame=101))
     (tmp_path / "plain.c3d").write_bytes(changed(without, {4: 1, 5: 100}, {}))
-    assert said(read(tmp_path / "plain.c3d"), "101 was used", Severity.WARNING)
+    assert said(read(tmp_path / "plain.c3d"), "101 by TRIAL, 1 by the header; 101 was used", Severity.WARNING)
 
 
 @pytest.mark.parametrize("suffix", ["c3d", "npz"])
@@ -214,6 +214,36 @@ def test_of_three_rates_two_decide(tmp_path: Path) -> None:
     assert said(recording, "100 was used", Severity.NOTE)
 
 
+@pytest.mark.parametrize("claim", ["header", "parameters"])
+def test_a_wrong_number_of_points_gives_way_to_the_one_that_fills_the_file(claim: str, tmp_path: Path) -> None:
+    file = written(tmp_path / "walk.c3d", walk(24))
+    # 24 frames of one point more or less have less than a block, so that both numbers fill the file
+    for points in (len(NAMES) - 1, len(NAMES) + 1):
+        raw = changed(file, {2: points}) if claim == "header" else changed(file, {}, integers(file, "POINT", "USED", points))
+        (tmp_path / "other.c3d").write_bytes(raw)
+        recording = read(tmp_path / "other.c3d")
+        np.testing.assert_allclose(recording.positions, walk(24).positions, atol=1e-6)
+        assert said(recording, f"{points} points are declared by")
+
+
+def test_points_that_leap_are_told_where_a_file_contradicts_itself(tmp_path: Path) -> None:
+    file = written(tmp_path / "walk.c3d", walk(24))
+    wrong = len(NAMES) - 1
+    raw = changed(file, {2: wrong}, {**integers(file, "POINT", "USED", wrong), ("POINT", "LABELS"): None})
+    (tmp_path / "other.c3d").write_bytes(raw)
+    assert said(read(tmp_path / "other.c3d", vertical="z"), "leap from frame to frame", Severity.WARNING)
+
+
+def test_the_points_of_a_cut_file_are_those_that_move_least(tmp_path: Path) -> None:
+    file = written(tmp_path / "walk.c3d", walk(64, 8))
+    raw = changed(file, {2: 4})
+    # What is left has room for 64 frames of 4 points, and for 32 of 8.
+    (tmp_path / "cut.c3d").write_bytes(raw[: file.layout.start + 64 * 4 * 16 + 40])
+    recording = read(tmp_path / "cut.c3d")
+    np.testing.assert_allclose(recording.positions, walk(32, 8).positions, atol=1e-6)
+    assert said(recording, "breaks off", Severity.WARNING)
+
+
 def as_integers(file: C3DFile, scale: float, stated: float) -> bytes:
     """The file's bytes with its points as 16-bit integers of that scale, and another scale in POINT:SCALE."""
     head = bytearray(changed(file, {}, floats(file, "POINT", "SCALE", stated))[: file.layout.start])
@@ -237,6 +267,13 @@ def test_of_two_scales_the_one_that_makes_a_person_is_used(tmp_path: Path) -> No
     assert said(read(path), "0.1 was used", Severity.WARNING)
     path.write_bytes(as_integers(file, 0.1, -0.1))
     assert not findings_of(read(path)), "the sign is the number format, which the length shows"
+
+
+def test_integers_without_a_scale_are_told(tmp_path: Path) -> None:
+    raw = bytearray(as_integers(written(tmp_path / "walk.c3d", walk()), 1.0, 0.0))
+    raw[12:16] = bytes(4)
+    (tmp_path / "bare.c3d").write_bytes(raw)
+    assert said(read(tmp_path / "bare.c3d"), "length of an integer step", Severity.WARNING)
 
 
 @pytest.mark.parametrize("code", [-9999.0, 9999999.0, 999999.0, -9999.99])
@@ -278,3 +315,47 @@ def test_a_file_of_computed_points_only_has_no_markers(names: tuple[str, ...], t
     told = describe(path)["points"]
     assert (told["physical"], told["computed"]) == ([], list(names))
     assert read(path, markers=names).labels == names
+
+
+def named(path: Path, names: list[bytes]) -> bytes:
+    """Bytes of a file whose points have these names."""
+    file = written(path, walk(60, len(names)))
+    group = file.parameters.group_id("POINT")
+    assert group is not None
+    labels: dict[tuple[str, str], Record | None] = {("POINT", "LABELS"): strings_record("LABELS", group, names, 4, PC)}
+    return changed(file, {}, labels)
+
+
+@pytest.mark.parametrize(
+    ("names", "encoding", "finding"),
+    [
+        (("右膝", "左膝", "ヒザ", "C7"), "cp932", "in Shift-JIS"),
+        (("Fußspitze", "épaule", "cœur", "C7"), "cp1252", ""),
+        (("Łokieć", "Žebro", "koleno", "C7"), "cp1250", ""),
+        (("右膝", "左膝", "ヒザ", "Größe"), "utf-8", ""),
+    ],
+)
+def test_names_are_read_in_the_encoding_that_they_have(names: tuple[str, ...], encoding: str, finding: str, tmp_path: Path) -> None:
+    path = tmp_path / "names.c3d"
+    path.write_bytes(named(path, [name.encode(encoding) for name in names]))
+    recording = read(path)
+    assert recording.labels == names
+    assert said(recording, finding) if finding else not findings_of(recording)
+    write(tmp_path / "again.c3d", recording)
+    assert (tmp_path / "again.c3d").read_bytes() == path.read_bytes()
+    # New names are UTF-8, beside the old ones.
+    write(tmp_path / "new.c3d", replace(recording, labels=("Größe", *names[1:])))
+    assert read(tmp_path / "new.c3d").labels == ("Größe", *names[1:])
+
+
+def test_names_in_an_unknown_encoding_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "names.c3d"
+    path.write_bytes(named(path, [name.encode("gbk") for name in ("右膝盖", "左膝盖", "左脚踝", "右脚踝")]))
+    assert said(read(path), "encoding of the names is not known", Severity.NOTE)
+
+
+def test_a_name_that_its_field_cuts_within_a_character_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "names.c3d"
+    for encoding in ("cp932", "utf-8"):
+        path.write_bytes(named(path, ["右膝外".encode(encoding)[:-1], b"C7", b"LKNE", b"RKNE"]))
+        assert read(path).labels[0].startswith("右膝")

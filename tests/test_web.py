@@ -53,6 +53,9 @@ def test_a_touch_saves_the_file_and_its_history(tmp_path: Path) -> None:
     with served(sitting(tmp_path)) as browser:
         [trial] = browser.get("/api/trials")["trials"]
         assert trial["state"] == "ready" and trial["first_frame"] == 11 and not trial["saved"]
+        state = browser.get("/api/trials/0/state")
+        unsure = sum(last - first + 1 for runs in state["unsure"] for first, last in runs)
+        assert unsure == round(trial["unsure"] * trial["frames"] * len(state["markers"])), "the timeline shows what the list says"
         answer = touched(browser)
         [said] = [part for part in answer["changed"] if part["by_person"]]
         assert said["after"] == "SACR" and answer["state"]["touches"] == 1

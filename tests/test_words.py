@@ -55,8 +55,13 @@ def survey() -> Survey:
                 classes.add(node.name)
             elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in notes and " " in node.value.strip():
                 sentences.append((at, node.value))
-            elif isinstance(node, ast.FormattedValue) and isinstance(node.format_spec, ast.JoinedStr):
-                patterns.append((at, "".join(str(part.value) for part in node.format_spec.values if isinstance(part, ast.Constant))))
+            elif isinstance(node, ast.JoinedStr) and len(node.values) > 1:
+                given = [part.format_spec for part in node.values if isinstance(part, ast.FormattedValue)]
+                patterns += [
+                    (at, "".join(str(part.value) for part in one.values if isinstance(part, ast.Constant)))
+                    for one in given
+                    if isinstance(one, ast.JoinedStr)
+                ]
     return Survey(frozenset(classes - NAMED_IN_PYTHON), sentences, patterns)
 
 

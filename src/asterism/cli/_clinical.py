@@ -74,10 +74,8 @@ def show(path: Path, clinical: ClinicalAngles | None, known: ClinicalUncertainty
             for one in known.joints
         ]
         _console.table(f"{path}: largest standard uncertainties", head, rows)
-    # a width that was assumed moves the joint by half of its error
-    if assumed := [side for side, measures in clinical.measures.items() if not measures.from_file]:
-        sides = " and ".join(assumed)
-        _console.result(f"The file has no measures of the {sides} leg; an adult's widths of knee and ankle were taken.")
+    for finding in clinical.findings:
+        _console.result(str(finding))
 
 
 def columns(wide: bool) -> list[str]:

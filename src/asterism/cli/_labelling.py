@@ -93,11 +93,12 @@ def file_labeller(
 
 def labelled_row(labelled: LabelledFile) -> dict[str, Any]:
     """What the tables, pages and JSON of all commands say of a labelled file, in plain values."""
-    from asterism.recording import label_shares
+    from asterism.recording import axis_name, label_shares
 
     return {
         "file": labelled.path,
         "frames": len(labelled.clouds),
+        "vertical": axis_name(labelled.clouds.vertical),
         **asdict(label_shares(labelled.labelling, labelled.clouds)),
         "marker_set": [one.to_dict() for one in labelled.worn] or None,
         "worn": ", ".join(one.words for one in labelled.worn) or None,
@@ -105,8 +106,12 @@ def labelled_row(labelled: LabelledFile) -> dict[str, Any]:
         "subject": labelled.standing,
         "known_labels": labelled.file_names,
         "verdict": None if labelled.verdict is None else labelled.verdict.kind,
+        # what no label is more certain than, and why
+        "max_confidence": None if labelled.verdict is None else labelled.verdict.max_confidence,
+        "limited_by": None if labelled.verdict is None else labelled.verdict.limited_by,
         "readiness": labelled.readiness.kind,
         "use": labelled.readiness.words,
+        "why": labelled.readiness.why or None,
         "look_at": labelled.readiness.look_at,
     }
 
@@ -115,13 +120,16 @@ def labelled_line(row: Mapping[str, Any]) -> str:
     """A row of `labelled_row` as a line, with the speed where the row has one."""
     from asterism.recording.display import counted
 
-    parts = [counted(row["frames"], "frame"), shares_text(row)]
+    # records of earlier versions say no vertical
+    up = [f"{row['vertical']} up"] if "vertical" in row else []
+    parts = [counted(row["frames"], "frame"), *up, shares_text(row)]
     if "frames_per_second" in row:
         parts.append(f"{_console.count(row['frames_per_second'])} frames/s")
     if row["subject"] is not None:
         parts.append(f"with {row['subject']}")
     worn = f"; {row['worn']}, a model of virtual people" if row["worn"] else ""
-    return f"{row['file']}: {', '.join(parts)}{worn}; {row['use']}"
+    why = f": {row['why']}" if row.get("why") else ""
+    return f"{row['file']}: {', '.join(parts)}{worn}; {row['use']}{why}"
 
 
 def shares_text(row: Mapping[str, Any]) -> str:

@@ -145,9 +145,11 @@ def motion(options: MotionOptions) -> None:
     if options.output is not None:
         _write_angles(options.output, results)
     if options.report is not None:
+        from asterism.recording.display import short_names
         from asterism.report.motion import motion_report
 
-        shown = [(one.path.name, one.analysis, one.certain) for one in results]
+        names = short_names([one.path for one in results])
+        shown = [(name, one.analysis, one.certain) for name, one in zip(names, results, strict=True)]
         motion_report(options.report, shown, clinical=[(one.clinical, one.legs) for one in results])
     content = {
         "command": "motion",

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from asterism.formats._computed import computed_labels, without_computed
     from asterism.formats._programs import PROGRAMS, for_program
     from asterism.formats._vertical import vertical_from_positions
+    from asterism.formats.c3d.plates import force_plates
     from asterism.formats.csv_blobs import read_blobs, write_blobs
     from asterism.formats.storage import TimeSeriesTable, read_table, write_table
 
@@ -38,6 +39,7 @@ __all__ = [
     "convert_and_tell",
     "describe",
     "for_program",
+    "force_plates",
     "is_recording_file",
     "read",
     "read_blobs",
@@ -55,6 +57,7 @@ __all__ = [
 ]
 
 _MODULE_OF = {
+    "force_plates": "c3d.plates",
     "vertical_from_positions": "_vertical",
     "wanted_columns": "_columns",
     **dict.fromkeys(("computed_labels", "without_computed"), "_computed"),

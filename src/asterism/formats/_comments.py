@@ -22,13 +22,17 @@ class Comments:
     first_frame: int | None = None
     frames: int | None = None
     events: tuple[Event, ...] = ()
+    unread: tuple[int, ...] = ()
+    """The numbers of the lines, counted from 1, that hold an event without a time or a name."""
 
 
 def comments_of(lines: Sequence[str]) -> Comments:
     """The comments among the first lines of a file. Comments that cannot be read are left out."""
     found: dict[str, str] = {}
-    events = []
-    for line in lines:
+    events, unread = [], []
+    for number, line in enumerate(lines, 1):
+        if not line.strip(" ,;\t"):
+            continue
         if not line.startswith("#"):
             # Comments stand at the head: a # further down is part of the data.
             break
@@ -39,8 +43,10 @@ def comments_of(lines: Sequence[str]) -> Comments:
             time, _, rest = value.partition(",")
             context, _, label = rest.partition(",")
             seconds = number_of(time)
-            if seconds is not None and seconds == seconds:
+            if seconds is not None and seconds == seconds and label.strip():
                 events.append(Event(label.strip(), seconds, context.strip()))
+            else:
+                unread.append(number)
         elif sign:
             # The first of two equal keys counts, as in the file that was opened first.
             found.setdefault(key, value)
@@ -60,6 +66,7 @@ def comments_of(lines: Sequence[str]) -> Comments:
         first_frame=_count(found.get("first_frame")),
         frames=_count(found.get("frames")),
         events=tuple(events),
+        unread=tuple(unread),
     )
 
 

@@ -23,6 +23,7 @@ from asterism.recording import Clouds, Evidence, Ints, Labelling, MarkerSet, Rec
 _READERS = {
     "TRC": "trc.read_trc",
     "Motive CSV": "csv_motive.read_motive",
+    "OptiTrack CSV": "csv_optitrack.read_optitrack",
     "Nexus CSV": "csv_nexus.read_nexus",
     "CSV long": "csv_long.read_long",
     "CSV": "csv_wide.read_wide",
@@ -42,7 +43,7 @@ _WRITERS = {
     ".npz": "npz.write_npz",
 }
 _TABLES = (".mot", ".sto", ".csv")
-_FORMS_NOT_WRITTEN = ("Motive CSV", "Nexus CSV")
+_FORMS_NOT_WRITTEN = ("Motive CSV", "OptiTrack CSV", "Nexus CSV")
 """Other programs' CSV files that are read; a CSV that is written has Asterism's own columns."""
 _WITH_CONFIDENCE = (".csv", ".npz")
 """Suffixes of text and NPZ files that have a place for the confidence of labels."""
@@ -99,7 +100,7 @@ def read_clouds(path: str | Path, vertical: ArrayLike | str | None = None) -> Cl
         if _kind_of(path) == "NPZ":
             clouds = npz.read_npz_clouds(path)
             if clouds is not None:
-                return clouds
+                return replace(clouds, vertical=read(path, vertical=vertical).vertical)
         # Anything else is read as a recording, and loses its labels.
         return read(path, vertical=vertical).clouds()
 
@@ -371,7 +372,7 @@ def _kind_of(path: Path) -> str:
 
 def _text_kind(path: Path, head: bytes) -> str | None:
     """The format by the first lines of a file, or None."""
-    from asterism.formats import csv_blobs, csv_long, csv_nexus
+    from asterism.formats import csv_blobs, csv_long, csv_nexus, csv_optitrack
 
     # Ever weaker signs, the most telling first.
     lines = lines_of(decoded(path, head))
@@ -387,6 +388,8 @@ def _text_kind(path: Path, head: bytes) -> str | None:
     # An endheader stands far down where a header lists many columns.
     if any(line.strip(" ,;\t").casefold() == "endheader" for line in lines[:200]):
         return "storage"
+    if csv_optitrack.is_optitrack(lines):
+        return "OptiTrack CSV"
     if csv_nexus.is_nexus(lines):
         return "Nexus CSV"
     if csv_blobs.is_blobs(lines):

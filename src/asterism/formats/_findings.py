@@ -5,7 +5,7 @@ The sentences name no file and have no full stop, because readers of a part of a
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +24,13 @@ def units_assumed(sentence: str) -> Finding:
 
 def vertical_conflict(sentence: str) -> Finding:
     """The file declares another vertical than its markers show."""
-    return Finding("format-vertical-conflict", Severity.NOTE, "", sentence, "Give the vertical with --vertical where this is wrong.")
+    mend = "Look which way is up, and give it with --vertical; correct it in the file."
+    return Finding("format-vertical-conflict", Severity.WARNING, "", sentence, mend)
+
+
+def vertical_assumed(sentence: str) -> Finding:
+    """The file declares no vertical, and its points do not show one clearly."""
+    return Finding("format-vertical-assumed", Severity.NOTE, "", sentence, "Give the vertical with --vertical where this is wrong.")
 
 
 def rate_conflict(sentence: str) -> Finding:
@@ -52,6 +58,24 @@ def short_rows(sentence: str) -> Finding:
     return Finding("format-short-rows", Severity.NOTE, "", sentence, "Check these lines.")
 
 
+def moved_cells(sentence: str) -> Finding:
+    """Cells of a row have moved into other columns, because a separator was lost or doubled."""
+    return Finding("format-moved-cells", Severity.WARNING, "", sentence, "Correct these lines, or export the file again.")
+
+
+def unread_events(line_numbers: Sequence[int]) -> list[Finding]:
+    """A finding where lines that should hold events have no time; nothing where there are none."""
+    if not line_numbers:
+        return []
+    sentence = f"{len(line_numbers)} events have no time that can be read and are left out, first in line {line_numbers[0]}"
+    return [Finding("format-events-unread", Severity.WARNING, "", sentence, "Correct the times of these events in the file.")]
+
+
+def values_left_out(sentence: str) -> Finding:
+    """Columns of a table hold no positions, such as forces, and are not read."""
+    return Finding("format-values-left-out", Severity.NOTE, "", sentence, "Name positions with x, y and z behind the marker's name.")
+
+
 def missing_samples(sentence: str) -> Finding:
     """Samples that cannot be positions were taken as missing."""
     return Finding("format-missing-samples", Severity.NOTE, "", sentence, "Export the file again where they should be positions.")
@@ -65,6 +89,11 @@ def events_outside(sentence: str) -> Finding:
 def frame_numbers(sentence: str) -> Finding:
     """The frame numbers leave frames out, or are not in order."""
     return Finding("format-frame-numbers", Severity.NOTE, "", sentence, "Check the frame column.")
+
+
+def text_encoding(sentence: str) -> Finding:
+    """Names are in another encoding than UTF-8 and the usual European ones."""
+    return Finding("format-text-encoding", Severity.NOTE, "", sentence, "Export the file again with names in UTF-8 or in plain letters.")
 
 
 def point_names(sentence: str) -> Finding:

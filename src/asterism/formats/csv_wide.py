@@ -14,14 +14,19 @@ from asterism.findings import Finding
 from asterism.formats._columns import METRES_PER_UNIT, Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
 from asterism.formats._confidence import LabelConfidence
+from asterism.formats._findings import header_conflict, unread_events, values_left_out
 from asterism.formats._groups import exact_groups, marker_groups
-from asterism.formats._tables import frames_in_place, rate_of, rows_of_numbers
+from asterism.formats._tables import frames_in_place, frames_of, lead_of, rate_of, rows_of_numbers
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.recording import Recording
 
 _CONFIDENCE = "_confidence"
 _FRAME = re.compile(r"(?i)(frame|frames|frame[ _]?(no|number|id|index)?\.?#?|index|sample|#|nr|no)?")
 _TIME = re.compile(r"(?i)(time|t|timestamp|seconds)(\s*[\[(_ ]\s*(?P<unit>s|sec|secs|seconds|ms|milliseconds)\s*[\])]?)?")
+_OTHER_UNIT = re.compile(
+    r"k?n|n[. *-]?m?m|n(m|mm)?/kg|w(/kg)?|m?m/s(2|\^2|²)?|m?g|°|deg(rees?)?|(deg|°|rad)/s|dps|rad|[muµ]?v|a\.?u\.?|[muµ]?t|gauss|%|hz"
+)
+"""Units of forces, angles, speeds and signals. Seconds are none of them: a time column stands beside positions, too."""
 
 
 def read_wide(path: Path) -> Points:
@@ -47,9 +52,16 @@ def read_wide(path: Path) -> Points:
     groups, rest = marker_groups(names) if exact is None else (exact, [0, 1])
     if not groups:
         shown = some_of([name for name in names if name])
-        raise NoMarkers(f"{path} has no marker in its header ({shown}): name three columns LKNE_x, LKNE_y, LKNE_z to make one.")
-    values, findings = rows_of_numbers(path, _numbers_only(lines[body_at:], names, rest, delimiter), body_at + 1, delimiter, len(names))
-    raw = values[:, [column for group in groups for column in group.columns]].reshape(len(values), len(groups), 3)
+        raise NoMarkers(
+            f"{path} is a table of values ({shown}) and no recording: no columns are called like positions of a marker, "
+            "such as LKNE_x, LKNE_y, LKNE_z."
+        )
+    columns = [column for group in groups for column in group.columns]
+    body = _numbers_only(lines[body_at:], names, rest, delimiter)
+    values, findings = rows_of_numbers(path, body, body_at + 1, delimiter, len(names), lead_of(columns, len(names)))
+    raw = values[:, columns].reshape(len(values), len(groups), 3)
+    if comments.frames is not None and comments.frames != len(values):
+        findings.append(header_conflict(f"the header says {comments.frames} frames, the file holds {len(values)}"))
     unit = comments.units or units or next((group.units for group in groups if group.units), None)
     scale, name, found = metres_per_unit(path, unit, raw)
     positions, missing = as_metres(raw, scale)
@@ -66,6 +78,11 @@ def read_wide(path: Path) -> Points:
         # A frame column also shows the frames that were left out.
         positions, numbered, jumps = frames_in_place(values[:, frame_at], positions)
         first = numbered if len(values) else first
+    elif times is not None:
+        positions, _, jumps = frames_in_place(frames_of(times, rate), positions)
+    others = [names[i] for i in rest if names[i] and i not in (time_at, frame_at)]
+    if others:
+        findings.append(values_left_out(f"the columns {some_of(others)} are no positions and are left out"))
     return Points(
         positions,
         tuple(group.name for group in groups),
@@ -77,7 +94,7 @@ def read_wide(path: Path) -> Points:
         first_time=float(times[0]) if times is not None and len(times) and np.isfinite(times[0]) else None,
         events=comments.events,
         subject=comments.subject,
-        findings=(*found, *findings, *missing, *jumps),
+        findings=(*found, *findings, *missing, *jumps, *unread_events(comments.unread)),
     )
 
 
@@ -155,12 +172,16 @@ def _header(lines: list[str], at: int, delimiter: str | None) -> tuple[list[str]
             joined.append(f"{over}_{axis}" if re.fullmatch(r"(?i)[xyz]", axis) else (axis or name))
         names, body = joined, at + 2
         below = cells_of(lines[body], delimiter) if body < len(lines) else []
-    words = [cell.strip("[]()").casefold() for cell in below if cell.strip()]
+    words = [cell.strip("[]()").casefold() for cell in below]
     lengths = [word for word in words if word in METRES_PER_UNIT]
     # A row of units has words where the data have numbers.
-    if len(lengths) >= 3 and all(number_of(word) is None for word in words):
-        return names, lengths[0], body + 1
-    return names, None, body
+    if sum(word in METRES_PER_UNIT or _OTHER_UNIT.fullmatch(word) is not None for word in words) < 3 or any(
+        number_of(word) is not None for word in words if word
+    ):
+        return names, None, body
+    # What is measured in newtons or degrees is no position: its unit becomes part of its name, as in a header of one row.
+    named = [f"{name} ({word})" if _OTHER_UNIT.fullmatch(word) else name for name, word in zip(names, words, strict=False)]
+    return [*named, *names[len(named) :]], next(iter(lengths), None), body + 1
 
 
 def _numbers_only(lines: list[str], names: list[str], rest: list[int], delimiter: str | None) -> list[str]:
@@ -168,7 +189,7 @@ def _numbers_only(lines: list[str], names: list[str], rest: list[int], delimiter
     first = next((line for line in lines if line.strip(" ,;\t")), "")
     cells = cells_of(first, delimiter)
     # Columns of text, such as a subject, are blanked, or no row would be one of numbers.
-    words = [i for i in rest if i < len(cells) and number_of(cells[i].replace(",", ".")) is None]
+    words = [i for i in rest if i < len(cells) and number_of(cells[i]) is None]
     if not words or delimiter is None or len(cells) > len(names):
         return lines
     kept = []

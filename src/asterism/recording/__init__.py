@@ -1,8 +1,9 @@
 """The types of the data: arrays in; recordings, clouds, blobs, labellings and marker sets out."""
 
-from asterism.recording.arrays import Floats, Ints, as_vertical
+from asterism.recording.arrays import Floats, Ints, as_vertical, axis_name
 from asterism.recording.blobs import Blobs
 from asterism.recording.clouds import NULL, Clouds, Evidence, Labelling
+from asterism.recording.force_plate import ForcePlate
 from asterism.recording.known_labels import Disagreement, check_labels, is_partly_labelled
 from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, shipped_sets, without_subject
 from asterism.recording.place import Place, landmarks
@@ -22,6 +23,7 @@ __all__ = [
     "Event",
     "Evidence",
     "Floats",
+    "ForcePlate",
     "Ints",
     "LabelShares",
     "LabelStates",
@@ -33,6 +35,7 @@ __all__ = [
     "Verdict",
     "WornSet",
     "as_vertical",
+    "axis_name",
     "canonical",
     "check_labels",
     "is_partly_labelled",

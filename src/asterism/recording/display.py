@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from html import escape
+from pathlib import Path
 
 Rows = Sequence[tuple[str, str]]
 """What is shown of an object: names and values."""
@@ -61,6 +62,22 @@ def significant(number: float, digits: int) -> str:
     places = max(0, digits - 1 - math.floor(math.log10(abs(number))))
     text = f"{number:,.{places}f}"
     return text.rstrip("0").rstrip(".") if places else text
+
+
+def short_names(files: Sequence[str | Path]) -> list[str]:
+    """What to call each file: its name, with as many of its folders as tell it from other files of that name.
+
+    >>> short_names(["data/anna/walk.c3d", "data/ben/walk.c3d", "data/ben/run.c3d"])
+    ['anna/walk.c3d', 'ben/walk.c3d', 'run.c3d']
+    """
+    parts = [Path(file).parts for file in files]
+    names = []
+    for own in parts:
+        # one file that is given twice has one name
+        others = {other for other in parts if other != own and other[-1:] == own[-1:]}
+        length = next((n for n in range(1, len(own)) if all(other[-n:] != own[-n:] for other in others)), len(own))
+        names.append("/".join(own[-length:]))
+    return names
 
 
 def metres(length: float) -> str:

@@ -15,6 +15,9 @@ from asterism.recording.display import significant
 Figure = dict[str, Any]
 
 PALETTE = ("#0f7b8a", "#d1495b", "#e09f3e", "#5b5f97", "#3a9d5d", "#8d5a97", "#64748b", "#b5651d")
+SIDES: dict[str, dict[str, str]] = {"left": {"color": "#d1344b"}, "right": {"color": "#2563c9", "dash": "dash"}}
+"""How lines of each side are drawn: left red, right blue, as gait laboratories do; dashes tell them without colours. The player has the
+same colours."""
 MOST_NINES = 4.0
 COLUMNS = 600
 """The most columns of a picture over time; longer recordings are drawn by blocks of frames."""

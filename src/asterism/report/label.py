@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from asterism.findings import Finding
 from asterism.recording import Clouds, Floats, Ints, Labelling, LabelStates, MarkerSet, label_states
+from asterism.recording.display import short_names
 from asterism.recording.shares import SURE
 from asterism.recording.verdict import FITS, OTHER_BODY
-from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, findings_table, percent, short_names, tinted, write_page
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, findings_table, percent, tinted, write_page
 from asterism.report.player import WRONG, ShownRecording, pack_recordings
 
 
@@ -81,7 +82,7 @@ def label_report(
 
     shown       the recordings, in the order of `files`; their truth, where it is known, adds right, wrong and missed
     files       a mapping per file: file, frames, labelled, likely, unsure, hidden (shares 0..1), verdict, readiness, use,
-                frames_per_second; what is absent is counted in the recording, or shows as a dash
+                why, frames_per_second; what is absent is counted in the recording, or shows as a dash
     model_info  facts for the foot of the page: model, seed, rules, ...
     findings    on the files
 
@@ -95,7 +96,7 @@ def label_report(
     rows = [{**_counted(recordings, i, row), **row} for i, row in enumerate(given_rows)]
     names = short_names([str(row.get("file", "")) or "the recording" for row in rows])
     sections = [
-        Section("Files", table=_files(rows, names), note=_NOTE),
+        Section("Files", table=_files(rows, names), note=_note(rows, names)),
         *([Section("What to know before using it", table=findings_table(findings))] if findings else []),
         *([_against_truth(recordings)] if any(one.truth is not None for one in recordings) else []),
         *_pictures(recordings, rows, names),
@@ -203,6 +204,8 @@ _MANY_UNSURE = 0.02
 """Share of unsure markers from which the page marks it."""
 _FEW_WRONG = 0.001
 """Share of wrong labels up to which the page marks it as good: the target hit rate of a model by default."""
+_NAMED = 5
+"""Files that are named with a reason; a line has room for so many."""
 _NOTE = (
     "Labelled: a label with a confidence of 99 % or more. Likely: a label with less. "
     "Unsure: a marker without a label, where one of the unlabelled points may be it. "
@@ -232,6 +235,16 @@ def _files(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Table:
         left=2 if judged else 1,
         opens=True,
     )
+
+
+def _note(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
+    """What the columns mean, and why files need a look; each reason once, with its first files."""
+    of_reason: dict[str, list[str]] = {}
+    for row, name in zip(rows, names, strict=True):
+        if row.get("why"):
+            of_reason.setdefault(f"{row['use']}: {row['why']}", []).append(name)
+    reasons = [f"{', '.join(files[:_NAMED])}{', ...' if len(files) > _NAMED else ''}: {reason}." for reason, files in of_reason.items()]
+    return " ".join([_NOTE, *reasons])
 
 
 def _verdict(row: Mapping[str, Any]) -> Cell:

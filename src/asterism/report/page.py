@@ -158,13 +158,6 @@ def findings_table(findings: Sequence[Finding], more: Sequence[Sequence[str | Ce
     return Table(["", "what was found"], rows or [["good", "nothing speaks against it"]], left=2)
 
 
-def short_names(files: Sequence[str]) -> list[str]:
-    """What to call each file: its name, with its folder where another file has the same name."""
-    names = {file: Path(file).name for file in files}
-    twice = {name for name in names.values() if list(names.values()).count(name) > 1}
-    return ["/".join(Path(file).parts[-2:]) if names[file] in twice else names[file] for file in files]
-
-
 def tinted(share: float, digits: int, worst: float, kind: str = "warn") -> Cell:
     """A share as a cell whose tint grows with its root up to `worst`."""
     # The root makes small shares visible beside large ones.

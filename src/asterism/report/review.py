@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asterism.recording import Clouds, Labelling, MarkerSet
-from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, short_names, write_page
+from asterism.recording.display import short_names
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, write_page
 from asterism.report.player import IN_QUESTION, ShownRecording, pack_recordings
 
 if TYPE_CHECKING:

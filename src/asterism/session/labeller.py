@@ -40,11 +40,7 @@ from asterism.session.sources import FrameSource, open_source
 from asterism.session.standing import StandingTrials
 from asterism.session.upright import labelled_upright, vertical_finding
 from asterism.session.wider import wider_model
-from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules, SetFinder, WornMarkers
-
-_FRAMES_TO_FIND = 3000
-"""Frames of a file among which the marker set is looked for: half a minute at 100 Hz. Of a longer file, a person has come into view by then
-or the frames with most points are as good."""
+from asterism.session.worn import BY_NAMES, BY_POINTS, FRAMES_TO_FIND, GIVEN, FindRules, SetFinder, WornMarkers
 
 _WORTH_TELLING = 0.01
 """Probability below which another set is not named."""
@@ -161,7 +157,8 @@ class FileLabeller:
         said, other = source.about.vertical, labelled_upright(self._plain, recording)
         labelled = self._label_source(path, source if other is None else self._open(path, other), progress)
         # whatever points up, the body may be another: then all axes are tried before it is refused
-        if other is None and (labelled.verdict is not None and labelled.verdict.kind == OTHER_BODY):
+        refused = labelled.verdict is not None and labelled.verdict.kind == OTHER_BODY
+        if other is None and (refused or not (labelled.labelling.indices >= 0).any()):
             other = labelled_upright(self._plain, recording, every=True)
             labelled = labelled if other is None else self._label_source(path, self._open(path, other), progress)
         if other is None:
@@ -382,7 +379,7 @@ def label_file(
 
 def _beginning(source: FrameSource) -> slice:
     """The frames of a file that tell what is worn, and what is up."""
-    return slice(0, min(len(source.counts), _FRAMES_TO_FIND))
+    return slice(0, min(len(source.counts), FRAMES_TO_FIND))
 
 
 def body_names(models: Sequence[Path]) -> list[str]:

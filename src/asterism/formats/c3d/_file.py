@@ -20,7 +20,7 @@ from asterism.formats._columns import METRES_PER_UNIT, body_size
 from asterism.formats._findings import header_conflict, header_doubt, rate_conflict
 from asterism.formats.c3d._layout import BLOCK, Header, Layout, find_layout, first_frame_of, header_of
 from asterism.formats.c3d._numbers import PC, PROCESSORS, Processor, Words
-from asterism.formats.c3d._parameters import Parameters, text_of
+from asterism.formats.c3d._parameters import Parameters
 from asterism.recording import Event, Floats
 from asterism.recording.arrays import missing_codes
 
@@ -78,6 +78,8 @@ class C3DFile:
         claims = (self.header.scale, self.parameters.number("POINT", "SCALE") or 0.0)
         # A scale of 0 would put all points into the origin.
         scales = [abs(scale) for scale in claims if np.isfinite(scale) and scale != 0]
+        if not scales and not self.layout.real:
+            return 1.0, header_doubt("neither the header nor POINT:SCALE gives the length of an integer step; one unit was used")
         if self.layout.real or len(scales) < 2 or abs(scales[0] / scales[1] - 1) < _SAME_SCALE:
             return (scales or [1.0])[0], None
         some = slice(None, None, max(1, self.layout.frames // 200))
@@ -208,7 +210,7 @@ class C3DFile:
     @cached_property
     def labels(self) -> list[str]:
         """One label per point; a point without one is called `*` and its place, counted from 1."""
-        found = [text_of(raw) for raw in self.raw_labels]
+        found = [self.parameters.text_of(raw) for raw in self.raw_labels]
         return [label or f"*{place + 1}" for place, label in enumerate(found)]
 
     @cached_property
@@ -255,7 +257,7 @@ class C3DFile:
 
     @cached_property
     def _first_frame(self) -> tuple[int, Finding | None]:
-        return first_frame_of(self.header, self.parameters, self.layout.frames, self.events, self.rate)
+        return first_frame_of(self.header, self.parameters, self.layout, self.events, self.rate)
 
     @cached_property
     def doubts(self) -> tuple[Finding, ...]:

@@ -25,7 +25,7 @@ from asterism.formats.c3d._file import C3DFile, parse_c3d, ranges
 from asterism.formats.c3d._fresh import fresh_c3d
 from asterism.formats.c3d._layout import LIMIT
 from asterism.formats.c3d._numbers import Words
-from asterism.formats.c3d._parameters import Parameters, Record, text_of
+from asterism.formats.c3d._parameters import Parameters, Record
 from asterism.formats.c3d._reader import in_metres, scaled, unit_of
 from asterism.recording import Floats, Ints, LabelStates, Recording
 
@@ -144,8 +144,9 @@ def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: st
         ]
         parameters = parameters.replaced(label_parameters(file, labels, descriptions))
         # Lists of angles and forces name points by their labels.
-        gone = {text_of(raw) for raw in file.raw_labels} - {text_of(raw) for raw in labels}
-        parameters = with_declared(parameters, gone, {text_of(file.raw_labels[place]): text_of(raw) for place, raw in renamed.items()})
+        read = file.parameters.text_of
+        gone = {read(raw) for raw in file.raw_labels} - {read(raw) for raw in labels}
+        parameters = with_declared(parameters, gone, {read(file.raw_labels[place]): read(raw) for place, raw in renamed.items()})
     if recording.events != file.events:
         parameters = with_events(parameters, recording.events)
     # Readers that see this group count no more frames than 16 bits do; without rotations it says nothing.
@@ -299,7 +300,7 @@ def _renamed_computed(file: C3DFile, seen: Sequence[str], recording: Recording, 
     if not clashes:
         return {}
     kinds = kinds_of_points(file, in_metres(file)[0])
-    return {place: text_of(file.raw_labels[place]).encode("utf-8") + COMPUTED_ENDING for place in clashes if kinds[place] == COMPUTED}
+    return {place: file.labels[place].encode("utf-8") + COMPUTED_ENDING for place in clashes if kinds[place] == COMPUTED}
 
 
 def _labels(

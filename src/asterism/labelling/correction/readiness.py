@@ -37,23 +37,31 @@ _RULES = ReadinessRules()
 class Readiness:
     """Whether a labelled recording can be used.
 
-    kind      "ready", "look" (some pieces should be looked at) or "do-not-use"
-    sentence  what a person should know, in one sentence
+    kind      "ready", "look" (at some pieces, or once at the whole) or "do-not-use"
     look_at   number of pieces to look at
     error     share of the markers' samples whose label is expected to be wrong or missing
+    why       the reason, and what to do then; empty where the pieces are all there is to say
     """
 
     kind: str
-    sentence: str
     look_at: int
     error: float
+    why: str = ""
 
     @property
     def words(self) -> str:
-        """For a column of a table: "ready", "look at 3" or "do not use"."""
+        """For a column of a table: "ready", "look at 3", "look once" or "do not use"."""
         if self.kind == LOOK:
-            return f"look at {self.look_at}" if self.look_at else "look"
+            return f"look at {self.look_at}" if self.look_at else "look once"
         return "ready" if self.kind == READY else "do not use"
+
+    @property
+    def sentence(self) -> str:
+        """What a person should know, in one sentence."""
+        if self.kind == READY:
+            return "Ready: no label needs a look."
+        pieces = f" piece{'s' if self.look_at > 1 else ''} of tracks" if self.kind == LOOK and self.look_at else ""
+        return f"{self.words.capitalize()}{pieces}{': ' if self.why else ''}{self.why}."
 
 
 def to_look_at(items: Sequence[ReviewItem], rules: ReadinessRules = _RULES) -> list[ReviewItem]:
@@ -76,27 +84,26 @@ def readiness(labelling: Labelling, clouds: Clouds, items: Sequence[ReviewItem],
         unanswered = sum(item.samples for item in items if item.marker is None)
         error = max(error, min(unanswered, visible - given) / max(visible, 1))
 
-    def judged(kind: str, sentence: str) -> Readiness:
-        return Readiness(kind, sentence, look_at, error)
+    def judged(kind: str, why: str = "") -> Readiness:
+        return Readiness(kind, look_at, error, why)
 
     # Nothing was labelled, so that there are no labels whose errors could be counted.
     if not given:
-        why = "this is no body that the model knows, and " if verdict is not None and verdict.kind == OTHER_BODY else ""
-        return judged(DO_NOT_USE, f"Do not use: {why}no label was given.")
+        unknown = "this is no body that the model knows, and " if verdict is not None and verdict.kind == OTHER_BODY else ""
+        return judged(DO_NOT_USE, f"{unknown}no label was given")
     if error > rules.max_error:
-        return judged(DO_NOT_USE, f"Do not use: {100 * error:.0f} % of the labels are expected to be wrong or missing.")
+        return judged(DO_NOT_USE, f"{100 * error:.0f} % of the labels are expected to be wrong or missing")
     # What concerns the whole recording shows no error in any single label.
     if labelling.bodies > 1:
-        return judged(LOOK, "Look: a second person wears the model's markers and has no label; give the model once for each.")
+        return judged(LOOK, "a second person wears the model's markers and has no label; give the model once for each")
     if verdict is not None and verdict.exchangeable:
         names = "; ".join(f"{', '.join(group[:-1])} and {group[-1]}" for group in verdict.exchangeable)
-        return judged(LOOK, f"Look: {names} may be exchanged throughout.")
-    pieces = f"{look_at} piece{'s' if look_at > 1 else ''} of tracks"
+        return judged(LOOK, f"{names} may be exchanged throughout")
     # What a person has confirmed is sure, whatever the model knows.
     if verdict is not None and not verdict.fits and (labelling.confidence[labelling.indices >= 0] < SURE).any():
-        teach = " Then teach it with `asterism learn`." if verdict.kind == OTHER_PERSON else ""
-        if look_at:
-            return judged(LOOK, f"Look at {pieces}: {verdict.limited_by}, so that no label of it is sure.{teach}")
         # No piece stands out, so that one look at the whole is enough.
-        return judged(LOOK, f"Look once: the labels agree with each other, but {verdict.limited_by}, so that none is sure.{teach}")
-    return judged(LOOK, f"Look at {pieces}.") if look_at else judged(READY, "Ready: no label needs a look.")
+        agree = "" if look_at else "the labels agree with each other, but "
+        teach = "; then teach them with `asterism learn`" if verdict.kind == OTHER_PERSON else ""
+        limit = f"none of the model's labels is above {100 * verdict.max_confidence:.2f} %"
+        return judged(LOOK, f"{agree}{verdict.limited_by}, so that {limit}{teach}")
+    return judged(LOOK if look_at else READY)

@@ -26,6 +26,10 @@ from asterism.session.worn.fit import FitRules, FrameFit, fit_frame
 from asterism.session.worn.shapes import BodyShapes, body_shapes
 from asterism.tracking import find_tracklets
 
+FRAMES_TO_FIND = 3000
+"""Frames of a file among which the marker set is looked for: half a minute at 100 Hz. Of a longer file, a person has come into view by then
+or the frames with most points are as good."""
+
 GIVEN, BY_NAMES, BY_POINTS = "given", "names", "points"
 """Why a marker set was taken: a person said so; the file's names are its; the points lie as its markers do."""
 

@@ -75,14 +75,12 @@
       return point >= 0 && this.recording.frameOf[point] === frame ? this.placeOfPoint(point) : -1;
     }
 
-    // The timeline's codes (markers x frames): hidden, unsure where points are left over, confidence, or said by a person.
+    // The timeline's codes (markers x frames): hidden, unsure where the server says so, confidence, or said by a person.
     codes() {
-      const { recording, pieces } = this, { frames, offsets, marker, marks } = recording, out = new Uint8Array(recording.names.length * frames);
+      const { recording, pieces, state } = this, { frames, offsets, marker } = recording, out = new Uint8Array(recording.names.length * frames);
       const codeOf = pieces.id.map((_, k) => pieces.person[k] ? PERSON : Asterism.codeOf(pieces.confidence[k] || 0));
+      (state.unsure || []).forEach((runs, row) => { for (const [first, last] of runs) out.fill(UNSURE, row * frames + first, row * frames + last + 1); });
       for (let t = 0; t < frames; t++) {
-        let left = false;
-        for (let p = offsets[t]; p < offsets[t + 1]; p++) if (marker[p] < 0 && !(marks[p] & Asterism.GHOST)) left = true;
-        if (left) for (let row = 0; row < recording.names.length; row++) out[row * frames + t] = UNSURE;
         for (let p = offsets[t]; p < offsets[t + 1]; p++) if (marker[p] >= 0) out[marker[p] * frames + t] = codeOf[this.pieceOf[p]];
       }
       return out;

@@ -74,7 +74,7 @@
 
     showTrials() {
       const text = trial => {
-        const verdict = trial.state === "ready" ? (trial.verdict.kind === "look" ? `look at ${trial.verdict.look_at}` : VERDICTS[trial.verdict.kind] || trial.verdict.kind)
+        const verdict = trial.state === "ready" ? (trial.verdict.kind === "look" ? (trial.verdict.look_at ? `look at ${trial.verdict.look_at}` : "look once") : VERDICTS[trial.verdict.kind] || trial.verdict.kind)
           : { waiting: "waiting", labelling: "being labelled", failed: "failed" }[trial.state];
         return `${plainText(trial.name)} – ${verdict}${trial.touches ? `, ${trial.touches} ${trial.touches === 1 ? "touch" : "touches"}` : ""}${trial.saved ? ", saved" : ""}`;
       };
