@@ -264,7 +264,7 @@ def test_label_names_the_points_of_a_stranger(
     assert run("label", source, "--model", model, "-o", tmp_path / "out", "--report", tmp_path / "report.html") == 0
     line = capsys.readouterr().out
     assert re.search(
-        r"nameless\.c3d: 100 frames, [\d.]+ % labelled, [\d.]+ % likely, [\d.]+ % unsure, [\d.]+ % hidden, [\d,]+ frames/s", line
+        r"nameless\.c3d: 100 frames, z up, [\d.]+ % labelled, [\d.]+ % likely, [\d.]+ % unsure, [\d.]+ % hidden, [\d,]+ frames/s", line
     ), line
     labelled = formats.read(tmp_path / "out" / "nameless.c3d", markers=MARKERS)
     given = labelled.visible

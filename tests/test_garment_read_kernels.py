@@ -300,6 +300,10 @@ def test_cells_grow_and_are_weighed(seed: int) -> None:
     moments = roots @ roots.transpose(0, 2, 1) + 0.5 * np.eye(2)
     weight_kernels.slants(centres, moments, at, fits, cells, slant)
     np.testing.assert_allclose(slant, twins.slants(centres, moments, at, fits, cells), atol=1e-9)
+    stretch = np.empty(n)
+    weight_kernels.stretches(moments, cells, at, stretch)
+    np.testing.assert_allclose(stretch, twins.stretches(moments, cells, at), atol=1e-6)
+    assert 0 < (stretch > 0.5).sum() < n
     y, x = np.mgrid[0:200, 0:220]
     grey = (120 + 60 * np.cos(x / 4.0 + seed) * np.cos(y / 5.0)).astype(np.uint8)
     weight_kernels.bumps(*grey_levels(grey), centres, at, fits, cells, np.array([0.12, 4.0, 3.0, 5.0, 5.0]), bump)

@@ -156,6 +156,15 @@ def test_events_and_points_without_labels_of_a_german_nexus_export(tmp_path):
     np.testing.assert_allclose(back.positions, expected)
 
 
+def test_exports_that_a_spreadsheet_saved_with_semicolons_keep_their_events(tmp_path):
+    for suffix, between in ((".csv", ","), (".tsv", "\t")):
+        text = text_of(tmp_path, suffix)
+        (tmp_path / "walk.csv").write_text(with_commas(text.replace(between, ";")))
+        plain, back = read(tmp_path / f"plain{suffix}"), read(tmp_path / "walk.csv", vertical="z")
+        np.testing.assert_allclose(back.positions, plain.positions)
+        assert (back.labels, back.rate, back.events) == (plain.labels, plain.rate, plain.events)
+
+
 def test_long_csv_with_decimal_commas(tmp_path):
     rows = "\n".join(f"{t}\tLKNE\t0,{t}5\t1,25\t-0,5" for t in range(3))
     (tmp_path / "walk.csv").write_text("# rate=100\n# units=m\nframe\tmarker\tx\ty\tz\n" + rows)
@@ -250,6 +259,15 @@ DRESSES = {
     "a row of units": lambda header, rows: ([*header[:5], "\ts" + "\tmm" * 24], rows),
     "trailing tabs": lambda header, rows: ([line + "\t\t" for line in header], [row + "\t\t" for row in rows]),
     "a tab too many in the names": lambda header, rows: ([*header[:3], header[3].replace("LKNE", "\tLKNE"), *header[4:]], rows),
+    "names between blanks behind tabs": lambda header, rows: ([*header[:3], "Frame#\tTime\t" + " ".join(NAMES), *header[4:]], rows),
+    "a second row of names": lambda header, rows: ([*header[:4], "\t\t" + "\t\t\t".join(NAMES), *header[4:]], rows),
+    "coordinates in the order X, Z, Y": lambda header, rows: (
+        [*header[:4], re.sub(r"(Y\d)\t(Z\d)", r"\2\t\1", header[4]), ""],
+        [
+            "\t".join([*cells[:2], *(cells[i + k] for i in range(2, 26, 3) for k in (0, 2, 1))])
+            for cells in (row.split("\t") for row in rows)
+        ],
+    ),
     "no row of axes": lambda header, rows: (header[:4], rows),
 }
 
@@ -306,11 +324,12 @@ def test_a_lost_or_doubled_separator_costs_its_frame_and_is_said(tmp_path, suffi
         np.testing.assert_array_equal(back.positions[seen], plain.positions[seen])
 
 
-@pytest.mark.parametrize("suffix", [".trc", ".tsv", ".csv", ".sto", ".motive"])
+@pytest.mark.parametrize("suffix", [".trc", ".tsv", ".csv", ".sto", ".motive", ".optitrack"])
 def test_random_damage_is_read_right_or_refused_or_said(tmp_path, suffix):
     random = Random(34)
-    text = motive(body()) if suffix == ".motive" else text_of(tmp_path, suffix)
-    path = tmp_path / f"walk{'.csv' if suffix == '.motive' else suffix}"
+    others = {".motive": motive(body()), ".optitrack": optitrack(body(), "1.1")}
+    text = others[suffix] if suffix in others else text_of(tmp_path, suffix)
+    path = tmp_path / f"walk{'.csv' if suffix in others else suffix}"
     path.write_text(text)
     plain = read(path, vertical="z")
     between = "," if path.suffix == ".csv" else "\t"
@@ -343,7 +362,35 @@ def test_random_damage_is_read_right_or_refused_or_said(tmp_path, suffix):
             seen = np.isfinite(back.positions)
             assert (seen == np.isfinite(plain.positions)).all(), (kind, at, lines[at - 1 : at + 1])
             np.testing.assert_array_equal(back.positions[seen], plain.positions[seen], str((kind, at)))
-    assert quiet < 40, "most damage must show"
+    assert quiet < 45, "most damage must show"
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (lambda text: text.replace("Unlabeled Trajectories", "Unlabeled"), "format-header-conflict"),
+        (lambda text: text.replace("8;0;300,5;900;100,5\n", ""), "format-cut-off"),
+        (lambda text: text.replace("Context;Name;", "Context;"), "format-events-unread"),
+        (lambda text: text.replace("0,1;x\n", "0,1;x;"), "format-events-unread"),
+        (lambda text: text.replace("8;0;101,5", "7;0;101,5"), "format-frame-numbers"),
+    ],
+    ids=["unknown section", "no rows", "no names of events", "two events in a line", "a frame twice"],
+)
+def test_damage_in_a_nexus_export_is_said(tmp_path, damage, told):
+    text = NEXUS.replace("Ann;Right;Foot Strike;soon;x\n", "")
+    (tmp_path / "plain.csv").write_text(text)
+    (tmp_path / "walk.csv").write_text(damage(text))
+    assert told not in codes(read(tmp_path / "plain.csv"))
+    assert told in codes(read(tmp_path / "walk.csv"))
+
+
+@pytest.mark.parametrize(
+    ("whole", "shorter"), [(";;Ann:LKNE", ";Ann:LKNE"), ("Frame;Sub Frame;X;Y;Z\n;;mm;mm;mm\n8", "Frame;X;Y;Z\n;;mm;mm;mm\n8")]
+)
+def test_a_nexus_header_that_lost_a_cell_is_refused(tmp_path, whole, shorter):
+    (tmp_path / "walk.csv").write_text(NEXUS.replace(whole, shorter))
+    with pytest.raises(AsterismError, match="does not stand over an X"):
+        read(tmp_path / "walk.csv")
 
 
 VALUES = {

@@ -339,7 +339,7 @@ def test_a_few_frames_are_labelled_by_posture(frames: int, tmp_path: Path, capsy
     asterism.write(tmp_path / "short.c3d", anonymous(truth))
     run("label", tmp_path / "short.c3d", "-o", tmp_path / "out")
     said = capsys.readouterr()
-    assert f"{frames} frame{'s' if frames > 1 else ''}, 0.00 % labelled" in said.out
+    assert f"{frames} frame{'s' if frames > 1 else ''}, z up, 0.00 % labelled" in said.out
     assert ("[label-few-frames]" in said.err) == (frames < 5)
     labelled = asterism.read(tmp_path / "out" / "short.c3d", markers=truth.labels)
     assert np.abs(labelled.positions - truth.positions).max() < 1e-3

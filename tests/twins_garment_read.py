@@ -541,3 +541,16 @@ def bumps(grey, centres, at, fits, cells, rise):
                 after = values[begin[0] + 1 :]
                 out[i] = max(out[i], (np.maximum.accumulate(after) - after).max() / end)
     return out
+
+
+def stretches(moments, cells, at):
+    """The logarithm of an ellipse's axes' ratio where the mean ellipse of the circles around is a circle."""
+    out = np.zeros(len(cells))
+    for i in np.flatnonzero(cells[:, 0] >= 0):
+        r, c = cells[i]
+        near = at[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2]
+        others = near[(near >= 0) & (near != i)]
+        if len(others):
+            values = np.linalg.eigvals(np.linalg.solve(moments[others].mean(axis=0), moments[i])).real
+            out[i] = 0.5 * np.log(values.max() / values.min())
+    return out

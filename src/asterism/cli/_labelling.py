@@ -93,11 +93,12 @@ def file_labeller(
 
 def labelled_row(labelled: LabelledFile) -> dict[str, Any]:
     """What the tables, pages and JSON of all commands say of a labelled file, in plain values."""
-    from asterism.recording import label_shares
+    from asterism.recording import axis_name, label_shares
 
     return {
         "file": labelled.path,
         "frames": len(labelled.clouds),
+        "vertical": axis_name(labelled.clouds.vertical),
         **asdict(label_shares(labelled.labelling, labelled.clouds)),
         "marker_set": [one.to_dict() for one in labelled.worn] or None,
         "worn": ", ".join(one.words for one in labelled.worn) or None,
@@ -119,7 +120,9 @@ def labelled_line(row: Mapping[str, Any]) -> str:
     """A row of `labelled_row` as a line, with the speed where the row has one."""
     from asterism.recording.display import counted
 
-    parts = [counted(row["frames"], "frame"), shares_text(row)]
+    # records of earlier versions say no vertical
+    up = [f"{row['vertical']} up"] if "vertical" in row else []
+    parts = [counted(row["frames"], "frame"), *up, shares_text(row)]
     if "frames_per_second" in row:
         parts.append(f"{_console.count(row['frames_per_second'])} frames/s")
     if row["subject"] is not None:

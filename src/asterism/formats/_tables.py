@@ -228,22 +228,29 @@ def _timed_rate(times: Floats | None, declared: float | None) -> tuple[float | N
 
 def frames_of(times: Floats, rate: float) -> Floats:
     """(T,) the frame numbers, from 0, that evenly spaced times (s) stand for; else one after the other."""
-    numbers = np.round((times - times[:1]) * rate) if np.isfinite(times).all() and np.isfinite(rate) else np.zeros(0)
-    # Times that rise by less than a frame are no clock of the frames.
-    return numbers if len(numbers) and (np.diff(numbers) >= 1).all() else np.arange(float(len(times)))
+    if not np.isfinite(times).all() or not np.isfinite(rate):
+        return np.arange(float(len(times)))
+    numbers = np.round((times - times[:1]) * rate)
+    # Times that rise by less than a frame are no clock of the frames; times that fall are lines out of order.
+    return np.arange(float(len(times))) if (np.diff(numbers) < 1).any() and (np.diff(times) > 0).all() else numbers
 
 
 def frames_in_place(frames: Floats, rows: Floats) -> tuple[Floats, int, list[Finding]]:
     """Rows (T, ...) with NaN rows inserted where frame numbers are left out, the first frame's number, and findings."""
-    if not len(frames):
+    known = np.isfinite(frames)
+    if not known.any():
         return rows, 1, []
+    # A row without a number stands between its neighbours where the numbers count the rows.
+    counted = np.arange(float(len(frames))) + (frames[known][0] - np.nonzero(known)[0][0])
+    if not known.all() and (frames[known] == counted[known]).all():
+        frames = counted
     # Frame numbers with fractions are something else, such as times.
     numbers = np.round(np.where(np.isfinite(frames), frames, 0.0))
     if (numbers != frames).any() or (np.abs(numbers) > 2**31).any():
         return rows, 1, []
     first = int(numbers[0])
     steps = np.diff(numbers)
-    if len(steps) == 0 or (steps == steps[0]).all():
+    if len(steps) == 0 or (steps[0] > 0 and (steps == steps[0]).all()):
         return rows, first, []
     span = int(numbers[-1] - numbers[0]) + 1
     # A jump back, or a huge gap, is damage or a joined file: filling it would cost memory for nothing.

@@ -44,10 +44,13 @@ def read_motive(path: Path) -> Points:
     types = next((row for row in above if any(cell.casefold() in _TYPES for cell in row[2:])), None)
     if types is None:
         raise AsterismError(f"{path} has no row with the types of its columns (Marker, Rigid Body, ...); export it with its header.")
-    names = above[above.index(types) + 1] if above.index(types) + 1 < len(above) else []
+    below = above[above.index(types) + 1 :]
+    names = next((row for row in above if row[1:2] in (["Name"], ["name"])), below[0] if below else [])
+    if names[1:2] in (["ID"], ["Parent"]) or names == types:
+        raise AsterismError(f"{path} has no row with the names of its markers; export it from Motive again, with its header.")
     what = next((row for row in reversed(above) if any(cell.casefold() == "position" for cell in row)), [])
     axes = cells_of(lines[at], delimiter)
-    blocks = _blocks(types, names, what, axes)
+    blocks = _blocks(path, types, names, what, axes)
     if not blocks:
         raise AsterismError(f"{path} holds no positions; export it from Motive again, with markers.")
     columns = [column for block in blocks for column in block.columns]
@@ -84,17 +87,19 @@ def _key_values(cells: list[str]) -> dict[str, str]:
     return {key.casefold(): value for key, value in zip(cells[::2], cells[1::2], strict=False) if key}
 
 
-def _blocks(types: list[str], names: list[str], what: list[str], axes: list[str]) -> list[_Block]:
-    """Runs of three columns X, Y, Z that are positions of one thing."""
+def _blocks(path: Path, types: list[str], names: list[str], what: list[str], axes: list[str]) -> list[_Block]:
+    """Runs of three columns X, Y, Z that are positions of one thing. Raises AsterismError where the rows above do not fit them."""
     blocks = []
     for i in range(2, len(axes) - 2):
         trio = [cell.upper() for cell in axes[i : i + 3]]
-        if trio != ["X", "Y", "Z"] or max(i + 3, 0) > len(names) or i >= len(types):
+        if trio != ["X", "Y", "Z"] or {cell.casefold() for cell in what[i : i + 3]} == {"rotation"}:
             continue
-        if what and (i >= len(what) or what[i].casefold() != "position"):
-            continue
-        if len(set(names[i : i + 3])) == 1:
-            blocks.append(_Block(types[i].casefold(), names[i], (i, i + 1, i + 2)))
+        # Rows that have lost a cell would give the names to other markers.
+        if any(len(row) < i + 3 or len(set(row[i : i + 3])) != 1 for row in (types, names, *([what] if what else []))):
+            raise AsterismError(
+                f"{path}, column {i + 1}: X, Y and Z do not stand below one name, type and Position; export it from Motive again."
+            )
+        blocks.append(_Block(types[i].casefold(), names[i], (i, i + 1, i + 2)))
     return blocks
 
 

@@ -13,7 +13,7 @@ from asterism.errors import AsterismError, NoMarkers
 from asterism.files.text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes, some_of
 from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
-from asterism.formats._findings import unread_events
+from asterism.formats._findings import cut_off, header_conflict, unread_events
 from asterism.formats._tables import frames_in_place, lead_of, rows_of_numbers
 from asterism.recording import Event, Floats, as_vertical
 
@@ -32,7 +32,7 @@ def is_nexus(lines: Sequence[str]) -> bool:
 
 
 @dataclass(frozen=True)
-class _Section:
+class _Trajectories:
     """The points of one section: positions (T, P, 3) in the file's unit, the first frame's number, and what was found."""
 
     positions: Floats
@@ -56,18 +56,25 @@ def read_nexus(path: Path) -> Points:
         raise NoMarkers(f"{path} has no section Trajectories (it has {held}); export it from Nexus again, with trajectories.")
     # Points that Nexus could not label stand in a section of their own.
     sections = [_section(path, lines, bare, at) for at in found]
-    first = min(section.first for section in sections)
-    frames = max(section.first + len(section.positions) for section in sections) - first
+    filled = [section for section in sections if len(section.positions)] or sections[:1]
+    first = min(section.first for section in filled)
+    frames = max(section.first + len(section.positions) for section in filled) - first
     labels = [label for section in sections for label in section.labels]
     raw = np.full((frames, len(labels), 3), np.nan)
     done = 0
     for section in sections:
-        start = section.first - first
+        start = section.first - first if len(section.positions) else 0
         raw[start : start + len(section.positions), done : done + len(section.labels)] = section.positions
         done += len(section.labels)
     scale, name, findings = metres_per_unit(path, sections[0].units, raw)
     positions, missing = as_metres(raw, scale)
     events, unread = _events(lines, bare)
+    # What stands between blank lines under no known name is another section, or one whose name was damaged.
+    starts = [i for i, line in enumerate(bare) if line and (i == 0 or not bare[i - 1])]
+    unknown = [i for i in starts if bare[i] not in _SECTIONS]
+    if unknown:
+        begins = lines[unknown[0]].strip(_BLANKS)[:40]
+        findings.append(header_conflict(f"a part without a known name, from line {unknown[0] + 1} on ({begins}), is left out"))
     numbers = iter(range(1, len(labels) + 1))
     return Points(
         positions,
@@ -82,7 +89,7 @@ def read_nexus(path: Path) -> Points:
     )
 
 
-def _section(path: Path, lines: list[str], bare: list[str], at: int) -> _Section:
+def _section(path: Path, lines: list[str], bare: list[str], at: int) -> _Trajectories:
     """The section of trajectories that begins at line `at`, counted from 0."""
     rate = number_of(bare[at + 1]) if at + 1 < len(bare) else None
     if rate is None or not 0 < rate < 1e6:
@@ -95,6 +102,12 @@ def _section(path: Path, lines: list[str], bare: list[str], at: int) -> _Section
     # Nexus leaves the row of units out of some exports.
     has_units = units is not None and number_of(units) is None
     labels, columns = _points(over, axes)
+    astray = [i for i, name in enumerate(over) if name and i not in columns[::3]]
+    if labels and astray:
+        raise AsterismError(
+            f"{path}, line {at + 3}, column {astray[0] + 1}: {over[astray[0]][:40]!r} does not stand over an X with Y and Z; "
+            "correct the header or export the file again."
+        )
     if not labels:
         raise AsterismError(f"{path}, line {at + 3}: no trajectory is named over columns X, Y, Z; export the file again.")
     # Nexus numbers what it could not label: such a number is no marker's name.
@@ -107,10 +120,12 @@ def _section(path: Path, lines: list[str], bare: list[str], at: int) -> _Section
     # Only the last line of the file may be cut off, and the lines of another section are whole.
     body = [*lines[start:end], *([""] if end < len(lines) else [])]
     values, findings = rows_of_numbers(path, body, start + 1, delimiter, width, lead_of(columns, width))
+    if not len(values):
+        findings.append(cut_off(f"its section {lines[at].strip(_BLANKS)} has no row of numbers"))
     positions = values[:, columns].reshape(len(values), len(labels), 3)
     frame_at = next((i for i, cell in enumerate(axes) if cell.casefold() == "frame"), 0)
     positions, first, jumps = frames_in_place(values[:, frame_at], positions)
-    return _Section(positions, labels, float(rate), units if has_units else None, first, [*findings, *jumps])
+    return _Trajectories(positions, labels, float(rate), units if has_units else None, first, [*findings, *jumps])
 
 
 def _points(over: list[str], axes: list[str]) -> tuple[list[str], list[int]]:
@@ -118,7 +133,8 @@ def _points(over: list[str], axes: list[str]) -> tuple[list[str], list[int]]:
     labels: list[str] = []
     columns: list[int] = []
     for i, axis in enumerate(axes[:-2] if len(axes) > 2 else []):
-        trio = [re.sub(r"\W", "", cell).upper() for cell in axes[i : i + 3]]
+        # X' and X'' are velocities and accelerations.
+        trio = [re.sub(r"[^\w']", "", cell).upper() for cell in axes[i : i + 3]]
         if axis and trio == ["X", "Y", "Z"]:
             # Columns without a name are a trajectory that was not labelled.
             labels.append(over[i] if i < len(over) else "")
@@ -141,15 +157,17 @@ def _events(lines: list[str], bare: list[str]) -> tuple[tuple[Event, ...], list[
             continue
         cells = cells_of(lines[i], delimiter_of(lines[i]))
         lowered = [cell.casefold() for cell in cells]
-        if not names:
-            # The section has columns in any order, by version.
-            if "name" in lowered and any(cell.startswith("time") for cell in lowered):
-                names = ["time" if cell.startswith("time") else cell for cell in lowered]
+        # The section has columns in any order, by version.
+        if not names and "name" in lowered and any(cell.startswith("time") for cell in lowered):
+            names = ["time" if cell.startswith("time") else cell for cell in lowered]
             continue
         row = dict(zip(names, cells, strict=False))
         time = number_of(row.get("time", ""))
-        if time is not None and np.isfinite(time):
-            events.append(Event(row.get("name", ""), float(time), row.get("context", "")))
+        # The rate stands alone above the names of the columns.
+        if not names and len([cell for cell in cells if cell]) == 1:
+            continue
+        if time is not None and np.isfinite(time) and row.get("name") and not any(cells[len(names) :]):
+            events.append(Event(row["name"], float(time), row.get("context", "")))
         else:
             unread.append(i + 1)
     return tuple(events), unread_events(unread)

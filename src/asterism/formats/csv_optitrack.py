@@ -107,6 +107,9 @@ def _frame(cells: list[str]) -> tuple[float, float, int, list[tuple[str, list[fl
         width = next((width for width in (5, 4) if len(rest) in (count * width, count * width - (width == 5))), 0)
         if count >= 0 and width and bool(count) == bool(rest):
             rows = [rest[i * width : (i + 1) * width] for i in range(count)]
+            # A marker's own number stands behind its place, unless cells have moved.
+            for row in rows:
+                _number(row[3])
             return (
                 _number(cells[1]),
                 _number(cells[2]),

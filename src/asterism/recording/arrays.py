@@ -83,11 +83,15 @@ def missing_codes(values: NDArray[Any]) -> NDArray[np.bool_]:
     A code consists of nines, or is an end of the 16-bit integers. It counts where all three coordinates have it, which no measured
     point does to the last bit, or where one coordinate alone is 999999 or more: a kilometre, also in millimetres.
     """
-    size = np.abs(values.astype(np.float64))
-    with np.errstate(invalid="ignore"):
-        alike = (size >= 999).all(axis=-1) & (values == values[..., :1]).all(axis=-1)
-        suspect = alike | (size >= 999_999).any(axis=-1)
-    some = np.where(np.isfinite(size[suspect]), size[suspect], 0.0)
+    x, y, z = values[..., 0], values[..., 1], values[..., 2]
+    alike = (x == y) & (y == z) & (x != 0)
+    # Most recordings have no suspect: two comparisons tell it.
+    large = (values >= 999_999) | (values <= -999_999)
+    suspect = alike | large.any(axis=-1) if large.any() else alike
+    if not suspect.any():
+        return np.zeros(suspect.shape, dtype=np.bool_)
+    size = np.abs(values[suspect].astype(np.float64))
+    some = np.where(np.isfinite(size), size, 0.0)
     # 9999.9 is a code as well: the next power of ten is one unit, or a tenth or less of one, away; to the digits that 32 bits hold.
     gap = 10.0 ** np.ceil(np.log10(np.clip(some, 999.0, 1e300))) - some
     nines = (gap > 0) & (np.abs(gap[..., None] - [1.0, 0.1, 0.01, 0.001]) <= 6e-8 * some[..., None]).any(axis=-1)

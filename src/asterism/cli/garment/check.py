@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -90,6 +91,5 @@ def _cells(result: PhotoCheck) -> list[str]:
         str(result.windows),
         share,
         _console.percent(result.chance),
-        _console.percent(result.misread),
-        _console.percent(result.misread_most),
+        *("unknown" if math.isnan(share) else _console.percent(share) for share in (result.misread, result.misread_most)),
     ]

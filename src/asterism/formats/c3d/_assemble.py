@@ -46,7 +46,7 @@ def assembled(file: C3DFile, parameters: Parameters, width: int, points: int, ra
 
 
 def tail_of(file: C3DFile, growth: int, changed: bool = True) -> tuple[bytes, int]:
-    """What follows the data, padded so that it begins at the same place in a block; and by how many blocks it moves.
+    """What follows the data, with padding up to a whole block before it; and by how many blocks it moves.
 
     changed: whether anything else in the file does.
     """
@@ -60,10 +60,10 @@ def tail_of(file: C3DFile, growth: int, changed: bool = True) -> tuple[bytes, in
     if file.layout.cut:
         return b"", 0
     # Padding behind the data carries nothing, whatever a program left in it: it only has to end the last block.
-    if len(tail) < BLOCK or (len(tail) == BLOCK and not any(tail)):
-        return (bytes(-(file.layout.stop + growth) % BLOCK) if len(file.raw) % BLOCK == 0 else tail), 0
-    pad = -growth % BLOCK
-    return bytes(pad) + tail, (growth + pad) // BLOCK
+    before, after = -file.layout.stop % BLOCK, -(file.layout.stop + growth) % BLOCK
+    if len(tail) <= before or (len(tail) <= BLOCK and not any(tail)):
+        return (bytes(after) if len(file.raw) % BLOCK == 0 else tail), 0
+    return bytes(after) + tail[before:], (growth + after - before) // BLOCK
 
 
 def _fitted_section(file: C3DFile, parameters: Parameters, tail_shift: int) -> tuple[bytes, int]:
@@ -78,6 +78,10 @@ def _fitted_section(file: C3DFile, parameters: Parameters, tail_shift: int) -> t
     changes: dict[tuple[str, str], Record | None] = {}
     for group in parameters.groups:
         block = parameters.count(group, "DATA_START")
+        # Behind 32 MB, pointers to what follows the data are wrapped round 16 bits.
+        if block is not None and group != "POINT":
+            behind = block + max(0, -(-(file.layout.stop // BLOCK + 1 - block) // (LIMIT + 1))) * (LIMIT + 1)
+            block = behind if (behind - 1) * BLOCK < len(file.raw) else block
         # Only pointers at or behind the data move with them.
         if block is not None and block >= start // BLOCK + 1 and (shift or (tail_shift and block > start // BLOCK + 1)):
             moved = block + shift + (tail_shift if block > start // BLOCK + 1 else 0)

@@ -202,11 +202,14 @@ def _ends(parameters: Parameters, start: int, size: int) -> Iterator[int]:
         if group == "POINT" or not block or parameters.count(group, "USED") == 0:
             continue
         # The pointer has 16 bits: behind 32 MB it is wrapped round them.
-        step = BLOCK * (LIMIT + 1)
-        for end in reversed(range((block - 1) * BLOCK, size, step)):
-            if end > start:
-                yield end
+        yield from (end for end in range((block - 1) * BLOCK, size, BLOCK * (LIMIT + 1)) if end > start)
     yield size
+
+
+def _rotations_fill(parameters: Parameters, frames: int, room: int) -> bool:
+    """Whether rotations of so many frames, 17 numbers each, fill what follows the data; true of a file that does not count them."""
+    used, ratio = parameters.count("ROTATION", "USED"), parameters.number("ROTATION", "RATIO") or 1.0
+    return not used or abs(room - 4 * 17 * used * ratio * frames) <= 2 * BLOCK
 
 
 def _counts(header: Header, parameters: Parameters) -> dict[str, int]:
@@ -286,10 +289,10 @@ def _by_length(raw: bytes | bytearray, processor: Processor, header: Header, sta
         counts = _counts(header, start.parameters)
         for end in start.ends:
             fits: dict[tuple[int, int, bool], Layout] = {}
-            for claim in start.claims:
-                for layout in _lengthened(raw, claim, end, counts.values()):
-                    if layout.frames and all(_spent(name, count, header, layout.frames) for name, count in counts.items()):
-                        fits.setdefault(_shape(layout), layout)
+            for layout in (layout for claim in start.claims for layout in _lengthened(raw, claim, end, counts.values())):
+                spent = all(_spent(name, count, header, layout.frames) for name, count in counts.items())
+                if layout.frames and spent and (end == len(raw) or _rotations_fill(start.parameters, layout.frames, len(raw) - end)):
+                    fits.setdefault(_shape(layout), layout)
             if fits:
                 return start, _stillest(raw, processor, list(fits.values()))
     return None
@@ -304,8 +307,8 @@ def _lengthened(raw: bytes | bytearray, claim: Layout, end: int, counts: Collect
     wrapped = (replace(claim, frames=room - (room - count) % (LIMIT + 1)) for count in counts if 0 < count <= room)
     yield from (layout for layout in wrapped if _fills(raw, layout, end))
     left = end - claim.start - room * size
-    # Padding of the last block may have the length of frames, and is zeros.
-    while room > 1 and left + size <= BLOCK and not any(raw[end - left - size : end]):
+    # Padding of the last block, and a block more that some programs write, may have the length of frames, and is zeros.
+    while room > 1 and left + size < 2 * BLOCK and not any(raw[end - left - size : end]):
         room, left = room - 1, left + size
     yield replace(claim, frames=room)
 
@@ -393,7 +396,7 @@ def _about_counts(raw: bytes | bytearray, header: Header, start: _Start, layout:
             yield header_conflict(f"{count} frames are declared by {name}, the data hold {layout.frames}")
     if spent and len(others) == len(counts):
         yield header_conflict(f"{' and '.join(spent)} cannot count the frames; there are {layout.frames} by the length of the file")
-    end = next(end for end in start.ends if end >= layout.stop)
+    end = min(end for end in start.ends if end >= layout.stop)
     left = (end - layout.stop) // max(layout.frame_bytes, 1)
     # Zeros that fill the last block, or more, are no frames.
     if layout.frames and left and end - layout.stop >= BLOCK and any(raw[layout.stop : end]):

@@ -191,3 +191,34 @@ def usual_areas(area, cells, at, out):
                 count += 1
         if count > 0:
             out[i] = (around[(count - 1) // 2] + around[count // 2]) / 2.0
+
+
+@kernel
+def stretches(moments, cells, at, out):
+    """How far each ellipse is from the mean ellipse of the up to eight circles around it, whatever their sizes.
+
+    IN  moments (n, 2, 2) px2; cells (n, 2); at (rows, cols) of `occupy`
+    OUT out (n,) logarithm of the longer over the shorter axis, seen so that the mean ellipse around is a circle; 0 without neighbours
+
+    O(n), no allocation. Twin: tests/twins_garment_read.py
+    """
+    for i in range(len(cells)):
+        out[i] = 0.0
+        row, col = np.int64(cells[i, 0]), np.int64(cells[i, 1])
+        if row < 0:
+            continue
+        xx, xy, yy = 0.0, 0.0, 0.0
+        for r in range(max(row - 1, 0), min(row + 2, at.shape[0])):
+            for c in range(max(col - 1, 0), min(col + 2, at.shape[1])):
+                j = at[r, c]
+                if j < 0 or (r == row and c == col):
+                    continue
+                xx, xy, yy = xx + moments[j, 0, 0], xy + moments[j, 0, 1], yy + moments[j, 1, 1]
+        around = xx * yy - xy * xy
+        if not around > 0.0:
+            continue
+        # Half of the trace over the root of the determinant: the hyperbolic cosine of the logarithm wanted, 1 for one shape.
+        own = moments[i, 0, 0] * moments[i, 1, 1] - moments[i, 0, 1] * moments[i, 1, 0]
+        both = yy * moments[i, 0, 0] - 2.0 * xy * moments[i, 0, 1] + xx * moments[i, 1, 1]
+        ratio = max(both / (2.0 * np.sqrt(around * own)), 1.0)
+        out[i] = np.log(ratio + np.sqrt(ratio * ratio - 1.0))

@@ -67,6 +67,8 @@ class ReadRules:
                    farthest one, pitches from where another cell is expected, squares, own nats, bump
     odds           log odds that a circle needs
     unlike         loss of log odds by how far the logarithm of a circle's area is from that of its neighbours
+    slant, slanted how far its ellipse's shape may be from theirs, in what pixels and folds make of it, and the loss of log odds by the
+                   square of what is beyond: of 42,947 right circles (36 rendered suits, seed 6203) 99 % are below 0.9, 99.9 % below 1.3
     end, corner    what it needs besides where it closes two squares at most, and one
     astray         pitches, by which a circle may be off one of the ways in which its neighbours expect it: where one of two
                    neighbouring lines of circles is a cell off, the ways across say so
@@ -109,6 +111,8 @@ class ReadRules:
     weights: tuple[float, ...] = (-2.01, 0.158, 0.047, -1.622, -1.017, 0.392, 0.856, 0.366, -4.715)
     odds: float = 5.75
     unlike: float = 5.0
+    slant: float = 0.9
+    slanted: float = 6.0
     end: EndRules = EndRules(squares=2, slant=0.5, bump=0.2)
     corner: EndRules = EndRules(squares=1, slant=0.3, bump=0.1, rival=0.8)
     astray: float = 0.75
