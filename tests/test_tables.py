@@ -156,6 +156,15 @@ def test_events_and_points_without_labels_of_a_german_nexus_export(tmp_path):
     np.testing.assert_allclose(back.positions, expected)
 
 
+def test_exports_that_a_spreadsheet_saved_with_semicolons_keep_their_events(tmp_path):
+    for suffix, between in ((".csv", ","), (".tsv", "\t")):
+        text = text_of(tmp_path, suffix)
+        (tmp_path / "walk.csv").write_text(with_commas(text.replace(between, ";")))
+        plain, back = read(tmp_path / f"plain{suffix}"), read(tmp_path / "walk.csv", vertical="z")
+        np.testing.assert_allclose(back.positions, plain.positions)
+        assert (back.labels, back.rate, back.events) == (plain.labels, plain.rate, plain.events)
+
+
 def test_long_csv_with_decimal_commas(tmp_path):
     rows = "\n".join(f"{t}\tLKNE\t0,{t}5\t1,25\t-0,5" for t in range(3))
     (tmp_path / "walk.csv").write_text("# rate=100\n# units=m\nframe\tmarker\tx\ty\tz\n" + rows)
@@ -250,6 +259,15 @@ DRESSES = {
     "a row of units": lambda header, rows: ([*header[:5], "\ts" + "\tmm" * 24], rows),
     "trailing tabs": lambda header, rows: ([line + "\t\t" for line in header], [row + "\t\t" for row in rows]),
     "a tab too many in the names": lambda header, rows: ([*header[:3], header[3].replace("LKNE", "\tLKNE"), *header[4:]], rows),
+    "names between blanks behind tabs": lambda header, rows: ([*header[:3], "Frame#\tTime\t" + " ".join(NAMES), *header[4:]], rows),
+    "a second row of names": lambda header, rows: ([*header[:4], "\t\t" + "\t\t\t".join(NAMES), *header[4:]], rows),
+    "coordinates in the order X, Z, Y": lambda header, rows: (
+        [*header[:4], re.sub(r"(Y\d)\t(Z\d)", r"\2\t\1", header[4]), ""],
+        [
+            "\t".join([*cells[:2], *(cells[i + k] for i in range(2, 26, 3) for k in (0, 2, 1))])
+            for cells in (row.split("\t") for row in rows)
+        ],
+    ),
     "no row of axes": lambda header, rows: (header[:4], rows),
 }
 

@@ -372,8 +372,12 @@ def as_metres(raw: Floats, scale: float, zero_is_missing: bool = True) -> tuple[
     zero = np.all(raw == 0, axis=2) & zero_is_missing
     coded = missing_codes(raw)
     impossible &= ~coded
-    positions[impossible | zero | coded | np.isnan(positions).any(axis=2)] = np.nan
+    blank = np.isnan(positions)
+    part = blank.any(axis=2) & ~blank.all(axis=2) & ~impossible & ~coded
+    positions[impossible | zero | coded | part] = np.nan
     findings = coded_samples(raw[coded])
+    if part.any():
+        findings.append(missing_samples(f"{int(part.sum())} samples have one or two of their three coordinates; taken as missing"))
     if impossible.any():
         findings.append(missing_samples(f"{int(impossible.sum())} samples are infinite or beyond 1000 km; taken as missing"))
     if zero.any():
