@@ -306,7 +306,10 @@ def test_no_other_number_is_one_for_missing() -> None:
     assert missing_codes(np.array([[-9999] * 3, [-32768] * 3, [32767] * 3], dtype=np.int16)).all()
 
 
-@pytest.mark.parametrize("names", [("LHJC", "RHJC", "LKJC", "RKJC"), ("LHipAngles", "RHipAngles"), ("LKneeMoment",)])
+@pytest.mark.parametrize(
+    "names",
+    [("LHJC", "RHJC", "LKJC", "RKJC"), ("LHipAngles", "RHipAngles"), ("LKneeMoment",), ("L_KNEE_ANG", "RHipFlex"), ("HipCenterL", "COM")],
+)
 def test_a_file_of_computed_points_only_has_no_markers(names: tuple[str, ...], tmp_path: Path) -> None:
     path = tmp_path / "computed.c3d"
     write(path, replace(walk(60, len(names)), labels=names))
@@ -359,6 +362,16 @@ def test_a_name_that_its_field_cuts_within_a_character_is_read(tmp_path: Path) -
     for encoding in ("cp932", "utf-8"):
         path.write_bytes(named(path, ["右膝外".encode(encoding)[:-1], b"C7", b"LKNE", b"RKNE"]))
         assert read(path).labels[0].startswith("右膝")
+
+
+@pytest.mark.parametrize(("unit", "markers"), [("deg", False), ("Nmm/kg", False), ("mm", True), ("furlong", True)])
+def test_points_in_a_unit_of_angles_or_forces_are_no_markers(unit: str, markers: bool, tmp_path: Path) -> None:
+    file, path = written(tmp_path / "walk.c3d", walk()), tmp_path / "values.c3d"
+    group = file.parameters.group_id("POINT")
+    assert group is not None
+    path.write_bytes(changed(file, {}, {("POINT", "UNITS"): strings_record("UNITS", group, [unit.encode()], 4, PC)}))
+    assert bool(describe(path)["points"]["physical"]) == markers
+    assert bool(describe(path)["points"]["computed"]) != markers
 
 
 def altered(raw: bytes, file: C3DFile, rng: np.random.Generator) -> tuple[bytes, str]:
