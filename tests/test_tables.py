@@ -143,6 +143,22 @@ def test_a_motive_export_that_a_german_spreadsheet_saved_again(tmp_path, delimit
     assert (back.labels, back.rate, codes(back)) == (NAMES, 100.0, codes(plain))
 
 
+def test_a_motive_export_with_timecodes_poses_and_errors(tmp_path):
+    path = tmp_path / "take.csv"
+    path.write_text(
+        "Format Version,1.24,Take Name,T1,Capture Frame Rate,100.000000,Export Frame Rate,100.000000,Length Units,Centimeters\n\n"
+        ",Type,,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Marker,Marker,Marker\n"
+        ",Name,,Box,Box,Box,Box,Box,Box,Box,Box,Box:Marker 001,Box:Marker 001,Box:Marker 001\n"
+        ",ID,,1,1,1,1,1,1,1,1,2,2,2\n"
+        ",,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,Mean Marker Error,Position,Position,Position\n"
+        "Frame,Time (Seconds),TimeCode,X,Y,Z,W,X,Y,Z,,X,Y,Z\n"
+        + "".join(f"{t},{t / 100:.6f},15:26:46:{t:02}.02,0,0,0,1,10,20,30,0.1,{90 + t},100,130\n" for t in range(4))
+    )
+    back = read(path)
+    assert back.labels == ("Box:Marker 001",), "its own name says nothing without the body"
+    np.testing.assert_allclose(back.positions[:, 0], [[0.9 + t / 100, 1.0, 1.3] for t in range(4)])
+
+
 def test_events_and_points_without_labels_of_a_german_nexus_export(tmp_path):
     (tmp_path / "walk.csv").write_text(NEXUS)
     back = read(tmp_path / "walk.csv")
@@ -260,6 +276,7 @@ DRESSES = {
     "trailing tabs": lambda header, rows: ([line + "\t\t" for line in header], [row + "\t\t" for row in rows]),
     "a tab too many in the names": lambda header, rows: ([*header[:3], header[3].replace("LKNE", "\tLKNE"), *header[4:]], rows),
     "names between blanks behind tabs": lambda header, rows: ([*header[:3], "Frame#\tTime\t" + " ".join(NAMES), *header[4:]], rows),
+    "two names in a cell": lambda header, rows: ([*header[:3], header[3].replace("C7\t\t\tSACR", "C7        SACR"), *header[4:]], rows),
     "a second row of names": lambda header, rows: ([*header[:4], "\t\t" + "\t\t\t".join(NAMES), *header[4:]], rows),
     "coordinates in the order X, Z, Y": lambda header, rows: (
         [*header[:4], re.sub(r"(Y\d)\t(Z\d)", r"\2\t\1", header[4]), ""],

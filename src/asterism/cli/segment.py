@@ -75,7 +75,7 @@ def segment(options: SegmentOptions) -> None:
         from asterism.report.motion import segmentation_report
 
         names = short_names([path for path, _, _ in results])
-        segmentation_report(options.report, [(name, *rest) for name, (_, *rest) in zip(names, results, strict=True)])
+        segmentation_report(options.report, [(name, recording, found) for name, (_, recording, found) in zip(names, results, strict=True)])
     _console.write_json(
         options.json,
         {

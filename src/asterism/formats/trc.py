@@ -208,6 +208,10 @@ def _labels(
     elif (delimiter is None or len(named) == 1) and counts and words not in counts and (said or words > count):
         named = cells = _names_with_blanks(path, line, min(counts), words)
         findings.append(point_names(f"the names of markers hold blanks; they were read as {some_of(named)}"))
+    # Several blanks within a cell separate names as well, where the number of points says so.
+    apart = [name for cell in named for name in re.split(r"\s{2,}", cell)]
+    if len(named) not in counts and len(apart) in counts:
+        named = cells = apart
     places = [i for i, cell in enumerate(cells) if cell]
     beside = places == list(range(len(places)))
     # A name over each third cell, as the format has it; else the names stand side by side.
