@@ -276,6 +276,10 @@ DRESSES = {
     "trailing tabs": lambda header, rows: ([line + "\t\t" for line in header], [row + "\t\t" for row in rows]),
     "a tab too many in the names": lambda header, rows: ([*header[:3], header[3].replace("LKNE", "\tLKNE"), *header[4:]], rows),
     "names between blanks behind tabs": lambda header, rows: ([*header[:3], "Frame#\tTime\t" + " ".join(NAMES), *header[4:]], rows),
+    "Frame# and Time in one cell": lambda header, rows: (
+        [*header[:3], header[3].replace("Frame#\tTime", "Frame# Time"), *header[4:]],
+        rows,
+    ),
     "two names in a cell": lambda header, rows: ([*header[:3], header[3].replace("C7\t\t\tSACR", "C7        SACR"), *header[4:]], rows),
     "a second row of names": lambda header, rows: ([*header[:4], "\t\t" + "\t\t\t".join(NAMES), *header[4:]], rows),
     "coordinates in the order X, Z, Y": lambda header, rows: (
@@ -308,6 +312,13 @@ def test_names_with_blanks_between_blanks(tmp_path):
     doubtful = "R ASI Head L ASI C7 Left Knee Right Knee SACR T10 X Y"
     with pytest.raises(AsterismError, match=r"14 words for 8 markers.*separate the names with tabs"):
         read(saved(tmp_path, [*header[:3], f"Frame# Time {doubtful}"], rows), vertical="z")
+
+
+def test_a_trc_without_a_column_of_times_is_refused(tmp_path):
+    header, rows = trc(tmp_path)
+    header[3] = header[3].replace("\tTime", "")
+    with pytest.raises(AsterismError, match="'LASI' stands where the column Time belongs"):
+        read(saved(tmp_path, header, [re.sub(r"\t[\d.]+", "", row, count=1) for row in rows]))
 
 
 def test_names_that_stand_over_no_column_are_refused_where_points_have_none(tmp_path):
@@ -390,8 +401,9 @@ def test_random_damage_is_read_right_or_refused_or_said(tmp_path, suffix):
         (lambda text: text.replace("Context;Name;", "Context;"), "format-events-unread"),
         (lambda text: text.replace("0,1;x\n", "0,1;x;"), "format-events-unread"),
         (lambda text: text.replace("8;0;101,5", "7;0;101,5"), "format-frame-numbers"),
+        (lambda text: text.replace("Ann:RKNE", ""), "format-point-names"),
     ],
-    ids=["unknown section", "no rows", "no names of events", "two events in a line", "a frame twice"],
+    ids=["unknown section", "no rows", "no names of events", "two events in a line", "a frame twice", "a name lost"],
 )
 def test_damage_in_a_nexus_export_is_said(tmp_path, damage, told):
     text = NEXUS.replace("Ann;Right;Foot Strike;soon;x\n", "")

@@ -193,7 +193,13 @@ def _labels(
 
     Raises AsterismError where it cannot be told which name is whose.
     """
-    cells = cells_of(line, delimiter)[2:]
+    cells = cells_of(line, delimiter)
+    # Frame# and Time may share a cell.
+    if re.fullmatch(r"(?i)frame\s*#?\s+time", cells[0]):
+        cells.insert(1, "")
+    if cells[1:] and cells[1] and not re.match(r"(?i)\W*(time|t\b|s\b|sec|zeit|temps|tiempo|tempo)", cells[1]):
+        raise AsterismError(f"{path}: {cells[1][:40]!r} stands where the column Time belongs, behind Frame#; add that column.")
+    cells = cells[2:]
     named = [cell for cell in cells if cell]
     count, findings = max(most, headed), list[Finding]()
     # Each name may stand over all three of its columns, or with its axis.
