@@ -447,6 +447,13 @@ def test_forces_and_inertial_sensors_are_no_markers(tmp_path, header, two_rows):
     assert two_rows or describe(path)["format"] == "CSV table"
 
 
+def test_orientations_of_opensim_are_named(tmp_path):
+    rows = "".join(f"{t / 100}\t0.9{t},0.01,-0.02,0.1\n" for t in range(4))
+    (tmp_path / "imu.sto").write_text(f"DataRate=100\nDataType=Quaternion\nversion=3\nendheader\ntime\tpelvis_imu\n{rows}")
+    with pytest.raises(NoMarkers, match=r"type Quaternion .* no marker positions"):
+        read(tmp_path / "imu.sto")
+
+
 def test_units_tell_which_columns_are_positions(tmp_path):
     rows = "\n".join(f"{t / 100},0.5,{t},1.0,10,20,{700 + t}" for t in range(12))
     (tmp_path / "both.csv").write_text(f"time,P_x,P_y,P_z,R_x,R_y,R_z\ns,m,m,m,N,N,N\n{rows}\n")
