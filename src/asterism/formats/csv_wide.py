@@ -16,7 +16,7 @@ from asterism.formats._comments import comment_lines, comments_of, data_start
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats._findings import header_conflict, unread_events, values_left_out
 from asterism.formats._groups import exact_groups, marker_groups
-from asterism.formats._tables import frames_in_place, frames_of, lead_of, rate_of, rows_of_numbers
+from asterism.formats._tables import blanked, frames_in_place, frames_of, lead_of, rate_of, rows_of_numbers
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.recording import Recording
 
@@ -189,17 +189,8 @@ def _numbers_only(lines: list[str], names: list[str], rest: list[int], delimiter
     first = next((line for line in lines if line.strip(" ,;\t")), "")
     cells = cells_of(first, delimiter)
     # Columns of text, such as a subject, are blanked, or no row would be one of numbers.
-    words = [i for i in rest if i < len(cells) and number_of(cells[i]) is None]
-    if not words or delimiter is None or len(cells) > len(names):
-        return lines
-    kept = []
-    for line in lines:
-        row = cells_of(line, delimiter)
-        for i in words:
-            if i < len(row):
-                row[i] = ""
-        kept.append(delimiter.join(row))
-    return kept
+    words = {i for i in rest if i < len(cells) and number_of(cells[i]) is None}
+    return lines if len(cells) > len(names) else blanked(lines, words, delimiter)
 
 
 def _unrepeated(labels: tuple[str, ...]) -> list[str]:
