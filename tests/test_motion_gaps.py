@@ -211,6 +211,7 @@ def test_angles_of_a_recording_with_gaps_and_their_uncertainty(gap: str, given: 
             continue
         assert {finding.code for finding in analysis.findings} <= {
             "motion-points-missing", "motion-points-unused", "motion-joint-still", "motion-limb-left-out", "motion-limb-alone",
+            "motion-fewer-limbs",
         }  # fmt: skip
         for sources in (None, ErrorSources(noise=attempt(lambda: noise_from_rig(rig(), recording.positions)))):
             certain = estimate_uncertainty(analysis, sources, rules=FEW, budget_trials=4)

@@ -143,6 +143,22 @@ def test_a_motive_export_that_a_german_spreadsheet_saved_again(tmp_path, delimit
     assert (back.labels, back.rate, codes(back)) == (NAMES, 100.0, codes(plain))
 
 
+def test_a_motive_export_with_timecodes_poses_and_errors(tmp_path):
+    path = tmp_path / "take.csv"
+    path.write_text(
+        "Format Version,1.24,Take Name,T1,Capture Frame Rate,100.000000,Export Frame Rate,100.000000,Length Units,Centimeters\n\n"
+        ",Type,,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Marker,Marker,Marker\n"
+        ",Name,,Box,Box,Box,Box,Box,Box,Box,Box,Box:Marker 001,Box:Marker 001,Box:Marker 001\n"
+        ",ID,,1,1,1,1,1,1,1,1,2,2,2\n"
+        ",,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,Mean Marker Error,Position,Position,Position\n"
+        "Frame,Time (Seconds),TimeCode,X,Y,Z,W,X,Y,Z,,X,Y,Z\n"
+        + "".join(f"{t},{t / 100:.6f},15:26:46:{t:02}.02,0,0,0,1,10,20,30,0.1,{90 + t},100,130\n" for t in range(4))
+    )
+    back = read(path)
+    assert back.labels == ("Box:Marker 001",), "its own name says nothing without the body"
+    np.testing.assert_allclose(back.positions[:, 0], [[0.9 + t / 100, 1.0, 1.3] for t in range(4)])
+
+
 def test_events_and_points_without_labels_of_a_german_nexus_export(tmp_path):
     (tmp_path / "walk.csv").write_text(NEXUS)
     back = read(tmp_path / "walk.csv")
@@ -154,6 +170,15 @@ def test_events_and_points_without_labels_of_a_german_nexus_export(tmp_path):
         [[0.1015, 0.501, 0.20125], [np.nan] * 3, [0.3005, 0.9, 0.1005]],
     ]
     np.testing.assert_allclose(back.positions, expected)
+
+
+def test_exports_that_a_spreadsheet_saved_with_semicolons_keep_their_events(tmp_path):
+    for suffix, between in ((".csv", ","), (".tsv", "\t")):
+        text = text_of(tmp_path, suffix)
+        (tmp_path / "walk.csv").write_text(with_commas(text.replace(between, ";")))
+        plain, back = read(tmp_path / f"plain{suffix}"), read(tmp_path / "walk.csv", vertical="z")
+        np.testing.assert_allclose(back.positions, plain.positions)
+        assert (back.labels, back.rate, back.events) == (plain.labels, plain.rate, plain.events)
 
 
 def test_long_csv_with_decimal_commas(tmp_path):
@@ -250,6 +275,21 @@ DRESSES = {
     "a row of units": lambda header, rows: ([*header[:5], "\ts" + "\tmm" * 24], rows),
     "trailing tabs": lambda header, rows: ([line + "\t\t" for line in header], [row + "\t\t" for row in rows]),
     "a tab too many in the names": lambda header, rows: ([*header[:3], header[3].replace("LKNE", "\tLKNE"), *header[4:]], rows),
+    "names between blanks behind tabs": lambda header, rows: ([*header[:3], "Frame#\tTime\t" + " ".join(NAMES), *header[4:]], rows),
+    "Frame# and Time in one cell": lambda header, rows: (
+        [*header[:3], header[3].replace("Frame#\tTime", "Frame# Time"), *header[4:]],
+        rows,
+    ),
+    "two names in a cell": lambda header, rows: ([*header[:3], header[3].replace("C7\t\t\tSACR", "C7        SACR"), *header[4:]], rows),
+    "a second row of names": lambda header, rows: ([*header[:4], "\t\t" + "\t\t\t".join(NAMES), *header[4:]], rows),
+    "coordinates in the order X, Z, Y": lambda header, rows: (
+        [*header[:4], re.sub(r"(Y\d)\t(Z\d)", r"\2\t\1", header[4]), ""],
+        [
+            "\t".join([*cells[:2], *(cells[i + k] for i in range(2, 26, 3) for k in (0, 2, 1))])
+            for cells in (row.split("\t") for row in rows)
+        ],
+    ),
+    "twice as many tabs between the names": lambda header, rows: ([*header[:3], header[3].replace("\t\t\t", "\t" * 6), *header[4:]], rows),
     "no row of axes": lambda header, rows: (header[:4], rows),
 }
 
@@ -273,6 +313,13 @@ def test_names_with_blanks_between_blanks(tmp_path):
     doubtful = "R ASI Head L ASI C7 Left Knee Right Knee SACR T10 X Y"
     with pytest.raises(AsterismError, match=r"14 words for 8 markers.*separate the names with tabs"):
         read(saved(tmp_path, [*header[:3], f"Frame# Time {doubtful}"], rows), vertical="z")
+
+
+def test_a_trc_without_a_column_of_times_is_refused(tmp_path):
+    header, rows = trc(tmp_path)
+    header[3] = header[3].replace("\tTime", "")
+    with pytest.raises(AsterismError, match="'LASI' stands where the column Time belongs"):
+        read(saved(tmp_path, header, [re.sub(r"\t[\d.]+", "", row, count=1) for row in rows]))
 
 
 def test_names_that_stand_over_no_column_are_refused_where_points_have_none(tmp_path):
@@ -355,8 +402,9 @@ def test_random_damage_is_read_right_or_refused_or_said(tmp_path, suffix):
         (lambda text: text.replace("Context;Name;", "Context;"), "format-events-unread"),
         (lambda text: text.replace("0,1;x\n", "0,1;x;"), "format-events-unread"),
         (lambda text: text.replace("8;0;101,5", "7;0;101,5"), "format-frame-numbers"),
+        (lambda text: text.replace("Ann:RKNE", ""), "format-point-names"),
     ],
-    ids=["unknown section", "no rows", "no names of events", "two events in a line", "a frame twice"],
+    ids=["unknown section", "no rows", "no names of events", "two events in a line", "a frame twice", "a name lost"],
 )
 def test_damage_in_a_nexus_export_is_said(tmp_path, damage, told):
     text = NEXUS.replace("Ann;Right;Foot Strike;soon;x\n", "")
@@ -397,6 +445,13 @@ def test_forces_and_inertial_sensors_are_no_markers(tmp_path, header, two_rows):
     with pytest.raises(NoMarkers, match=r"is a table of values .* and no recording"):
         read(path)
     assert two_rows or describe(path)["format"] == "CSV table"
+
+
+def test_orientations_of_opensim_are_named(tmp_path):
+    rows = "".join(f"{t / 100}\t0.9{t},0.01,-0.02,0.1\n" for t in range(4))
+    (tmp_path / "imu.sto").write_text(f"DataRate=100\nDataType=Quaternion\nversion=3\nendheader\ntime\tpelvis_imu\n{rows}")
+    with pytest.raises(NoMarkers, match=r"type Quaternion .* no marker positions"):
+        read(tmp_path / "imu.sto")
 
 
 def test_units_tell_which_columns_are_positions(tmp_path):

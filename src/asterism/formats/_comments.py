@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from asterism.errors import AsterismError
-from asterism.files.text import number_of
+from asterism.files.text import delimiter_of, number_of
 from asterism.recording import Event, Floats, as_vertical
 
 
@@ -30,6 +30,9 @@ def comments_of(lines: Sequence[str]) -> Comments:
     """The comments among the first lines of a file. Comments that cannot be read are left out."""
     found: dict[str, str] = {}
     events, unread = [], []
+    # A spreadsheet that saved the file again separates the parts of an event as it separates cells.
+    start = data_start(lines)
+    between = delimiter_of(lines[start]) if start < len(lines) else None
     for number, line in enumerate(lines, 1):
         if not line.strip(" ,;\t"):
             continue
@@ -40,8 +43,9 @@ def comments_of(lines: Sequence[str]) -> Comments:
         key, sign, value = line.lstrip("# ").rstrip(" ,;\t").partition("=")
         key, value = key.strip().casefold(), value.strip()
         if key == "event" and sign:
-            time, _, rest = value.partition(",")
-            context, _, label = rest.partition(",")
+            separator = between if between is not None and between in value else ","
+            time, _, rest = value.partition(separator)
+            context, _, label = rest.partition(separator)
             seconds = number_of(time)
             if seconds is not None and seconds == seconds and label.strip():
                 events.append(Event(label.strip(), seconds, context.strip()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -138,6 +138,17 @@ def _some_lines(line_numbers: Sequence[int], which: NDArray[np.bool_]) -> str:
     places = np.nonzero(which)[0]
     more = f" and {len(places) - 1} more" if len(places) > 1 else ""
     return f"line {line_numbers[int(places[0])]}{more}"
+
+
+def blanked(lines: Sequence[str], columns: Collection[int], delimiter: str | None) -> list[str]:
+    """The lines with blanks in columns that hold words, such as a subject or a time of the day."""
+    if not columns or delimiter is None:
+        return list(lines)
+    return [delimiter.join("" if i in columns else cell for i, cell in enumerate(_bare_cells(line, delimiter))) for line in lines]
+
+
+def _bare_cells(line: str, delimiter: str) -> list[str]:
+    return [f'"{cell}"' if delimiter in cell else cell for cell in cells_of(line, delimiter)] if '"' in line else line.split(delimiter)
 
 
 def separator_of(line: str, delimiter: str | None) -> str | None:

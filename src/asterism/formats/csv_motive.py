@@ -12,7 +12,7 @@ from asterism.files.text import cells_of, decoded, delimiter_of, lines_of, numbe
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._findings import header_conflict
 from asterism.formats._physical import COMPUTED, MARKER, UNNAMED, kinds_by_name
-from asterism.formats._tables import frames_in_place, lead_of, rate_of, rows_of_numbers
+from asterism.formats._tables import blanked, frames_in_place, lead_of, rate_of, rows_of_numbers
 from asterism.recording import Floats, as_vertical
 
 _TYPES = {"marker", "rigid body", "rigid body marker", "bone", "bone marker", "skeleton", "marker set", "unlabeled marker"}
@@ -54,7 +54,10 @@ def read_motive(path: Path) -> Points:
     if not blocks:
         raise AsterismError(f"{path} holds no positions; export it from Motive again, with markers.")
     columns = [column for block in blocks for column in block.columns]
-    values, findings = rows_of_numbers(path, lines[at + 1 :], at + 2, delimiter, len(axes), lead_of(columns, len(axes)))
+    # A timecode is no number.
+    words = {i for i, axis in enumerate(axes) if axis.casefold() == "timecode"}
+    body = blanked(lines[at + 1 :], words, delimiter)
+    values, findings = rows_of_numbers(path, body, at + 2, delimiter, len(axes), lead_of(columns, len(axes)))
     raw = values[:, columns].reshape(len(values), len(blocks), 3)
     scale, units, found = metres_per_unit(path, header.get("length units"), raw)
     positions, missing = as_metres(raw, scale)

@@ -16,17 +16,14 @@ from asterism.formats._comments import comment_lines, comments_of, data_start
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats._findings import header_conflict, unread_events, values_left_out
 from asterism.formats._groups import exact_groups, marker_groups
-from asterism.formats._tables import frames_in_place, frames_of, lead_of, rate_of, rows_of_numbers
+from asterism.formats._physical import OTHER_UNIT
+from asterism.formats._tables import blanked, frames_in_place, frames_of, lead_of, rate_of, rows_of_numbers
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.recording import Recording
 
 _CONFIDENCE = "_confidence"
 _FRAME = re.compile(r"(?i)(frame|frames|frame[ _]?(no|number|id|index)?\.?#?|index|sample|#|nr|no)?")
 _TIME = re.compile(r"(?i)(time|t|timestamp|seconds)(\s*[\[(_ ]\s*(?P<unit>s|sec|secs|seconds|ms|milliseconds)\s*[\])]?)?")
-_OTHER_UNIT = re.compile(
-    r"k?n|n[. *-]?m?m|n(m|mm)?/kg|w(/kg)?|m?m/s(2|\^2|²)?|m?g|°|deg(rees?)?|(deg|°|rad)/s|dps|rad|[muµ]?v|a\.?u\.?|[muµ]?t|gauss|%|hz"
-)
-"""Units of forces, angles, speeds and signals. Seconds are none of them: a time column stands beside positions, too."""
 
 
 def read_wide(path: Path) -> Points:
@@ -175,12 +172,12 @@ def _header(lines: list[str], at: int, delimiter: str | None) -> tuple[list[str]
     words = [cell.strip("[]()").casefold() for cell in below]
     lengths = [word for word in words if word in METRES_PER_UNIT]
     # A row of units has words where the data have numbers.
-    if sum(word in METRES_PER_UNIT or _OTHER_UNIT.fullmatch(word) is not None for word in words) < 3 or any(
+    if sum(word in METRES_PER_UNIT or OTHER_UNIT.fullmatch(word) is not None for word in words) < 3 or any(
         number_of(word) is not None for word in words if word
     ):
         return names, None, body
     # What is measured in newtons or degrees is no position: its unit becomes part of its name, as in a header of one row.
-    named = [f"{name} ({word})" if _OTHER_UNIT.fullmatch(word) else name for name, word in zip(names, words, strict=False)]
+    named = [f"{name} ({word})" if OTHER_UNIT.fullmatch(word) else name for name, word in zip(names, words, strict=False)]
     return [*named, *names[len(named) :]], next(iter(lengths), None), body + 1
 
 
@@ -189,17 +186,8 @@ def _numbers_only(lines: list[str], names: list[str], rest: list[int], delimiter
     first = next((line for line in lines if line.strip(" ,;\t")), "")
     cells = cells_of(first, delimiter)
     # Columns of text, such as a subject, are blanked, or no row would be one of numbers.
-    words = [i for i in rest if i < len(cells) and number_of(cells[i]) is None]
-    if not words or delimiter is None or len(cells) > len(names):
-        return lines
-    kept = []
-    for line in lines:
-        row = cells_of(line, delimiter)
-        for i in words:
-            if i < len(row):
-                row[i] = ""
-        kept.append(delimiter.join(row))
-    return kept
+    words = {i for i in rest if i < len(cells) and number_of(cells[i]) is None}
+    return lines if len(cells) > len(names) else blanked(lines, words, delimiter)
 
 
 def _unrepeated(labels: tuple[str, ...]) -> list[str]:

@@ -16,7 +16,7 @@ from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._findings import header_conflict, located, values_left_out
 from asterism.formats._groups import ColumnGroup, exact_groups, marker_groups
-from asterism.formats._tables import frames_in_place, frames_of, rate_of, rows_of_numbers
+from asterism.formats._tables import frames_in_place, frames_of, lead_of, rate_of, rows_of_numbers
 from asterism.formats._writing import all_points
 from asterism.recording import Floats, Recording, as_vertical
 
@@ -84,6 +84,9 @@ def _table(path: Path) -> TimeSeriesTable:
     while names and not names[-1]:
         names.pop()
     body = lines[names_at + 1 :]
+    kind = header.get("datatype", "")
+    if kind and not kind.casefold().startswith(("double", "vec3")):
+        raise NoMarkers(f"{path} holds values of the type {kind[:40]} (orientations, for instance) and no marker positions.")
     # A Vec3 cell holds its three numbers between commas.
     if header.get("datatype", "").casefold().startswith("vec3") and delimiter == "\t":
         names = [names[0], *(f"{name}_{axis}" for name in names[1:] for axis in "xyz")]
@@ -91,7 +94,9 @@ def _table(path: Path) -> TimeSeriesTable:
     # Numbers in the header are a file without one.
     if not names or any(number_of(name) is not None and name for name in names):
         raise AsterismError(f"{path}, line {names_at + 1}: numbers where the column names belong; write a row of names above the numbers.")
-    values, findings = rows_of_numbers(path, body, names_at + 2, delimiter, len(names))
+    columns = [column for group in marker_groups(names)[0] for column in group.columns]
+    lead = lead_of(columns, len(names)) if columns else None
+    values, findings = rows_of_numbers(path, body, names_at + 2, delimiter, len(names), lead)
     for key in ("nrows", "datarows"):
         count = number_of(header.get(key, ""))
         if count is not None and count == count and count != len(values):

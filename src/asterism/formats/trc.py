@@ -97,8 +97,9 @@ def _sheet(path: Path, lines: list[str]) -> _TrcParts:
     data_at = next((i for i in near if _is_data(lines[i])), next((i for i in near if not _axes(lines[i].split())), len(lines)))
     below = [cells_of(line, separator_of(line, delimiter)) for line in lines[names_at + 1 : data_at] if line.strip()]
     axes = next((row for row in below if _axes(row)), [])
-    if not all(axis == "XYZ"[i % 3] for i, axis in enumerate(_axes(axes))):
-        raise AsterismError(f"{path}, line {names_at + 2}: the coordinates are not in the order X, Y, Z; export the file in that order.")
+    order = _axes(axes)[:3] or list("XYZ")
+    if sorted(order) != list("XYZ") or any(axis != order[i % 3] for i, axis in enumerate(_axes(axes))):
+        raise AsterismError(f"{path}, line {names_at + 2}: the coordinates are not X, Y and Z of each point in one order; export it again.")
     first = next((line for line in lines[data_at:] if line.strip()), "")
     between = separator_of(first, delimiter)
     # Points without a name stand behind those with one, in each line as many as were seen.
@@ -110,6 +111,9 @@ def _sheet(path: Path, lines: list[str]) -> _TrcParts:
         path, lines[names_at], delimiter, len(_axes(axes)) // 3, number_of(header.get("nummarkers", "")), -(-max(widest - 2, 0) // 3)
     )
     rows, more = rows_of_numbers(path, lines[data_at:], data_at + 1, between, 2 + 3 * len(labels), lead=2, least=2 + 3 * known)
+    if order != list("XYZ"):
+        places = rows[:, 2:].reshape(len(rows), len(labels), 3)[:, :, [order.index(axis) for axis in "XYZ"]]
+        rows[:, 2:] = places.reshape(len(rows), -1)
     # A row that is too long by damage leaves a column without a point.
     seen = np.nonzero(~np.isnan(rows[:, 2:]).all(axis=0))[0]
     count = max(known, int(seen[-1]) // 3 + 1 if len(seen) else 0)
@@ -189,7 +193,16 @@ def _labels(
 
     Raises AsterismError where it cannot be told which name is whose.
     """
-    cells = cells_of(line, delimiter)[2:]
+    cells = cells_of(line, delimiter)
+    # Frame# and Time may share a cell.
+    if re.fullmatch(r"(?i)frame\s*#?\s+time", cells[0]):
+        cells.insert(1, "")
+    # Blanks may stand before Time.
+    time_at = next((i for i, cell in enumerate(cells) if i and cell), 1)
+    is_time = time_at < len(cells) and re.match(r"(?i)\W*(time|t\b|s\b|sec|zeit|temps|tiempo|tempo)", cells[time_at]) is not None
+    if time_at == 1 < len(cells) and cells[1] and not is_time:
+        raise AsterismError(f"{path}: {cells[1][:40]!r} stands where the column Time belongs, behind Frame#; add that column.")
+    cells = cells[time_at + 1 if is_time else 2 :]
     named = [cell for cell in cells if cell]
     count, findings = max(most, headed), list[Finding]()
     # Each name may stand over all three of its columns, or with its axis.
@@ -199,13 +212,21 @@ def _labels(
     counts = {int(n) for n in (headed, said or 0, most) if 0 < n < 1e6}
     words = len(named[0].split()) if len(named) == 1 else len(named)
     # Between blanks, a name with a blank in it looks like two.
-    if (delimiter is None or len(named) == 1) and counts and words not in counts and (said or words > count):
+    if len(named) == 1 < words and said != 1 and words in counts:
+        named = cells = named[0].split()
+    elif (delimiter is None or len(named) == 1) and counts and words not in counts and (said or words > count):
         named = cells = _names_with_blanks(path, line, min(counts), words)
         findings.append(point_names(f"the names of markers hold blanks; they were read as {some_of(named)}"))
+    # Several blanks within a cell separate names as well, where the number of points says so.
+    apart = [name for cell in named for name in re.split(r"\s{2,}", cell)]
+    if len(named) not in counts and len(apart) in counts:
+        named = cells = apart
     places = [i for i, cell in enumerate(cells) if cell]
     beside = places == list(range(len(places)))
     # A name over each third cell, as the format has it; else the names stand side by side.
     over = delimiter is not None and all(i % 3 == 0 for i in places) and (not beside or len(places) == 1)
+    # With more places than the rows have points, the names have moved.
+    over &= not count or not places or places[-1] // 3 < count
     labels = [cells[i] for i in range(0, places[-1] + 1, 3)] if over and places else named
     known = len(labels)
     # Of names that stand elsewhere only the order counts, which tells nothing where some points have none.

@@ -10,7 +10,7 @@ import numpy as np
 
 from asterism.errors import AsterismError, NoMarkers
 from asterism.files.atomic import utf8, write_atomically
-from asterism.files.text import decoded, lines_of, number_of, read_bytes
+from asterism.files.text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes
 from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._findings import header_conflict, unread_events
@@ -53,7 +53,9 @@ def read_tsv(path: Path) -> Points:
     Raises AsterismError, naming the file, where it holds 6D data, has no marker names, or a cell is not a number.
     """
     lines = lines_of(decoded(path, read_bytes(path)))
-    head = _head(lines)
+    # A spreadsheet that saved the export again may separate its cells otherwise.
+    delimiter = delimiter_of(next(line for line in lines if line.strip())) or "\t"
+    head = _head(lines, delimiter)
     # Any program writes tables with tabs: without QTM's keys it is one of those.
     if not head.values:
         return read_long(path) if is_long(lines) else read_wide(path)
@@ -71,8 +73,8 @@ def read_tsv(path: Path) -> Points:
     # A trajectory without a name has its columns like the others.
     numbers = iter(range(1, len(labels) + 1))
     labels = [label or f"*{next(numbers)}" for label in labels]
-    start, extra = _table(lines, head.stop, len(labels))
-    rows, short = rows_of_numbers(path, lines[start:], start + 1, "\t", extra + 3 * len(labels), lead=extra)
+    start, extra = _table(lines, head.stop, len(labels), delimiter)
+    rows, short = rows_of_numbers(path, lines[start:], start + 1, delimiter, extra + 3 * len(labels), lead=extra)
     raw = rows[:, extra:].reshape(len(rows), len(labels), 3)
     scale, units, findings = metres_per_unit(path, "mm", raw)
     positions, missing = as_metres(raw, scale)
@@ -101,14 +103,14 @@ def read_tsv(path: Path) -> Points:
     )
 
 
-def _head(lines: list[str]) -> _Head:
+def _head(lines: list[str], delimiter: str) -> _Head:
     """The header of a file: lines that begin with a key in capitals."""
     values: dict[str, list[str]] = {}
     events: list[Event] = []
     unread: list[int] = []
     for i, line in enumerate(lines):
-        cells = [cell.strip() for cell in line.split("\t")]
-        if not line.strip():
+        cells = cells_of(line, delimiter)
+        if not any(cells):
             continue
         # The first line without a key in capitals begins the table.
         if not _KEY.fullmatch(cells[0]) or (len(cells) > 1 and number_of(cells[0]) is not None):
@@ -124,14 +126,15 @@ def _head(lines: list[str]) -> _Head:
     return _Head(values, events, unread, len(lines))
 
 
-def _table(lines: list[str], at: int, markers: int) -> tuple[int, int]:
+def _table(lines: list[str], at: int, markers: int, delimiter: str) -> tuple[int, int]:
     """The place of the first row of numbers, and how many columns (Frame, Time) stand before the coordinates."""
-    if at < len(lines) and number_of(lines[at].split("\t")[0]) is None:
-        titles = [cell.strip().casefold() for cell in lines[at].split("\t")]
+    cells = cells_of(lines[at], delimiter) if at < len(lines) else [""]
+    if number_of(cells[0]) is None:
+        titles = [cell.casefold() for cell in cells]
         return at + 1, int("frame" in titles[:2]) + int("time" in titles[:2])
     if at < len(lines):
         # Without titles, the number of cells beyond the coordinates tells whether frame and time are there.
-        return at, {2: 2, 1: 1}.get(len(lines[at].rstrip("\t").split("\t")) - 3 * markers, 0)
+        return at, {2: 2, 1: 1}.get(len(lines[at].rstrip(delimiter).split(delimiter)) - 3 * markers, 0)
     return at, 0
 
 

@@ -15,6 +15,7 @@ from asterism.cameras.camera import Camera
 from asterism.cameras.rig import Rig
 from asterism.findings import Finding, Severity
 from asterism.recording import Floats, Ints
+from asterism.recording.display import significant
 
 
 @dataclass(frozen=True)
@@ -184,8 +185,8 @@ def check_flat(bend: float, points: Floats) -> Iterator[Finding]:
             "board-not-flat",
             _grade(not bend < RULES.bend[1]),
             "",
-            f"the board is not flat, or its squares are not alike: its points lie {off:.2g} mm off, which can make focal lengths wrong by "
-            f"{100 * RULES.lens_per_bend * bend:.0f} %.",
+            f"the board is not flat, or its squares are not alike: its points lie {significant(off, 2)} mm off, "
+            f"which can make focal lengths wrong by {100 * RULES.lens_per_bend * bend:.0f} %.",
             "Glue it on glass and film again.",
         )
 
