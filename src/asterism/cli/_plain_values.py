@@ -51,10 +51,8 @@ def _in_words(parameter: Any) -> None:
     if getattr(parameter, "param_type_name", "") == "argument":
         parameter.display_type_rich = lambda ctx: None
     low, high = getattr(parameter, "min", None), getattr(parameter, "max", None)
-    if low is not None and high is not None:
-        said = f"{low:g} to {high:g}"
-    else:
-        said = None if low is None and high is None else f"{low:g} or more" if high is None else f"{high:g} or less"
+    ends = [f"{low:g}" if low is not None else "", f"{high:g}" if high is not None else ""]
+    said = " to ".join(ends) if all(ends) else f"{ends[0]} or more" if ends[0] else f"{ends[1]} or less" if ends[1] else None
     parameter._get_number_range_help_str = lambda: said
 
 
