@@ -487,6 +487,14 @@ def test_units_tell_which_columns_are_positions(tmp_path):
     assert "R_x (n)" in left_out.sentence
 
 
+def test_points_that_are_only_numbered(tmp_path):
+    rows = "\n".join(f"{t / 100},0.5,{t / 10},1.0,0.5,0.6,1.7" for t in range(12))
+    (tmp_path / "walk.csv").write_text(f"time,X1,Y1,Z1,X2,Y2,Z2\n{rows}\n")
+    back = read(tmp_path / "walk.csv", vertical="z")
+    assert back.labels == ("1", "2")
+    np.testing.assert_allclose(back.positions[:, 0, 1], np.arange(12) / 10)
+
+
 @pytest.mark.parametrize("name", ["ACC", "ASIS_R", "KNEE_V", "PROTUB"])
 def test_markers_with_names_near_those_of_values_stay(tmp_path, name):
     rows = "\n".join(f"{t / 100},0.5,{t / 10},1.0,0.5,0.6,1.7" for t in range(12))
