@@ -289,6 +289,7 @@ DRESSES = {
             for cells in (row.split("\t") for row in rows)
         ],
     ),
+    "twice as many tabs between the names": lambda header, rows: ([*header[:3], header[3].replace("\t\t\t", "\t" * 6), *header[4:]], rows),
     "no row of axes": lambda header, rows: (header[:4], rows),
 }
 
@@ -446,6 +447,37 @@ def test_forces_and_inertial_sensors_are_no_markers(tmp_path, header, two_rows):
     assert two_rows or describe(path)["format"] == "CSV table"
 
 
+@pytest.mark.parametrize("between", [",", ";", "\t"])
+def test_lines_above_the_header_of_a_table_give_rate_and_unit(tmp_path, between):
+    head = ["Number of frames: 4", "Frequency: 100", "Units: mm", ""]
+    rows = [between.join(map(str, (t + 1, 100 + t, 500, 1000, 120, 520, 1700))) for t in range(4)]
+    names = between.join(["Frame", *(f"Marker_{k} {axis}" for k in (1, 2) for axis in "xyz")])
+    (tmp_path / "take_3d.csv").write_text("\n".join([*head, names, *rows]) + "\n")
+    back = read(tmp_path / "take_3d.csv", vertical="z")
+    assert (back.labels, back.rate) == (("Marker_1", "Marker_2"), 100.0)
+    np.testing.assert_allclose(back.positions[:, 0, 0], [0.1, 0.101, 0.102, 0.103])
+    assert not codes(back)
+
+
+def test_three_rows_of_names_of_a_network_for_poses(tmp_path):
+    rows = "".join(f"{t},0.1,0.5,{t / 100},0.2,0.6,1.7\n" for t in range(4))
+    head = "scorer,net,net,net,net,net,net\nbodyparts,nose,nose,nose,tail,tail,tail\ncoords,x,y,z,x,y,z\n"
+    (tmp_path / "pose.csv").write_text(head + rows)
+    with pytest.raises(AsterismError, match="how many frames per second"):
+        read(tmp_path / "pose.csv")
+    (tmp_path / "pose.csv").write_text("# rate=30\n" + head + rows)
+    back = read(tmp_path / "pose.csv", vertical="z")
+    assert (back.labels, back.rate) == (("nose", "tail"), 30.0)
+    np.testing.assert_allclose(back.positions[:, 0], [[0.1, 0.5, t / 100] for t in range(4)])
+
+
+def test_orientations_of_opensim_are_named(tmp_path):
+    rows = "".join(f"{t / 100}\t0.9{t},0.01,-0.02,0.1\n" for t in range(4))
+    (tmp_path / "imu.sto").write_text(f"DataRate=100\nDataType=Quaternion\nversion=3\nendheader\ntime\tpelvis_imu\n{rows}")
+    with pytest.raises(NoMarkers, match=r"type Quaternion .* no marker positions"):
+        read(tmp_path / "imu.sto")
+
+
 def test_units_tell_which_columns_are_positions(tmp_path):
     rows = "\n".join(f"{t / 100},0.5,{t},1.0,10,20,{700 + t}" for t in range(12))
     (tmp_path / "both.csv").write_text(f"time,P_x,P_y,P_z,R_x,R_y,R_z\ns,m,m,m,N,N,N\n{rows}\n")
@@ -453,6 +485,14 @@ def test_units_tell_which_columns_are_positions(tmp_path):
     assert back.labels == ("P",)
     left_out = next(f for f in back.metadata["findings"] if f.code == "format-values-left-out")
     assert "R_x (n)" in left_out.sentence
+
+
+def test_points_that_are_only_numbered(tmp_path):
+    rows = "\n".join(f"{t / 100},0.5,{t / 10},1.0,0.5,0.6,1.7" for t in range(12))
+    (tmp_path / "walk.csv").write_text(f"time,X1,Y1,Z1,X2,Y2,Z2\n{rows}\n")
+    back = read(tmp_path / "walk.csv", vertical="z")
+    assert back.labels == ("1", "2")
+    np.testing.assert_allclose(back.positions[:, 0, 1], np.arange(12) / 10)
 
 
 @pytest.mark.parametrize("name", ["ACC", "ASIS_R", "KNEE_V", "PROTUB"])

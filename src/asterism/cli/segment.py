@@ -65,6 +65,8 @@ def segment(options: SegmentOptions) -> None:
             with _console.progress("segmenting") as progress:
                 # by motion alone: labels may be missing or wrong
                 found = segment_limbs(recording.positions, options.limbs, method=options.method.value, progress=progress)
+            for fewer in found.fewer_than(options.limbs, str(path)):
+                batch.found(fewer)
             results.append((path, recording, found))
             if options.json != "-":
                 show(path, recording, found)

@@ -182,14 +182,15 @@ def decimal_points(path: Path, lines: Sequence[str], delimiter: str | None) -> C
         text = "\n".join(_QUOTED.findall(text))
     if not _COMMA.search(text):
         return None
-    thousands = {sign: _NO_THOUSANDS[sign].search(text) is None for sign in ",."}
-    if _COMMA_FIRST.search(text) and thousands[","]:
+    # What is rarely there is looked for last: a long table is searched to its end then.
+    thousands = _NO_THOUSANDS[","].search(text) is None
+    if thousands and _COMMA_FIRST.search(text):
         return lambda part: part.replace(",", "")
-    if _POINT_FIRST.search(text) and thousands["."]:
+    point = _POINT.search(text) if "." in text else None
+    if point is not None and _NO_THOUSANDS["."].search(text) is None and _POINT_FIRST.search(text):
         return lambda part: part.replace(".", "").replace(",", ".")
-    point = _POINT.search(text)
     # A comma before three digits each time may be either, and a wrong choice would be wrong a thousandfold.
-    if point is None and not thousands[","]:
+    if point is None and not thousands:
         return lambda part: part.replace(",", ".")
     cells = re.split(r"[\s;]+", text)
     shown = [next((cell[:30] for cell in cells if sign.search(cell)), "") for sign in (_COMMA, _POINT)]
