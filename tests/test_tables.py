@@ -12,7 +12,7 @@ import pytest
 from asterism.errors import AsterismError, NoMarkers
 from asterism.formats import describe, read, write
 from asterism.formats._tables import decimal_points, separator_of
-from asterism.recording import Event, Recording, as_vertical
+from asterism.recording import Event, Labelling, Recording, as_vertical
 
 NAMES = ("LASI", "RASI", "LKNE", "RKNE", "LANK", "RANK", "C7", "SACR")
 
@@ -383,6 +383,21 @@ def test_a_lost_or_doubled_separator_costs_its_frame_and_is_said(tmp_path, suffi
         assert "format-moved-cells" in codes(back)
         seen = np.isfinite(back.positions)
         np.testing.assert_array_equal(back.positions[seen], plain.positions[seen])
+
+
+def test_a_lost_separator_in_a_file_with_confidence_costs_its_frame(tmp_path):
+    recording = body(missing=False)
+    indices = np.tile(np.arange(8), (24, 1))
+    labelling = Labelling(indices, np.full((24, 8), 0.75), NAMES)
+    write(tmp_path / "plain.csv", recording, labelling=labelling)
+    lines = (tmp_path / "plain.csv").read_text().split("\n")
+    at = len(lines) - 12
+    cells = lines[at].split(",")
+    lines[at] = ",".join([*cells[:6], *cells[7:]])
+    (tmp_path / "walk.csv").write_text("\n".join(lines))
+    back = read(tmp_path / "walk.csv")
+    assert np.isnan(back.positions[13]).all() and "format-moved-cells" in codes(back)
+    np.testing.assert_array_equal(np.delete(back.positions, 13, axis=0), np.delete(read(tmp_path / "plain.csv").positions, 13, axis=0))
 
 
 @pytest.mark.parametrize("suffix", [".trc", ".tsv", ".csv", ".sto", ".motive", ".optitrack"])
