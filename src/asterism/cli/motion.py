@@ -334,21 +334,15 @@ def as_dict(analysis: MotionAnalysis, certain: UncertaintyResult | None) -> dict
 
 def _write_angles(target: Path, results: list[MotionResult]) -> None:
     """A CSV table, a row for each file, joint and frame; clinical angles have no angle since a frame, but adduction and rotation."""
-    import csv
-    import io
-
     import numpy as np
 
-    from asterism.files.atomic import write_atomically
-
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
+    rows: list[list[str]] = []
     # one header for all files: columns that a file lacks stay empty
     wide = any(one.certain is not None for one in results)
     ends = ["angle_low95_deg", "angle_high95_deg", "flexion_low95_deg", "flexion_high95_deg"] if wide else []
     clinical = any(one.clinical is not None for one in results)
     more = _clinical.columns(wide) if clinical else []
-    rows.writerow(["file", "joint", "time_s", "angle_deg", "flexion_deg", *ends, *more])
+    head = ["file", "joint", "time_s", "angle_deg", "flexion_deg", *ends, *more]
     for one in results:
         times = one.analysis.recording.times
         # clinical angles have no angle of the whole joint, and the others no adduction
@@ -363,8 +357,8 @@ def _write_angles(target: Path, results: list[MotionResult]) -> None:
         for name, columns in blocks:
             for time, *values in zip(times, *columns, strict=True):
                 shown = ["" if np.isnan(value) else f"{np.degrees(value):.4f}" for value in values]
-                rows.writerow([str(one.path), name, f"{time:.4f}", *shown])
-    write_atomically(target, text.getvalue().encode())
+                rows.append([str(one.path), name, f"{time:.4f}", *shown])
+    _console.write_csv(target, head, rows)
 
 
 def _ends(certain: UncertaintyResult | None, number: int) -> list[Floats]:

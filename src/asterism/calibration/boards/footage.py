@@ -16,6 +16,7 @@ from asterism.errors import AsterismError, guarded_reading
 from asterism.files.text import decoded, read_bytes
 from asterism.findings import Finding, Severity
 from asterism.recording import Ints
+from asterism.synchronization.rates import rates_apart
 
 _IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
 _VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".gif")
@@ -34,6 +35,7 @@ class Footage:
     video    the video file, or None
     frames   (n,) int: images of different cameras with the same number were taken together
     findings what is wrong with its files; images that cannot be read are known once they were gone through
+    rate     frames per second of a video without a file of times, else NaN
     """
 
     name: str
@@ -41,6 +43,7 @@ class Footage:
     video: Path | None
     frames: Ints
     findings: list[Finding] = field(default_factory=list)
+    rate: float = float("nan")
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -117,6 +120,10 @@ def footage_of(paths: Sequence[str | Path]) -> list[Footage]:
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise AsterismError(f"two cameras would be called {twice}; give their folders or videos names of their own.")
+    apart = rates_apart(names, [one.rate for one in found], [len(one) for one in found])
+    if apart is not None:
+        mend = f"Give the frames that were taken together in a {TIMES_FILE}, or film at one rate."
+        found[names.index(apart[0])].findings.append(Finding("board-rates-differ", Severity.WARNING, *apart, mend))
     # By the numbers in names, so that cam10 comes after cam2; every tuple has a number first, so that all compare.
     return sorted(found, key=lambda one: [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", one.name) if p])
 
@@ -182,6 +189,7 @@ def _video(path: Path) -> Footage:
 
     film = cv2.VideoCapture(str(path))
     count = int(film.get(cv2.CAP_PROP_FRAME_COUNT)) if film.isOpened() else 0
+    rate = float(film.get(cv2.CAP_PROP_FPS)) if count else float("nan")
     film.release()
     if count <= 0:
         raise AsterismError(f"{path} {unread_kind(path) or 'cannot be read as a video; it may be cut off, convert or copy it again'}.")
@@ -200,8 +208,10 @@ def _video(path: Path) -> Footage:
                     "Give the file that belongs to the video, or remove it.",
                 )
             )
-        frames = given[:count] if len(given) else frames
-    return Footage(path.stem, (), path, frames, findings)
+        if len(given):
+            # Frames that are matched one by one do not come apart.
+            frames, rate = given[:count], float("nan")
+    return Footage(path.stem, (), path, frames, findings, rate)
 
 
 def _synchronised_frames(times: Path, video: Path) -> Ints:
