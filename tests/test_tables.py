@@ -12,7 +12,7 @@ import pytest
 from asterism.errors import AsterismError, NoMarkers
 from asterism.formats import describe, read, write
 from asterism.formats._tables import decimal_points, separator_of
-from asterism.recording import Event, Recording, as_vertical
+from asterism.recording import Event, Labelling, Recording, as_vertical
 
 NAMES = ("LASI", "RASI", "LKNE", "RKNE", "LANK", "RANK", "C7", "SACR")
 
@@ -79,6 +79,27 @@ def motive(recording: Recording) -> str:
         axes=",".join("XYZ" * count),
         rows="\n".join(rows),
     )
+
+
+def optitrack(recording: Recording, version: str, hand: str = "righthanded") -> str:
+    """The recording as the programs before Motive 1.8 export it: Y up, one rigid body, points without a name behind the markers."""
+    lines = [
+        'comment,"OptiTrack Export Data"',
+        f"info,version,{version}",
+        f"info,framecount,{len(recording)}",
+        "info,rigidbodycount,1",
+        hand,
+    ]
+    sign = -1 if hand == "lefthanded" else 1
+    for t, places in enumerate(recording.positions[:, :, [1, 2, 0]].tolist()):
+        cells = []
+        for k, (x, y, z) in enumerate(places):
+            if x == x:
+                cells += [f"{x:.5f},{y:.5f},{sign * z:.5f},{k}" + (f',"{recording.labels[k]}"' if version == "1.1" else "")]
+        cells += ["0.1,0.2,0.3,99" + ("," if version == "1.1" else "")] * (t % 2)
+        lines.append(f"frame,{t},{t / 100:.6f},1,1,0.1,0.2,0.3,0,0,0,1,0,0,0,{len(cells)}," + ",".join(cells))
+        lines.append(f'rigidbody,{t},{t / 100:.6f},"Body",1,0,0')
+    return "\n".join(lines) + "\n"
 
 
 NEXUS = """Events
@@ -157,6 +178,17 @@ def test_a_motive_export_with_timecodes_poses_and_errors(tmp_path):
     back = read(path)
     assert back.labels == ("Box:Marker 001",), "its own name says nothing without the body"
     np.testing.assert_allclose(back.positions[:, 0], [[0.9 + t / 100, 1.0, 1.3] for t in range(4)])
+
+
+@pytest.mark.parametrize(
+    "text", [motive(body()).replace(",", ";"), NEXUS, optitrack(body(), "1.1").replace(",", ";")], ids=["Motive", "Nexus", "OptiTrack"]
+)
+def test_the_line_by_which_a_spreadsheet_reads_is_passed_over(tmp_path, text):
+    (tmp_path / "plain.csv").write_text(text)
+    (tmp_path / "walk.csv").write_text("sep=;\n" + text)
+    plain, back = read(tmp_path / "plain.csv", vertical="z"), read(tmp_path / "walk.csv", vertical="z")
+    np.testing.assert_array_equal(back.positions, plain.positions)
+    assert (back.labels, back.events, back.metadata["format"]) == (plain.labels, plain.events, plain.metadata["format"])
 
 
 def test_events_and_points_without_labels_of_a_german_nexus_export(tmp_path):
@@ -353,6 +385,21 @@ def test_a_lost_or_doubled_separator_costs_its_frame_and_is_said(tmp_path, suffi
         np.testing.assert_array_equal(back.positions[seen], plain.positions[seen])
 
 
+def test_a_lost_separator_in_a_file_with_confidence_costs_its_frame(tmp_path):
+    recording = body(missing=False)
+    indices = np.tile(np.arange(8), (24, 1))
+    labelling = Labelling(indices, np.full((24, 8), 0.75), NAMES)
+    write(tmp_path / "plain.csv", recording, labelling=labelling)
+    lines = (tmp_path / "plain.csv").read_text().split("\n")
+    at = len(lines) - 12
+    cells = lines[at].split(",")
+    lines[at] = ",".join([*cells[:6], *cells[7:]])
+    (tmp_path / "walk.csv").write_text("\n".join(lines))
+    back = read(tmp_path / "walk.csv")
+    assert np.isnan(back.positions[13]).all() and "format-moved-cells" in codes(back)
+    np.testing.assert_array_equal(np.delete(back.positions, 13, axis=0), np.delete(read(tmp_path / "plain.csv").positions, 13, axis=0))
+
+
 @pytest.mark.parametrize("suffix", [".trc", ".tsv", ".csv", ".sto", ".motive", ".optitrack"])
 def test_random_damage_is_read_right_or_refused_or_said(tmp_path, suffix):
     random = Random(34)
@@ -523,27 +570,6 @@ def test_other_exports_of_qtm_are_named(tmp_path, what):
     (tmp_path / "walk.tsv").write_text(f"NO_OF_FRAMES\t1\n{QTM_OTHERS[what]}\n")
     with pytest.raises(NoMarkers, match=rf"{what}.*no trajectories of markers"):
         read(tmp_path / "walk.tsv")
-
-
-def optitrack(recording: Recording, version: str, hand: str = "righthanded") -> str:
-    """The recording as the programs before Motive 1.8 export it: Y up, one rigid body, points without a name behind the markers."""
-    lines = [
-        'comment,"OptiTrack Export Data"',
-        f"info,version,{version}",
-        f"info,framecount,{len(recording)}",
-        "info,rigidbodycount,1",
-        hand,
-    ]
-    sign = -1 if hand == "lefthanded" else 1
-    for t, places in enumerate(recording.positions[:, :, [1, 2, 0]].tolist()):
-        cells = []
-        for k, (x, y, z) in enumerate(places):
-            if x == x:
-                cells += [f"{x:.5f},{y:.5f},{sign * z:.5f},{k}" + (f',"{recording.labels[k]}"' if version == "1.1" else "")]
-        cells += ["0.1,0.2,0.3,99" + ("," if version == "1.1" else "")] * (t % 2)
-        lines.append(f"frame,{t},{t / 100:.6f},1,1,0.1,0.2,0.3,0,0,0,1,0,0,0,{len(cells)}," + ",".join(cells))
-        lines.append(f'rigidbody,{t},{t / 100:.6f},"Body",1,0,0')
-    return "\n".join(lines) + "\n"
 
 
 @pytest.mark.parametrize("hand", ["righthanded", "lefthanded"])

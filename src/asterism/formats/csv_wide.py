@@ -69,7 +69,7 @@ def read_wide(path: Path) -> Points:
         )
     columns = [column for group in groups for column in group.columns]
     body = _numbers_only(lines[body_at:], names, rest, delimiter)
-    values, findings = rows_of_numbers(path, body, body_at + 1, delimiter, len(names), lead_of(columns, len(names)))
+    values, findings = rows_of_numbers(path, body, body_at + 1, delimiter, len(names), lead_of(columns, positions_end), stop=positions_end)
     raw = values[:, columns].reshape(len(values), len(groups), 3)
     if comments.frames is not None and comments.frames != len(values):
         findings.append(header_conflict(f"the header says {comments.frames} frames, the file holds {len(values)}"))
