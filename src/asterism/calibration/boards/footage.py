@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from asterism.detection.image_files import read_eight_bits, refuse_unread, unread_kind
 from asterism.errors import AsterismError, guarded_reading
 from asterism.files.text import decoded, read_bytes
 from asterism.findings import Finding, Severity
@@ -18,7 +19,7 @@ from asterism.recording import Ints
 from asterism.synchronization.rates import rates_apart
 
 _IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
-_VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm")
+_VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".gif")
 _LISTS = (".yml", ".yaml", ".xml")
 TIMES_FILE = "timestamps.csv"
 UNNUMBERED = -1
@@ -58,7 +59,7 @@ class Footage:
 
         if self.video is None:
             for frame, path in zip(self.frames.tolist(), self.images, strict=True):
-                image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+                image = read_eight_bits(path, colour=False) if path.is_file() else None
                 if image is None:
                     self.findings.append(_unreadable(path))
                     continue
@@ -89,7 +90,11 @@ class Footage:
 
 def _unreadable(path: Path) -> Finding:
     return Finding(
-        "board-image-unreadable", Severity.WARNING, str(path), f"{path} cannot be read as an image; it was left out.", "Copy it again."
+        "board-image-unreadable",
+        Severity.WARNING,
+        str(path),
+        f"{path} {unread_kind(path) or 'cannot be read as an image'}; it was left out.",
+        "Copy it again.",
     )
 
 
@@ -108,6 +113,8 @@ def footage_of(paths: Sequence[str | Path]) -> list[Footage]:
         _collect(path, images, videos)
     found = [_video(path) for path in videos] + _image_cameras(images)
     if not found:
+        for file in [file for path in map(Path, paths) if path.is_dir() for file in sorted(path.rglob("*")) if file.is_file()]:
+            refuse_unread(file)
         raise AsterismError(f"{', '.join(map(str, paths)) or 'nothing'}: no image or video there; name files or folders of them.")
     names = [one.name for one in found]
     twice = next((name for name in names if names.count(name) > 1), None)
@@ -140,6 +147,7 @@ def _collect(path: Path, images: list[tuple[Path, str | None]], videos: list[Pat
     elif path.suffix.casefold() in _IMAGES:
         images.append((path, None))
     else:
+        refuse_unread(path)
         raise AsterismError(f"{path} is not an image, video, image list or folder; name those that show the board.")
 
 
@@ -184,7 +192,7 @@ def _video(path: Path) -> Footage:
     rate = float(film.get(cv2.CAP_PROP_FPS)) if count else float("nan")
     film.release()
     if count <= 0:
-        raise AsterismError(f"{path} cannot be read as a video; it may be cut off, convert or copy it again.")
+        raise AsterismError(f"{path} {unread_kind(path) or 'cannot be read as a video; it may be cut off, convert or copy it again'}.")
     findings: list[Finding] = []
     frames = np.arange(count, dtype=np.int64)
     times = path.with_name(TIMES_FILE)
