@@ -34,12 +34,13 @@ def read_motive(path: Path) -> Points:
     """
     lines = lines_of(decoded(path, read_bytes(path)))
     # A spreadsheet that saved the export again writes its own separator and decimal sign.
-    delimiter = delimiter_of(lines[0])
-    header = _key_values(cells_of(lines[0], delimiter))
-    at = next((i for i, line in enumerate(lines[:24]) if i > 0 and cells_of(line, delimiter)[:1] in (["Frame"], ["frame"])), None)
+    top = next(i for i, line in enumerate(lines) if line.strip())
+    delimiter = delimiter_of(lines[top])
+    header = _key_values(cells_of(lines[top], delimiter))
+    at = next((i for i, line in enumerate(lines[: top + 24]) if i > top and cells_of(line, delimiter)[:1] in (["Frame"], ["frame"])), None)
     if at is None:
         raise AsterismError(f"{path} has no line that begins with Frame; export it from Motive again, with its header.")
-    above = [cells_of(line, delimiter) for line in lines[1:at]]
+    above = [cells_of(line, delimiter) for line in lines[top + 1 : at]]
     # Motive moves these rows from version to version: they are found by what they hold.
     types = next((row for row in above if any(cell.casefold() in _TYPES for cell in row[2:])), None)
     if types is None:

@@ -24,11 +24,12 @@ _SECTIONS = _TRAJECTORIES | {"devices", "model outputs", "joints", "segments", "
 
 def is_nexus(lines: Sequence[str]) -> bool:
     """Whether the first line names one of Nexus' sections and the second line is a rate or an event table."""
-    first = lines[0].strip(_BLANKS).casefold()
-    if first not in _SECTIONS or len(lines) < 2:
+    top = next((i for i, line in enumerate(lines) if line.strip(_BLANKS)), 0)
+    first = lines[top].strip(_BLANKS).casefold()
+    if first not in _SECTIONS or len(lines) < top + 2:
         # A single word may be anything's header: the second line must be a rate.
         return False
-    return number_of(lines[1].strip(_BLANKS)) is not None or first == "events"
+    return number_of(lines[top + 1].strip(_BLANKS)) is not None or first == "events"
 
 
 @dataclass(frozen=True)
