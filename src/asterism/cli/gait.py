@@ -81,13 +81,13 @@ def gait(options: GaitOptions) -> None:
     outputs = [options.report, options.json, options.output, options.curves, options.save_band]
     _console.check_outputs(outputs, [*options.files, options.static, options.band], options.overwrite)
     given = measures_by_name(options.measure)
-    static = None if options.static is None else _read(options.static, options)
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
+    static = None if options.static is None else _read(options.static, options, batch)
     results: list[tuple[Path, GaitAnalysis]] = []
     for path in recordings_of(options.files, batch):
         with batch.file(path):
-            recording = _read(path, options)
+            recording = _read(path, options, batch)
             plates, found = force_plates(recording)
             analysis = analyse_gait(recording, plates, _measures(recording, static, given, not options.sloped_foot))
             for finding in [*found, *analysis.findings]:
@@ -135,10 +135,14 @@ def gait(options: GaitOptions) -> None:
     raise typer.Exit(batch.close())
 
 
-def _read(path: Path, options: GaitOptions) -> Recording:
+def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:
+    """A file's recording; its warnings are told."""
+    from asterism.cli._recordings import report_warnings
     from asterism.formats import read
 
-    return read(path, vertical=options.vertical)
+    recording = read(path, vertical=options.vertical)
+    report_warnings(recording, batch)
+    return recording
 
 
 def _measures(recording: Recording, static: Recording | None, given: dict[str, float], flat: bool) -> SubjectMeasures | None:
