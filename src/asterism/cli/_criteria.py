@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from asterism.cli import _console
 from asterism.findings import Finding, Severity
+from asterism.recording.display import significant
 
 if TYPE_CHECKING:
     from asterism.simulation.pipeline import Criterion
@@ -46,4 +47,4 @@ def _promised(criterion: Criterion) -> str:
 
 
 def _value(value: float, unit: str) -> str:
-    return f"{value:,.4g} {unit}".strip()
+    return f"{significant(value, 4)} {unit}".strip()

@@ -14,6 +14,7 @@ from asterism.cli._options import Json, Overwrite, metres
 from asterism.cli._options import image_size as size_of
 from asterism.errors import AsterismError
 from asterism.findings import Finding, exit_status
+from asterism.recording.display import significant
 
 if TYPE_CHECKING:
     from asterism.cameras import Rig
@@ -156,6 +157,7 @@ def print_map(rig: Rig, result: RigMap) -> None:
     low, high = result.volume.low, result.volume.high
     spans = ", ".join(f"{axis} {a:g} to {b:g}" for axis, a, b in zip("xyz", low, high, strict=True))
     lacking = [("not in the file", ", ".join(rig.lacks))] if rig.lacks else []
+    noise = significant(result.noise, 2)
     _console.facts(
         f"{len(rig)} cameras, volume {spans} m",
         [
@@ -163,11 +165,11 @@ def print_map(rig: Rig, result: RigMap) -> None:
             ("markers on a body that face two", _console.percent(summary["facing_coverage"], 1)),
             (
                 "error of a marker, RMS",
-                f"median {_mm(summary['error_median_m'])}, 95 % of places {_mm(summary['error_95_m'])} at {result.noise:.2g} px",
+                f"median {_mm(summary['error_median_m'])}, 95 % of places {_mm(summary['error_95_m'])} at {noise} px",
             ),
             (
                 "sensitivity of the best pair",
-                f"median {_mm(summary['sensitivity_median_m'])}, mean of the 12 scalars at ± {result.noise:.2g} px",
+                f"median {_mm(summary['sensitivity_median_m'])}, mean of the 12 scalars at ± {noise} px",
             ),
             *lacking,
         ],
