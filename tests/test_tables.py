@@ -385,6 +385,20 @@ def test_a_lost_or_doubled_separator_costs_its_frame_and_is_said(tmp_path, suffi
         np.testing.assert_array_equal(back.positions[seen], plain.positions[seen])
 
 
+@pytest.mark.parametrize("suffix", [".sto", ".csv"])
+def test_lines_left_out_are_told_by_the_times(tmp_path, suffix):
+    text = text_of(tmp_path, suffix, body(missing=False))
+    # The CSV loses its column of frames, the other has none.
+    if suffix == ".csv":
+        text = "\n".join(line if line.startswith("#") else line.partition(",")[2] for line in text.split("\n"))
+    lines = text.replace("DataRate=100\n", "").replace("# rate=100.0\n", "").strip("\n").split("\n")
+    (tmp_path / f"walk{suffix}").write_text("\n".join([*lines[:-9], *lines[-7:]]) + "\n")
+    back = read(tmp_path / f"walk{suffix}", vertical="z")
+    assert (back.rate, len(back)) == (100.0, 24)
+    assert np.isnan(back.positions[15:17]).all() and "format-frame-numbers" in codes(back)
+    np.testing.assert_allclose(np.delete(back.positions, [15, 16], axis=0), np.delete(body(missing=False).positions, [15, 16], axis=0))
+
+
 def test_a_lost_separator_in_a_file_with_confidence_costs_its_frame(tmp_path):
     recording = body(missing=False)
     indices = np.tile(np.arange(8), (24, 1))
@@ -450,8 +464,17 @@ def test_random_damage_is_read_right_or_refused_or_said(tmp_path, suffix):
         (lambda text: text.replace("0,1;x\n", "0,1;x;"), "format-events-unread"),
         (lambda text: text.replace("8;0;101,5", "7;0;101,5"), "format-frame-numbers"),
         (lambda text: text.replace("Ann:RKNE", ""), "format-point-names"),
+        (lambda text: text.replace("Description\n", "Description;"), "format-events-unread"),
     ],
-    ids=["unknown section", "no rows", "no names of events", "two events in a line", "a frame twice", "a name lost"],
+    ids=[
+        "unknown section",
+        "no rows",
+        "no names of events",
+        "two events in a line",
+        "a frame twice",
+        "a name lost",
+        "an event behind the names",
+    ],
 )
 def test_damage_in_a_nexus_export_is_said(tmp_path, damage, told):
     text = NEXUS.replace("Ann;Right;Foot Strike;soon;x\n", "")

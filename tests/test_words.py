@@ -25,7 +25,7 @@ from asterism.simulation import simulate_walks
 SOURCES = Path(asterism.__file__).parent
 OURS = r"\bnats?\b|\bFA\b|\bFO\b|\bfalse (?:assignment|occlusion)s?\b|\bis none\b|\bmakes no sense\b"
 OF_PYTHON = r"\b[A-Z]\w*(?:Error|Exception)s?\b|\b[A-Z][a-z]+[A-Z]\w*\(|\{\}|\b(?:NoneType|dict|tuple|ndarray)\b"
-VALUES_OF_PYTHON = r"\b(?:None|True|False|undefined|PosixPath|WindowsPath)\b|\[\]|\('"
+VALUES_OF_PYTHON = r"\b(?:None|True|False|undefined|PosixPath|WindowsPath)\b|\[\]|\('|\blist\[|<path>|\d<=x"
 NUMBERS = r"\d[eE][+-]?\d\d\b|(?<![\d.,+])\b1 (?:frame|marker|piece|trial|file|recording|subject|camera|joint|limb|group|point|person)s\b"
 SAID = re.compile("|".join((OURS, OF_PYTHON, VALUES_OF_PYTHON, NUMBERS)))
 """What no output may hold."""

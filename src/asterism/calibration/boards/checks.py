@@ -20,7 +20,7 @@ from asterism.recording.display import significant
 
 @dataclass(frozen=True)
 class BoardCheckRules:
-    """From where on something is worth saying, and (the second number of a pair) from where on the rig should not be used.
+    """What to say of a board's calibration; each pair: warn from, refuse from.
 
     focal           standard deviation of a focal length, as a share of it
     bend            how far the board's points lie from where they should be, as a share of its longer side
