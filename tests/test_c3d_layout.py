@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from asterism.cli import main
-from asterism.errors import NoMarkers
+from asterism.errors import AsterismError, NoMarkers
 from asterism.findings import Finding, Severity
 from asterism.formats import describe, read, write
 from asterism.formats.c3d._edit import floats_record, integers_record, strings_record
@@ -306,7 +306,10 @@ def test_no_other_number_is_one_for_missing() -> None:
     assert missing_codes(np.array([[-9999] * 3, [-32768] * 3, [32767] * 3], dtype=np.int16)).all()
 
 
-@pytest.mark.parametrize("names", [("LHJC", "RHJC", "LKJC", "RKJC"), ("LHipAngles", "RHipAngles"), ("LKneeMoment",)])
+@pytest.mark.parametrize(
+    "names",
+    [("LHJC", "RHJC", "LKJC", "RKJC"), ("LHipAngles", "RHipAngles"), ("LKneeMoment",), ("L_KNEE_ANG", "RHipFlex"), ("HipCenterL", "COM")],
+)
 def test_a_file_of_computed_points_only_has_no_markers(names: tuple[str, ...], tmp_path: Path) -> None:
     path = tmp_path / "computed.c3d"
     write(path, replace(walk(60, len(names)), labels=names))
@@ -359,3 +362,61 @@ def test_a_name_that_its_field_cuts_within_a_character_is_read(tmp_path: Path) -
     for encoding in ("cp932", "utf-8"):
         path.write_bytes(named(path, ["右膝外".encode(encoding)[:-1], b"C7", b"LKNE", b"RKNE"]))
         assert read(path).labels[0].startswith("右膝")
+
+
+@pytest.mark.parametrize(("unit", "markers"), [("deg", False), ("Nmm/kg", False), ("mm", True), ("furlong", True)])
+def test_points_in_a_unit_of_angles_or_forces_are_no_markers(unit: str, markers: bool, tmp_path: Path) -> None:
+    file, path = written(tmp_path / "walk.c3d", walk()), tmp_path / "values.c3d"
+    group = file.parameters.group_id("POINT")
+    assert group is not None
+    path.write_bytes(changed(file, {}, {("POINT", "UNITS"): strings_record("UNITS", group, [unit.encode()], 4, PC)}))
+    assert bool(describe(path)["points"]["physical"]) == markers
+    assert bool(describe(path)["points"]["computed"]) != markers
+
+
+def altered(raw: bytes, file: C3DFile, rng: np.random.Generator) -> tuple[bytes, str]:
+    """The bytes with one number of the header or of the parameters that say what the data hold changed; and which."""
+    parameters = [("POINT", name) for name in ("USED", "FRAMES", "DATA_START", "SCALE", "RATE")]
+    parameters += [("TRIAL", "ACTUAL_START_FIELD"), ("TRIAL", "ACTUAL_END_FIELD"), ("ANALOG", "USED"), ("ANALOG", "RATE")]
+    # Bytes of the header's points, analog samples, frames, scale, start, samples per frame and rate.
+    places = [(f"byte {at}", at, size) for at, size in ((2, 2), (4, 2), (6, 2), (8, 2), (12, 4), (16, 2), (18, 2), (20, 4))]
+    for group, name in parameters:
+        record = file.parameters.find(group, name)
+        if record is not None:
+            at = raw.index(record.raw) + len(record.raw) - len(record.data) - 1
+            places.append((f"{group}:{name}", at, 4 if record.kind == 4 else 2))
+    what, at, size = places[rng.integers(len(places))]
+    out = bytearray(raw)
+    if size == 4:
+        value = np.frombuffer(raw, dtype="<f4", count=1, offset=at)[0]
+        out[at : at + 4] = np.float32(value * rng.choice([-1, 0, 0.1, 0.5, 2, 10, 1.2])).tobytes()
+    else:
+        value = int.from_bytes(raw[at : at + 2], "little")
+        new = [value + 1, max(value - 1, 0), 2 * value, value // 2, 0, 65535, rng.integers(65536), rng.integers(400)]
+        out[at : at + 2] = (int(rng.choice(new)) & 0xFFFF).to_bytes(2, "little")
+    return bytes(out), f"{what}: {out[at : at + size].hex()} for {raw[at : at + size].hex()}"
+
+
+@pytest.mark.parametrize("kind", ["real", "integer", "real at 101", "narrow"])
+def test_whatever_one_number_says_the_recording_is_right_or_a_warning_tells(kind: str, tmp_path: Path) -> None:
+    rng, first = np.random.default_rng(8), 101 if kind == "real at 101" else 1
+    events = tuple(Event("Foot Strike", (first - 1) / 100 + time, "Left") for time in (0.1, 0.3))
+    truth = walk(60, 3 if kind == "narrow" else len(NAMES), first, events)
+    file = written(tmp_path / "walk.c3d", truth)
+    raw = as_integers(file, 0.1, 0.1) if kind == "integer" else changed(file)
+    (tmp_path / "walk.c3d").write_bytes(raw)
+    file, right = open_c3d(tmp_path / "walk.c3d"), 0
+    for _ in range(120):
+        other, what = altered(raw, file, rng)
+        (tmp_path / "other.c3d").write_bytes(other)
+        try:
+            recording = read(tmp_path / "other.c3d", vertical="z")
+        except AsterismError as problem:
+            assert "is damaged" not in str(problem), what
+            continue
+        same = (recording.labels, recording.first_frame, recording.rate) == (truth.labels, first, 100.0)
+        if same and len(recording) == 60 and np.allclose(recording.positions, truth.positions, atol=1e-4):
+            right += 1
+        else:
+            assert any(finding.severity is Severity.WARNING for finding in findings_of(recording)), f"{what}: wrong, and nothing tells"
+    assert right > 100

@@ -12,7 +12,7 @@ import pytest
 from asterism.errors import AsterismError, NoMarkers
 from asterism.formats import describe, read, write
 from asterism.formats._tables import decimal_points, separator_of
-from asterism.recording import Event, Recording, as_vertical
+from asterism.recording import Event, Labelling, Recording, as_vertical
 
 NAMES = ("LASI", "RASI", "LKNE", "RKNE", "LANK", "RANK", "C7", "SACR")
 
@@ -81,6 +81,27 @@ def motive(recording: Recording) -> str:
     )
 
 
+def optitrack(recording: Recording, version: str, hand: str = "righthanded") -> str:
+    """The recording as the programs before Motive 1.8 export it: Y up, one rigid body, points without a name behind the markers."""
+    lines = [
+        'comment,"OptiTrack Export Data"',
+        f"info,version,{version}",
+        f"info,framecount,{len(recording)}",
+        "info,rigidbodycount,1",
+        hand,
+    ]
+    sign = -1 if hand == "lefthanded" else 1
+    for t, places in enumerate(recording.positions[:, :, [1, 2, 0]].tolist()):
+        cells = []
+        for k, (x, y, z) in enumerate(places):
+            if x == x:
+                cells += [f"{x:.5f},{y:.5f},{sign * z:.5f},{k}" + (f',"{recording.labels[k]}"' if version == "1.1" else "")]
+        cells += ["0.1,0.2,0.3,99" + ("," if version == "1.1" else "")] * (t % 2)
+        lines.append(f"frame,{t},{t / 100:.6f},1,1,0.1,0.2,0.3,0,0,0,1,0,0,0,{len(cells)}," + ",".join(cells))
+        lines.append(f'rigidbody,{t},{t / 100:.6f},"Body",1,0,0')
+    return "\n".join(lines) + "\n"
+
+
 NEXUS = """Events
 100
 Subject;Context;Name;Time (s);Description
@@ -141,6 +162,33 @@ def test_a_motive_export_that_a_german_spreadsheet_saved_again(tmp_path, delimit
     np.testing.assert_allclose(plain.positions, body().positions[:, :, [1, 2, 0]], atol=1e-12)
     np.testing.assert_array_equal(back.positions, plain.positions)
     assert (back.labels, back.rate, codes(back)) == (NAMES, 100.0, codes(plain))
+
+
+def test_a_motive_export_with_timecodes_poses_and_errors(tmp_path):
+    path = tmp_path / "take.csv"
+    path.write_text(
+        "Format Version,1.24,Take Name,T1,Capture Frame Rate,100.000000,Export Frame Rate,100.000000,Length Units,Centimeters\n\n"
+        ",Type,,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Marker,Marker,Marker\n"
+        ",Name,,Box,Box,Box,Box,Box,Box,Box,Box,Box:Marker 001,Box:Marker 001,Box:Marker 001\n"
+        ",ID,,1,1,1,1,1,1,1,1,2,2,2\n"
+        ",,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,Mean Marker Error,Position,Position,Position\n"
+        "Frame,Time (Seconds),TimeCode,X,Y,Z,W,X,Y,Z,,X,Y,Z\n"
+        + "".join(f"{t},{t / 100:.6f},15:26:46:{t:02}.02,0,0,0,1,10,20,30,0.1,{90 + t},100,130\n" for t in range(4))
+    )
+    back = read(path)
+    assert back.labels == ("Box:Marker 001",), "its own name says nothing without the body"
+    np.testing.assert_allclose(back.positions[:, 0], [[0.9 + t / 100, 1.0, 1.3] for t in range(4)])
+
+
+@pytest.mark.parametrize(
+    "text", [motive(body()).replace(",", ";"), NEXUS, optitrack(body(), "1.1").replace(",", ";")], ids=["Motive", "Nexus", "OptiTrack"]
+)
+def test_the_line_by_which_a_spreadsheet_reads_is_passed_over(tmp_path, text):
+    (tmp_path / "plain.csv").write_text(text)
+    (tmp_path / "walk.csv").write_text("sep=;\n" + text)
+    plain, back = read(tmp_path / "plain.csv", vertical="z"), read(tmp_path / "walk.csv", vertical="z")
+    np.testing.assert_array_equal(back.positions, plain.positions)
+    assert (back.labels, back.events, back.metadata["format"]) == (plain.labels, plain.events, plain.metadata["format"])
 
 
 def test_events_and_points_without_labels_of_a_german_nexus_export(tmp_path):
@@ -260,6 +308,11 @@ DRESSES = {
     "trailing tabs": lambda header, rows: ([line + "\t\t" for line in header], [row + "\t\t" for row in rows]),
     "a tab too many in the names": lambda header, rows: ([*header[:3], header[3].replace("LKNE", "\tLKNE"), *header[4:]], rows),
     "names between blanks behind tabs": lambda header, rows: ([*header[:3], "Frame#\tTime\t" + " ".join(NAMES), *header[4:]], rows),
+    "Frame# and Time in one cell": lambda header, rows: (
+        [*header[:3], header[3].replace("Frame#\tTime", "Frame# Time"), *header[4:]],
+        rows,
+    ),
+    "two names in a cell": lambda header, rows: ([*header[:3], header[3].replace("C7\t\t\tSACR", "C7        SACR"), *header[4:]], rows),
     "a second row of names": lambda header, rows: ([*header[:4], "\t\t" + "\t\t\t".join(NAMES), *header[4:]], rows),
     "coordinates in the order X, Z, Y": lambda header, rows: (
         [*header[:4], re.sub(r"(Y\d)\t(Z\d)", r"\2\t\1", header[4]), ""],
@@ -268,6 +321,7 @@ DRESSES = {
             for cells in (row.split("\t") for row in rows)
         ],
     ),
+    "twice as many tabs between the names": lambda header, rows: ([*header[:3], header[3].replace("\t\t\t", "\t" * 6), *header[4:]], rows),
     "no row of axes": lambda header, rows: (header[:4], rows),
 }
 
@@ -291,6 +345,13 @@ def test_names_with_blanks_between_blanks(tmp_path):
     doubtful = "R ASI Head L ASI C7 Left Knee Right Knee SACR T10 X Y"
     with pytest.raises(AsterismError, match=r"14 words for 8 markers.*separate the names with tabs"):
         read(saved(tmp_path, [*header[:3], f"Frame# Time {doubtful}"], rows), vertical="z")
+
+
+def test_a_trc_without_a_column_of_times_is_refused(tmp_path):
+    header, rows = trc(tmp_path)
+    header[3] = header[3].replace("\tTime", "")
+    with pytest.raises(AsterismError, match="'LASI' stands where the column Time belongs"):
+        read(saved(tmp_path, header, [re.sub(r"\t[\d.]+", "", row, count=1) for row in rows]))
 
 
 def test_names_that_stand_over_no_column_are_refused_where_points_have_none(tmp_path):
@@ -322,6 +383,35 @@ def test_a_lost_or_doubled_separator_costs_its_frame_and_is_said(tmp_path, suffi
         assert "format-moved-cells" in codes(back)
         seen = np.isfinite(back.positions)
         np.testing.assert_array_equal(back.positions[seen], plain.positions[seen])
+
+
+@pytest.mark.parametrize("suffix", [".sto", ".csv"])
+def test_lines_left_out_are_told_by_the_times(tmp_path, suffix):
+    text = text_of(tmp_path, suffix, body(missing=False))
+    # The CSV loses its column of frames, the other has none.
+    if suffix == ".csv":
+        text = "\n".join(line if line.startswith("#") else line.partition(",")[2] for line in text.split("\n"))
+    lines = text.replace("DataRate=100\n", "").replace("# rate=100.0\n", "").strip("\n").split("\n")
+    (tmp_path / f"walk{suffix}").write_text("\n".join([*lines[:-9], *lines[-7:]]) + "\n")
+    back = read(tmp_path / f"walk{suffix}", vertical="z")
+    assert (back.rate, len(back)) == (100.0, 24)
+    assert np.isnan(back.positions[15:17]).all() and "format-frame-numbers" in codes(back)
+    np.testing.assert_allclose(np.delete(back.positions, [15, 16], axis=0), np.delete(body(missing=False).positions, [15, 16], axis=0))
+
+
+def test_a_lost_separator_in_a_file_with_confidence_costs_its_frame(tmp_path):
+    recording = body(missing=False)
+    indices = np.tile(np.arange(8), (24, 1))
+    labelling = Labelling(indices, np.full((24, 8), 0.75), NAMES)
+    write(tmp_path / "plain.csv", recording, labelling=labelling)
+    lines = (tmp_path / "plain.csv").read_text().split("\n")
+    at = len(lines) - 12
+    cells = lines[at].split(",")
+    lines[at] = ",".join([*cells[:6], *cells[7:]])
+    (tmp_path / "walk.csv").write_text("\n".join(lines))
+    back = read(tmp_path / "walk.csv")
+    assert np.isnan(back.positions[13]).all() and "format-moved-cells" in codes(back)
+    np.testing.assert_array_equal(np.delete(back.positions, 13, axis=0), np.delete(read(tmp_path / "plain.csv").positions, 13, axis=0))
 
 
 @pytest.mark.parametrize("suffix", [".trc", ".tsv", ".csv", ".sto", ".motive", ".optitrack"])
@@ -373,8 +463,18 @@ def test_random_damage_is_read_right_or_refused_or_said(tmp_path, suffix):
         (lambda text: text.replace("Context;Name;", "Context;"), "format-events-unread"),
         (lambda text: text.replace("0,1;x\n", "0,1;x;"), "format-events-unread"),
         (lambda text: text.replace("8;0;101,5", "7;0;101,5"), "format-frame-numbers"),
+        (lambda text: text.replace("Ann:RKNE", ""), "format-point-names"),
+        (lambda text: text.replace("Description\n", "Description;"), "format-events-unread"),
     ],
-    ids=["unknown section", "no rows", "no names of events", "two events in a line", "a frame twice"],
+    ids=[
+        "unknown section",
+        "no rows",
+        "no names of events",
+        "two events in a line",
+        "a frame twice",
+        "a name lost",
+        "an event behind the names",
+    ],
 )
 def test_damage_in_a_nexus_export_is_said(tmp_path, damage, told):
     text = NEXUS.replace("Ann;Right;Foot Strike;soon;x\n", "")
@@ -417,6 +517,37 @@ def test_forces_and_inertial_sensors_are_no_markers(tmp_path, header, two_rows):
     assert two_rows or describe(path)["format"] == "CSV table"
 
 
+@pytest.mark.parametrize("between", [",", ";", "\t"])
+def test_lines_above_the_header_of_a_table_give_rate_and_unit(tmp_path, between):
+    head = ["Number of frames: 4", "Frequency: 100", "Units: mm", ""]
+    rows = [between.join(map(str, (t + 1, 100 + t, 500, 1000, 120, 520, 1700))) for t in range(4)]
+    names = between.join(["Frame", *(f"Marker_{k} {axis}" for k in (1, 2) for axis in "xyz")])
+    (tmp_path / "take_3d.csv").write_text("\n".join([*head, names, *rows]) + "\n")
+    back = read(tmp_path / "take_3d.csv", vertical="z")
+    assert (back.labels, back.rate) == (("Marker_1", "Marker_2"), 100.0)
+    np.testing.assert_allclose(back.positions[:, 0, 0], [0.1, 0.101, 0.102, 0.103])
+    assert not codes(back)
+
+
+def test_three_rows_of_names_of_a_network_for_poses(tmp_path):
+    rows = "".join(f"{t},0.1,0.5,{t / 100},0.2,0.6,1.7\n" for t in range(4))
+    head = "scorer,net,net,net,net,net,net\nbodyparts,nose,nose,nose,tail,tail,tail\ncoords,x,y,z,x,y,z\n"
+    (tmp_path / "pose.csv").write_text(head + rows)
+    with pytest.raises(AsterismError, match="how many frames per second"):
+        read(tmp_path / "pose.csv")
+    (tmp_path / "pose.csv").write_text("# rate=30\n" + head + rows)
+    back = read(tmp_path / "pose.csv", vertical="z")
+    assert (back.labels, back.rate) == (("nose", "tail"), 30.0)
+    np.testing.assert_allclose(back.positions[:, 0], [[0.1, 0.5, t / 100] for t in range(4)])
+
+
+def test_orientations_of_opensim_are_named(tmp_path):
+    rows = "".join(f"{t / 100}\t0.9{t},0.01,-0.02,0.1\n" for t in range(4))
+    (tmp_path / "imu.sto").write_text(f"DataRate=100\nDataType=Quaternion\nversion=3\nendheader\ntime\tpelvis_imu\n{rows}")
+    with pytest.raises(NoMarkers, match=r"type Quaternion .* no marker positions"):
+        read(tmp_path / "imu.sto")
+
+
 def test_units_tell_which_columns_are_positions(tmp_path):
     rows = "\n".join(f"{t / 100},0.5,{t},1.0,10,20,{700 + t}" for t in range(12))
     (tmp_path / "both.csv").write_text(f"time,P_x,P_y,P_z,R_x,R_y,R_z\ns,m,m,m,N,N,N\n{rows}\n")
@@ -424,6 +555,14 @@ def test_units_tell_which_columns_are_positions(tmp_path):
     assert back.labels == ("P",)
     left_out = next(f for f in back.metadata["findings"] if f.code == "format-values-left-out")
     assert "R_x (n)" in left_out.sentence
+
+
+def test_points_that_are_only_numbered(tmp_path):
+    rows = "\n".join(f"{t / 100},0.5,{t / 10},1.0,0.5,0.6,1.7" for t in range(12))
+    (tmp_path / "walk.csv").write_text(f"time,X1,Y1,Z1,X2,Y2,Z2\n{rows}\n")
+    back = read(tmp_path / "walk.csv", vertical="z")
+    assert back.labels == ("1", "2")
+    np.testing.assert_allclose(back.positions[:, 0, 1], np.arange(12) / 10)
 
 
 @pytest.mark.parametrize("name", ["ACC", "ASIS_R", "KNEE_V", "PROTUB"])
@@ -454,27 +593,6 @@ def test_other_exports_of_qtm_are_named(tmp_path, what):
     (tmp_path / "walk.tsv").write_text(f"NO_OF_FRAMES\t1\n{QTM_OTHERS[what]}\n")
     with pytest.raises(NoMarkers, match=rf"{what}.*no trajectories of markers"):
         read(tmp_path / "walk.tsv")
-
-
-def optitrack(recording: Recording, version: str, hand: str = "righthanded") -> str:
-    """The recording as the programs before Motive 1.8 export it: Y up, one rigid body, points without a name behind the markers."""
-    lines = [
-        'comment,"OptiTrack Export Data"',
-        f"info,version,{version}",
-        f"info,framecount,{len(recording)}",
-        "info,rigidbodycount,1",
-        hand,
-    ]
-    sign = -1 if hand == "lefthanded" else 1
-    for t, places in enumerate(recording.positions[:, :, [1, 2, 0]].tolist()):
-        cells = []
-        for k, (x, y, z) in enumerate(places):
-            if x == x:
-                cells += [f"{x:.5f},{y:.5f},{sign * z:.5f},{k}" + (f',"{recording.labels[k]}"' if version == "1.1" else "")]
-        cells += ["0.1,0.2,0.3,99" + ("," if version == "1.1" else "")] * (t % 2)
-        lines.append(f"frame,{t},{t / 100:.6f},1,1,0.1,0.2,0.3,0,0,0,1,0,0,0,{len(cells)}," + ",".join(cells))
-        lines.append(f'rigidbody,{t},{t / 100:.6f},"Body",1,0,0')
-    return "\n".join(lines) + "\n"
 
 
 @pytest.mark.parametrize("hand", ["righthanded", "lefthanded"])

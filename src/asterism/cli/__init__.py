@@ -62,6 +62,7 @@ _EXAMPLES = {
     "reconstruct": "asterism reconstruct 2d.csv --rig rig.toml -o clouds.npz",
     "segment": "asterism segment walk.c3d --report limbs.html",
     "motion": "asterism motion walk.c3d --uncertainty --report motion.html",
+    "gait": "asterism gait walk*.c3d --static static.c3d --report gait.html",
     "label-views": "asterism label-views 2d.csv --rig rig.toml --body gait15 -o labelled.c3d",
 }
 """Each verb, which is a function in a module of its name, and its example."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -288,6 +288,18 @@ def check_outputs(outputs: Sequence[Path | str | None], inputs: Sequence[Path | 
         if path in read or path in written:
             raise AsterismError(f"{given} is {'an input' if path in read else 'named twice'}; write to another file.")
         written.add(path)
+
+
+def write_csv(target: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a table, whole or not at all."""
+    import csv
+    import io
+
+    from asterism.files.atomic import write_atomically
+
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([head, *rows])
+    write_atomically(target, text.getvalue().encode())
 
 
 def write_json(where: str | None, content: Mapping[str, Any]) -> None:

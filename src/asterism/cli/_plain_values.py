@@ -1,4 +1,4 @@
-"""A command's parameters in; the same parameters, which convert what needs no checking without Pydantic, out.
+"""A command's parameters in; the same parameters, which convert what needs no checking without Pydantic and have help in words, out.
 
 Releases of Typer that convert by Pydantic import it for the first parameter of any command: a third of the time that a short command
 takes. Paths, texts and what is not given need no checking. All else goes Typer's way, which also words the errors.
@@ -35,6 +35,7 @@ _CHECKED = ("exists", "writable", "resolve_path", "parser")
 
 def _taking_plain_values(parameters: Any) -> Any:
     for parameter in parameters:
+        _in_words(parameter)
         converter, wanted = getattr(parameter, "get_runtime_param", None), getattr(parameter, "type_descriptor", None)
         # another release of Typer: all goes its own way
         if converter is None or wanted is None or isinstance(converter, _Converter):
@@ -42,6 +43,17 @@ def _taking_plain_values(parameters: Any) -> Any:
         if not any(getattr(wanted.parameter_info, check, None) for check in _CHECKED):
             parameter.get_runtime_param = _Converter(wanted.annotation, converter)
     return parameters
+
+
+def _in_words(parameter: Any) -> None:
+    """Have the help say nothing of types of Python, and ranges in words."""
+    # what an argument is says its help; of options, the metavar and the choices
+    if getattr(parameter, "param_type_name", "") == "argument":
+        parameter.display_type_rich = lambda ctx: None
+    low, high = getattr(parameter, "min", None), getattr(parameter, "max", None)
+    ends = [f"{low:g}" if low is not None else "", f"{high:g}" if high is not None else ""]
+    said = " to ".join(ends) if all(ends) else f"{ends[0]} or more" if ends[0] else f"{ends[1]} or less" if ends[1] else None
+    parameter._get_number_range_help_str = lambda: said
 
 
 class _Converter:

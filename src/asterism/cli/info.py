@@ -180,7 +180,7 @@ def _rows(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, s
 
 def _unnamed_rows(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """What is said of points without a name: see `described_unnamed`."""
-    from asterism.recording.display import counted
+    from asterism.recording.display import counted, significant
 
     of_frame, pieces = content["points_per_frame"], content["pieces"]
     empty = f"; {counted(content['empty_frames'], 'frame')} without a point" if content["empty_frames"] else ""
@@ -189,7 +189,7 @@ def _unnamed_rows(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     single = f", {_console.count(pieces['single_frames'])} of a single frame" if pieces["single_frames"] else ""
     yield (
         "pieces of paths",
-        f"{_console.count(pieces['number'])}{some}{single}; the usual one lasts {pieces['median_seconds']:.3g} s "
+        f"{_console.count(pieces['number'])}{some}{single}; the usual one lasts {significant(pieces['median_seconds'], 3)} s "
         f"({pieces['median_frames']:g} frame{'' if pieces['median_frames'] == 1 else 's'})",
     )
     if "heights" not in content:

@@ -210,7 +210,9 @@ def _print(
     named = sum(int(groups.frames[g]) for g in names)
     # what is not in a frequent group need not be named by hand
     share = _console.percent(groups.frames[: groups.frequent].sum() / samples)
-    summary = f"{groups.frequent} groups hold {share} of all samples; {len(groups) - groups.frequent} more are rarely seen."
+    rare = len(groups) - groups.frequent
+    holds = "1 group holds" if groups.frequent == 1 else f"{groups.frequent} groups hold"
+    summary = f"{holds} {share} of all samples; {rare} more {'is' if rare == 1 else 'are'} rarely seen."
     of_whom = f" Suggested by virtual people who wear {suggested_by}" if suggested_by else " Named"
     _console.result(f"{summary}{of_whom}: {_console.percent(named / samples)}." if names or suggested_by else summary)
 

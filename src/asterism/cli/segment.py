@@ -65,6 +65,8 @@ def segment(options: SegmentOptions) -> None:
             with _console.progress("segmenting") as progress:
                 # by motion alone: labels may be missing or wrong
                 found = segment_limbs(recording.positions, options.limbs, method=options.method.value, progress=progress)
+            for fewer in found.fewer_than(options.limbs, str(path)):
+                batch.found(fewer)
             results.append((path, recording, found))
             if options.json != "-":
                 show(path, recording, found)
@@ -75,7 +77,7 @@ def segment(options: SegmentOptions) -> None:
         from asterism.report.motion import segmentation_report
 
         names = short_names([path for path, _, _ in results])
-        segmentation_report(options.report, [(name, *rest) for name, (_, *rest) in zip(names, results, strict=True)])
+        segmentation_report(options.report, [(name, recording, found) for name, (_, recording, found) in zip(names, results, strict=True)])
     _console.write_json(
         options.json,
         {

@@ -15,11 +15,10 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.recording import Blobs, Floats, Ints
 from asterism.synchronization import to_common_clock
+from asterism.synchronization.rates import rates_apart
 
 _DEFAULT_RATE = 100.0
 """Frames per second where nothing says the rate."""
-_MOST_APART = 0.5
-"""Frames that two videos may come apart by their rates: as far as the nearest frames of cameras without a common trigger are, too."""
 _LINKED = 0.8
 """Share of the blobs that interpolation to a common clock must keep."""
 
@@ -160,24 +159,10 @@ def common_rate(
         steps = np.concatenate([np.diff(column[np.isfinite(column)]) for column in when.T])
         return float(f"{1 / np.median(steps):.6g}") if len(steps) and np.median(steps) > 0 else _DEFAULT_RATE
     rates = np.array([source.rate for source in sources])
-    known = np.flatnonzero(np.isfinite(rates))
-    if len(known):
-        slow, fast = (int(known[place]) for place in (rates[known].argmin(), rates[known].argmax()))
-        frames = min(len(sources[slow]), len(sources[fast]))
-        apart = (rates[fast] / rates[slow] - 1.0) * frames
-        # 30 and 29.97 are 3.6 frames apart after two minutes: what counts is how far, not how different.
-        if apart > _MOST_APART:
-            findings.append(
-                Finding(
-                    "detect-rates-differ",
-                    Severity.WARNING,
-                    names[slow],
-                    f"camera {names[slow]} has {rates[slow]:.6g} frames/s, {names[fast]} {rates[fast]:.6g}: "
-                    f"at the end of {frames} frames they are {apart:.1f} frames apart.",
-                    "Give --times.",
-                )
-            )
-    return float(np.median(rates)) if len(known) == len(rates) else _DEFAULT_RATE
+    apart = rates_apart(names, rates.tolist(), [len(source) for source in sources])
+    if apart is not None:
+        findings.append(Finding("detect-rates-differ", Severity.WARNING, *apart, "Give --times."))
+    return float(np.median(rates)) if np.isfinite(rates).all() else _DEFAULT_RATE
 
 
 def on_common_clock(blobs: Blobs, findings: list[Finding]) -> tuple[Blobs, float]:

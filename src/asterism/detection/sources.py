@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 
 from asterism.detection.claimed_sizes import check_claimed_chunks, check_claimed_size, claimed_size
 from asterism.detection.grey import Grey, as_grey
+from asterism.detection.image_files import refuse_unread
 from asterism.errors import AsterismError, guarded_reading
 
 if TYPE_CHECKING:
     import cv2
 
 IMAGES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp", ".jp2"}
+_ANIMATED = {".gif", ".webp", ".avif", ".png"}
 _PAGED = {".tif", ".tiff"}
 _MOST_BYTES = 2**31 - 1
 """What OpenCV takes as one file in memory."""
@@ -82,6 +84,8 @@ def _opened(path: Path) -> Source:
     if path.is_dir():
         files = [file for file in _listed(path) if file.suffix.casefold() in IMAGES]
         if not files:
+            for file in _listed(path):
+                refuse_unread(file)
             raise AsterismError(f"{path} holds no images ({', '.join(sorted(IMAGES))}); give the folder of one camera.")
         return _series(path, path.resolve().name, files)
     if not path.is_file():
@@ -93,11 +97,18 @@ def _opened(path: Path) -> Source:
         pages, cut = _pages(path)
         if len(pages) > 1 or cut:
             return Source(path, path.stem, "pages", np.arange(len(pages)), pages=pages, cut=cut)
-    if path.suffix.casefold() in IMAGES or cv2.haveImageReader(str(path)):
+    # FFmpeg reads all images of an animated GIF, of which OpenCV would read the first as a picture.
+    moving = path.suffix.casefold() in _ANIMATED and cv2.imcount(str(path)) > 1
+    if not moving and (path.suffix.casefold() in IMAGES or cv2.haveImageReader(str(path))):
         return _series(path, path.stem, [path])
     with _film(path) as capture:
         there, image = capture.read()
+        if moving and capture.get(cv2.CAP_PROP_FRAME_COUNT) < 2:
+            raise AsterismError(
+                f"{path} is an animation, of which only the first image could be read; make a video or single images of it."
+            )
         if not there:
+            refuse_unread(path)
             raise AsterismError(f"{path} cannot be opened as an image or a video; it may be cut off, record or copy it again.")
         if _is_deep(capture) and image.dtype != np.uint16:
             raise AsterismError(f"{path} has more than 8 bits, of which OpenCV {cv2.__version__} reads 8; make 16 bit PNG or TIFF of it.")

@@ -14,15 +14,17 @@ from numpy.typing import ArrayLike, NDArray
 from asterism.errors import AsterismError, NoMarkers
 from asterism.files.text import some_of
 from asterism.findings import Finding
-from asterism.formats._findings import events_outside, located, missing_samples, units_assumed, vertical_assumed, vertical_conflict
+from asterism.formats._findings import events_outside, located, missing_samples, vertical_assumed, vertical_conflict
 from asterism.formats._physical import COMPUTED, UNNAMED, kinds_by_name
+from asterism.formats._units import METRES_PER_UNIT, body_size, metres_per_unit, size_findings
 from asterism.formats._vertical import AXES, LIKELIER, VerticalEvidence, axis_of, chances_of, vertical_evidence, vertical_from_positions
 from asterism.recording import Event, Floats, MarkerSet, ProcessingStep, Recording, as_vertical, axis_name, canonical, without_subject
-from asterism.recording.arrays import missing_codes, nan_median
-from asterism.recording.display import metres
+from asterism.recording.arrays import missing_codes
 
 __all__ = [
+    "METRES_PER_UNIT",
     "Points",
+    "body_size",
     "is_unnamed",
     "metres_per_unit",
     "recording_of",
@@ -31,13 +33,6 @@ __all__ = [
     "without_common_subject",
 ]
 
-METRES_PER_UNIT = {
-    "m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0,
-    "dm": 0.1, "cm": 0.01, "centimeter": 0.01, "centimeters": 0.01, "centimetre": 0.01, "centimetres": 0.01,
-    "mm": 0.001, "millimeter": 0.001, "millimeters": 0.001, "millimetre": 0.001, "millimetres": 0.001,
-    "um": 1e-6, "in": 0.0254, "inch": 0.0254, "inches": 0.0254, "ft": 0.3048, "feet": 0.3048,
-}  # fmt: skip
-_SMALLEST_BODY, _LARGEST_BODY = 0.005, 60.0
 _FURTHEST = 1e6
 _MISDECLARED = 0.05
 """How often a file declares a wrong vertical: 6 of some 100 files of our tests do. At half of it a walk cut to a second is not seen to
@@ -94,17 +89,19 @@ class Points:
 
     @property
     def found(self) -> tuple[Finding, ...]:
-        """The findings, with one about events that lie outside the recording."""
+        """The findings, with those about the size of a person and about events that lie outside the recording."""
+        captured = [column for column, kind in enumerate(self.kind_of_points) if kind != COMPUTED]
+        sizes = size_findings(self.positions, self.labels, captured, self.units)
         begin = (self.first_frame - 1) / self.rate if self.first_time is None else self.first_time
         end = begin + (len(self.positions) if self.frames is None else self.frames) / self.rate
         # A frame more on either side: some programs count frames from 0, others from 1.
         margin = 1.001 / self.rate
         outside = [event for event in self.events if not begin - margin <= event.time <= end + margin]
         if not outside:
-            return self.findings
+            return (*self.findings, *sizes)
         times = f"{min(event.time for event in outside):.2f} to {max(event.time for event in outside):.2f} s"
         few = f"{len(outside)} of {len(self.events)} events lie outside the recording, which is from {begin:.2f} to {end:.2f} s ({times})"
-        return (*self.findings, events_outside(few))
+        return (*self.findings, *sizes, events_outside(few))
 
     @property
     def kind_of_points(self) -> tuple[str, ...]:
@@ -288,70 +285,6 @@ def without_common_subject(labels: Sequence[str]) -> tuple[tuple[str, ...], str]
 def is_unnamed(label: str) -> bool:
     """Whether a label only numbers an unnamed point: *12, Unlabeled:108, U3, x56."""
     return kinds_by_name([label])[0] == UNNAMED
-
-
-def metres_per_unit(path: Path, declared: str | None, raw: Floats, others: Sequence[str] = ()) -> tuple[float, str, list[Finding]]:
-    """Metres per unit of a file, that unit's name, and a finding where the unit is assumed.
-
-    declared  what stands where the unit belongs, or None
-    raw       (T, P, 3) positions in the file's unit
-    others    further header values among which a misplaced unit may stand
-
-    Raises AsterismError where the unit that the file names makes a body of less than 5 mm or more than 60 m.
-    """
-    size = body_size(raw)
-    scale = METRES_PER_UNIT.get((declared or "").strip().casefold())
-    if scale is not None:
-        if np.isfinite(size) and not _SMALLEST_BODY <= size * scale <= _LARGEST_BODY:
-            # An odd size may be real: the unit stands where the sizes of all units are odd.
-            likely = _unit_by_size(size, raw)
-            if METRES_PER_UNIT[likely] == scale:
-                return scale, _short_unit(scale), [units_assumed(f"the points lie {metres(size * scale)} apart")]
-            raise AsterismError(
-                f"{path} gives its units as {declared}, which makes its points {metres(size * scale)} wide; "
-                f"the units are probably {likely}: correct the units field."
-            )
-        return scale, _short_unit(scale), []
-    # Exporters shift the header by a cell, so that the unit stands in its neighbour's place.
-    misplaced = next((other.strip() for other in others if other.strip().casefold() in METRES_PER_UNIT), None)
-    what = f"the units {declared.strip()!r} are not known" if declared and declared.strip() else "no units in the file"
-    if misplaced is not None:
-        found, name, _ = metres_per_unit(path, misplaced, raw)
-        return found, name, [units_assumed(f"{what}; {name} stands in another field of the header")]
-    name = _unit_by_size(size, raw)
-    return METRES_PER_UNIT[name], name, [units_assumed(f"{what}; {name} fits the size of the body")]
-
-
-def _short_unit(scale: float) -> str:
-    return next(name for name, metres in METRES_PER_UNIT.items() if metres == scale and len(name) <= 2)
-
-
-def body_size(raw: Floats) -> float:
-    """The size of what a frame shows, in the given unit: four times the median distance from the median point.
-
-    About the height of a whole body. A few missing points do not matter. NaN with fewer than two points.
-    """
-    # Some two hundred frames tell the size as well as an hour does.
-    some = raw[:: max(1, len(raw) // 200)]
-    # Numbers from damage must not decide: infinite, or beyond what squares can hold.
-    usable = np.isfinite(some).all(axis=2) & (np.abs(some) < 1e100).all(axis=2) & ~missing_codes(some)
-    some = np.where(usable[:, :, None], some, np.nan)
-    some = some[(~np.isnan(some[:, :, 0])).sum(axis=1) > 1]
-    if not len(some):
-        return float("nan")
-    # Four times the median distance from the middle is about the height of a standing person.
-    away = np.linalg.norm(some - nan_median(some, axis=1)[:, None], axis=2)
-    size = 4.0 * float(nan_median(nan_median(away, axis=1), axis=0))
-    return size if size > 0 else float("nan")
-
-
-def _unit_by_size(size: float, raw: Floats) -> str:
-    """The unit in which that size is a person's; for a single point, the unit that fits its distance from the origin."""
-    if np.isfinite(size):
-        return "m" if size < 12 else "cm" if size < 300 else "mm"
-    # A single point has no size: its distance from the origin is all there is.
-    away = np.abs(raw[np.isfinite(raw)])
-    return "m" if len(away) and float(np.median(away)) < 12 else "mm"
 
 
 def coded_samples(coded: Floats) -> list[Finding]:

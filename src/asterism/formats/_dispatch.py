@@ -144,7 +144,7 @@ def write(
     own_form = str(recording.metadata.get("format", ""))
     if suffix == ".csv" and own_form in _FORMS_NOT_WRITTEN:
         lost = write(path, replace(recording, metadata={**recording.metadata, "format": "CSV"}), labelling=labelling, clouds=clouds)
-        return [f"the form of a {own_form}, and is a CSV of Asterism's instead", *lost]
+        return [f"the form of {'an' if own_form[0] in 'AEIOU' else 'a'} {own_form}, and is a CSV of Asterism's instead", *lost]
     if path.name.casefold().endswith(".long.csv"):
         return csv_long.write_long(path, recording, confidence)
     if suffix == ".c3d":
@@ -376,7 +376,8 @@ def _text_kind(path: Path, head: bytes) -> str | None:
 
     # Ever weaker signs, the most telling first.
     lines = lines_of(decoded(path, head))
-    first = lines[0].strip().strip('"').casefold()
+    # A line `sep=;`, by which Excel reads, may stand above.
+    first = next((line for line in lines if line.strip()), "").strip().strip('"').casefold()
     if first.startswith("format version"):
         return "Motive CSV"
     if first.startswith("pathfiletype") or any(

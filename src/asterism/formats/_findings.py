@@ -22,6 +22,12 @@ def units_assumed(sentence: str) -> Finding:
     return Finding("format-units-assumed", Severity.NOTE, "", sentence, "Compare a known length, such as the body's height.")
 
 
+def units_doubtful(sentence: str) -> Finding:
+    """A person would be far too small or too large in the file's unit of length."""
+    mend = "Compare a known length, such as the body's height, and correct the unit of length in the file."
+    return Finding("format-units-doubtful", Severity.WARNING, "", sentence, mend)
+
+
 def vertical_conflict(sentence: str) -> Finding:
     """The file declares another vertical than its markers show."""
     mend = "Look which way is up, and give it with --vertical; correct it in the file."

@@ -15,6 +15,7 @@ _SUFFIXES = tuple(
         r"(?P<axis>[xyz])[_. :\-/|]+(?P<name>.+?)",
         r"(?P<name>.+?)\s*[\[(](?P<axis>[xyz012])[\])]",
         r"(?P<name>.+?)(?P<axis>[XYZ])",
+        r"(?P<axis>[xyz])(?P<name>\d+)",
     )
 )
 _EXPLICIT, _ATTACHED = 1, 4
@@ -41,7 +42,7 @@ class ColumnGroup:
 def marker_groups(names: Sequence[str]) -> tuple[list[ColumnGroup], list[int]]:
     """The points that a table's column names spell out, in column order, and the other columns.
 
-    The spellings are NAME_x, NAME.X, NAME X, NAME:x, NAME_tx, x_NAME, NAME_pos_x, NAME[0] and NAMEX, each with or without a unit
+    The spellings are NAME_x, NAME.X, NAME X, NAME:x, NAME_tx, x_NAME, NAME_pos_x, NAME[0], NAMEX and X1, each with or without a unit
     after it. The first spelling that gives the most groups counts for the whole file. Forces, angles and what inertial sensors measure
     have an x, y and z as well, and are no points.
     """

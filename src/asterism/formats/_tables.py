@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +38,7 @@ def rows_of_numbers(
     width: int,
     lead: int | None = None,
     least: int | None = None,
+    stop: int | None = None,
 ) -> tuple[Floats, list[Finding]]:
     """The numbers of a table: (rows, width), NaN where a cell is blank or a row is short; and findings.
 
@@ -47,6 +48,7 @@ def rows_of_numbers(
     lead        how many columns stand before the coordinates, where all others are x, y, z of one point after the other; then a row
                 whose cells have moved is found, and its points are taken as missing
     least       how many cells a row has at least; by default, all of them
+    stop        where the coordinates end, by default with the row; columns behind them are never blank
 
     A comma is the decimal sign where it does not separate cells. Raises AsterismError, naming line and column, where a cell is not a
     number, a row is too long, or the decimal sign cannot be told.
@@ -92,8 +94,9 @@ def rows_of_numbers(
     # Without its end, the last line belongs to a file that was cut off, and its cells are in their places.
     cut = len(kept) > 0 and kept[-1] == len(lines) - 1
     moved = np.zeros(len(kept), dtype=np.bool_)
-    if lead is not None and (width - lead) % 3 == 0:
-        moved = _moved_rows(out[:, lead:], counts) | (short & (delimiter is None))
+    end = width if stop is None else stop
+    if lead is not None and (end - lead) % 3 == 0:
+        moved = _moved_rows(out[:, lead:end], counts) | (short & (delimiter is None or end < width))
         moved[-1:] &= not (cut and short[-1])
         out[moved, lead:] = np.nan
     findings = []
@@ -140,6 +143,17 @@ def _some_lines(line_numbers: Sequence[int], which: NDArray[np.bool_]) -> str:
     return f"line {line_numbers[int(places[0])]}{more}"
 
 
+def blanked(lines: Sequence[str], columns: Collection[int], delimiter: str | None) -> list[str]:
+    """The lines with blanks in columns that hold words, such as a subject or a time of the day."""
+    if not columns or delimiter is None:
+        return list(lines)
+    return [delimiter.join("" if i in columns else cell for i, cell in enumerate(_bare_cells(line, delimiter))) for line in lines]
+
+
+def _bare_cells(line: str, delimiter: str) -> list[str]:
+    return [f'"{cell}"' if delimiter in cell else cell for cell in cells_of(line, delimiter)] if '"' in line else line.split(delimiter)
+
+
 def separator_of(line: str, delimiter: str | None) -> str | None:
     """What separates the cells of a data line under a header with that delimiter; None is any blank.
 
@@ -171,14 +185,15 @@ def decimal_points(path: Path, lines: Sequence[str], delimiter: str | None) -> C
         text = "\n".join(_QUOTED.findall(text))
     if not _COMMA.search(text):
         return None
-    thousands = {sign: _NO_THOUSANDS[sign].search(text) is None for sign in ",."}
-    if _COMMA_FIRST.search(text) and thousands[","]:
+    # What is rarely there is looked for last: a long table is searched to its end then.
+    thousands = _NO_THOUSANDS[","].search(text) is None
+    if thousands and _COMMA_FIRST.search(text):
         return lambda part: part.replace(",", "")
-    if _POINT_FIRST.search(text) and thousands["."]:
+    point = _POINT.search(text) if "." in text else None
+    if point is not None and _NO_THOUSANDS["."].search(text) is None and _POINT_FIRST.search(text):
         return lambda part: part.replace(".", "").replace(",", ".")
-    point = _POINT.search(text)
     # A comma before three digits each time may be either, and a wrong choice would be wrong a thousandfold.
-    if point is None and not thousands[","]:
+    if point is None and not thousands:
         return lambda part: part.replace(",", ".")
     cells = re.split(r"[\s;]+", text)
     shown = [next((cell[:30] for cell in cells if sign.search(cell)), "") for sign in (_COMMA, _POINT)]

@@ -180,7 +180,7 @@ def _along(height: Floats, rise: Floats, moving: NDArray[np.bool_], size: float)
 
 def _by_names(now: Floats, labels: Sequence[str]) -> Floats:
     """(6,) the mean cosine between each axis and the way from low to high parts of the body; zeros where names tell none."""
-    levels = np.array([_level(label) for label in labels])
+    levels = np.array([level_of(label) for label in labels])
     known = [level for level in range(len(_LEVELS)) if (levels == level).any()]
     # Two levels above the pelvis are too near to each other to tell up from ahead.
     if len(known) < 2 or known[0] > _PELVIS:
@@ -196,6 +196,7 @@ def _by_names(now: Floats, labels: Sequence[str]) -> Floats:
     return np.asarray(-np.log(1.0 - AXES @ cosine + 0.05) * (1.0 if len(known) > 2 or _PELVIS in known else 0.6))
 
 
-def _level(label: str) -> int:
+def level_of(label: str) -> int:
+    """The level of the body that a label names: 0 foot, 1 knee, 2 pelvis, 3 shoulder, 4 head; -1 none."""
     name = canonical(without_subject(label))
     return next((level for level, pattern in enumerate(_LEVEL_PATTERNS) if pattern.fullmatch(name)), -1)

@@ -12,7 +12,7 @@ from asterism.files.text import cells_of, decoded, delimiter_of, lines_of, numbe
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._findings import header_conflict
 from asterism.formats._physical import COMPUTED, MARKER, UNNAMED, kinds_by_name
-from asterism.formats._tables import frames_in_place, lead_of, rate_of, rows_of_numbers
+from asterism.formats._tables import blanked, frames_in_place, lead_of, rate_of, rows_of_numbers
 from asterism.recording import Floats, as_vertical
 
 _TYPES = {"marker", "rigid body", "rigid body marker", "bone", "bone marker", "skeleton", "marker set", "unlabeled marker"}
@@ -34,12 +34,13 @@ def read_motive(path: Path) -> Points:
     """
     lines = lines_of(decoded(path, read_bytes(path)))
     # A spreadsheet that saved the export again writes its own separator and decimal sign.
-    delimiter = delimiter_of(lines[0])
-    header = _key_values(cells_of(lines[0], delimiter))
-    at = next((i for i, line in enumerate(lines[:24]) if i > 0 and cells_of(line, delimiter)[:1] in (["Frame"], ["frame"])), None)
+    top = next(i for i, line in enumerate(lines) if line.strip())
+    delimiter = delimiter_of(lines[top])
+    header = _key_values(cells_of(lines[top], delimiter))
+    at = next((i for i, line in enumerate(lines[: top + 24]) if i > top and cells_of(line, delimiter)[:1] in (["Frame"], ["frame"])), None)
     if at is None:
         raise AsterismError(f"{path} has no line that begins with Frame; export it from Motive again, with its header.")
-    above = [cells_of(line, delimiter) for line in lines[1:at]]
+    above = [cells_of(line, delimiter) for line in lines[top + 1 : at]]
     # Motive moves these rows from version to version: they are found by what they hold.
     types = next((row for row in above if any(cell.casefold() in _TYPES for cell in row[2:])), None)
     if types is None:
@@ -54,7 +55,10 @@ def read_motive(path: Path) -> Points:
     if not blocks:
         raise AsterismError(f"{path} holds no positions; export it from Motive again, with markers.")
     columns = [column for block in blocks for column in block.columns]
-    values, findings = rows_of_numbers(path, lines[at + 1 :], at + 2, delimiter, len(axes), lead_of(columns, len(axes)))
+    # A timecode is no number.
+    words = {i for i, axis in enumerate(axes) if axis.casefold() == "timecode"}
+    body = blanked(lines[at + 1 :], words, delimiter)
+    values, findings = rows_of_numbers(path, body, at + 2, delimiter, len(axes), lead_of(columns, len(axes)))
     raw = values[:, columns].reshape(len(values), len(blocks), 3)
     scale, units, found = metres_per_unit(path, header.get("length units"), raw)
     positions, missing = as_metres(raw, scale)

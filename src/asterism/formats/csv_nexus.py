@@ -13,7 +13,7 @@ from asterism.errors import AsterismError, NoMarkers
 from asterism.files.text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes, some_of
 from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
-from asterism.formats._findings import cut_off, header_conflict, unread_events
+from asterism.formats._findings import cut_off, header_conflict, point_names, unread_events
 from asterism.formats._tables import frames_in_place, lead_of, rows_of_numbers
 from asterism.recording import Event, Floats, as_vertical
 
@@ -24,11 +24,12 @@ _SECTIONS = _TRAJECTORIES | {"devices", "model outputs", "joints", "segments", "
 
 def is_nexus(lines: Sequence[str]) -> bool:
     """Whether the first line names one of Nexus' sections and the second line is a rate or an event table."""
-    first = lines[0].strip(_BLANKS).casefold()
-    if first not in _SECTIONS or len(lines) < 2:
+    top = next((i for i, line in enumerate(lines) if line.strip(_BLANKS)), 0)
+    first = lines[top].strip(_BLANKS).casefold()
+    if first not in _SECTIONS or len(lines) < top + 2:
         # A single word may be anything's header: the second line must be a rate.
         return False
-    return number_of(lines[1].strip(_BLANKS)) is not None or first == "events"
+    return number_of(lines[top + 1].strip(_BLANKS)) is not None or first == "events"
 
 
 @dataclass(frozen=True)
@@ -98,9 +99,10 @@ def _section(path: Path, lines: list[str], bare: list[str], at: int) -> _Traject
         raise AsterismError(f"{path} ends within the header of its trajectories; export it again.")
     delimiter = delimiter_of(lines[at + 2]) or ","
     over, axes = cells_of(lines[at + 2], delimiter), cells_of(lines[at + 3], delimiter)
-    units = next((cell for cell in cells_of(lines[at + 4], delimiter) if cell), None)
+    words = [cell for cell in cells_of(lines[at + 4], delimiter) if cell]
+    units = next(iter(words), None)
     # Nexus leaves the row of units out of some exports.
-    has_units = units is not None and number_of(units) is None
+    has_units = len(words) > 0 and all(number_of(word) is None for word in words)
     labels, columns = _points(over, axes)
     astray = [i for i, name in enumerate(over) if name and i not in columns[::3]]
     if labels and astray:
@@ -120,6 +122,9 @@ def _section(path: Path, lines: list[str], bare: list[str], at: int) -> _Traject
     # Only the last line of the file may be cut off, and the lines of another section are whole.
     body = [*lines[start:end], *([""] if end < len(lines) else [])]
     values, findings = rows_of_numbers(path, body, start + 1, delimiter, width, lead_of(columns, width))
+    nameless = sum(not label for label in labels) if bare[at] == "trajectories" else 0
+    if nameless:
+        findings.append(point_names(f"{nameless} trajectories have no name; they are numbered from *1"))
     if not len(values):
         findings.append(cut_off(f"its section {lines[at].strip(_BLANKS)} has no row of numbers"))
     positions = values[:, columns].reshape(len(values), len(labels), 3)
@@ -160,6 +165,8 @@ def _events(lines: list[str], bare: list[str]) -> tuple[tuple[Event, ...], list[
         # The section has columns in any order, by version.
         if not names and "name" in lowered and any(cell.startswith("time") for cell in lowered):
             names = ["time" if cell.startswith("time") else cell for cell in lowered]
+            # A number among the names is an event whose line joined theirs.
+            unread += [i + 1] if any(number_of(cell) is not None for cell in cells if cell) else []
             continue
         row = dict(zip(names, cells, strict=False))
         time = number_of(row.get("time", ""))

@@ -84,6 +84,9 @@ def _table(path: Path) -> TimeSeriesTable:
     while names and not names[-1]:
         names.pop()
     body = lines[names_at + 1 :]
+    kind = header.get("datatype", "")
+    if kind and not kind.casefold().startswith(("double", "vec3")):
+        raise NoMarkers(f"{path} holds values of the type {kind[:40]} (orientations, for instance) and no marker positions.")
     # A Vec3 cell holds its three numbers between commas.
     if header.get("datatype", "").casefold().startswith("vec3") and delimiter == "\t":
         names = [names[0], *(f"{name}_{axis}" for name in names[1:] for axis in "xyz")]

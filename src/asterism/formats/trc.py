@@ -193,7 +193,16 @@ def _labels(
 
     Raises AsterismError where it cannot be told which name is whose.
     """
-    cells = cells_of(line, delimiter)[2:]
+    cells = cells_of(line, delimiter)
+    # Frame# and Time may share a cell.
+    if re.fullmatch(r"(?i)frame\s*#?\s+time", cells[0]):
+        cells.insert(1, "")
+    # Blanks may stand before Time.
+    time_at = next((i for i, cell in enumerate(cells) if i and cell), 1)
+    is_time = time_at < len(cells) and re.match(r"(?i)\W*(time|t\b|s\b|sec|zeit|temps|tiempo|tempo)", cells[time_at]) is not None
+    if time_at == 1 < len(cells) and cells[1] and not is_time:
+        raise AsterismError(f"{path}: {cells[1][:40]!r} stands where the column Time belongs, behind Frame#; add that column.")
+    cells = cells[time_at + 1 if is_time else 2 :]
     named = [cell for cell in cells if cell]
     count, findings = max(most, headed), list[Finding]()
     # Each name may stand over all three of its columns, or with its axis.
@@ -208,10 +217,16 @@ def _labels(
     elif (delimiter is None or len(named) == 1) and counts and words not in counts and (said or words > count):
         named = cells = _names_with_blanks(path, line, min(counts), words)
         findings.append(point_names(f"the names of markers hold blanks; they were read as {some_of(named)}"))
+    # Several blanks within a cell separate names as well, where the number of points says so.
+    apart = [name for cell in named for name in re.split(r"\s{2,}", cell)]
+    if len(named) not in counts and len(apart) in counts:
+        named = cells = apart
     places = [i for i, cell in enumerate(cells) if cell]
     beside = places == list(range(len(places)))
     # A name over each third cell, as the format has it; else the names stand side by side.
     over = delimiter is not None and all(i % 3 == 0 for i in places) and (not beside or len(places) == 1)
+    # With more places than the rows have points, the names have moved.
+    over &= not count or not places or places[-1] // 3 < count
     labels = [cells[i] for i in range(0, places[-1] + 1, 3)] if over and places else named
     known = len(labels)
     # Of names that stand elsewhere only the order counts, which tells nothing where some points have none.

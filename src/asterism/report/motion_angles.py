@@ -20,8 +20,9 @@ _GAPS = (0.06, 0.1)
 
 
 def clinical_section(name: str, times: Floats, clinical: ClinicalAngles, known: ClinicalUncertainty | None) -> Section:
-    """Flexion, adduction and rotation of hip, knee and ankle over time, left and right in one small figure each; 95 % bands if known."""
+    """Flexion, adduction and rotation of hip, knee and ankle over time, left and right in one small figure each; bands if known."""
     from asterism.motion.clinical import CLINICAL
+    from asterism.motion.clinical.uncertainty import TRIED_ON
 
     joints = list(dict.fromkeys(joint.joint for joint in clinical.joints))
     data: list[dict[str, object]] = []
@@ -49,7 +50,7 @@ def clinical_section(name: str, times: Floats, clinical: ClinicalAngles, known: 
     text = "Of Grood and Suntay, by the markers of Helen Hayes or Plug-in-Gait. Flexion, adduction and internal rotation are positive."
     return Section(
         f"{name}: clinical angles",
-        text + (" Bands: the shortest intervals that hold the angle with 95 %." if known is not None else ""),
+        text + (f" Bands: nominal 95 % intervals. {TRIED_ON}" if known is not None else ""),
         figure=figures.figure(data, height=230 * len(joints) + 40, **layout),
         table=_clinical_budget(known) if known is not None else None,
         note=f"{taken} The foot is a line from ankle to toe, which tells no adduction.",

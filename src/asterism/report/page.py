@@ -18,6 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from asterism.files.atomic import utf8, write_atomically
 from asterism.findings import Finding, Severity
+from asterism.recording.display import singular
 from asterism.report.player import deflated, player_script, player_style, template
 
 NOTHING = "–"
@@ -93,6 +94,7 @@ def write_page(path: str | Path, page: Page) -> None:
         plotly=_plotly() if figures else "",
         data=_as_script({"figures": _without_markup(figures), "players": players}),
         is_cell=lambda cell: isinstance(cell, Cell),
+        singular=singular,
     )
     # Whole or not at all: a browser that reloads must not meet half a page.
     write_atomically(target, utf8(html))

@@ -29,7 +29,7 @@ from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.labelling.whole.verdict import MIN_FRAMES
 from asterism.progress import Progress
 from asterism.recording import Clouds, Disagreement, Ints, Labelling, MarkerSet
-from asterism.recording.display import counted
+from asterism.recording.display import counted, significant
 from asterism.recording.verdict import OTHER_BODY
 from asterism.session.coincident import coincident_findings
 from asterism.session.labelled import LabelledFile
@@ -400,10 +400,10 @@ def findings_on_sets(path: Path, worn: Sequence[WornMarkers], rules: FindRules) 
     findings = []
     for one in worn:
         if one.by == BY_POINTS and one.same_names < rules.sure:
-            rest = ", ".join(f"{name} ({100 * chance:.2g} %)" for name, chance in one.others if chance > _WORTH_TELLING)
+            rest = ", ".join(f"{name} ({significant(100 * chance, 2)} %)" for name, chance in one.others if chance > _WORTH_TELLING)
             rest = rest or "a set that is not shipped"
-            sentence = f"{path}: the points may be those of {one.name} ({100 * one.probability:.2g} %) or of {rest}; {one.name} was taken,"
-            sentence += f" by which {100 * one.same_names:.2g} % of the names are expected to be right."
+            sentence = f"{path}: the points may be those of {one.name} ({significant(100 * one.probability, 2)} %) or of {rest}; "
+            sentence += f"{one.name} was taken, by which {significant(100 * one.same_names, 2)} % of the names are expected to be right."
             if one.shown < one.points:
                 sentence += f" Its markers explain {one.shown} of {one.points} points."
             mend = "Name the set with --markers; recordings of one person in one folder are judged together."

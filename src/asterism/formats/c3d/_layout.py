@@ -29,6 +29,7 @@ from asterism.formats._findings import cut_off, header_conflict, header_doubt
 from asterism.formats.c3d._numbers import Processor
 from asterism.formats.c3d._parameters import Parameters, parse_parameters
 from asterism.recording import Event
+from asterism.recording.arrays import nan_median
 
 BLOCK = 512
 LIMIT = 65535
@@ -124,7 +125,7 @@ def _events_of_header(raw: bytes | bytearray, processor: Processor) -> Iterator[
 
 
 @dataclass(frozen=True)
-class _Start:
+class _DataStart:
     """A place where the data may begin, the parameters up to there, and the claims about what the data hold.
 
     ends  bytes at which the data may end, the most likely first
@@ -171,7 +172,7 @@ def _block(at: int) -> int:
     return at // BLOCK + 1
 
 
-def _starts(raw: bytes | bytearray, processor: Processor, header: Header) -> list[_Start]:
+def _starts(raw: bytes | bytearray, processor: Processor, header: Header) -> list[_DataStart]:
     """Where the data may begin, the most reliable first: at least one place."""
     at, size = header.parameters_at, len(raw)
     counted = min(at + BLOCK * max(raw[at + 2], 1), size)
@@ -184,7 +185,7 @@ def _starts(raw: bytes | bytearray, processor: Processor, header: Header) -> lis
     # The second block is where the parameters themselves begin, mostly; the last place is always there.
     places = [place for place in dict.fromkeys(places) if BLOCK <= place <= size and place != at]
     sections = [(place, parameters(place)) for place in places]
-    starts = [_Start(place, own, tuple(_claims(header, own, place)), tuple(_ends(own, place, size))) for place, own in sections]
+    starts = [_DataStart(place, own, tuple(_claims(header, own, place)), tuple(_ends(own, place, size))) for place, own in sections]
     # Data that begin in the midst of a parameter, or late, where there is something before them, are less likely, whoever says so.
     return sorted(starts, key=lambda start: not start.clean)
 
@@ -263,7 +264,9 @@ def _fills(raw: bytes | bytearray, layout: Layout, end: int) -> bool:
     return 0 <= left < BLOCK or (left == BLOCK and not any(raw[layout.stop : end]))
 
 
-def _that_fills(raw: bytes | bytearray, processor: Processor, header: Header, starts: Sequence[_Start]) -> tuple[_Start, Layout] | None:
+def _that_fills(
+    raw: bytes | bytearray, processor: Processor, header: Header, starts: Sequence[_DataStart]
+) -> tuple[_DataStart, Layout] | None:
     """The claim that fills the room of the data but for its last block."""
     for start in starts:
         for end in start.ends:
@@ -283,7 +286,9 @@ def _ends_empty(raw: bytes | bytearray, layout: Layout) -> bool:
     return not any(raw[layout.stop - layout.frame_bytes : layout.stop])
 
 
-def _by_length(raw: bytes | bytearray, processor: Processor, header: Header, starts: Sequence[_Start]) -> tuple[_Start, Layout] | None:
+def _by_length(
+    raw: bytes | bytearray, processor: Processor, header: Header, starts: Sequence[_DataStart]
+) -> tuple[_DataStart, Layout] | None:
     """A claim with as many frames as there is room for, where all counts of frames are spent."""
     for start in starts:
         counts = _counts(header, start.parameters)
@@ -313,7 +318,7 @@ def _lengthened(raw: bytes | bytearray, claim: Layout, end: int, counts: Collect
     yield replace(claim, frames=room)
 
 
-def _that_leaves_least(raw: bytes | bytearray, path: str, processor: Processor, start: _Start, findings: list[Finding]) -> Layout:
+def _that_leaves_least(raw: bytes | bytearray, path: str, processor: Processor, start: _DataStart, findings: list[Finding]) -> Layout:
     """The claim that leaves least of the file unread; where all need more than there is, as many frames as are whole.
 
     Raises AsterismError where no frame is.
@@ -372,11 +377,12 @@ def _restlessness(raw: bytes | bytearray, processor: Processor, layout: Layout) 
         both = there[1:] & there[:-1]
         if odd.mean() > 0.25 or not both.any():
             return 1.0
-        spread = np.median(np.abs(values[there] - np.median(values[there])))
-        return float(min(np.median(np.abs(np.diff(values, axis=0))[both]) / spread, 1.0)) if spread > 0 else 1.0
+        seen = values[there]
+        spread = float(nan_median(np.abs(seen - nan_median(seen, 0)), 0))
+        return min(float(nan_median(np.abs(np.diff(values, axis=0))[both], 0)) / spread, 1.0) if spread > 0 else 1.0
 
 
-def _about_counts(raw: bytes | bytearray, header: Header, start: _Start, layout: Layout) -> Iterator[Finding]:
+def _about_counts(raw: bytes | bytearray, header: Header, start: _DataStart, layout: Layout) -> Iterator[Finding]:
     """What the file declares otherwise than the data are, and whole frames that nothing declares."""
     # What was cut off contradicts every count; saying so once is enough.
     if layout.cut:

@@ -69,7 +69,7 @@ def lower_body(recording: Recording, measures: SubjectMeasures, sides: str = "LR
     z = unit_vectors(np.cross(origin - sacrum, y))
     pelvis = np.stack([np.cross(y, z), y, z], axis=2)
     lengths = {side: _leg_length(recording, measures.of(side), side) for side in SIDES}
-    between = measures.inter_asis or float(np.nanmedian(np.linalg.norm(left - right, axis=1)))
+    between = measures.inter_asis or median_of(np.linalg.norm(left - right, axis=1))
     legs = {}
     for side in sides:
         own = measures.of(side)
@@ -98,14 +98,20 @@ def _leg_length(recording: Recording, measures: LegMeasures, side: str) -> float
     if any(side + name not in recording.labels for name in ("ASI", "KNE", "ANK")):
         return float("nan")
     parts = [np.linalg.norm(marker(side + a) - marker(side + b), axis=1) for a, b in (("ASI", "KNE"), ("KNE", "ANK"))]
-    known = parts[0] + parts[1]
-    return float(np.nanmedian(known)) if np.isfinite(known).any() else float("nan")
+    return median_of(parts[0] + parts[1])
+
+
+def median_of(values: Floats) -> float:
+    """Of the values that are known; NaN where none is."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else float("nan")
 
 
 def _hip_centre(measures: LegMeasures, side: str, lengths: Mapping[str, float], between: float, radius: float) -> Floats:
     """(3,) m, in the pelvis' axes from its origin (Davis et al. 1991): 28.4 and 18 degrees are the angles of their regression."""
     own = lengths[side]
-    both = float(np.nanmean(list(lengths.values()))) if np.isfinite(list(lengths.values())).any() else float("nan")
+    # the median of two is their mean
+    both = median_of(np.array(list(lengths.values())))
     trochanter = measures.asis_trochanter if measures.asis_trochanter is not None else 0.1288 * own - 0.04856
     constant, theta, beta = 0.115 * both - 0.0153, 0.5, 0.314
     ahead = (-trochanter - radius) * np.cos(beta) + constant * np.cos(theta) * np.sin(beta)
@@ -224,7 +230,8 @@ def walking_axes(body: LowerBody) -> Floats:
     seen = np.isfinite(body.origin).all(axis=1)
     way = body.origin[seen][-1] - body.origin[seen][0] if seen.any() else np.zeros(3)
     if np.linalg.norm(way[:2]) < WALKED:
-        way = np.nan_to_num(np.nanmean(body.pelvis[:, :, 0], axis=0)) if seen.any() else np.array([1.0, 0.0, 0.0])
+        faces = body.pelvis[np.isfinite(body.pelvis).all(axis=(1, 2)), :, 0]
+        way = faces.mean(axis=0) if len(faces) else np.array([1.0, 0.0, 0.0])
     axis = int(abs(way[1]) > abs(way[0]))
     ahead = np.zeros(3)
     ahead[axis] = 1.0 if way[axis] >= 0 else -1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,7 +68,7 @@ def _leg_with_offsets(static: Recording, side: str, measures: SubjectMeasures, r
         # the plane of the device in place of the wand's
         knee = joint_centre(hip, knee_marker, knee_marker + axis, own.knee_width / 2 + radius)
         told["thigh_rotation"] = left * _angle_about(hip, knee, marker(f"{side}THI"), knee_marker)
-        own = own.with_values(told)
+        own = own.with_values(_known(told))
     medial = next((marker(side + name) for name in MEDIAL_ANKLE if side + name in static.labels), None)
     thigh = _legs(static, side, measures, own).thigh
     knee = _legs(static, side, measures, own).knee
@@ -76,16 +77,16 @@ def _leg_with_offsets(static: Recording, side: str, measures: SubjectMeasures, r
         if rules.tilted:
             ankle = ankle_marker - (own.ankle_width / 2 + radius) * unit_vectors(outwards)
             corner = np.arccos(np.clip(_cosine(knee - ankle, ankle_marker - ankle), -1.0, 1.0))
-            told["ankle_tilt"] = float(np.nanmean(corner) - np.pi / 2)
+            told["ankle_tilt"] = _mean(corner) - np.pi / 2
         else:
             ankle = joint_centre(knee, ankle_marker, ankle_marker + outwards, own.ankle_width / 2 + radius)
         told["shank_rotation"] = left * _angle_about(knee, ankle, marker(f"{side}TIB"), ankle_marker)
-        own = own.with_values(told)
+        own = own.with_values(_known(told))
         legs = _legs(static, side, measures, replace(own, tibial_torsion=0.0))
         # from the ankle's axis to the knee's, about the shank
         between = turns(legs.distal_shank, along(legs.knee - legs.ankle, thigh[:, :, 1]))[:, 2]
-        told["tibial_torsion"] = left * float(np.nanmean(between))
-    own = own.with_values(told)
+        told["tibial_torsion"] = left * _mean(between)
+    own = own.with_values(_known(told))
     if f"{side}TOE" in static.labels and f"{side}HEE" in static.labels:
         leg = _legs(static, side, measures, replace(own, foot_flexion=0.0, foot_rotation=0.0))
         assert leg.foot is not None
@@ -93,10 +94,19 @@ def _leg_with_offsets(static: Recording, side: str, measures: SubjectMeasures, r
         if rules.flat_foot:
             heel[:, 2] = toe[:, 2]
         sole = turns(leg.foot, along(heel - toe, leg.shank[:, :, 1]))
-        told["foot_flexion"] = -float(np.nanmean(sole[:, 0]))
-        told["foot_rotation"] = -left * float(np.nanmean(sole[:, 1]))
-    known = {name: value for name, value in told.items() if np.isfinite(value)}
-    return own.with_values(known)
+        told["foot_flexion"] = -_mean(sole[:, 0])
+        told["foot_rotation"] = -left * _mean(sole[:, 1])
+    return own.with_values(_known(told))
+
+
+def _known(told: Mapping[str, float]) -> dict[str, float]:
+    """Without the offsets that no frame tells: the measures' own stay."""
+    return {name: value for name, value in told.items() if np.isfinite(value)}
+
+
+def _mean(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else float("nan")
 
 
 def _legs(static: Recording, side: str, measures: SubjectMeasures, own: LegMeasures) -> Leg:
@@ -150,7 +160,7 @@ def _angle_about(upper: Floats, centre: Floats, wand: Floats, marker: Floats) ->
     line = unit_vectors(upper - centre) * -1.0
     to_wand, to_marker = (vector - np.einsum("ti,ti->t", vector, line)[:, None] * line for vector in (wand - centre, marker - centre))
     angle = np.arctan2(np.einsum("ti,ti->t", np.cross(to_wand, to_marker), line), np.einsum("ti,ti->t", to_wand, to_marker))
-    return float(np.nanmean(angle))
+    return _mean(angle)
 
 
 def _cosine(one: Floats, other: Floats) -> Floats:

@@ -16,6 +16,12 @@ from asterism.progress import Progress
 from asterism.recording import Floats, Recording
 
 SOURCES = ("cameras", "soft tissue", "placement")
+
+TRIED_ON = (
+    "Intervals are those of a model of errors, in which skin slides in proportion to the joints' flexion; they have not been tried on "
+    "bones."
+)
+"""What stands beside intervals wherever they are shown."""
 """What makes clinical angles uncertain; each can be looked at alone."""
 
 _SEGMENT_OF = {"ASI": "pelvis", "PSI": "pelvis", "THI": "thigh", "KNE": "thigh", "TIB": "shank", "ANK": "shank", "TOE": "foot"}

@@ -19,6 +19,7 @@ from scipy.special import expit, log_softmax
 from asterism.errors import AsterismError, NoMarkers
 from asterism.geometry import rotate_z_up
 from asterism.recording import Clouds, Floats, Ints, MarkerSet, Recording, shipped_sets, worn_marker_sets
+from asterism.recording.display import significant
 from asterism.recording.marker_set import is_unnamed
 from asterism.session.upright import other_verticals
 from asterism.session.worn.fit import FitRules, FrameFit, fit_frame
@@ -405,7 +406,7 @@ def _apart(points: Floats, rules: FindRules) -> list[Floats]:
 
 
 def _percent(chance: float) -> str:
-    return f"{100 * min(chance, 0.999):.3g} %"
+    return f"{significant(100 * min(chance, 0.999), 3)} %"
 
 
 def _name_of(given: str | Path | MarkerSet) -> str:
