@@ -12,7 +12,8 @@ from urllib.parse import parse_qs, urlparse
 import numpy as np
 
 from asterism.recording import Clouds, Floats, Ints
-from asterism.report import marker_sides, player_script, player_style
+from asterism.recording.sides import marker_sides
+from asterism.report import player_script, player_style
 
 TOKEN = "secret"
 

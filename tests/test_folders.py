@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -232,7 +233,7 @@ def test_a_run_that_was_stopped_goes_on(lab: Path, tmp_path: Path, capsys: pytes
     assert "changed since" in capsys.readouterr().out and (out / "a.c3d").read_bytes() == changed
 
 
-@pytest.mark.parametrize("how", ["other source", "other option", "no record", "cut record"])
+@pytest.mark.parametrize("how", ["other source", "other option", "no record", "cut record", "odd record"])
 def test_what_was_made_otherwise_is_not_taken_for_finished(how: str, lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source, out = tmp_path / "walk.c3d", tmp_path / "out"
     source.write_bytes((lab / "lab" / "s3" / "walk.c3d").read_bytes())
@@ -245,6 +246,8 @@ def test_what_was_made_otherwise_is_not_taken_for_finished(how: str, lab: Path, 
         words.append("--frame-wise")
     elif how == "no record":
         record.unlink()
+    elif how == "odd record":
+        record.write_text(re.sub(r'"(use|severity)": "[^"]*"', r'"\1 ": 0', record.read_text()))
     else:
         record.write_bytes(record.read_bytes()[:40])
     before = (out / "walk.c3d").read_bytes()

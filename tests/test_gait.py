@@ -17,7 +17,20 @@ import asterism
 from asterism import AsterismError, Recording, formats
 from asterism.cli import main
 from asterism.formats import force_plates
-from asterism.gait import POINTS, Cycle, analyse_gait, cycles_of, find_events, measures_by_name, over_cycle, parameters_of, summarise
+from asterism.gait import (
+    POINTS,
+    Band,
+    Cycle,
+    analyse_gait,
+    band_of,
+    cycles_of,
+    find_events,
+    measures_by_name,
+    over_cycle,
+    parameters_of,
+    profile_scores,
+    summarise,
+)
 from asterism.gait.events import OFF, STRIKE, GaitEvent
 from asterism.simulation import simulate_walks
 
@@ -170,3 +183,45 @@ def test_a_measure_that_is_none_is_refused(tmp_path: Path, capsys: pytest.Captur
         assert main(["gait", str(walk), "--measure", word]) == 2
         assert said in capsys.readouterr().err
     assert measures_by_name(["LKneeWidth=101,5"]) == {"LKneeWidth": 101.5}
+
+
+def test_a_band_is_kept_and_a_person_is_as_far_from_it_as_their_curves(tmp_path: Path) -> None:
+    walks = [analyse_gait(walk) for walk in simulate_walks(3, frames=300, markers="helen-hayes", seed=5)]
+    band = band_of(walks, ["a", "b", "c"])
+    band.save(tmp_path / "controls.band")
+    kept = Band.load(tmp_path / "controls.band")
+    assert (kept.people, kept.cycles) == (3, band.cycles)
+    np.testing.assert_allclose(kept.mean["Knee"], band.mean["Knee"], atol=1e-5)
+    moved = replace(walks[0], curves={name: np.repeat(band.mean[name[1:-6]][None], 2, axis=0) for name in walks[0].curves})
+    for score in profile_scores([moved], kept):
+        assert score.gps == pytest.approx(0.0, abs=1e-5)
+    bent = {name: curves + np.radians([10.0, 0.0, 0.0]) if "Knee" in name else curves for name, curves in moved.curves.items()}
+    for score in profile_scores([replace(moved, curves=bent)], kept):
+        assert np.degrees(score.variables["knee flexion"]) == pytest.approx(10.0, abs=0.01)
+        assert np.degrees(score.gps) == pytest.approx(10.0 / 3.0, abs=0.01), "one of nine"
+    with pytest.raises(AsterismError, match="two people or more"):
+        band_of(walks, ["a", "a", "a"])
+
+
+@pytest.mark.parametrize(
+    "content", ["", "{}", '{"format": "asterism gait band 9"}', '{"format": "asterism gait band 1", "angles": {"Hip": 3}}']
+)
+def test_what_is_no_band_is_refused(tmp_path: Path, content: str, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "no.band"
+    path.write_text(content)
+    assert main(["gait", "walk.c3d", "--band", str(path)]) == 2
+    told = capsys.readouterr().err
+    assert "no.band" in told and "--save-band" in told and "Error" not in told
+
+
+def test_controls_become_a_band_and_others_get_scores(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = []
+    for number, walk in enumerate(simulate_walks(3, frames=300, markers="helen-hayes", seed=5)):
+        (tmp_path / f"person{number}").mkdir()
+        files.append(tmp_path / f"person{number}" / "walk.c3d")
+        formats.write(files[-1], replace(walk, metadata={}))
+    band, page = tmp_path / "controls.band", tmp_path / "gait.html"
+    assert main(["gait", *map(str, files[:2]), "--save-band", str(band)]) == 0
+    assert main(["gait", str(files[2]), "--band", str(band), "--report", str(page)]) == 0
+    assert "Gait Profile Score, left" in capsys.readouterr().out
+    assert "Scores" in page.read_text() and "controls" in page.read_text()

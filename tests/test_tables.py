@@ -464,8 +464,17 @@ def test_random_damage_is_read_right_or_refused_or_said(tmp_path, suffix):
         (lambda text: text.replace("0,1;x\n", "0,1;x;"), "format-events-unread"),
         (lambda text: text.replace("8;0;101,5", "7;0;101,5"), "format-frame-numbers"),
         (lambda text: text.replace("Ann:RKNE", ""), "format-point-names"),
+        (lambda text: text.replace("Description\n", "Description;"), "format-events-unread"),
     ],
-    ids=["unknown section", "no rows", "no names of events", "two events in a line", "a frame twice", "a name lost"],
+    ids=[
+        "unknown section",
+        "no rows",
+        "no names of events",
+        "two events in a line",
+        "a frame twice",
+        "a name lost",
+        "an event behind the names",
+    ],
 )
 def test_damage_in_a_nexus_export_is_said(tmp_path, damage, told):
     text = NEXUS.replace("Ann;Right;Foot Strike;soon;x\n", "")

@@ -91,6 +91,10 @@ def file_labeller(
     return labeller
 
 
+ROW = ("frames", "labelled", "likely", "unsure", "hidden", "subject", "worn", "verdict", "readiness", "use", "look_at")
+"""What of a row of `labelled_row` the tables and lines need."""
+
+
 def labelled_row(labelled: LabelledFile) -> dict[str, Any]:
     """What the tables, pages and JSON of all commands say of a labelled file, in plain values."""
     from asterism.recording import axis_name, label_shares

@@ -36,6 +36,7 @@ def convert(options: ConvertOptions) -> None:
     Rigs become .toml (Asterism's), *anipose.toml, camera_array.toml, .yml, .xml, .xcp, .qca.txt or .ori.
     What the other format cannot carry is named on standard error.
     --for turns the recording as the next program takes it: opensim TRC with y up, visual3d and blender C3D with z up.
+    For opensim the force plates of a C3D file go beside it: OUT_grf.mot, and OUT_grf.xml with the foot on which each acts.
     """
     from asterism import formats
     from asterism.cli._recordings import is_rig, not_carried
@@ -43,6 +44,8 @@ def convert(options: ConvertOptions) -> None:
     source, target = options.source, options.target
     _console.check_new(target, options.overwrite)
     _console.check_new(options.json, options.overwrite)
+    for beside in formats.companions(target) if options.program is not None and options.program.value == "opensim" else ():
+        _console.check_new(beside, options.overwrite)
     axis, wanted = vertical_axis(options.vertical), marker_names(options.markers)
     findings: list[Finding] = []
     # rigs and recordings share suffixes, so that this is asked first
@@ -51,8 +54,7 @@ def convert(options: ConvertOptions) -> None:
     elif options.program is not None:
         recording = formats.read(source, wanted, axis)
         findings = list(recording.warnings)
-        recording, left = formats.for_program(recording, options.program.value, target)
-        lost = [*left, *formats.write(target, recording)]
+        lost = formats.write_for_program(recording, options.program.value, target)
     # the whole file, with all that the formats have in common
     elif wanted is None:
         findings, lost = formats.convert_and_tell(source, target, axis)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -46,6 +47,18 @@ class GaitOptions:
         Path | None,
         typer.Option("--curves", metavar="FILE", help="Write the angles of each cycle, 0 to 100 %, as CSV.", show_default=False),
     ] = None
+    band: Annotated[
+        Path | None,
+        typer.Option(
+            "--band", metavar="FILE", help="A band of controls, which --save-band wrote: scores, and the page's grey.", show_default=False
+        ),
+    ] = None
+    save_band: Annotated[
+        Path | None,
+        typer.Option(
+            "--save-band", metavar="FILE", help="Write the band of these walks, of people without complaints.", show_default=False
+        ),
+    ] = None
     vertical: Vertical = None
     overwrite: Overwrite = False
     report: Report = None
@@ -62,11 +75,13 @@ def gait(options: GaitOptions) -> None:
     """
     from asterism.cli._folders import recordings_of
     from asterism.formats import force_plates
-    from asterism.gait import analyse_gait, measures_by_name
+    from asterism.gait import Band, analyse_gait, band_of, measures_by_name, profile_scores
+    from asterism.recording import subject_of
 
-    outputs = [options.report, options.json, options.output, options.curves]
-    _console.check_outputs(outputs, [*options.files, options.static], options.overwrite)
+    outputs = [options.report, options.json, options.output, options.curves, options.save_band]
+    _console.check_outputs(outputs, [*options.files, options.static, options.band], options.overwrite)
     given = measures_by_name(options.measure)
+    band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
     static = None if options.static is None else _read(options.static, options, batch)
     results: list[tuple[Path, GaitAnalysis]] = []
@@ -82,6 +97,14 @@ def gait(options: GaitOptions) -> None:
                 show(path, analysis)
     if not results:
         raise typer.Exit(batch.close())
+    analyses = [analysis for _, analysis in results]
+    scores = [] if band is None else profile_scores(analyses, band)
+    for score in scores if options.json != "-" else ():
+        side = "left" if score.side == "L" else "right"
+        _console.result(f"Gait Profile Score, {side}: {math.degrees(score.gps):.1f}° from the mean of the band.")
+    if options.save_band is not None:
+        people = [subject_of(analysis.recording) or str(path.parent) for path, analysis in results]
+        band_of(analyses, people).save(options.save_band)
     if options.output is not None:
         _console.write_csv(
             options.output, ["file", "side", "begins_s", "parameter", "value", "uncertainty", "unit"], _parameter_rows(results)
@@ -93,10 +116,18 @@ def gait(options: GaitOptions) -> None:
         from asterism.report.gait import gait_report
 
         names = short_names([path for path, _ in results])
-        gait_report(options.report, [(name, analysis) for name, (_, analysis) in zip(names, results, strict=True)])
+        gait_report(options.report, [(name, analysis) for name, (_, analysis) in zip(names, results, strict=True)], band=band)
     content = {
         "command": "gait",
         "files": [{"file": path, **as_dict(analysis)} for path, analysis in results],
+        "scores": [
+            {
+                "side": score.side,
+                "gps_deg": math.degrees(score.gps),
+                "variables_deg": {name: math.degrees(value) for name, value in score.variables.items()},
+            }
+            for score in scores
+        ],
         "failed": batch.failed,
         "findings": [finding.to_dict() for finding in batch.findings],
     }

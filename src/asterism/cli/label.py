@@ -12,7 +12,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._folders import Trial, check_folder, check_output, trials
-from asterism.cli._labelling import check_labelling, file_labeller, file_names, labelled_line, labelled_row, model_json, model_text
+from asterism.cli._labelling import ROW, check_labelling, file_labeller, file_names, labelled_line, labelled_row, model_json, model_text
 from asterism.cli._options import (
     DropComputed,
     Files,
@@ -177,7 +177,7 @@ class _Run:
         # the page shows the points, and the next program may want other axes: both need the whole recording
         in_memory = options.program is not None or options.page is not None
         labeller = file_labeller(options, [trial.path for trial in files], batch, rules=options.rules, in_memory=in_memory)
-        return cls(options, labeller, FinishedFiles(options.output, options.how, options.inputs), batch, len(files))
+        return cls(options, labeller, FinishedFiles(options.output, options.how, options.inputs, ROW), batch, len(files))
 
     def result(self, trial: Trial, progress: Progress | None) -> _Result:
         """Label one file and write it, or take over what an earlier run has finished."""
@@ -196,7 +196,7 @@ class _Run:
                     self.batch.found(finding)
                 here = {"file": trial.path, "output": target, "finished_before": True, "changed": before.changed}
                 # JSON keeps a number that is not known as null
-                unknown = {name: float("nan") for name in (*LABEL_STATES, "frames_per_second") if before.row[name] is None}
+                unknown = {name: float("nan") for name in (*LABEL_STATES, "frames_per_second") if before.row.get(name) is None}
                 return _Result({**before.row, **unknown, **here})
             check_output(trial.path, target, self.options.overwrite)
         labelled = self.labeller.label(trial.path, _share(progress, self.batch, self.count, trial.path))

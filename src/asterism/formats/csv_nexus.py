@@ -165,6 +165,8 @@ def _events(lines: list[str], bare: list[str]) -> tuple[tuple[Event, ...], list[
         # The section has columns in any order, by version.
         if not names and "name" in lowered and any(cell.startswith("time") for cell in lowered):
             names = ["time" if cell.startswith("time") else cell for cell in lowered]
+            # A number among the names is an event whose line joined theirs.
+            unread += [i + 1] if any(number_of(cell) is not None for cell in cells if cell) else []
             continue
         row = dict(zip(names, cells, strict=False))
         time = number_of(row.get("time", ""))

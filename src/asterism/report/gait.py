@@ -13,7 +13,7 @@ from asterism.report import figures
 from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, decimal, write_page
 
 if TYPE_CHECKING:
-    from asterism.gait import GaitAnalysis
+    from asterism.gait import Band, GaitAnalysis
 
 PANELS = (
     (("Pelvis", 0, "pelvic tilt ahead"), ("Pelvis", 1, "pelvic obliquity, up"), ("Pelvis", 2, "pelvic rotation, internal")),
@@ -26,10 +26,11 @@ _FAINT = "66"
 """Opacity of single cycles, as hexadecimal digits behind a colour."""
 
 
-def gait_report(path: str | Path, results: Sequence[tuple[str, GaitAnalysis]], *, title: str = "Gait") -> None:
+def gait_report(path: str | Path, results: Sequence[tuple[str, GaitAnalysis]], *, band: Band | None = None, title: str = "Gait") -> None:
     """Write an HTML page on analysed walks (name, analysis): parameters first, then angles, then what they rest on.
 
-    Cycles of all walks stand side by side in each panel, so give walks of one person in one condition.
+    Cycles of all walks stand side by side in each panel, so give walks of one person in one condition. `band` is drawn grey behind them,
+    and scores say how far the person is from it.
     Raises AsterismError where the page cannot be written.
     """
     from asterism.gait import summarise
@@ -43,7 +44,8 @@ def gait_report(path: str | Path, results: Sequence[tuple[str, GaitAnalysis]], *
             "Means and standard deviations over n cycles. Behind ± stands how exactly strikes and offs tell the mean.",
             table=_parameter_table(summarise(parameters)),
         ),
-        *_angles(analyses),
+        *_angles(analyses, band),
+        *([] if band is None else _scores(analyses, band)),
         _events(results),
     ]
     sides = {side: sum(cycle.side == side for _, cycle in cycles) for side in "LR"}
@@ -83,7 +85,7 @@ def _parameter_table(summaries: Sequence[object]) -> Table:
     return Table(["parameter", "unit", "left", "SD", "n", "right", "SD", "n"], rows, left=2)
 
 
-def _angles(analyses: Sequence[GaitAnalysis]) -> list[Section]:
+def _angles(analyses: Sequence[GaitAnalysis], band: Band | None) -> list[Section]:
     """One section with all panels; none where no recording has angles."""
     if not any(analysis.curves for analysis in analyses):
         return []
@@ -116,6 +118,10 @@ def _angles(analyses: Sequence[GaitAnalysis]) -> list[Section]:
             )
             axes, sides = figures.cell_axes(cell, x, y)
             layout |= sides
+            if band is not None and quantity in band.mean:
+                usual, spread = (np.degrees(values[quantity][:, which]) for values in (band.mean, band.deviation))
+                named = {"name": "controls, ± 1 SD", "showlegend": cell == 0, "legendgroup": "band"}
+                data += figures.band(percent, (usual - spread).round(2), (usual + spread).round(2), "#64748b40", axes, named)
             for letter, side in (("L", "left"), ("R", "right")):
                 curves = [analysis.curves[name] for analysis in analyses if (name := f"{letter}{quantity}Angles") in analysis.curves]
                 if not curves:
@@ -136,6 +142,22 @@ def _angles(analyses: Sequence[GaitAnalysis]) -> list[Section]:
         "leaves the floor. Angles of Plug-in-Gait, by the measures of the file or those given."
     )
     return [Section("Angles over the gait cycle", text, figure=figures.figure(data, height=250 * rows, annotations=titles, **layout))]
+
+
+def _scores(analyses: Sequence[GaitAnalysis], band: Band) -> list[Section]:
+    from asterism.gait import profile_scores
+    from asterism.gait.bands import SCORED
+
+    scores = {score.side: score for score in profile_scores(analyses, band)}
+    if not scores:
+        return []
+    rows: list[list[str | Cell]] = [
+        [title, *(decimal(float(np.degrees(scores[side].variables[title])), 1) if side in scores else NOTHING for side in "LR")]
+        for _, _, title in SCORED
+    ]
+    rows.append(["Gait Profile Score", *(decimal(float(np.degrees(scores[side].gps)), 1) if side in scores else NOTHING for side in "LR")])
+    text = f"Degrees from the mean of {band.people} people, root mean square over the cycle (Baker et al. 2009)."
+    return [Section("Scores", text, table=Table(["angle", "left", "right"], rows))]
 
 
 def _panel(percent: list[int], curves: Floats, side: str, title: str, axes: dict[str, str], first: bool) -> list[dict[str, object]]:

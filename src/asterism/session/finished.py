@@ -7,7 +7,7 @@ import json
 import os
 import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -39,10 +39,11 @@ class FinishedFiles:
 
     A line is written before an output, and another one after it. A line that was cut off is as if it were not there.
     how: the options, as plain values. inputs: models and other files beside the sources that an output depends on, by their content.
+    columns: what a row of results has, without which a line is damaged.
     """
 
-    def __init__(self, folder: Path, how: Mapping[str, Any], inputs: Sequence[Path]) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, how: Mapping[str, Any], inputs: Sequence[Path], columns: Collection[str] = ()) -> None:
+        self.folder, self.columns = folder, columns
         # other options or models make another output: the record of an earlier run says nothing then
         self.how = hashlib.sha256(json.dumps(as_json(how), sort_keys=True).encode()).hexdigest()
         self.inputs = [_hash(path) for path in inputs]
@@ -70,8 +71,9 @@ class FinishedFiles:
             # both may be named by other paths today
             named = {str(entry["source"]): str(source), str(entry["target"]): str(target)}
             findings = [_renamed(Finding.from_dict(found), named) for found in entry["findings"]]
-            return FinishedFile(dict(entry["row"]), findings, changed)
-        except (OSError, ValueError, KeyError, TypeError):
+            row = dict(entry["row"])
+            return FinishedFile(row, findings, changed) if row.keys() >= set(self.columns) else None
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return None
 
     def begin(self, place: Path, source: Path, target: Path, row: Mapping[str, Any], findings: Sequence[Finding]) -> None:
@@ -107,7 +109,7 @@ def _renamed(finding: Finding, named: Mapping[str, str]) -> Finding:
     """A finding under today's names of the files that it names."""
     # the longer name first, and none inside another path: out/walk.c3d holds walk.c3d
     names = "|".join(map(re.escape, sorted(named, key=len, reverse=True)))
-    pattern = re.compile(rf"(?<![\w/\\.-])(?:{names})")
+    pattern = re.compile(rf"(?<![\w/\\.-])(?:{names})(?![\w-])")
 
     def today(text: str) -> str:
         return pattern.sub(lambda found: named[found[0]], text)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -166,10 +166,10 @@ class _CopyInMemory:
 
     def write(self, target: Path, program: str | None, drop_computed: bool) -> list[str]:
         written = formats.without_computed(self.recording) if drop_computed else self.recording
-        left = list[str]()
+        marks: Any = {"labelling": self.labelling, "clouds": self.clouds}
         if program is not None:
-            written, left = formats.for_program(written, program, target)
-        return [*left, *formats.write(target, written, labelling=self.labelling, clouds=self.clouds)]
+            return formats.write_for_program(written, program, target, **marks)
+        return formats.write(target, written, **marks)
 
     def corrected(self, correction: Correction) -> _CopyInMemory:
         return replace(self, labelling=correction.labelling, correction=correction)

@@ -10,7 +10,8 @@ from asterism.geometry import rotate_z_up
 from asterism.labelling.correction import Correction, CorrectionChange, Readiness
 from asterism.recording import label_shares, label_states
 from asterism.recording.display import short_names
-from asterism.report import marker_bones, marker_sides
+from asterism.recording.sides import marker_sides
+from asterism.report import marker_bones
 from asterism.web.session import CORRECTED, READY, CorrectionSession, CorrectionTrial
 
 ITEMS = 500

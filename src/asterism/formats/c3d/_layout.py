@@ -29,6 +29,7 @@ from asterism.formats._findings import cut_off, header_conflict, header_doubt
 from asterism.formats.c3d._numbers import Processor
 from asterism.formats.c3d._parameters import Parameters, parse_parameters
 from asterism.recording import Event
+from asterism.recording.arrays import nan_median
 
 BLOCK = 512
 LIMIT = 65535
@@ -376,8 +377,9 @@ def _restlessness(raw: bytes | bytearray, processor: Processor, layout: Layout) 
         both = there[1:] & there[:-1]
         if odd.mean() > 0.25 or not both.any():
             return 1.0
-        spread = np.median(np.abs(values[there] - np.median(values[there])))
-        return float(min(np.median(np.abs(np.diff(values, axis=0))[both]) / spread, 1.0)) if spread > 0 else 1.0
+        seen = values[there]
+        spread = float(nan_median(np.abs(seen - nan_median(seen, 0)), 0))
+        return min(float(nan_median(np.abs(np.diff(values, axis=0))[both], 0)) / spread, 1.0) if spread > 0 else 1.0
 
 
 def _about_counts(raw: bytes | bytearray, header: Header, start: _DataStart, layout: Layout) -> Iterator[Finding]:

@@ -16,6 +16,10 @@ from asterism.recording.force_plate import LOADED, ForcePlate
 
 _CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}
 """Channels by type: 1 force, centre of pressure and free moment; 2 force and moment; 3 eight sensors; 4 force and moment, uncalibrated."""
+_SOMEBODY = 50.0
+"""N, five kilograms: from this load on somebody stands on a plate, and it is no baseline. At half, the drift of old plates would stay; at
+double, a small child who stands there at first would be subtracted."""
+_VOLTS = {"V", "MV", "VOLT", "VOLTS"}
 _DRIFT = 15.0
 """N: a plate whose unloaded force is nearer to zero than this has drifted, and is brought back to zero. Below the 20 N of a step."""
 
@@ -65,11 +69,15 @@ def _plate(file: C3DFile, number: int, samples: Floats, rate: float, scale: floa
         raise _Unusable("the file does not say where its corners are")
     origin = _of_plate(file, "ORIGIN", number, 3) * scale
     columns = _channels(file, number, kind)
-    values = _without_baseline(file, samples[:, columns])
+    values = _without_baseline(file, samples[:, columns], kind)
     if kind == 1:
         # places have no baseline
         values[:, 3:5] = samples[:, columns[3:5]]
     units = [unit.strip().upper().replace("-", "").replace("*", "") for unit in file.parameters.strings("ANALOG", "UNITS")]
+    volts = _VOLTS.intersection(units[column] for column in columns if column < len(units))
+    # Volts without a matrix are no forces, however much they look like them.
+    if kind != 4 and volts:
+        raise _Unusable(f"its channels are in {min(volts)}, not in N")
     of_moments = {"NM": 1.0, "NMM": 0.001, "NTMM": 0.001}
     factor = of_moments.get(units[columns[-1]] if columns[-1] < len(units) else "", scale)
     matrix = _matrix(file, number) if kind == 4 else np.eye(6)
@@ -84,6 +92,8 @@ def _plate(file: C3DFile, number: int, samples: Floats, rate: float, scale: floa
     plates = [ForcePlate(number + 1, corners, *_in_the_room(kind, values, *way, matrix, axes, vertical), rate, vertical) for way in ways]
     # The first way is the specification's. Another one counts only where that takes people off the plate.
     shares = [_share_inside(plate) for plate in plates]
+    if max(shares) <= 0.5 and (plates[0].load > 5 * LOADED).any():
+        raise _Unusable(f"{100 * (1 - max(shares)):.0f} % of its centres of pressure lie outside its corners")
     return plates[0] if shares[0] > 0.5 else plates[int(np.argmax(shares))]
 
 
@@ -133,12 +143,17 @@ def _matrix(file: C3DFile, number: int) -> Floats:
     return matrix if np.abs(matrix).max() > 0 else np.eye(6)
 
 
-def _without_baseline(file: C3DFile, values: Floats) -> Floats:
-    """Less the mean of the samples that FORCE_PLATFORM:ZERO calls unloaded; the first sample is 1, 0 stands for none."""
-    zero = [int(sample) for sample in file.parameters.values("FORCE_PLATFORM", "ZERO")[:2]]
-    if len(zero) == 2 and 1 <= zero[0] < zero[1] <= len(values):
-        return np.asarray(values - values[zero[0] - 1 : zero[1]].mean(axis=0))
-    return values.copy()
+def _without_baseline(file: C3DFile, values: Floats, kind: int) -> Floats:
+    """Less the mean over the frames that FORCE_PLATFORM:ZERO calls unloaded; 0 stands for none. A standing trial has a person there."""
+    zero = [int(frame) - file.first_frame for frame in file.parameters.values("FORCE_PLATFORM", "ZERO")[:2]]
+    if len(zero) < 2 or not 0 <= zero[0] < zero[1] < file.layout.frames:
+        return values.copy()
+    each = len(values) // file.layout.frames
+    level = values[zero[0] * each : (zero[1] + 1) * each].mean(axis=0)
+    upwards = level[4:8].sum() if kind == 3 else level[2]
+    # What a matrix has still to calibrate has no unit: there the largest of all samples is the measure.
+    most = 0.1 * np.abs(values[:, 2]).max() if kind == 4 else _SOMEBODY
+    return values.copy() if abs(upwards) > most else np.asarray(values - level)
 
 
 def _brought_to_zero(force: Floats, moment: Floats, vertical: Floats) -> tuple[Floats, Floats]:
