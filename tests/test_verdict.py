@@ -16,9 +16,10 @@ import asterism
 from asterism import formats
 from asterism.cli import main
 from asterism.findings import Severity
+from asterism.labelling import join_labellings
 from asterism.labelling.whole._distance_kernels import frame_scatters
 from asterism.labelling.whole.verdict import RigidDistances, RivalCounts, VerdictRules, judge
-from asterism.recording import Floats, Recording
+from asterism.recording import Floats, Labelling, MarkerSet, Recording
 from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, UNKNOWN, Verdict
 from asterism.simulation import simulate_gaps_and_ghosts, simulate_standing, simulate_walks
 
@@ -242,6 +243,17 @@ def test_markers_that_are_added_hardly_lower_the_verdict() -> None:
     assert fitting == as_many >= 12, "who fits with all markers does so either way"
     falls, steps, _ = falls_of_verdict(24, VerdictRules().known_share)
     assert falls <= 0.02 * steps, (falls, steps)
+
+
+def test_of_several_bodies_the_one_without_a_label_is_named() -> None:
+    """Its model gave no label: that is no word on the labels of the other one."""
+    labels = Labelling(np.array([[0, 1]] * 9), np.ones((9, 2)), ("A", "B"), verdict=Verdict(FITS, 0.01, 0.06, 1.0, 1.0, 0.0))
+    nothing = Labelling(np.full((9, 2), -1), np.zeros((9, 2)), ("A", "B"), verdict=Verdict(OTHER_BODY, 0.4, 0.06, 1.0, 0.1, 9.0))
+    both, _ = join_labellings([labels, nothing], [MarkerSet(("A", "B"))] * 2, ["ann", "crate"])
+    (finding,) = both.findings("two.c3d")
+    assert finding.sentence == "two.c3d, body crate: this is no body that the model knows; no label was given."
+    alone = replace(labels, verdict=nothing.verdict)
+    assert "the labels given are not to be used" in alone.findings("one.c3d")[0].sentence
 
 
 def test_exchangeable_markers_are_said_once() -> None:
