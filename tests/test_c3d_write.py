@@ -64,7 +64,7 @@ def column(file: C3DFile, label: str) -> np.ndarray:
 
 def some(frames: int, points: int, seed: int = 0) -> Recording:
     rng = np.random.default_rng(seed)
-    positions = rng.normal(loc=(0, 0, 1), size=(frames, points, 3))
+    positions = rng.normal(loc=(0, 0, 1), scale=0.5, size=(frames, points, 3))
     positions[rng.random((frames, points)) < 0.1] = np.nan
     return Recording(positions, tuple(f"M{i}" for i in range(points)), 120.0)
 
@@ -259,7 +259,7 @@ def test_a_new_file_keeps_its_vertical(tmp_path: Path, vertical: tuple[float, fl
     np.testing.assert_allclose(read(tmp_path / "new.c3d").vertical, recording.vertical, atol=1e-6)
 
 
-coordinates = st.floats(-50, 50, width=32) | st.just(np.nan)
+coordinates = st.floats(-12, 12, width=32) | st.just(np.nan)
 labels = st.text(st.characters(codec="utf-8", categories=("L", "N")), min_size=1, max_size=12)
 
 

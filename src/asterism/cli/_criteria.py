@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from asterism.cli import _console
 from asterism.findings import Finding, Severity
-from asterism.recording.display import significant
 
 if TYPE_CHECKING:
     from asterism.simulation.pipeline import Criterion
@@ -47,4 +46,6 @@ def _promised(criterion: Criterion) -> str:
 
 
 def _value(value: float, unit: str) -> str:
+    from asterism.recording.display import significant
+
     return f"{significant(value, 4)} {unit}".strip()

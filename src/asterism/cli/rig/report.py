@@ -14,7 +14,6 @@ from asterism.cli._options import Json, Overwrite, metres
 from asterism.cli._options import image_size as size_of
 from asterism.errors import AsterismError
 from asterism.findings import Finding, exit_status
-from asterism.recording.display import significant
 
 if TYPE_CHECKING:
     from asterism.cameras import Rig
@@ -153,6 +152,8 @@ def _as_json(rig: Rig, result: RigMap, findings: tuple[Finding, ...]) -> dict[st
 
 def print_map(rig: Rig, result: RigMap) -> None:
     """The table of a rig's map."""
+    from asterism.recording.display import significant
+
     summary = result.to_dict()
     low, high = result.volume.low, result.volume.high
     spans = ", ".join(f"{axis} {a:g} to {b:g}" for axis, a, b in zip("xyz", low, high, strict=True))
