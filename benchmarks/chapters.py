@@ -21,8 +21,9 @@ _SCRIPTS = {
     "detection.particles reconstruction.speed reconstruction.ghosts walk.walk wand.real_wand wand.wand wand.wand_rigs",
     "views": "rows.gait rows.whole_body",
     "garment": "pattern.speed capture.whole_speed reading.hard_images capture.dense",
+    "files": "vertical.vertical logs.logs",
     "hostile": "long_recordings.long_recordings damaged_files.damaged_files",
-    "motion": "paper.toy gait.knee angles.sparse angles.dense coverage.coverage",
+    "motion": "paper.toy gait.knee clinical.plug_in_gait angles.sparse angles.dense coverage.coverage",
     "house": "startup.startup install.install install.ci",
 }
 CHAPTERS = {

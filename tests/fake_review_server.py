@@ -12,7 +12,8 @@ from urllib.parse import parse_qs, urlparse
 import numpy as np
 
 from asterism.recording import Clouds, Floats, Ints
-from asterism.report import marker_sides, player_script, player_style
+from asterism.recording.sides import marker_sides
+from asterism.report import player_script, player_style
 
 TOKEN = "secret"
 
@@ -54,6 +55,7 @@ class FakeReview:
                 "person": self.person.tolist(),
                 "track": list(range(len(self.marker))),
             },
+            "unsure": [[[0, 4], [20, 29]], *([] for _ in self.names[1:])],
             "items": [
                 {"piece": 100 + k, "frame": int(self.first[k]), "gain": float(doubt[k]), "alternatives": [[self.names[0], 0.3]]}
                 for k in order

@@ -26,7 +26,7 @@ RECORD = "pytest tests/test_snapshots_labelling.py tests/test_snapshots_cameras.
 def stable(text: str, folder: Path) -> str:
     """The same text on every machine and in every run."""
     text = text.replace(str(folder), "FOLDER").replace(str(ROOT), "ROOT").replace(asterism.__version__, "VERSION")
-    text = re.sub(r"(?<=, )\d[\d.,]* frames/s(?=$)", "SPEED frames/s", text, flags=re.MULTILINE)
+    text = re.sub(r"(?<=, )\d[\d.,]* frames/s(?=$|[,;])", "SPEED frames/s", text, flags=re.MULTILINE)
     text = re.sub(r"(?<=[%)]) +[\d,]+(?= +[\d,]+$)|(?<=\)) +[\d,]+$", lambda speed: f"{'SPEED':>{len(speed[0])}}", text, flags=re.MULTILINE)
     text = re.sub(r"\bin \d[\d.,]* s\b", "in SECONDS s", text)
     text = re.sub(r'("(?:seconds|frames_per_second)": )[\d.e+-]+', r"\1SECONDS", text)

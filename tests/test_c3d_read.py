@@ -289,7 +289,9 @@ def test_a_first_frame_is_taken_from_the_trial_only_where_both_its_words_are_the
     group = file.parameters.group_id("TRIAL")
     assert group is not None
     words = integers_record("ACTUAL_START_FIELD", group, values, (len(values),), file.processor)
-    (tmp_path / "walk.c3d").write_bytes(with_last(file, {("TRIAL", "ACTUAL_START_FIELD"): words}))
+    end = integers_record("ACTUAL_END_FIELD", group, [26, 0], (2,), file.processor)
+    records = {("TRIAL", "ACTUAL_START_FIELD"): words, ("TRIAL", "ACTUAL_END_FIELD"): end}
+    (tmp_path / "walk.c3d").write_bytes(with_last(file, records))
     recording = read(tmp_path / "walk.c3d")
     assert len(recording) == 20
     assert recording.first_frame == (7 if len(values) == 2 else file.header.first_frame)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from asterism.cli import main
-from asterism.detection import BlobSettings, DetectionSettings, Flag, ImageBlobs, automatic_threshold, detect, find_blobs
+from asterism.detection import BlobSettings, DetectionSettings, Flag, ImageBlobs, automatic_threshold, detect, find_blobs, sources
 from asterism.detection.times import read_times
 from asterism.errors import AsterismError
 from asterism.formats import read_blobs
@@ -110,6 +110,23 @@ def test_a_tiff_that_breaks_off_is_named(tmp_path: Path) -> None:
     struct.pack_into("<I", changed, first + 2 + 12 * entries, first)
     (tmp_path / "round.tif").write_bytes(changed)
     assert detect([tmp_path / "round.tif"]).cameras[0].frames == 1
+
+
+def test_pages_of_a_tiff_that_hold_no_image_are_not_followed(tmp_path: Path) -> None:
+    """Descriptions of six bytes each, a hundred thousand of which fit into a small file, end the file for us."""
+    cv2.imwritemulti(str(tmp_path / "cam.tif"), [filmed(frame) for frame in range(2)])
+    content = bytearray((tmp_path / "cam.tif").read_bytes())
+    at = 4
+    for _ in range(3):
+        (page,) = struct.unpack_from("<I", content, at)
+        if page:
+            at = page + 2 + 12 * struct.unpack_from("<H", content, page)[0]
+    struct.pack_into("<I", content, at, len(content))
+    for _ in range(100_000):
+        content += struct.pack("<HI", 0, len(content) + 6)
+    (tmp_path / "chain.tif").write_bytes(content)
+    pages, cut = sources._pages(tmp_path / "chain.tif")
+    assert len(pages) == 2 and cut
 
 
 def test_a_folder_of_two_cameras_is_refused(tmp_path: Path) -> None:

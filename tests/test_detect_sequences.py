@@ -15,7 +15,10 @@ from asterism.cameras import Rig
 from asterism.cameras.files import write_rig
 from asterism.cli import main
 from asterism.detection import BlobSettings, DetectionSettings, detect, find_blobs
+from asterism.detection.alignment import common_rate
+from asterism.detection.sources import Source
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.formats import read_blobs
 from asterism.recording import Blobs
 from asterism.simulation.cameras import ImagingSettings, RenderSettings, render_images, ring_rig, simulate_wand
@@ -285,3 +288,20 @@ def test_real_videos_and_their_times(data: Path) -> None:
     assert (len(result.blobs), result.blobs.first_frame) == (111, 26)
     assert result.blobs.rate == pytest.approx(6.0, abs=0.1)
     assert all(camera.frames == 111 and camera.size == (1280, 720) for camera in result.cameras)
+
+
+@pytest.mark.parametrize(
+    ("rates", "frames", "apart"),
+    [
+        ((30.0, 29.97), 3600, "3.6 frames apart"),
+        ((30.0, 29.97), 400, ""),
+        ((30000 / 1001, 29.97), 100_000, ""),
+        ((25.0, 30.0), 12, "2.4 frames apart"),
+        ((30.0, 29.97, float("nan")), 3600, "3.6 frames apart"),
+    ],
+)
+def test_rates_of_videos_are_held_against_their_length(rates: tuple[float, ...], frames: int, apart: str) -> None:
+    sources = [Source(Path(f"{c}.mp4"), str(c), "video", np.arange(frames), rate=rate) for c, rate in enumerate(rates)]
+    findings: list[Finding] = []
+    common_rate(sources, None, None, [source.name for source in sources], findings)
+    assert [apart in finding.sentence for finding in findings] == ([True] if apart else [])

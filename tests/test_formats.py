@@ -35,7 +35,7 @@ def body(frames: int = 20, rate: float = 100.0, missing: bool = True) -> Recordi
     positions[:, :, 2] = heights
     if missing:
         positions[3:5, 2] = np.nan
-    return Recording(positions, NAMES, rate, as_vertical("z"), (Event("Foot Strike", 0.05, "Left"),), {"subject": "Ann"}, first_frame=11)
+    return Recording(positions, NAMES, rate, as_vertical("z"), (Event("Foot Strike", 0.15, "Left"),), {"subject": "Ann"}, first_frame=11)
 
 
 positions_of_bodies = arrays(np.float64, (5, 8, 3), elements=st.floats(-2.0, 2.0, width=32)).map(
@@ -67,7 +67,7 @@ def test_events_come_back_where_the_format_has_them(tmp_path, suffix):
     path = tmp_path / f"walk.{suffix}"
     write(path, body())
     (event,) = read(path).events
-    assert event.time == pytest.approx(0.05, abs=1e-6)
+    assert event.time == pytest.approx(0.15, abs=1e-6)
     assert event.label.endswith("Foot Strike")
     if suffix in ("csv", "npz"):
         assert event.context == "Left"
@@ -261,7 +261,8 @@ def test_frames_left_out_become_missing_frames(tmp_path):
             ("millimetres", 0.001),
             ("centimeter", 0.01),
         ),
-        *(("in", 0.0254), ("inches", 0.0254), ("ft", 0.3048), ("Feet", 0.3048)),
+        *(("in", 0.0254), ("inches", 0.0254), ("ft", 0.3048), ("Feet", 0.3048), ("yards", 0.9144)),
+        *(("\N{MICRO SIGN}m", 1e-6), ("\N{GREEK SMALL LETTER MU}m", 1e-6), ("microns", 1e-6)),
     ],
 )
 def test_units_become_metres(tmp_path, said, unit):
@@ -281,6 +282,54 @@ def test_units_that_do_not_fit_a_body_are_refused_with_the_mend(tmp_path):
     (tmp_path / "walk.trc").write_text(text)
     with pytest.raises(AsterismError, match=r"walk\.trc gives its units as m.*probably mm"):
         read(tmp_path / "walk.trc")
+
+
+WORN = ("RASI", "LASI", "SACR", "RTHI", "LTHI", "RKNE", "LKNE", "RTIB", "LTIB", "RANK", "LANK", "RHEE", "LHEE", "RTOE", "LTOE")
+
+
+def declared(path, said, factor, names=WORN):
+    """A TRC file of a standing person of 1.7 m, its numbers so many times those in metres, and what the header says of their unit."""
+    rng = np.random.default_rng(3)
+    positions = rng.uniform([-0.2, -0.3, 0.0], [0.2, 0.3, 1.5], (1, len(names), 3)) + rng.normal(0, 0.005, (30, len(names), 3))
+    write(path, Recording(positions * factor, names, 100.0, metadata={"units": "m"}))
+    path.write_text(path.read_text().replace("\tm\t", f"\t{said}\t"), encoding="utf-8")
+
+
+@pytest.mark.parametrize("names", [WORN, tuple(f"*{i}" for i in range(15))], ids=["named", "nameless"])
+@pytest.mark.parametrize(
+    "said, factor, doubted",
+    [("mm", 1000, False), ("cm", 100, False), ("cm", 1000, True), ("m", 10, True), ("dm", 100, True), ("mm", 10000, True)],
+)
+def test_a_person_of_seventeen_metres_is_doubted(tmp_path, names, said, factor, doubted):
+    declared(tmp_path / "walk.trc", said, factor, names)
+    for found in (read(tmp_path / "walk.trc", vertical="z").warnings, describe(tmp_path / "walk.trc")["findings"]):
+        assert ("format-units-doubtful" in {finding.code for finding in found}) == doubted
+
+
+def test_a_person_of_seventeen_centimetres_is_doubted_but_no_animal(tmp_path):
+    declared(tmp_path / "walk.trc", "cm", 10)
+    (doubt,) = read(tmp_path / "walk.trc", vertical="z").warnings
+    assert doubt.code == "format-units-doubtful" and "with dm instead of cm" in doubt.sentence
+    animal = ("left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle", "tail", "nose")
+    declared(tmp_path / "mouse.trc", "cm", 5, animal)
+    assert read(tmp_path / "mouse.trc", vertical="z").warnings == ()
+
+
+def test_two_people_far_apart_are_no_giant(tmp_path):
+    one = body(missing=False)
+    both = np.concatenate([one.positions, one.positions + np.array([6.0, 0.0, 0.0])], axis=1)
+    names = (*(f"Ann:{name}" for name in one.labels), *(f"Ben:{name}" for name in one.labels))
+    write(tmp_path / "both.trc", Recording(both, names, 100.0))
+    assert "format-units-doubtful" not in {finding.code for finding in read(tmp_path / "both.trc", vertical="z").warnings}
+
+
+def test_a_unit_that_nobody_knows_is_refused(tmp_path):
+    declared(tmp_path / "walk.trc", "furlong", 8)
+    with pytest.raises(AsterismError, match=r"walk\.trc: the units 'furlong' are not known.*units field"):
+        read(tmp_path / "walk.trc")
+    declared(tmp_path / "walk.trc", "furlong", 1000)
+    (doubt,) = read(tmp_path / "walk.trc", vertical="z").warnings
+    assert doubt.code == "format-units-doubtful" and "mm fits the size of the body" in doubt.sentence
 
 
 def test_units_in_the_wrong_field_are_found(tmp_path):
@@ -553,7 +602,7 @@ def test_description_counts_what_is_there(tmp_path):
     assert found["points"] == {"physical": list(NAMES[:-1]), "computed": [], "unnamed": ["*1"]}
     assert found["missing"] == pytest.approx(2 / (20 * 7))
     assert found["vertical"] == [0.0, 0.0, 1.0]
-    assert found["events"] == [{"label": "Foot Strike", "context": "Left", "time": 0.05}]
+    assert found["events"] == [{"label": "Foot Strike", "context": "Left", "time": 0.15}]
     json.dumps(found)
 
 

@@ -188,6 +188,23 @@ def test_single_images_are_one_moment(tmp_path) -> None:
     assert [image[0, 0, 1] for image in images] == [0, 1, 2]
 
 
+def test_videos_that_come_apart_are_told(tmp_path) -> None:
+    for c, rate in enumerate((25.0, 25.0, 30.0)):
+        film = cv2.VideoWriter(str(tmp_path / f"c{c + 1}.avi"), cv2.VideoWriter_fourcc(*"MJPG"), rate, (32, 16))
+        for _ in range(6):
+            film.write(np.zeros((16, 32, 3), dtype=np.uint8))
+        film.release()
+    paths = [tmp_path / f"c{c}.avi" for c in (1, 2, 3)]
+    (finding,) = colour_footage(paths, arm_rig()).findings
+    assert finding.code == "board-rates-differ"
+    assert "camera c1 has 25 frames/s, c3 30: at the end of 6 frames they are 1.2 frames apart" in finding.sentence
+    assert not colour_footage(paths[:2], arm_rig().select(["c1", "c2"])).findings
+    # Numbers that say which frames were taken together count more than rates.
+    numbers = "".join(f"{t},{c},0\n" for t in range(6) for c in ("c1", "c2", "c3"))
+    (tmp_path / "timestamps.csv").write_text("sync_index,cam_id,frame_time\n" + numbers)
+    assert not colour_footage(paths, arm_rig()).findings
+
+
 def test_a_video_is_read_in_step(tmp_path) -> None:
     """Frames are told apart by their brightness; the second camera's film is shorter."""
     for c, count in enumerate((5, 3, 5)):

@@ -11,7 +11,7 @@ import pytest
 from garment_scenes import coded, grid_links, photos, sleeve
 
 from asterism.errors import AsterismError
-from asterism.garment import Pattern, Piece
+from asterism.garment import Pattern, Piece, design_pattern
 from asterism.garment.read import ReadCircles, ReadRules, read_image
 from asterism.garment.read.circles import Circles
 from asterism.garment.read.findings import chance_share
@@ -110,11 +110,18 @@ def test_a_circle_that_is_covered_in_part_says_that_its_centre_is_uncertain() ->
     assert sigma[1] > 2 * sigma[0], sigma
 
 
-def test_a_mirrored_image_is_not_read() -> None:
+def test_a_mirrored_image_and_exchanged_channels_are_named_and_not_read() -> None:
     warp = warped(sheet(), (480, 360), 10.0, 0.01, 0, rng=np.random.default_rng(1))
     assert (read_image(warp.image, sheet()).ids >= 0).sum() > 100
-    mirrored = read_image(np.ascontiguousarray(warp.image[:, ::-1]), sheet())
-    assert (mirrored.ids < 0).all() and mirrored.findings[0].code == "garment-other-pattern"
+    for image, codes in (
+        (warp.image[:, ::-1], ["garment-mirrored"]),
+        (warp.image[::-1], ["garment-mirrored"]),
+        (warp.image[..., ::-1], ["garment-channels-swapped"]),
+        (warp.image[:, ::-1, ::-1], ["garment-mirrored", "garment-channels-swapped"]),
+        (warp.image[..., [1, 2, 0]], ["garment-other-pattern"]),
+    ):
+        read = read_image(image, sheet())
+        assert (read.ids < 0).all() and [finding.code for finding in read.findings] == codes
 
 
 def test_two_sheets_of_one_print_are_told() -> None:
@@ -127,7 +134,7 @@ def plain_circles(centres: np.ndarray) -> Circles:
     """Circles of 4 px on dark cloth."""
     n, (width, height) = len(centres), (centres.max(axis=0) + 20).astype(int)
     nothing = np.zeros((height, width), np.uint8)
-    return Circles(centres, np.tile(0.01 * np.eye(2), (n, 1, 1)), np.tile(np.eye(2), (n, 1, 1)), np.ones((n, 3)), nothing, 1.0)
+    return Circles(centres, np.tile(0.01 * np.eye(2), (n, 1, 1)), np.tile(np.eye(2), (n, 1, 1)), np.ones((n, 3)), nothing, 1.0, 18.0)
 
 
 def test_misread_colours_are_corrected_and_never_make_a_wrong_identity() -> None:
@@ -293,3 +300,57 @@ def test_a_slanted_circle_has_no_identity_at_an_end(place: int) -> None:
     moments[place] = np.array([[1.0, 0.8], [0.8, 1.0]])
     found = identify(replace(circles, moments=moments), links, colours, sheet(), ReadRules(odds=-50.0))
     assert (found.grid[place, 0] >= 0) == (place == 23) and (found.grid[[2, 4, 22, 24], 0] >= 0).all()
+
+
+INKS = np.array([(60, 60, 165), (60, 150, 160), (95, 125, 70), (125, 65, 75)], float)
+"""Of a washed print: blue, green, red."""
+
+
+def washed_print(diameter: float, noise: float, spread: float = 0.7, slanted: tuple[int, int] | None = None) -> np.ndarray:
+    """A sheet of 9 x 11 circles of so many px, with noise that a colour filter has spread over neighbours; one may be an ellipse."""
+    pattern, pitch = washed_pattern(), 1.8 * diameter
+    image = np.full((int(11 * pitch), int(13 * pitch), 3), 38.0)
+    for cell, colour in np.ndenumerate(pattern.colours):
+        middle = tuple(round((place + 2) * pitch * 16) for place in cell[::-1])
+        if cell == slanted:
+            # of the same area, and turned against all others
+            axes = (round(8 * diameter * 1.45), round(8 * diameter / 1.45))
+            cv2.ellipse(image, middle, axes, 40.0, 0, 360, INKS[colour].tolist(), -1, cv2.LINE_AA, 4)
+        else:
+            cv2.circle(image, middle, round(8 * diameter), INKS[colour].tolist(), -1, cv2.LINE_AA, 4)
+    grain = cv2.GaussianBlur(np.random.default_rng(0).standard_normal(image.shape), (0, 0), spread)
+    return np.clip(cv2.GaussianBlur(image, (0, 0), 0.7) + grain * noise / grain.std(), 0, 255).astype(np.uint8)
+
+
+@cache
+def washed_pattern() -> Pattern:
+    return design_pattern((9, 11), seed=2)
+
+
+def right_and_wrong(read: ReadCircles, diameter: float) -> tuple[int, int]:
+    """Identities that are where they were drawn, and others."""
+    given = read.ids >= 0
+    cells = np.rint(read.centres[given, ::-1] / (1.8 * diameter) - 2).astype(int)
+    right = (washed_pattern().ids[tuple(cells.T)] == read.ids[given]) & (read.grid[given] == cells).all(axis=1)
+    return int(right.sum()), int((~right).sum())
+
+
+@pytest.mark.parametrize(("diameter", "noise"), [(10, 5), (14, 5), (20, 5), (30, 5), (40, 5), (20, 7), (95, 3)])
+def test_circles_of_any_size_are_read_through_noise(diameter: float, noise: float) -> None:
+    pattern = washed_pattern()
+    read = read_image(washed_print(diameter, noise), pattern)
+    right, wrong = right_and_wrong(read, diameter)
+    # Noise of 8 of 255 hides single circles, and never gives a wrong identity.
+    assert right >= (1.0 if noise <= 5 else 0.8) * len(pattern.known) and not wrong and not read.findings
+    # Centres of the large ones, which are read at a quarter of the size, are where they were drawn, in px.
+    off = read.centres / (1.8 * diameter) - 2
+    off = (off - np.rint(off)) * 1.8 * diameter
+    assert np.abs(np.median(off, axis=0)).max() < 0.2 and np.abs(off).max() < 1
+
+
+def test_a_circle_whose_slant_contradicts_its_neighbours_has_no_identity() -> None:
+    cell = (4, 5)
+    for slanted, expected in ((None, True), (cell, False)):
+        read = read_image(washed_print(16, 2, slanted=slanted), washed_pattern())
+        assert (read.grid == cell).all(axis=1).any() == expected
+        assert right_and_wrong(read, 16) == (len(washed_pattern().known) - (not expected), 0)

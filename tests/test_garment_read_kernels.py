@@ -15,7 +15,7 @@ from asterism.garment.read import _identity_kernels as identity_kernels
 from asterism.garment.read import _lattice_kernels as lattice_kernels
 from asterism.garment.read import _patch_kernels as patch_kernels
 from asterism.garment.read import _weight_kernels as weight_kernels
-from asterism.garment.read.circles import linear_light
+from asterism.garment.read.circles import grey_levels, linear_light
 
 pytestmark = pytest.mark.kernels
 
@@ -104,13 +104,13 @@ def test_lattices(seed: int, n: int) -> None:
     if n == 99:
         linked = links[:, :, 0] >= 0
         assert linked.sum() > 100 and (~linked.any(axis=1) & np.isfinite(refined[:, 0, 0])).any()
-    ends, rise = np.array([0.65, 1.25]), np.array([0.08, 20.0])
+    ends, rise = np.array([0.65, 1.25]), np.array([0.08, 20.0, 16.0, 12.0, 12.0])
     y, x = np.mgrid[0:220, 0:240]
     grey = (120 + 60 * np.cos(x / 4.0 + seed) * np.cos(y / 5.0)).astype(np.uint8)
     checked = np.full((count, 4), -1, np.int32)
     for _ in range(2):  # the second time by what was kept
         cut = links.copy()
-        lattice_kernels.cut_skipping(grey, centres, whiten, ends, rise, checked, cut)
+        lattice_kernels.cut_skipping(*grey_levels(grey), centres, whiten, ends, rise, checked, cut)
         np.testing.assert_array_equal(cut, twins.cut_skipping(grey, centres, whiten, ends, rise, links))
     if n == 99:
         assert 0 < (cut != links).any(axis=2).sum() < linked.sum()
@@ -300,8 +300,12 @@ def test_cells_grow_and_are_weighed(seed: int) -> None:
     moments = roots @ roots.transpose(0, 2, 1) + 0.5 * np.eye(2)
     weight_kernels.slants(centres, moments, at, fits, cells, slant)
     np.testing.assert_allclose(slant, twins.slants(centres, moments, at, fits, cells), atol=1e-9)
+    stretch = np.empty(n)
+    weight_kernels.stretches(moments, cells, at, stretch)
+    np.testing.assert_allclose(stretch, twins.stretches(moments, cells, at), atol=1e-6)
+    assert 0 < (stretch > 0.5).sum() < n
     y, x = np.mgrid[0:200, 0:220]
     grey = (120 + 60 * np.cos(x / 4.0 + seed) * np.cos(y / 5.0)).astype(np.uint8)
-    weight_kernels.bumps(grey, centres, at, fits, cells, np.array([0.12, 4.0]), bump)
-    np.testing.assert_allclose(bump, twins.bumps(grey, centres, at, fits, cells, (0.12, 4.0)), atol=1e-9)
+    weight_kernels.bumps(*grey_levels(grey), centres, at, fits, cells, np.array([0.12, 4.0, 3.0, 5.0, 5.0]), bump)
+    np.testing.assert_allclose(bump, twins.bumps(grey, centres, at, fits, cells, (0.12, 4.0, 3.0, 5.0, 5.0)), atol=1e-9)
     assert (rival < 1).any() and (off[:, 2] == 4).any() and 0 < (slant > 0).sum() < n and 0 < (bump > 0).sum() < n

@@ -5,8 +5,10 @@ from __future__ import annotations
 import errno
 import json
 import os
+import stat
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -163,25 +165,71 @@ def _written(path: Path) -> Path:
     return path
 
 
-def _dead() -> int:
-    """The number of a process that has ended."""
-    process = subprocess.Popen([sys.executable, "-c", ""])
-    process.wait()
-    return process.pid
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="whether a process runs is not asked there")
+@pytest.mark.skipif(sys.platform == "win32", reason="whether a program holds a file is not asked there")
 def test_what_a_killed_run_left_is_removed_by_the_next_and_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import fcntl
+
     source, target = _written(tmp_path / "walk.c3d"), tmp_path / "out[1].trc"
-    dead = tmp_path / f".{target.name}.{_dead()}.part"
-    alive = tmp_path / f".{target.name}.{os.getppid()}.part"
-    others = [tmp_path / f".other.trc.{_dead()}.part", tmp_path / f".{target.name}.notes.part", tmp_path / ".out1.trc.1.part"]
-    for path in (dead, alive, *others):
+    # Earlier versions named them by their process, which says nothing in a folder that two containers share.
+    left = [tmp_path / f".{target.name}.{chance}.part" for chance in ("1", "00c0ffee")]
+    held = tmp_path / f".{target.name}.0badcafe.part"
+    others = [tmp_path / ".other.trc.00c0ffee.part", tmp_path / f".{target.name}.notes.part", tmp_path / ".out1.trc.1.part"]
+    for path in (*left, held, *others):
         path.write_bytes(b"half")
-    assert main(["convert", str(source), str(target)]) in (0, 1)
-    assert not dead.exists() and alive.exists() and all(path.exists() for path in others)
-    assert f"{dead} was left by a run that was killed; it is removed." in capsys.readouterr().err
+    with held.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        assert main(["convert", str(source), str(target)]) in (0, 1)
+    assert not any(path.exists() for path in left) and held.exists() and all(path.exists() for path in others)
+    error = capsys.readouterr().err
+    assert all(f"{path} was left by a run that was killed; it is removed." in error for path in left)
     assert len(asterism.read(target)) == 20
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="containers of Linux")
+def test_two_writers_of_one_process_number_leave_each_other_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in two containers that share a folder: both are process 1, and neither sees the other's processes."""
+    monkeypatch.setattr(os, "getpid", lambda: 1)
+    path = tmp_path / "out.csv"
+
+    def pieces() -> Iterator[bytes]:
+        yield b"first "
+        write_atomically(path, b"other")
+        yield b"whole"
+
+    write_atomically(path, pieces())
+    assert path.read_bytes() == b"first whole" and list(tmp_path.iterdir()) == [path]
+
+
+def test_content_is_on_the_disk_before_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    order = []
+    replace, fsync = os.replace, os.fsync
+
+    def synced(handle: int) -> None:
+        order.append("folder" if stat.S_ISDIR(os.fstat(handle).st_mode) else f"file of {os.fstat(handle).st_size}")
+        fsync(handle)
+
+    def renamed(source: Path, target: Path) -> None:
+        order.append("name")
+        replace(source, target)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(os, "replace", renamed)
+    write_atomically(tmp_path / "out.csv", [b"12", b"345"])
+    assert order == ["file of 5", "name", *(["folder"] if os.name == "posix" else [])]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="devices and pipes of POSIX")
+@pytest.mark.parametrize("kind", ["device", "pipe"])
+def test_a_device_or_pipe_is_neither_read_nor_replaced(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "out.csv"
+    if kind == "device":
+        path.symlink_to("/dev/full")
+    else:
+        os.mkfifo(path)
+    assert main(["convert", str(_written(tmp_path / "walk.c3d")), str(path), "--overwrite"]) == 2
+    assert main(["info", str(path)]) == 2
+    assert capsys.readouterr().err.count(f"out.csv is a {kind} and no file") == 2
+    assert path.is_symlink() if kind == "device" else path.is_fifo()
 
 
 def test_a_name_as_long_as_can_be_is_written(tmp_path: Path) -> None:
@@ -213,6 +261,8 @@ def test_a_full_disk_and_a_read_only_folder_are_one_sentence_and_leave_the_old_f
         def write(self, data: bytes) -> None:
             os.write(self.handle, data[:10])
             raise OSError(number, os.strerror(number))
+
+        def flush(self) -> None: ...
 
     monkeypatch.setattr(atomic.os, "fdopen", Full)
     assert main(["convert", str(source), str(target), "--overwrite"]) == 2
@@ -271,7 +321,7 @@ def test_a_crash_outside_a_batch_is_said_with_its_place_and_ends_with_2(
         raise ZeroDivisionError("of our own")
 
     source = _written(tmp_path / "walk.c3d")
-    monkeypatch.setattr(asterism.formats, "convert", broken)
+    monkeypatch.setattr(asterism.formats, "convert_and_tell", broken)
     assert main(["convert", str(source), str(tmp_path / "out.trc")]) == 2
     error = capsys.readouterr().err
     assert "Traceback" in error and "ZeroDivisionError: of our own; this is a fault of Asterism" in error.splitlines()[-1]

@@ -22,11 +22,23 @@ def _frame(points: int, indices: list[int], confidence: list[float]) -> tuple[La
     [
         (3, [0, 1, 2], [1.0, SURE, 0.5], (2, 1, 0, 0)),
         (3, [0, -1, -1], [1.0, 0.4, 0.4], (1, 0, 2, 0)),
+        (3, [0, -1, -1], [1.0, 0.4, 0.001], (1, 0, 1, 1)),
+        (3, [0, -1, -1], [1.0, np.nan, 0.02], (1, 0, 2, 0)),
+        (3, [-1, -1, -1], [0.0, 0.0, 0.0], (0, 0, 3, 0)),
         (1, [0, -1, -1], [0.98, 0.0, 0.0], (0, 1, 0, 2)),
         (0, [-1, -1, -1], [0.0, 0.0, 0.0], (0, 0, 0, 3)),
         (2, [0, 1, -1], [np.nan, 0.999, np.nan], (1, 1, 0, 1)),
     ],
-    ids=["by-confidence", "points-left", "no-point-left", "empty-frame", "unknown-confidence"],
+    ids=[
+        "by-confidence",
+        "points-left",
+        "ghost-left",
+        "unknown-chance",
+        "nothing-labelled",
+        "no-point-left",
+        "empty-frame",
+        "unknown-confidence",
+    ],
 )
 def test_a_marker_is_one_of_four_things(points: int, indices: list[int], confidence: list[float], expected: tuple[int, ...]) -> None:
     shares = label_shares(*_frame(points, indices, confidence))

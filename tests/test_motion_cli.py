@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from asterism import Recording, formats
 from asterism.cli import main
@@ -37,13 +38,17 @@ def test_motion_tells_angles_their_uncertainty_and_a_budget(knee: Path, tmp_path
     assert "limb 1 / limb 2" in told.out and "motion-no-calibration" in told.err
     result = json.loads((tmp_path / "a.json").read_text())["files"][0]
     joint = result["joints"][0]
-    assert set(joint["flexion_budget_deg"]) == {"cameras", "soft tissue", "placement", "all"}
+    # no landmark is palpated for an axis that is found from the motion
+    assert set(joint["flexion_budget_deg"]) == {"cameras", "soft tissue", "all"}
     low, high = joint["angle_intervals_deg"]["0.95"]
     assert len(low) == 40 and (np.array(low) <= np.array(high)).all()
     assert "motion estimated" in result["log"][-1]
     lines = table.read_text().splitlines()
     assert len(lines) == 41 and lines[0].startswith("file,joint,time_s,angle_deg,flexion_deg,angle_low95_deg")
     assert "what makes it uncertain" in page.read_text()
+    # nowhere do intervals stand without the skin on which they were tried
+    assert all("simulated people, whose skin slides" in text for text in (told.out, page.read_text(), result["intervals_tried_on"]))
+    assert "that hold the angle with" not in page.read_text()
     assert main([*words, "--json", str(tmp_path / "b.json"), "--overwrite", "--workers", "2"]) == 0
     assert json.loads((tmp_path / "b.json").read_text())["files"] == json.loads((tmp_path / "a.json").read_text())["files"]
 
@@ -155,3 +160,29 @@ def test_limbs_that_tell_too_little_are_named_in_one_sentence(tmp_path: Path, ca
         assert main(_of_limbs(points, tmp_path, f"case{number}.csv")) == status, sentence
         lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("asterism: ")]
         assert sum(sentence in line for line in lines) == 1, (sentence, lines)
+
+
+def test_a_number_of_limbs_is_found_or_said_why_not(knee: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two rigid limbs of 30 points each do not make twelve; fifteen limbs that move by themselves do."""
+    for verb in ("segment", "motion"):
+        assert main([verb, str(knee), "--vertical", "z", "--limbs", "12", "--json", str(tmp_path / f"{verb}.json")]) in (0, 1)
+        [file] = json.loads((tmp_path / f"{verb}.json").read_text())["files"]
+        error = capsys.readouterr().err
+        assert (len(file["limbs"]) == 12) != (f"12 limbs were asked for, and {len(file['limbs'])} were found" in error)
+        assert main([verb, str(knee), "--vertical", "z", "--limbs", "21"]) == 2
+        assert "60 points cannot form 21 limbs" in capsys.readouterr().err
+    # A chain of limbs of four points each, which swing by themselves: two of them move alike enough to be merged on the way.
+    rng, time = np.random.default_rng(1), np.linspace(0, 2 * np.pi, 60)
+    turn, joint, limbs = Rotation.identity(len(time)), np.zeros((len(time), 3)), []
+    for number in range(12):
+        points = rng.uniform(-0.05, 0.05, (4, 3)) - [0, 0, 0.15]
+        limbs += [joint + turn.apply(point) for point in points]
+        joint = joint + turn.apply([0, 0, -0.3])
+        axis = rng.normal(size=3)
+        swing = 0.5 * np.sin((1 + number % 3) * time + rng.uniform(0, 6))
+        turn = turn * Rotation.from_rotvec(np.outer(swing, axis / np.linalg.norm(axis)))
+    chain = Recording(np.stack(limbs, axis=1), tuple(f"P{k}" for k in range(48)), 50.0)
+    formats.write(tmp_path / "chain.npz", chain)
+    assert main(["segment", str(tmp_path / "chain.npz"), "--limbs", "12", "--vertical", "z", "--json", str(tmp_path / "chain.json")]) == 0
+    [file] = json.loads((tmp_path / "chain.json").read_text())["files"]
+    assert sorted(limb["points"] for limb in file["limbs"]) == sorted([f"P{4 * k + p}" for p in range(4)] for k in range(12))

@@ -25,7 +25,17 @@ from asterism import AsterismError, Recording, formats
 from asterism.cli import main
 from asterism.motion import analyse_motion, joint_angles, smooth_paths
 from asterism.motion.analysis import MotionRules
-from asterism.motion.clinical import ClinicalErrors, clinical_angles, clinical_uncertainty, complete_legs, leg_measures
+from asterism.motion.clinical import (
+    ClinicalErrors,
+    SubjectMeasures,
+    clinical_angles,
+    clinical_uncertainty,
+    complete_legs,
+    leg_measures,
+    lower_body,
+    subject_measures,
+    with_static_offsets,
+)
 from asterism.motion.joints import cardan_angles, find_skeleton, fit_joint, functional_flexion, grood_suntay, joint_rotation, leg_frames
 from asterism.motion.rigid import (
     METHODS,
@@ -211,6 +221,7 @@ def test_angles_of_a_recording_with_gaps_and_their_uncertainty(gap: str, given: 
             continue
         assert {finding.code for finding in analysis.findings} <= {
             "motion-points-missing", "motion-points-unused", "motion-joint-still", "motion-limb-left-out", "motion-limb-alone",
+            "motion-fewer-limbs",
         }  # fmt: skip
         for sources in (None, ErrorSources(noise=attempt(lambda: noise_from_rig(rig(), recording.positions)))):
             certain = estimate_uncertainty(analysis, sources, rules=FEW, budget_trials=4)
@@ -265,6 +276,9 @@ def test_clinical_angles_with_a_marker_missing(marker: str, frames: str) -> None
         for side in "LR":
             attempt(lambda holed=holed, side=side: leg_frames(holed, side))
             attempt(lambda holed=holed, side=side: leg_measures(holed, side))
+            attempt(lambda holed=holed, side=side: lower_body(holed, SubjectMeasures(), side))
+        told = attempt(lambda holed=holed: with_static_offsets(holed, subject_measures(holed)))
+        assert told is None or np.isfinite([told.left.shank_rotation, told.left.tibial_torsion, told.left.foot_flexion]).all()
         for sides in (complete_legs(holed), "L"):
             clinical = attempt(lambda holed=holed, sides=sides: clinical_angles(holed, sides))
             if clinical is None:

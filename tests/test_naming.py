@@ -218,8 +218,8 @@ def test_numbers_then_names_then_a_model(
     monkeypatch.setattr(MarkerModel, "fit", lambda *given, **settings: taught)
     capsys.readouterr()
     assert run("train", out, "-o", place / "mine.model") == 0
-    said = capsys.readouterr().out
-    assert "from 1 recording of 1 subject (" in said and "advice: one person tells little of others" in said
+    said = capsys.readouterr()
+    assert "from 1 recording of 1 subject (" in said.out and "one person shows little of how others differ" in said.err
 
 
 @pytest.mark.parametrize(

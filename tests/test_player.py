@@ -18,6 +18,7 @@ from browser import in_node, needs_chromium, needs_node, opened
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Ints, Labelling, Recording
 from asterism.report import LabelledRecording, label_report, player_script, player_style
+from asterism.report.figures import SIDES
 from asterism.report.player import WRONG, ShownRecording, pack_recordings
 from asterism.simulation import simulate_walks
 
@@ -168,6 +169,27 @@ def test_a_timeline_shows_what_is_wrong_or_unsure_however_short(tmp_path: Path) 
     assert got[:6] == [255, 1, 90, 0, 200, 254]
     lane = list(got[6]["lane"].values())
     assert got[6]["count"] == 2 and lane[0] != lane[1] and lane[0] != lane[2] and lane[3] == 0
+
+
+@needs_node
+def test_the_colours_of_a_timeline_are_explained_where_they_are_drawn(tmp_path: Path) -> None:
+    got = in_node(
+        """const colours = { codes: Array.from({ length: 256 }, (_, code) => `c${code}`), rest: "rest", ghost: "ghost" };
+        const texts = (codes, bars = []) => Asterism.meanings({ codes: Uint8Array.from(codes) }, bars, colours);
+        return [texts([0]), texts([90, 254, 255, 1], [{ ghost: true }, { ghost: false }])];""",
+        tmp_path,
+    )
+    assert got[0] == [["", "c0", "hidden"]]
+    assert [colour for _, colour, _ in got[1]] == ["linear-gradient(90deg, c2, c200)", "c254", "c255", "c1", "rest", "ghost"]
+
+
+def test_left_and_right_have_one_colour_each_in_pictures_and_figures_and_shapes_beside_it() -> None:
+    script, style = player_script(), player_style()
+    for side, drawn in SIDES.items():
+        assert f'of("{side}", "{drawn["color"]}")' in script and f"var(--player-{side}, {drawn['color']})" in style
+    red, blue = (SIDES[side]["color"] for side in ("left", "right"))
+    assert int(red[1:3], 16) > int(red[5:7], 16) and int(blue[5:7], 16) > int(blue[1:3], 16)
+    assert SIDES["right"]["dash"] != SIDES["left"].get("dash", "solid")
 
 
 @needs_node

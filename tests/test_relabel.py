@@ -22,6 +22,7 @@ from asterism.labelling.whole.relabel import FREE, LabelledTracklets, label_trac
 from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.labelling.whole.verdict import confidence_limit
 from asterism.recording import Clouds, Ints, Labelling
+from asterism.recording.verdict import OTHER_BODY, Verdict
 from asterism.tracking.linking import Tracklets
 
 
@@ -67,11 +68,12 @@ def test_nothing_known_gives_back_the_first_labelling(walk: tuple[LabelledTrackl
     assert same(relabel_tracklets(before, before.long.tracklets, nothing_known(before.long.tracklets)), before.labelling)
 
 
-def labelled_plainly(before: LabelledTracklets, points: PointLabels) -> Labelling:
+def labelled_plainly(before: LabelledTracklets, points: PointLabels, verdict: Verdict | None) -> Labelling:
     """The labelling of `points`, point by point: each marker's most certain candidate in each frame, of equal ones the last in space."""
     body, clouds = before.body, before.clouds
     certainty, least = points.confidence(body.certainty, body.frame_certainty)
-    certainty = np.minimum(certainty, confidence_limit(before.labelling.verdict))
+    certainty = np.minimum(certainty, confidence_limit(verdict))
+    least = np.full_like(least, np.inf) if verdict is not None and verdict.kind == OTHER_BODY else least
     shape = (len(clouds), len(body.names))
     indices, candidates, confidence = np.full(shape, -1), np.full(shape, -1), np.zeros(shape)
     for t, (begin, end) in enumerate(pairwise(clouds.offsets)):
@@ -93,7 +95,7 @@ def labelled_plainly(before: LabelledTracklets, points: PointLabels) -> Labellin
 
 def test_the_labelling_is_the_one_by_points(walk: tuple[LabelledTracklets, Ints]) -> None:
     before, _ = walk
-    assert same(before.labelling, labelled_plainly(before, before.points))
+    assert same(before.labelling, labelled_plainly(before, before.points, before.labelling.verdict))
 
 
 def test_the_verdict_on_a_few_frames_is_that_of_their_points() -> None:
@@ -125,7 +127,7 @@ def test_the_labelling_is_the_one_by_points_for_any_margins(seed: int, at_once: 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(point_labels, "FRAMES_AT_ONCE", at_once)
         found = labelling_of(before.body, 0, before.clouds, points, np.array([0, len(before.body.markers)]), before.settings)
-    assert same(found, labelled_plainly(before, points))
+    assert same(found, labelled_plainly(before, points, found.verdict))
 
 
 def test_what_is_known_wins_and_has_confidence_one(walk: tuple[LabelledTracklets, Ints]) -> None:

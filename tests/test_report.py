@@ -22,7 +22,7 @@ from asterism.labelling import ConfidenceScore, ConfidenceTally, Reliability
 from asterism.labelling.partial.capturability import TargetRates
 from asterism.labelling.partial.full_solver_study import ChosenClassifier, SolverSize
 from asterism.labelling.simulated_occlusions import simulate_occlusions
-from asterism.recording import Clouds, Ints, Labelling, MarkerSet, Recording
+from asterism.recording import Clouds, Ints, Labelling, MarkerSet, Recording, label_states
 from asterism.report import (
     LabelledRecording,
     capturability_report,
@@ -288,7 +288,7 @@ def test_positions_in_the_player_are_those_of_the_labels(tmp_path: Path, scale: 
 
 
 def test_wrong_labels_are_marked_where_they_are(tmp_path: Path, walk: Recording) -> None:
-    _, truth, labelling = labelled(walk)
+    clouds, truth, labelling = labelled(walk)
     (packed,) = shown_in(make_label_page(tmp_path / "page.html", walk))
     points = unpacked(packed)
     wrong = (labelling.indices >= 0) & (labelling.indices != truth)
@@ -301,7 +301,7 @@ def test_wrong_labels_are_marked_where_they_are(tmp_path: Path, walk: Recording)
     assert not points["code"][points["marker"] < 0].any()
     codes = np.frombuffer(zlib.decompress(base64.b64decode(packed["timeline"]["data"])), dtype=np.uint8).reshape(len(walk.labels), -1)
     np.testing.assert_array_equal(codes.T == 255, wrong)
-    np.testing.assert_array_equal(codes.T == 1, (labelling.indices < 0) & (truth >= 0))
+    np.testing.assert_array_equal(codes.T == 1, label_states(labelling, clouds).unsure)
 
 
 def test_a_block_of_the_timeline_shows_its_lowest_confidence_and_what_most_of_it_is(walk: Recording) -> None:

@@ -243,7 +243,7 @@ def test_the_command_lists_pieces_by_gain(folder: Path, capsys: pytest.CaptureFi
     assert len(told["items"]) == 5 <= told["pieces"] and {Path(item["file"]).name for item in told["items"]} <= {"raw.c3d", "labelled.c3d"}
     gains = [item["gain"] for item in told["items"]]
     assert gains == sorted(gains, reverse=True) and sum(gains) <= told["gain"]
-    assert f"{gains[0]:.1f}" in shown and f"{told['pieces']:,} pieces of tracks to check" in shown
+    assert f"{gains[0]:.1f}" in shown and f"{told['pieces']:,} pieces of tracks to look at" in shown
     page = (folder / "r.html").read_text(encoding="utf-8")
     data = json.loads(page.split('id="data">')[1].split("</script>")[0])
     (drawn,) = data["players"].values()
@@ -255,7 +255,10 @@ def test_the_command_lists_pieces_by_gain(folder: Path, capsys: pytest.CaptureFi
 def test_what_the_file_says_is_kept_when_asked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("review", folder / "labelled.c3d", "-m", folder / "two.model", "--keep-labels") == 0
     shares, verdict = capsys.readouterr().out.splitlines()
-    assert shares.endswith("100.00 % labelled, 0.00 % likely, 0.00 % unsure") and verdict == "No label needs a check."
+    assert (
+        shares.endswith("100.00 % labelled, 0.00 % likely, 0.00 % unsure, 0.00 % hidden; ready")
+        and verdict == "No piece of a track needs a look."
+    )
 
 
 def test_a_batch_goes_on_after_a_bad_file(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

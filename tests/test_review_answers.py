@@ -137,7 +137,7 @@ def test_a_table_of_files_that_were_not_given_is_refused(tmp_path: Path, capsys:
     rows = questions(tmp_path, files[:1])
     rows[0]["answer"] = "right"
     assert answered(tmp_path, files[1:], filled(tmp_path / "answers.csv", rows)) == 2
-    assert "walk1.c3d is none of the files given" in capsys.readouterr().err
+    assert "walk1.c3d is not among the files given" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from asterism import formats
 from asterism.cli import _console
+from asterism.errors import AsterismError
+from asterism.files.toml import read_toml, tables_of_toml
+from asterism.recording import MarkerSet, Recording
+from asterism.views.body_file import load_body
 
 
 def python(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -75,3 +80,33 @@ def test_what_european_excel_writes_is_read(first: str, tmp_path: Path) -> None:
     path.write_bytes((first + "Frame;Time;LKNE_x;LKNE_y;LKNE_z\n1;0,00;0,1;0,2;0,3\n2;0,01;0,1;0,2;1,3\n").encode())
     recording = formats.read(path, vertical="z")
     assert recording.rate == 100 and recording.positions[:, 0].tolist() == [[0.1, 0.2, 0.3], [0.1, 0.2, 1.3]]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is always full")
+@pytest.mark.parametrize(
+    ("lead", "words", "status", "said"),
+    [
+        ("> /dev/full", "--version", 2, "standard output cannot be written (No space left on device)"),
+        (">&-", "--version", 0, ""),
+        ("2>&- >&-", "info nosuch.c3d", 2, ""),
+        ("2> /dev/full", "info nosuch.c3d", 2, ""),
+        (">&-", "info {walk} --json -", 2, "standard output is closed"),
+        ("| true", "--help", 1, ""),
+    ],
+)
+def test_an_output_that_is_closed_or_full_is_named(lead: str, words: str, status: int, said: str, tmp_path: Path) -> None:
+    walk = tmp_path / "walk.npz"
+    formats.write(walk, Recording(np.ones((3, 1, 3)), ("LKNE",), 100.0))
+    command = f"{sys.executable} -m asterism {words.format(walk=walk)} {lead}; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.returncode == status and said in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("text", ["a" + ".a" * 200_000 + " = 1", "[" + "'a' . " * 200_000 + "b]\n", 'x = {"a"' + '."a"' * 200_000 + "=1}"])
+def test_a_key_of_many_parts_is_refused_before_it_takes_minutes(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "set.toml"
+    path.write_text(text)
+    for read in (read_toml, MarkerSet.load, load_body):
+        with pytest.raises(AsterismError, match=r"set\.toml .*more than 64 parts"):
+            read(path)
+    assert tables_of_toml("a.b.c = '" + "one. " * 100 + "'\nx = [" + "1.5, " * 100 + "]")["x"][99] == 1.5

@@ -249,7 +249,8 @@ def test_all_virtual_people_together_count_for_so_many_real_ones(walks):
     for weight in (0.5, 50.0):
         frames, whose, weights = beside(virtual, real, people, replace(START, virtual_weight=weight), 0)
         assert (len(frames), int(whose.max())) == (len(real) + len(virtual.frames), 8)
-        assert weights.tolist() == [1.0] * 3 + [weight / 6] * 6
+        assert ((weights[:3] > 0.0) & (weights[:3] <= 1.0)).all()
+        assert weights[3:].tolist() == [weight / 6] * 6
     heights, rules = [], replace(START, body=replace(START.body, poses=1))
     for weight in (0.001, 1000.0):
         config = TrainingConfig(rules=replace(rules, virtual_weight=weight))
@@ -257,6 +258,15 @@ def test_all_virtual_people_together_count_for_so_many_real_ones(walks):
     groups = (VirtualFrames(real, people), virtual)
     alone = [np.ptp(fit_whole(some.frames, some.people, TrainingConfig(rules=rules))[0].mean[0, :, 2]) for some in groups]
     np.testing.assert_allclose(heights, alone, atol=0.02)
+
+
+def test_a_person_who_shows_one_posture_tells_less_than_one_who_moves(walks):
+    virtual = virtual_frames(MarkerSet.load("helen-hayes"), 6, 1)
+    shown = [np.repeat(walks[0].positions[:1], 60, axis=0), walks[0].positions, virtual.frames[virtual.people == 2]]
+    people = np.repeat(np.arange(3), [len(some) for some in shown])
+    _, _, weights = beside(virtual, np.concatenate(shown), people, START, 0)
+    assert 0.0 < weights[0] < 0.9 * weights[1]
+    assert weights[1] < weights[2] <= 1.0
 
 
 @pytest.mark.parametrize("given", [{"virtual_people": -1}, {"virtual_weight": 0.0}])

@@ -9,9 +9,13 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
+import time
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 import numpy as np
 import pytest
@@ -27,6 +31,7 @@ pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 
 from asterism.web import CorrectionSession, PageAddress, SessionOptions, serve  # noqa: E402
+from asterism.web import session as web_session  # noqa: E402
 
 
 def sitting(folder: Path, count: int = 1, **options: Any) -> CorrectionSession:
@@ -48,6 +53,9 @@ def test_a_touch_saves_the_file_and_its_history(tmp_path: Path) -> None:
     with served(sitting(tmp_path)) as browser:
         [trial] = browser.get("/api/trials")["trials"]
         assert trial["state"] == "ready" and trial["first_frame"] == 11 and not trial["saved"]
+        state = browser.get("/api/trials/0/state")
+        unsure = sum(last - first + 1 for runs in state["unsure"] for first, last in runs)
+        assert unsure == round(trial["unsure"] * trial["frames"] * len(state["markers"])), "the timeline shows what the list says"
         answer = touched(browser)
         [said] = [part for part in answer["changed"] if part["by_person"]]
         assert said["after"] == "SACR" and answer["state"]["touches"] == 1
@@ -258,9 +266,57 @@ def test_a_recording_that_changed_on_the_disk_is_not_saved_over(tmp_path: Path) 
 
 
 def test_two_sittings_of_one_file(tmp_path: Path) -> None:
-    with served(sitting(tmp_path)), served(sitting(tmp_path)) as other:
-        [trial] = other.get("/api/trials")["trials"]
-        assert trial["state"] == "failed" and "open in another program" in trial["error"]
+    with served(sitting(tmp_path)) as browser, served(sitting(tmp_path)) as early:
+        touched(browser)
+        # One that was open before the log was begun is told with its first answer; one that comes later, at once.
+        state = early.get("/api/trials/0/state")
+        event = {"kind": "name", "piece": long_piece(state), "marker": "SACR"}
+        status, body, _ = early.ask("/api/trials/0/touch", {"revision": state["revision"], "event": event})
+        assert status == 400 and "begun by another program" in json.loads(body)["error"]
+        assert early.get("/api/trials/0/state")["touches"] == 0
+        with served(sitting(tmp_path)) as late:
+            [trial] = late.get("/api/trials")["trials"]
+            assert trial["state"] == "failed" and "open in another program" in trial["error"]
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_a_file_that_was_being_saved_when_the_program_was_killed_is_known_as_ours(
+    when: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = web_session.write_atomically
+
+    def killed(path: Path, data: bytes) -> None:
+        if when == "after":
+            write(path, data)
+        raise AsterismError("killed")
+
+    with served(sitting(tmp_path)) as browser:
+        touched(browser)
+        browser.post("/api/trials/0/save", {})
+        touched(browser, "LASI")
+        monkeypatch.setattr(web_session, "write_atomically", killed)
+        assert browser.ask("/api/trials/0/save", {})[0] == 400
+    monkeypatch.undo()
+    with served(sitting(tmp_path)) as browser:
+        assert browser.get("/api/trials/0/state")["saved"] == (when == "after")
+        browser.post("/api/trials/0/save", {})
+        assert browser.get("/api/trials/0/state")["saved"]
+
+
+def test_answers_go_on_into_a_new_log_where_it_was_deleted(tmp_path: Path) -> None:
+    log = tmp_path / "walk1.c3d.asterism-log.jsonl"
+    with served(sitting(tmp_path)) as browser:
+        touched(browser)
+        log.unlink()
+        touched(browser, "LASI")
+        log.write_text("notes")
+        state = browser.get("/api/trials/0/state")
+        status, body, _ = browser.ask("/api/trials/0/undo", {"revision": state["revision"]})
+        assert status == 400 and "changed or replaced" in json.loads(body)["error"]
+        assert browser.get("/api/trials/0/state")["touches"] == 2
+    (tmp_path / "walk1.c3d.asterism-log-2.jsonl").replace(log)
+    with served(sitting(tmp_path)) as browser:
+        assert browser.get("/api/trials/0/state")["touches"] == 2
 
 
 def test_logs_can_be_in_a_folder_of_their_own(tmp_path: Path) -> None:
@@ -325,8 +381,63 @@ def test_a_machine_without_a_browser_gets_the_address(tmp_path: Path, monkeypatc
 
     said: list[str] = []
     monkeypatch.setattr(serving.webbrowser, "open", lambda address: False)
-    serving._open("http://127.0.0.1:1/", said.append)
-    assert said == ["No browser could be opened; open the address yourself."]
+    for leading in (tmp_path / "page.html", None):
+        serving._open(leading, said.append)
+    assert said == 2 * ["No browser could be opened; open the address yourself."]
+
+
+@pytest.mark.parametrize(("host", "warned"), [("127.0.0.1", False), ("localhost", False), ("0.0.0.0", True)])
+def test_the_token_is_in_no_argument_and_a_network_is_warned_of(
+    host: str, warned: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import uvicorn
+
+    from asterism.web import serving
+
+    opened: list[tuple[str, int, str]] = []
+
+    def browser(address: str) -> bool:
+        file = Path(url2pathname(urlsplit(address).path))
+        opened.append((address, file.stat().st_mode & 0o777, file.read_text(encoding="utf-8")))
+        return True
+
+    def run(self: Any, sockets: Any) -> None:
+        while not opened:
+            time.sleep(0.01)
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(serving.os.path, "isdir", lambda path: False)
+    monkeypatch.setattr(serving.webbrowser, "open", browser)
+    monkeypatch.setattr(uvicorn.Server, "run", run)
+    said: list[str] = []
+    serve(CorrectionSession([], model(), SessionOptions((tmp_path / "gait.model",))), PageAddress(host), said.append)
+    [(address, mode, page)] = opened
+    url = said[0].removeprefix("The page is at ")
+    token = url.rpartition("=")[2]
+    assert len(token) == 32 and token not in address and f'url={url}"' in page
+    assert mode == 0o600 or os.name != "posix"
+    assert any("nothing is encrypted" in sentence for sentence in said) == warned
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("port", "given", "known"),
+    [
+        (80, "127.0.0.1", True),
+        (80, "127.0.0.1:80", True),
+        (80, "localhost", True),
+        (80, "[::1]", True),
+        (80, "evil.example", False),
+        (81, "127.0.0.1", False),
+        (81, "[::1]:81", True),
+        (81, "[::1]", False),
+        (80, "", False),
+    ],
+)
+def test_a_browser_leaves_out_port_80(port: int, given: str, known: bool) -> None:
+    from asterism.web.guard import Guard
+
+    assert Guard(None, "token", "127.0.0.1", port)._is_own_name(given) == known
 
 
 def test_a_hundred_columns_of_odd_names(tmp_path: Path) -> None:

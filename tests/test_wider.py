@@ -14,9 +14,8 @@ from asterism import AsterismError, formats
 from asterism.labelling import virtual_model
 from asterism.labelling.correction import Name, Right, Swap
 from asterism.labelling.recording_labeller import LabellingSettings, RecordingLabeller, WiderModel
-from asterism.labelling.whole.verdict import CERTAIN
 from asterism.recording import Clouds, Labelling, MarkerSet, Place, Recording
-from asterism.recording.verdict import FITS, Verdict
+from asterism.recording.verdict import CERTAIN, FITS, Verdict
 from asterism.session import LabellingOptions, label_file
 from asterism.session.wider import WiderRules, wider_model
 from asterism.simulation import simulate_gaps_and_ghosts

@@ -339,7 +339,7 @@ def test_a_few_frames_are_labelled_by_posture(frames: int, tmp_path: Path, capsy
     asterism.write(tmp_path / "short.c3d", anonymous(truth))
     run("label", tmp_path / "short.c3d", "-o", tmp_path / "out")
     said = capsys.readouterr()
-    assert f"{frames} frame{'s' if frames > 1 else ''}, 0.00 % labelled" in said.out
+    assert f"{frames} frame{'s' if frames > 1 else ''}, z up, 0.00 % labelled" in said.out
     assert ("[label-few-frames]" in said.err) == (frames < 5)
     labelled = asterism.read(tmp_path / "out" / "short.c3d", markers=truth.labels)
     assert np.abs(labelled.positions - truth.positions).max() < 1e-3
@@ -353,15 +353,15 @@ def in_a_corner(recording: Recording, axes: list[int]) -> Recording:
 
 @pytest.mark.parametrize("door", ["points", "given", "names", "trained"])
 def test_a_wrong_vertical_is_noticed(door: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Labels are those of the file that says what is up; the finding tells what was taken. Who says what is up is believed."""
-    # legs alone, and whole bodies for longer, are labelled as well lying, so that the vertical of the file stays where the set is known
+    """Labels are those of the file that says what is up; a finding tells what was taken. Who says what is up is believed."""
+    # of legs alone the reader sees too little, so that labelling has to
     markers, frames = ("optitrack-rizzoli-lower", 20) if door == "points" else ("plug-in-gait", 5)
     truth = person(markers).frames(slice(0, frames))
     file, straight = (tmp_path / name for name in ("wrong.c3d", "right.c3d"))
     shown = truth if door == "names" else anonymous(truth)
     asterism.write(file, in_a_corner(shown, [1, 2, 0]))
     asterism.write(straight, in_a_corner(shown, [0, 1, 2]))
-    assert asterism.read(file).vertical[2] == 1.0, "the reader itself sees it, so that this tests nothing"
+    assert door != "points" or asterism.read(file).vertical[2] == 1.0, "the reader itself sees it, so that this tests nothing"
     words = ["--markers", markers] if door == "given" else []
     if door == "trained":
         virtual_model(markers).save(tmp_path / "mine.model")
@@ -369,12 +369,13 @@ def test_a_wrong_vertical_is_noticed(door: str, tmp_path: Path, capsys: pytest.C
     for path in (file, straight):
         run("label", path, "-o", tmp_path / "out", "--overwrite", *words)
         said = capsys.readouterr().err
-        assert ("Say it with --vertical y" in said and "[label-vertical]" in said) == (path is file), said
+        assert ("[label-vertical]" in said or "[format-vertical-conflict]" in said) == (path is file), said
+        assert ("with y up" in said) == (path is file), said
     wrong, right = (asterism.read(tmp_path / "out" / path.name, markers=markers).visible for path in (file, straight))
     np.testing.assert_array_equal(wrong, right)
     if door == "given":
         run("label", file, "-o", tmp_path / "out", "--overwrite", "--vertical", "z", *words)
-        assert "[label-vertical]" not in capsys.readouterr().err
+        assert "-vertical]" not in capsys.readouterr().err
 
 
 def test_learn_needs_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

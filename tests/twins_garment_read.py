@@ -182,6 +182,17 @@ def refine_frames(centres, found, links, frames, fit):
     return out
 
 
+def along(grey, start, end, steps):
+    """An image's values on a way, from its half, quarter or eighth whose pixels are nearest to a step's length; and which one that is."""
+    halvings = int(np.clip(np.ceil(np.log2(np.abs(end - start).max() / steps) - 0.5), 0, 3))
+    for _ in range(halvings):
+        height, width = grey.shape[0] // 2, grey.shape[1] // 2
+        blocks = grey[: 2 * height, : 2 * width].reshape(height, 2, width, 2).astype(int)
+        grey = (blocks.sum(axis=(1, 3)) + 2) // 4
+    x, y = ((start + (end - start) * np.linspace(0, 1, steps + 1)[:, None] + 0.5) / 2**halvings - 0.5).T
+    return map_coordinates(grey.astype(float), [y, x], order=1, mode="nearest"), halvings
+
+
 def cut_skipping(grey, centres, whiten, side, rise, links):
     """Links without those of a wrong length and those along which the colourfulness rises and falls again before the end."""
     links = links.copy()
@@ -191,9 +202,8 @@ def cut_skipping(grey, centres, whiten, side, rise, links):
             continue
         step = centres[j] - centres[i]
         length = np.mean([np.linalg.norm(whiten[k] @ step) for k in (i, j)])
-        x, y = (centres[i] + step * np.linspace(0, 1, 17)[:, None]).T
-        values = map_coordinates(grey.astype(float), [y, x], order=1)
-        needed = max(rise[0] * min(values[0], values[-1]), rise[1])
+        values, level = along(grey, centres[i], centres[j], 16)
+        needed = max(rise[0] * min(values[0], values[-1]), rise[1 + level])
         rises = values - np.minimum.accumulate(values) > needed
         begin = np.flatnonzero(rises[1:-1])
         after = values[begin[0] + 1 :] if len(begin) else values[:1]
@@ -524,11 +534,23 @@ def bumps(grey, centres, at, fits, cells, rise):
             r, c = cells[i] + step[::-1]
             if not (0 <= r < at.shape[0] and 0 <= c < at.shape[1]) or at[r, c] < 0 or not fits[at[r, c]]:
                 continue
-            x, y = (centres[i] + (centres[at[r, c]] - centres[i]) * np.linspace(0, 1, 13)[:, None]).T
-            values = map_coordinates(grey.astype(float), [y, x], order=1)
+            values, level = along(grey, centres[i], centres[at[r, c]], 12)
             end = max(min(values[0], values[-1]), 1.0)
-            begin = np.flatnonzero((values - np.minimum.accumulate(values) > max(rise[0] * end, rise[1]))[1:-1])
+            begin = np.flatnonzero((values - np.minimum.accumulate(values) > max(rise[0] * end, rise[1 + level]))[1:-1])
             if len(begin):
                 after = values[begin[0] + 1 :]
                 out[i] = max(out[i], (np.maximum.accumulate(after) - after).max() / end)
+    return out
+
+
+def stretches(moments, cells, at):
+    """The logarithm of an ellipse's axes' ratio where the mean ellipse of the circles around is a circle."""
+    out = np.zeros(len(cells))
+    for i in np.flatnonzero(cells[:, 0] >= 0):
+        r, c = cells[i]
+        near = at[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2]
+        others = near[(near >= 0) & (near != i)]
+        if len(others):
+            values = np.linalg.eigvals(np.linalg.solve(moments[others].mean(axis=0), moments[i])).real
+            out[i] = 0.5 * np.log(values.max() / values.min())
     return out

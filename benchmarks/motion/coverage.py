@@ -28,7 +28,7 @@ def coverage(benchmark: BenchmarkRun) -> Iterator[Figure]:
             share = float(np.mean([inside[probability] for inside, _ in found]))
             for bound in asked:
                 yield Figure(f"{name}: {100 * probability:.0f} % interval holds the true angle, {bound[:2]}", bound, share, "fraction", n)
-        for source in ("cameras", "soft tissue", "placement", "all"):
+        for source in ("cameras", "soft tissue", "all"):
             mean = float(np.mean([budget[source] for _, budget in found]))
             yield Figure(f"{name}: budget of the flexion, {source}", "none", mean, "degrees", n)
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 
-__all__ = ["AsterismError", "NoMarkers", "cause_of", "guarded_reading"]
+__all__ = ["AsterismError", "NoMarkers", "cause_of", "guarded_reading", "refuse_special"]
 
 _LONGEST_CAUSE = 160
 
@@ -45,6 +47,7 @@ def guarded_reading(path: str | PathLike[str], mend: str = "export it again, or 
     more exact; where it does not name the file, the name is put before it. What is not an `Exception`, such as an interrupt, passes too.
     """
     try:
+        refuse_special(path)
         yield
     except AsterismError as problem:
         if Path(path).name in str(problem):
@@ -62,6 +65,20 @@ def guarded_reading(path: str | PathLike[str], mend: str = "export it again, or 
         raise AsterismError(f"{path} is damaged: it is nested too deeply; {mend}.") from problem
     except Exception as problem:
         raise AsterismError(f"{path} is damaged ({cause_of(problem)}); {mend}.") from problem
+
+
+def refuse_special(path: str | PathLike[str]) -> None:
+    """Raise AsterismError where a path leads to a device, a pipe or a socket. Nothing is said of one that leads nowhere.
+
+    Reading a pipe may wait for ever and a device never end; renaming another file to its name would replace it.
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        kind = "pipe" if stat.S_ISFIFO(mode) else "socket" if stat.S_ISSOCK(mode) else "device"
+        raise AsterismError(f"{path} is a {kind} and no file; give the name of a file.")
 
 
 def cause_of(problem: Exception) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -50,6 +50,12 @@ class Finding:
             "sentence": self.sentence,
             "mend": self.mend,
         }
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, str]) -> Finding:
+        """The finding of which `to_dict` gave these values. Raises KeyError where one is missing or the severity is unknown."""
+        severity = Severity[values["severity"].upper()]
+        return cls(values["code"], severity, values["where"], values["sentence"], values["mend"])
 
 
 def worst(findings: Iterable[Finding]) -> Severity:

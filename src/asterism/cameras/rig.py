@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from asterism.cameras.camera import Camera
 from asterism.errors import AsterismError
 from asterism.recording import Floats, as_vertical
-from asterism.recording.display import Rows, as_html, as_text, listed
+from asterism.recording.display import Rows, as_html, as_text, listed, significant
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,7 +49,7 @@ class Rig:
             ("cameras", listed(self.names)),
             ("with a pose", str(posed) if posed < len(self) else ""),
             ("image sizes", listed(sizes)),
-            ("vertical", "" if self.vertical is None else ", ".join(f"{value:.3g}" for value in self.vertical)),
+            ("vertical", "" if self.vertical is None else ", ".join(f"{significant(value, 3)}" for value in self.vertical)),
             ("lacks", ", ".join(self.lacks)),
         )
 

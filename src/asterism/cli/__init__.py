@@ -16,6 +16,7 @@ import typer
 
 from asterism.cli import _console, _first_compile, body, calibrate, garment, rig
 from asterism.cli._plain_values import PlainValuesCommand, PlainValuesGroup
+from asterism.cli._streams import StandardOutputError, guard_standard_streams
 from asterism.errors import AsterismError
 
 _RENAMED = {
@@ -61,9 +62,18 @@ _EXAMPLES = {
     "reconstruct": "asterism reconstruct 2d.csv --rig rig.toml -o clouds.npz",
     "segment": "asterism segment walk.c3d --report limbs.html",
     "motion": "asterism motion walk.c3d --uncertainty --report motion.html",
+    "gait": "asterism gait walk*.c3d --static static.c3d --report gait.html",
     "label-views": "asterism label-views 2d.csv --rig rig.toml --body gait15 -o labelled.c3d",
 }
 """Each verb, which is a function in a module of its name, and its example."""
+_HEADINGS = {
+    "Every day": ("demo", "name", "train", "label", "review", "learn", "evaluate", "info", "convert", "warm-up"),
+    "Labels and marker sets under test": ("audit", "mend", "capturability"),
+    "From your own cameras": ("detect", "calibrate", "reconstruct", "rig", "label-views", "body"),
+    "Movement": ("gait", "segment", "motion"),
+    "Garments": ("garment",),
+}
+"""The headings under which the help lists the commands."""
 _GROUPS: dict[str, tuple[str, Mapping[str, str]]] = {
     "calibrate": ("Make the rig of a set of cameras, and correct it.", calibrate.EXAMPLES),
     "body": ("Make the model of a body; learn where markers sit on it.", body.EXAMPLES),
@@ -100,7 +110,7 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
         if name == first or not named:
             group = typer.Typer(name=name, cls=PlainValuesGroup, help=help_, rich_markup_mode=None)
             _register(group, f"{__name__}.{name}", examples, second)
-            app.add_typer(group)
+            app.add_typer(group, rich_help_panel=_heading(name))
     return app
 
 
@@ -108,9 +118,13 @@ def _register(group: typer.Typer, package: str, examples: Mapping[str, str], wor
     """Add the verb of this name to a group of commands, or all verbs of a package where it has none of this name."""
     for verb in [word] if word in examples else examples:
         function = getattr(import_module(f"{package}.{_python_name(verb)}"), _python_name(verb))
-        group.command(name=verb, cls=PlainValuesCommand, help=_paragraphs(function.__doc__ or ""), epilog=f"Example: {examples[verb]}")(
-            function
-        )
+        text, example = _paragraphs(function.__doc__ or ""), f"Example: {examples[verb]}"
+        heading = _heading(verb) if package == __name__ else None
+        group.command(name=verb, cls=PlainValuesCommand, help=text, epilog=example, rich_help_panel=heading)(function)
+
+
+def _heading(word: str) -> str:
+    return next(heading for heading, commands in _HEADINGS.items() if word in commands)
 
 
 def _python_name(verb: str) -> str:
@@ -136,6 +150,23 @@ _python_shows = warnings.showwarning
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run one command line (by default the process') and return its exit status; see `asterism --help` for the meanings."""
+    if args is None:
+        guard_standard_streams()
+    try:
+        status = _run(args)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return status
+    except BrokenPipeError:
+        sys.stdout = None  # the reader is gone: nothing is left to flush at exit
+        return 1
+    except StandardOutputError as problem:
+        sys.stdout = None
+        _console.error(str(problem))
+        return 2
+
+
+def _run(args: Sequence[str] | None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             # a name that the terminal cannot show must not end the run
@@ -148,14 +179,13 @@ def main(args: Sequence[str] | None = None) -> int:
             _first_compile.prepare(words)
             warnings.showwarning = _show_warning
         status = command_line(words)(args=words or ["--help"], prog_name="asterism", standalone_mode=False)
+    except (BrokenPipeError, StandardOutputError):
+        raise
     except AsterismError as problem:
         _console.error(str(problem))
         return 2
     except (KeyboardInterrupt, typer.Abort):
         status = 130
-    except BrokenPipeError:
-        sys.stdout = None  # the reader is gone: nothing is left to flush at exit
-        return 1
     except OSError as problem:
         _console.error(_console.reason(problem))
         return 2

@@ -51,6 +51,7 @@ def show(path: Path, clinical: ClinicalAngles | None, known: ClinicalUncertainty
     import numpy as np
 
     from asterism.motion.clinical import CLINICAL
+    from asterism.motion.clinical.uncertainty import TRIED_ON
 
     if clinical is None:
         return
@@ -74,10 +75,9 @@ def show(path: Path, clinical: ClinicalAngles | None, known: ClinicalUncertainty
             for one in known.joints
         ]
         _console.table(f"{path}: largest standard uncertainties", head, rows)
-    # a width that was assumed moves the joint by half of its error
-    if assumed := [side for side, measures in clinical.measures.items() if not measures.from_file]:
-        sides = " and ".join(assumed)
-        _console.result(f"The file has no measures of the {sides} leg; an adult's widths of knee and ankle were taken.")
+        _console.result(TRIED_ON)
+    for finding in clinical.findings:
+        _console.result(str(finding))
 
 
 def columns(wide: bool) -> list[str]:
@@ -103,6 +103,7 @@ def as_dict(clinical: ClinicalAngles | None, known: ClinicalUncertainty | None) 
     import numpy as np
 
     from asterism.motion.clinical import CLINICAL
+    from asterism.motion.clinical.uncertainty import TRIED_ON
 
     if clinical is None:
         return {}
@@ -115,7 +116,9 @@ def as_dict(clinical: ClinicalAngles | None, known: ClinicalUncertainty | None) 
         }
         for number, joint in enumerate(clinical.joints)
     ]
-    trials = {} if known is None else {"trials": known.trials, "converged": known.converged}
+    trials: dict[str, Any] = {}
+    if known is not None:
+        trials = {"trials": known.trials, "converged": known.converged, "intervals_tried_on": TRIED_ON}
     measures = {side: dataclasses.asdict(one) for side, one in clinical.measures.items()}
     return {"clinical": {"joints": joints, "measures": measures, **trials}}
 

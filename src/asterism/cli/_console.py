@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from asterism.cli._printable import printable
-from asterism.errors import AsterismError, NoMarkers
+from asterism.cli._streams import StandardOutputError
+from asterism.errors import AsterismError, NoMarkers, refuse_special
 from asterism.files.plain import as_json
 from asterism.findings import Finding, exit_status
 from asterism.progress import Progress
@@ -39,8 +40,12 @@ def result(line: str) -> None:
 
 def error(sentence: str) -> None:
     """One plain line on standard error."""
-    sys.stdout.flush()
-    print(f"asterism: {printable(sentence)}", file=sys.stderr, flush=True)
+    # results first, in the order in which they came; None where a stream could not be written
+    if sys.stdout is not None:
+        sys.stdout.flush()
+    # where even this cannot be shown, the exit status still tells
+    with suppress(OSError):
+        print(f"asterism: {printable(sentence)}", file=sys.stderr, flush=True)
 
 
 def report(finding: Finding) -> None:
@@ -195,7 +200,7 @@ class Batch:
         try:
             yield
         # the reader of our output has gone: no file is to blame
-        except BrokenPipeError:
+        except (BrokenPipeError, StandardOutputError):
             raise
         except Exception as problem:
             # an exit is no failure of the file
@@ -249,6 +254,7 @@ def check_new(given: Path | str | None, overwrite: bool) -> None:
     # what a killed run has left beside the target is told before it goes
     on_removed(lambda unfinished: notice(f"{unfinished} was left by a run that was killed; it is removed."))
     path = Path(given)
+    refuse_special(path)
     if path.is_dir():
         raise AsterismError(f"{path} is a folder; give the name of a file in it.")
     if path.exists() and not overwrite:
@@ -284,6 +290,18 @@ def check_outputs(outputs: Sequence[Path | str | None], inputs: Sequence[Path | 
         written.add(path)
 
 
+def write_csv(target: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a table, whole or not at all."""
+    import csv
+    import io
+
+    from asterism.files.atomic import write_atomically
+
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([head, *rows])
+    write_atomically(target, text.getvalue().encode())
+
+
 def write_json(where: str | None, content: Mapping[str, Any]) -> None:
     """Write `content` to the file `where`, or to standard output for "-"; NaN becomes null. Nothing for None."""
     if where is None:
@@ -292,6 +310,8 @@ def write_json(where: str | None, content: Mapping[str, Any]) -> None:
 
     text = json.dumps(as_json(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     if where == "-":
+        if sys.stdout is None or getattr(sys.stdout, "name", "") == os.devnull:
+            raise StandardOutputError("standard output is closed; give --json the name of a file.")
         sys.stdout.write(text)
         sys.stdout.flush()
         return

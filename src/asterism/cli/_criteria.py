@@ -46,4 +46,6 @@ def _promised(criterion: Criterion) -> str:
 
 
 def _value(value: float, unit: str) -> str:
-    return f"{value:,.4g} {unit}".strip()
+    from asterism.recording.display import significant
+
+    return f"{significant(value, 4)} {unit}".strip()

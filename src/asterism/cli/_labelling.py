@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from asterism.cli import _console
 from asterism.cli._options import KnownLabels, Rules, marker_names, vertical_axis
@@ -13,7 +14,7 @@ from asterism.errors import AsterismError
 if TYPE_CHECKING:
     from asterism.labelling import MarkerModel
     from asterism.recording import MarkerSet
-    from asterism.session import FileLabeller
+    from asterism.session import FileLabeller, LabelledFile
 
 
 class LabellingCommand(Protocol):
@@ -88,6 +89,58 @@ def file_labeller(
     for finding in labeller.findings:
         batch.found(finding)
     return labeller
+
+
+ROW = ("frames", "labelled", "likely", "unsure", "hidden", "subject", "worn", "verdict", "readiness", "use", "look_at")
+"""What of a row of `labelled_row` the tables and lines need."""
+
+
+def labelled_row(labelled: LabelledFile) -> dict[str, Any]:
+    """What the tables, pages and JSON of all commands say of a labelled file, in plain values."""
+    from asterism.recording import axis_name, label_shares
+
+    return {
+        "file": labelled.path,
+        "frames": len(labelled.clouds),
+        "vertical": axis_name(labelled.clouds.vertical),
+        **asdict(label_shares(labelled.labelling, labelled.clouds)),
+        "marker_set": [one.to_dict() for one in labelled.worn] or None,
+        "worn": ", ".join(one.words for one in labelled.worn) or None,
+        "virtual_people": bool(labelled.worn),
+        "subject": labelled.standing,
+        "known_labels": labelled.file_names,
+        "verdict": None if labelled.verdict is None else labelled.verdict.kind,
+        # what no label is more certain than, and why
+        "max_confidence": None if labelled.verdict is None else labelled.verdict.max_confidence,
+        "limited_by": None if labelled.verdict is None else labelled.verdict.limited_by,
+        "readiness": labelled.readiness.kind,
+        "use": labelled.readiness.words,
+        "why": labelled.readiness.why or None,
+        "look_at": labelled.readiness.look_at,
+    }
+
+
+def labelled_line(row: Mapping[str, Any]) -> str:
+    """A row of `labelled_row` as a line, with the speed where the row has one."""
+    from asterism.recording.display import counted
+
+    # records of earlier versions say no vertical
+    up = [f"{row['vertical']} up"] if "vertical" in row else []
+    parts = [counted(row["frames"], "frame"), *up, shares_text(row)]
+    if "frames_per_second" in row:
+        parts.append(f"{_console.count(row['frames_per_second'])} frames/s")
+    if row["subject"] is not None:
+        parts.append(f"with {row['subject']}")
+    worn = f"; {row['worn']}, a model of virtual people" if row["worn"] else ""
+    why = f": {row['why']}" if row.get("why") else ""
+    return f"{row['file']}: {', '.join(parts)}{worn}; {row['use']}{why}"
+
+
+def shares_text(row: Mapping[str, Any]) -> str:
+    """What became of a recording's markers, in words: the shares in `row`, as `LabelShares` names them."""
+    from asterism.recording import LABEL_STATES
+
+    return ", ".join(f"{_console.percent(row[name])} {name}" for name in LABEL_STATES)
 
 
 def model_or_virtual(

@@ -68,8 +68,7 @@ def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str
             if marker_set is None:
                 # computed points and numbers for tracks are no markers
                 recording = recording.select(named_markers(recording))
-            if not recording.visible.any():
-                raise AsterismError(f"{path} has no labelled point; label it first, or name its markers with --markers.")
+            with_names(path, recording.labels if recording.visible.any() else ())
             recordings.append(recording)
     if not recordings:
         raise AsterismError("none of the files can be used; the reasons are above.")
@@ -113,6 +112,13 @@ def uncovered_markers(model: Path, partial_solvers: Mapping[str, Mapping[str, An
     return found
 
 
+def with_names(path: Path, names: tuple[str, ...]) -> tuple[str, ...]:
+    """The names of a file's markers. Raises AsterismError where there are none."""
+    if not names:
+        raise AsterismError(f"{path} has no labelled point; label it first, or name its markers with --markers.")
+    return names
+
+
 def report_warnings(recording: Recording, batch: _console.Batch) -> None:
     """Name what the reader of a file found, without its notes, which `asterism info` shows."""
     for finding in recording.warnings:
@@ -138,8 +144,3 @@ def labels_kept(path: Path, labelling: Labelling, recording: Recording, clouds: 
         return keep_labels(labelling, recording, clouds, marker_set)
     except AsterismError as problem:
         raise AsterismError(f"{path}: {problem}") from None
-
-
-def shares_text(row: Mapping[str, Any]) -> str:
-    """What became of a recording's markers, in words: the shares in `row`, as `LabelShares` names them."""
-    return ", ".join(f"{_console.percent(row[name])} {name}" for name in ("labelled", "likely", "unsure"))

@@ -71,7 +71,7 @@ def _by_file(table: Path, answers: Sequence[Answer], files: Sequence[Path]) -> d
         name = answer.file.replace("\\", "/").rpartition("/")[2]
         same = [path for path in files if str(path) == answer.file] or [path for path in files if path.name == name]
         if len(same) != 1:
-            what = "is none of the files given" if not same else "is the name of several of the files given"
+            what = "is not among the files given" if not same else "is the name of several of the files given"
             raise AsterismError(f"{table}, line {answer.line}: {answer.file[:200]} {what}; name the files as when the list was written.")
         found.setdefault(same[0], []).append(answer)
     return found

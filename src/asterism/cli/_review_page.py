@@ -21,6 +21,7 @@ def _is_corrected(trial: Trial) -> bool:
 
 def serve_page(options: ReviewOptions) -> None:
     """Serve the page until it is interrupted."""
+    from asterism.recording.display import short_names
     from asterism.web import CorrectionSession, PageAddress, SessionOptions, serve
 
     batch = _console.Batch("opened")
@@ -32,6 +33,6 @@ def serve_page(options: ReviewOptions) -> None:
     session = CorrectionSession(files, labeller.models, settings, targets)
     serve(session, PageAddress(options.host, options.port, not options.no_browser), _console.result)
     # answers are in the logs in any case; only the files are not written
-    unsaved = [trial.path.name for trial in session.trials if trial.has_unsaved]
+    unsaved = [name for name, trial in zip(short_names(files), session.trials, strict=True) if trial.has_unsaved]
     if unsaved:
         _console.result(f"Not saved: {', '.join(unsaved)}. The answers are in the logs: start again to go on.")

@@ -79,7 +79,7 @@ def audit(options: AuditOptions) -> None:
             "failed": batch.failed,
             "virtual_people": asked.why or "asked",
             "errors": [{**asdict(error), "file": str(batch.done[error.recording]), "damage": error.damage} for error in errors],
-            "findings": [error.finding.to_dict() for error in errors],
+            "findings": [finding.to_dict() for finding in [*batch.findings, *(error.finding for error in errors)]],
         },
     )
     status = batch.close()

@@ -12,7 +12,7 @@ from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import ForProgram, Json, Markers, Overwrite, Vertical, marker_names, vertical_axis
 from asterism.errors import AsterismError
-from asterism.findings import Finding
+from asterism.findings import Finding, exit_status
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,7 @@ def convert(options: ConvertOptions) -> None:
     Rigs become .toml (Asterism's), *anipose.toml, camera_array.toml, .yml, .xml, .xcp, .qca.txt or .ori.
     What the other format cannot carry is named on standard error.
     --for turns the recording as the next program takes it: opensim TRC with y up, visual3d and blender C3D with z up.
+    For opensim the force plates of a C3D file go beside it: OUT_grf.mot, and OUT_grf.xml with the foot on which each acts.
     """
     from asterism import formats
     from asterism.cli._recordings import is_rig, not_carried
@@ -43,19 +44,23 @@ def convert(options: ConvertOptions) -> None:
     source, target = options.source, options.target
     _console.check_new(target, options.overwrite)
     _console.check_new(options.json, options.overwrite)
+    for beside in formats.companions(target) if options.program is not None and options.program.value == "opensim" else ():
+        _console.check_new(beside, options.overwrite)
     axis, wanted = vertical_axis(options.vertical), marker_names(options.markers)
     findings: list[Finding] = []
     # rigs and recordings share suffixes, so that this is asked first
     if is_rig(source):
         findings, lost = _convert_rig(source, target, axis, wanted if options.program is None else options.program)
     elif options.program is not None:
-        recording, left = formats.for_program(formats.read(source, wanted, axis), options.program.value, target)
-        lost = [*left, *formats.write(target, recording)]
+        recording = formats.read(source, wanted, axis)
+        findings = list(recording.warnings)
+        lost = formats.write_for_program(recording, options.program.value, target)
     # the whole file, with all that the formats have in common
     elif wanted is None:
-        lost = formats.convert(source, target, axis)
+        findings, lost = formats.convert_and_tell(source, target, axis)
     else:
-        lost = formats.write(target, formats.read(source, wanted, axis))
+        recording = formats.read(source, wanted, axis)
+        findings, lost = list(recording.warnings), formats.write(target, recording)
     findings += not_carried(target, lost)
     for finding in findings:
         _console.report(finding)
@@ -72,6 +77,7 @@ def convert(options: ConvertOptions) -> None:
             "findings": [finding.to_dict() for finding in findings],
         },
     )
+    raise typer.Exit(exit_status(findings))
 
 
 def _convert_rig(source: Path, target: Path, vertical: Any, markers: Any) -> tuple[list[Finding], list[str]]:

@@ -175,10 +175,10 @@ def _trained(walks: Sequence[Recording], seed: int, show: Callable[[str], None])
 def _labelled(model: MarkerModel, walks: Sequence[Recording], hidden: int, ghosts: int, seed: int) -> _DemoTrial:
     """Label the walks, each as a whole, with so many markers in a gap and so many ghosts at every moment."""
     from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
-    from asterism.recording import label_states
+    from asterism.recording import LABEL_STATES, label_states
 
     counts = {"right": 0, "wrong": 0, "not labelled": 0, "visible": 0}
-    states = dict.fromkeys(("labelled", "likely", "unsure", "hidden"), 0)
+    states = dict.fromkeys(LABEL_STATES, 0)
     seconds, frames = 0.0, 0
     for i, walk in enumerate(walks):
         # another seed for each walk: gaps at other places
@@ -275,9 +275,11 @@ def _compared(labelling: Labelling, truth: Ints) -> dict[str, int]:
 
 
 def _print(rows: Sequence[dict[str, Any]]) -> None:
+    from asterism.recording import LABEL_STATES
+
     _console.table(
         f"{_NEW_WALKERS} recordings of {_FRAMES} frames, each labelled as a whole; wrong labels include those given to hidden markers",
-        ["hidden", "ghosts", "markers in view", "right", "not labelled", "wrong labels", "labelled", "likely", "unsure", "frames/s"],
+        ["hidden", "ghosts", "markers in view", "right", "not labelled", "wrong labels", *LABEL_STATES, "frames/s"],
         [
             [
                 str(row["hidden"]),
@@ -286,7 +288,7 @@ def _print(rows: Sequence[dict[str, Any]]) -> None:
                 f"{row['right']:,} ({_console.percent(row['right'] / max(row['visible'], 1))})",
                 _console.count(row["not labelled"]),
                 _console.count(row["wrong"]),
-                *(_console.percent(row["shares"][name]) for name in ("labelled", "likely", "unsure")),
+                *(_console.percent(row["shares"][name]) for name in LABEL_STATES),
                 _console.count(row["frames_per_second"]),
             ]
             for row in rows

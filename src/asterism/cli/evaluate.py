@@ -31,7 +31,7 @@ from asterism.cli._options import (
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
-    from asterism.labelling import Condition, Evaluation, MarkerModel
+    from asterism.labelling import Evaluation, MarkerModel
     from asterism.labelling.reliability import ConfidenceScore
 
 
@@ -126,7 +126,7 @@ def evaluate(options: EvaluateOptions) -> None:
             "files": batch.done,
             "failed": batch.failed,
             **settings,
-            "evaluation": _as_json(evaluation),
+            "evaluation": evaluation.to_dict(),
             "findings": [finding.to_dict() for finding in batch.findings],
         },
     )
@@ -191,7 +191,8 @@ def _print(evaluation: Evaluation) -> None:
                 str(c.occlusions),
                 str(c.ghosts),
                 count(c.frames),
-                *(percent(_shares(evaluation, c)[name]) for name in ("labelled", "likely")),
+                percent(c.shares.labelled),
+                percent(c.shares.likely),
                 percent(c.right),
                 percent(c.fa, 3),
                 percent(c.fo),
@@ -213,27 +214,6 @@ def _print(evaluation: Evaluation) -> None:
             ["marker", *names],
             [[marker, *(percent(c.per_marker[marker][key], digits) for c in evaluation.conditions)] for marker in evaluation.markers],
         )
-
-
-def _shares(evaluation: Evaluation, condition: Condition) -> dict[str, float]:
-    """The shares of all markers in all frames that are labelled, likely, unsure and hidden; the truth says which are in view."""
-    from asterism.recording import SURE
-
-    places = condition.frames * len(evaluation.markers)
-    labelled = sum(level.labels for level in condition.confidence.levels if level.least >= SURE)
-    # the truth says which markers are in view; what is left over need not be asked
-    unsure = round(condition.missed * condition.visible)
-    counts = {"labelled": labelled, "likely": condition.given - labelled, "unsure": unsure}
-    counts["hidden"] = places - sum(counts.values())
-    return {name: number / places if places else float("nan") for name, number in counts.items()}
-
-
-def _as_json(evaluation: Evaluation) -> dict[str, Any]:
-    """The evaluation as plain values, with each condition's shares as `asterism label` names them."""
-    whole = evaluation.to_dict()
-    for content, condition in zip(whole["conditions"], evaluation.conditions, strict=True):
-        content["shares"] = _shares(evaluation, condition)
-    return whole
 
 
 def _log_score(score: ConfidenceScore) -> str:

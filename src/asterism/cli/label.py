@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +12,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._folders import Trial, check_folder, check_output, trials
-from asterism.cli._labelling import check_labelling, file_labeller, file_names, model_json, model_text
+from asterism.cli._labelling import ROW, check_labelling, file_labeller, file_names, labelled_line, labelled_row, model_json, model_text
 from asterism.cli._options import (
     DropComputed,
     Files,
@@ -84,11 +84,16 @@ class LabelOptions:
             "for": None if self.program is None else self.program.value,
             "rules": self.rules,
             "frame_wise": self.frame_wise,
-            "subject": self.subject,
             "no_static": self.no_static,
             "vertical": self.vertical,
             "markers": self.markers,
         }
+
+    @property
+    def inputs(self) -> list[Path]:
+        """The files beside the recordings that an output depends on: models, trials of the subject, marker sets."""
+        sets = [path for path in map(Path, self.markers or ()) if path.is_file()]
+        return [*(self.model or ()), *(self.subject or ()), *sets]
 
 
 @takes(LabelOptions)
@@ -103,9 +108,9 @@ def label(options: LabelOptions) -> None:
 
     Each file is written to FOLDER under its name and format, with everything else in it unchanged. Points that are not labelled become
     *1, *2, ... A line per file says which share of all markers in all frames is labelled (confidence 99 % or more), likely (less) and
-    unsure (not labelled in a frame with points left over). The rules whole-body label a recording as a whole, by its tracks;
-    --frame-wise turns that off. Recordings of more than two million points are labelled in stretches of minutes; C3D files of this length
-    are never in memory as a whole, unless a report, a folder, --for or several models need that.
+    unsure (not labelled, though a point left over may be it); the rest is hidden. The rules whole-body label a recording as a whole, by its
+    tracks; --frame-wise turns that off. Recordings of more than two million points are labelled in stretches of minutes; C3D files of this
+    length are never in memory as a whole, unless a report, a folder, --for or several models need that.
     Of a folder, all recordings below it are labelled, and keep their places below FOLDER, with a page on all of them. A trial in which the
     person stands, found by its name or by what it shows, narrows the model to the person. A run that was stopped goes on where it was.
     With several people or objects in the volume, give --model once for each of them; names that two of them share become 1:LASI and
@@ -172,37 +177,48 @@ class _Run:
         # the page shows the points, and the next program may want other axes: both need the whole recording
         in_memory = options.program is not None or options.page is not None
         labeller = file_labeller(options, [trial.path for trial in files], batch, rules=options.rules, in_memory=in_memory)
-        return cls(options, labeller, FinishedFiles(options.output, options.how, options.model or ()), batch, len(files))
+        return cls(options, labeller, FinishedFiles(options.output, options.how, options.inputs, ROW), batch, len(files))
 
     def result(self, trial: Trial, progress: Progress | None) -> _Result:
         """Label one file and write it, or take over what an earlier run has finished."""
+        from asterism.cli._recordings import not_carried
+        from asterism.recording import LABEL_STATES
+
         # the place tells what an earlier run has finished, so that its suffix comes first
         trial = self._as_program_reads(trial)
         target = self.options.output / trial.place
         if target.exists() and not self.options.overwrite:
             # an output that is the input itself is never taken for finished
-            row = None if target.samefile(trial.path) else self.finished.row(trial.place, trial.path, target)
-            if row is not None:
-                return _Result({**row, "file": trial.path, "output": target, "finished_before": True})
+            before = None if target.samefile(trial.path) else self.finished.finished(trial.place, trial.path, target)
+            if before is not None:
+                # a run that goes on warns of what the earlier one warned of
+                for finding in before.findings:
+                    self.batch.found(finding)
+                here = {"file": trial.path, "output": target, "finished_before": True, "changed": before.changed}
+                # JSON keeps a number that is not known as null
+                unknown = {name: float("nan") for name in (*LABEL_STATES, "frames_per_second") if before.row.get(name) is None}
+                return _Result({**before.row, **unknown, **here})
             check_output(trial.path, target, self.options.overwrite)
         labelled = self.labeller.label(trial.path, _share(progress, self.batch, self.count, trial.path))
-        self.report_findings(labelled.findings)
+        row, findings = _row(target, labelled), self._findings(labelled)
+        for finding in findings:
+            self.batch.found(finding)
         # the record is written before the output: a run that is stopped between knows that the output is not whole
         target.parent.mkdir(parents=True, exist_ok=True)
-        self.finished.begin(trial.place, trial.path)
+        self.finished.begin(trial.place, trial.path, target, row, findings)
         program = None if self.options.program is None else self.options.program.value
-        lost = labelled.write(target, program=program, drop_computed=self.options.drop_computed)
-        # counting needs no positions: of a recording of an hour, the file is half of the memory
-        row = self._row(trial, target, labelled.without_file(), lost)
-        self.finished.end(trial.place, target, row)
+        row["not_carried"] = labelled.write(target, program=program, drop_computed=self.options.drop_computed)
+        left_out = not_carried(target, row["not_carried"])
+        for finding in left_out:
+            self.batch.found(finding)
+        self.finished.end(trial.place, target, row, [*findings, *left_out])
         return _Result(row, self._shown(labelled))
 
-    def report_findings(self, findings: Sequence[Finding]) -> None:
-        """Name what was found in a file and on its labels."""
-        for finding in findings:
-            # what is left out cannot be out of date
-            if not (self.options.drop_computed and finding.code == "label-computed-outdated"):
-                self.batch.found(finding)
+    def _findings(self, labelled: LabelledFile) -> list[Finding]:
+        """What was found in a file and on its labels, as far as it is still so in the output."""
+        # what is left out cannot be out of date
+        outdated = "label-computed-outdated" if self.options.drop_computed else None
+        return [finding for finding in labelled.findings if finding.code != outdated]
 
     def _as_program_reads(self, trial: Trial) -> Trial:
         """The trial with a place of the suffix that the next program reads, where one is named."""
@@ -220,34 +236,12 @@ class _Run:
 
         return LabelledRecording(labelled.labelling, labelled.clouds, labelled.marker_set, None, labelled.about.first_frame)
 
-    def _row(self, trial: Trial, target: Path, labelled: LabelledFile, lost: Sequence[str]) -> dict[str, Any]:
-        """What the table and the JSON say of a file that was written, which is complete then."""
-        from asterism.cli._recordings import not_carried
-        from asterism.labelling.correction.readiness import DO_NOT_USE
-        from asterism.recording import label_shares
 
-        for finding in not_carried(target, lost):
-            self.batch.found(finding)
-        if labelled.readiness.kind == DO_NOT_USE and (labelled.labelling.indices >= 0).any():
-            self.batch.found(_doubtful(trial.path, labelled.readiness.error))
-        labelling, clouds = labelled.labelling, labelled.clouds
-        return {
-            "file": trial.path,
-            "output": target,
-            "frames": len(clouds),
-            **asdict(label_shares(labelling, clouds)),
-            "markers": _by_marker(labelling, clouds),
-            "marker_set": [one.to_dict() for one in labelled.worn] or None,
-            "worn": ", ".join(one.words for one in labelled.worn) or None,
-            "virtual_people": bool(labelled.worn),
-            "subject": labelled.standing,
-            "known_labels": labelled.file_names,
-            "verdict": None if labelled.verdict is None else labelled.verdict.kind,
-            "readiness": labelled.readiness.kind,
-            "use": labelled.readiness.words,
-            "frames_per_second": len(clouds) / labelled.seconds if labelled.seconds else float("nan"),
-            "not_carried": lost,
-        }
+def _row(target: Path, labelled: LabelledFile) -> dict[str, Any]:
+    """What the table and the JSON say of a labelled file."""
+    speed = len(labelled.clouds) / labelled.seconds if labelled.seconds else float("nan")
+    markers = _by_marker(labelled.labelling, labelled.clouds)
+    return {**labelled_row(labelled), "output": target, "markers": markers, "frames_per_second": speed, "not_carried": []}
 
 
 def _check(options: LabelOptions) -> None:
@@ -311,46 +305,26 @@ def _share(progress: Progress | None, batch: _console.Batch, files: int, path: P
     return lambda fraction, _: progress((before + fraction) / files, path.name)
 
 
-def _doubtful(path: Path, error: float) -> Finding:
-    """The finding that so many labels of a file are probably wrong or missing that it should not be used."""
-    from asterism.findings import Finding, Severity
-
-    sentence = f"{path}: {100 * error:.0f} % of the labels are expected to be wrong or missing, do not use them."
-    mend = "Name the marker set that is worn with --markers, or look at the labels with `asterism review`."
-    return Finding("label-do-not-use", Severity.WARNING, str(path), sentence, mend)
-
-
 def _line(row: dict[str, Any]) -> str:
-    from asterism.cli._recordings import shares_text
-    from asterism.recording.display import counted
-
-    if row.get("finished_before"):
-        return f"{row['file']}: labelled by an earlier run{', changed since' if row.get('changed') else ''}; {row['output']} stays"
-    by = "" if row["subject"] is None else f", with {row['subject']}"
-    by += f"; {row['worn']}, a model of virtual people" if row["worn"] else ""
-    # a single file has no table that would say so
-    by += f"; {row['use']}" if row["readiness"] == "do-not-use" else ""
-    return f"{row['file']}: {counted(row['frames'], 'frame')}, {shares_text(row)}, {_console.count(row['frames_per_second'])} frames/s{by}"
+    changed = "was changed since and " if row.get("changed") else ""
+    return labelled_line(row) + (f"; labelled by an earlier run, {row['output']} {changed}stays" if "finished_before" in row else "")
 
 
 def _table(rows: Sequence[dict[str, Any]]) -> None:
     """All files of a run, those that an earlier run has finished among them."""
-
-    def share(row: dict[str, Any], name: str) -> str:
-        value = row.get(name)
-        return "–" if value is None else _console.percent(value)
+    from asterism.recording import LABEL_STATES
 
     _console.table(
         f"{len(rows)} recordings",
-        ["file", "frames", "labelled", "likely", "unsure", "hidden", "standing trial", "the model", "use"],
+        ["file", "frames", *LABEL_STATES, "standing trial", "the model", "use"],
         [
             [
                 str(row["file"]),
-                _console.count(row.get("frames") or float("nan")),
-                *(share(row, name) for name in ("labelled", "likely", "unsure", "hidden")),
-                Path(str(row["subject"])).name if row.get("subject") else "–",
-                str(row.get("verdict") or "–"),
-                str(row.get("use") or "–"),
+                _console.count(row["frames"]),
+                *(_console.percent(row[name]) for name in LABEL_STATES),
+                Path(str(row["subject"])).name if row["subject"] else "–",
+                row["verdict"] or "–",
+                row["use"],
             ]
             for row in rows
         ],

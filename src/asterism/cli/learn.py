@@ -71,12 +71,12 @@ def learn(
     if batch.failed:
         raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; correct them or leave them out.")
     subjects = None if subject is None else [subject] * len(recordings)
-    findings = [
+    named = [
         replace(as_numbered(error, recordings).finding, mend=LEARNED_AS_NAMED)
         for error in check_names(recordings, before.marker_set, subjects=subjects).errors
     ]
-    for finding in findings:
-        _console.report(finding)
+    for finding in named:
+        batch.found(finding)
     started = time.perf_counter()
     with _console.progress("learning") as progress:
         after = before.learn(recordings, subjects=subjects, search_again=search_again, progress=progress)
@@ -107,8 +107,8 @@ def learn(
             "new_subjects": new_people,
             "known_already": known,
             **about,
-            "findings": [finding.to_dict() for finding in findings],
+            "findings": [finding.to_dict() for finding in batch.findings],
             "seconds": seconds,
         },
     )
-    raise typer.Exit(exit_status(findings))
+    raise typer.Exit(exit_status(batch.findings))

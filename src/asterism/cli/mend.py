@@ -106,7 +106,7 @@ def _read(options: MendOptions, marker_set: MarkerSet | None, batch: _console.Ba
     """The files that can be read. Raises AsterismError where two would be written to one place, or none is left."""
     from asterism import formats
     from asterism.cli._options import vertical_axis
-    from asterism.cli._recordings import report_warnings
+    from asterism.cli._recordings import report_warnings, with_names
     from asterism.labelling.training.markers import named_markers
     from asterism.recording import MarkerSet
 
@@ -119,7 +119,7 @@ def _read(options: MendOptions, marker_set: MarkerSet | None, batch: _console.Ba
             whole = formats.read(trial.path, vertical=axis)
             report_warnings(whole, batch)
             # without a set, every name of the file is held against the others
-            names = MarkerSet(named_markers(whole)) if marker_set is None else marker_set
+            names = MarkerSet(with_names(trial.path, named_markers(whole))) if marker_set is None else marker_set
             audited, columns = _audited(trial.path, whole, names)
             files.append(_File(trial.path, target, whole, audited, columns))
     if not files:

@@ -74,7 +74,8 @@ class MotionOptions:
         float, typer.Option("--soft-tissue", metavar="FACTOR", min=0, help="Soft tissue by so much larger than usual; 0: none.")
     ] = 1.0
     placement: Annotated[
-        float, typer.Option("--placement", metavar="MM", min=0, help="How far landmarks are misplaced, standard deviation.")
+        float,
+        typer.Option("--placement", metavar="MM", min=0, help="How far markers of clinical angles are misplaced, standard deviation."),
     ] = 10.0
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the angles over time as CSV.", show_default=False)
@@ -103,9 +104,9 @@ def motion(options: MotionOptions) -> None:
     """Find joints and joint angles, and how certain they are.
 
     From the points' trajectories alone, or by the segments of a marker set (--markers). Angles count from the first frame in which both
-    limbs are seen. With --uncertainty each angle gets intervals at 65 and 95 %, and a budget: what cameras, soft tissue and misplaced
-    landmarks add. Where the markers of Helen Hayes or Plug-in-Gait are seen, flexion, adduction and rotation of hip, knee and ankle are
-    given too, of both sides.
+    limbs are seen. With --uncertainty each angle gets nominal 65 and 95 % intervals, and a budget: what cameras and soft tissue add. They
+    are those of a model of errors, tried on simulated skin only. Where the markers of Helen Hayes or Plug-in-Gait are seen, flexion,
+    adduction and rotation of hip, knee and ankle are given too, of both sides; misplaced markers count in them.
     """
     from asterism.cli._folders import recordings_of
     from asterism.motion.analysis import MotionRules, analyse_motion
@@ -145,9 +146,11 @@ def motion(options: MotionOptions) -> None:
     if options.output is not None:
         _write_angles(options.output, results)
     if options.report is not None:
+        from asterism.recording.display import short_names
         from asterism.report.motion import motion_report
 
-        shown = [(one.path.name, one.analysis, one.certain) for one in results]
+        names = short_names([one.path for one in results])
+        shown = [(name, one.analysis, one.certain) for name, one in zip(names, results, strict=True)]
         motion_report(options.report, shown, clinical=[(one.clinical, one.legs) for one in results])
     content = {
         "command": "motion",
@@ -220,16 +223,13 @@ def _cameras(options: MotionOptions) -> Cameras:
 def _sources(options: MotionOptions, cameras: Cameras, analysis: MotionAnalysis) -> ErrorSources:
     from dataclasses import replace
 
-    from asterism.motion.uncertainty import ErrorSources, PlacementErrors, SoftTissueErrors
+    from asterism.motion.uncertainty import ErrorSources, SoftTissueErrors
 
     # the factor scales what the literature measured, low and high alike
     usual = SoftTissueErrors()
     low, high = (options.soft_tissue * scale for scale in usual.scales)
     soft = replace(usual, scales=(low, high)) if options.soft_tissue > 0 else None
-    placed = PlacementErrors(options.placement / 1000) if options.placement > 0 else None
-    return ErrorSources(
-        noise=cameras.noise(analysis.recording.positions), calibration=cameras.calibration, soft_tissue=soft, placement=placed
-    )
+    return ErrorSources(noise=cameras.noise(analysis.recording.positions), calibration=cameras.calibration, soft_tissue=soft)
 
 
 def _of_legs(options: MotionOptions, cameras: Cameras, recording: Recording, certain: UncertaintyResult) -> ClinicalErrors:
@@ -257,6 +257,7 @@ def show(path: Path, analysis: MotionAnalysis, certain: UncertaintyResult | None
     """Print a table of the joints of one file."""
     import numpy as np
 
+    from asterism.motion.uncertainty.budget import SOURCES, TRIED_ON
     from asterism.recording.display import counted
 
     rows = []
@@ -276,7 +277,7 @@ def show(path: Path, analysis: MotionAnalysis, certain: UncertaintyResult | None
             row += [f"{np.degrees(np.nanmax(part)):.2f}" for part in (one.angle_standard, *one.budget.values())]
         rows.append(row)
     head = ["joint", "kind", "largest angle (°)", "range (°)", "centre ± (mm)"]
-    head += ["angle ± (°)", "cameras", "soft tissue", "placement", "flexion ± (°)"] if certain else []
+    head += ["angle ± (°)", *SOURCES, "flexion ± (°)"] if certain else []
     limbs = f"{counted(len(analysis.names), 'limb')}: " + ", ".join(
         f"{name} ({counted(int((analysis.limb_of == k).sum()), 'point')})" for k, name in enumerate(analysis.names)
     )
@@ -284,6 +285,7 @@ def show(path: Path, analysis: MotionAnalysis, certain: UncertaintyResult | None
     if certain is not None:
         said = "± is the largest standard uncertainty over the frames"
         _console.result(f"{counted(certain.trials, 'trial')}; {said}; noise of a point {1000 * certain.noise:.2f} mm.")
+        _console.result(TRIED_ON)
 
 
 def _known(values: Any) -> Any:
@@ -295,6 +297,8 @@ def _known(values: Any) -> Any:
 def as_dict(analysis: MotionAnalysis, certain: UncertaintyResult | None) -> dict[str, Any]:
     """The limbs, joints and angles as JSON has them: degrees and metres."""
     import numpy as np
+
+    from asterism.motion.uncertainty.budget import TRIED_ON
 
     joints = []
     for number, joint in enumerate(analysis.angles):
@@ -322,27 +326,23 @@ def as_dict(analysis: MotionAnalysis, certain: UncertaintyResult | None) -> dict
         for k, name in enumerate(analysis.names)
     ]
     log = [str(step) for step in analysis.recording.log]
-    trials = {} if certain is None else {"trials": certain.trials, "converged": certain.converged, "noise_m": certain.noise}
+    trials: dict[str, Any] = {}
+    if certain is not None:
+        trials = {"trials": certain.trials, "converged": certain.converged, "noise_m": certain.noise, "intervals_tried_on": TRIED_ON}
     return {"frames": len(analysis.recording), "limbs": limbs, "joints": joints, "log": log, **trials}
 
 
 def _write_angles(target: Path, results: list[MotionResult]) -> None:
     """A CSV table, a row for each file, joint and frame; clinical angles have no angle since a frame, but adduction and rotation."""
-    import csv
-    import io
-
     import numpy as np
 
-    from asterism.files.atomic import write_atomically
-
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
+    rows: list[list[str]] = []
     # one header for all files: columns that a file lacks stay empty
     wide = any(one.certain is not None for one in results)
     ends = ["angle_low95_deg", "angle_high95_deg", "flexion_low95_deg", "flexion_high95_deg"] if wide else []
     clinical = any(one.clinical is not None for one in results)
     more = _clinical.columns(wide) if clinical else []
-    rows.writerow(["file", "joint", "time_s", "angle_deg", "flexion_deg", *ends, *more])
+    head = ["file", "joint", "time_s", "angle_deg", "flexion_deg", *ends, *more]
     for one in results:
         times = one.analysis.recording.times
         # clinical angles have no angle of the whole joint, and the others no adduction
@@ -357,8 +357,8 @@ def _write_angles(target: Path, results: list[MotionResult]) -> None:
         for name, columns in blocks:
             for time, *values in zip(times, *columns, strict=True):
                 shown = ["" if np.isnan(value) else f"{np.degrees(value):.4f}" for value in values]
-                rows.writerow([str(one.path), name, f"{time:.4f}", *shown])
-    write_atomically(target, text.getvalue().encode())
+                rows.append([str(one.path), name, f"{time:.4f}", *shown])
+    _console.write_csv(target, head, rows)
 
 
 def _ends(certain: UncertaintyResult | None, number: int) -> list[Floats]:

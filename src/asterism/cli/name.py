@@ -13,7 +13,7 @@ from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import Json, Overwrite, Report, Vertical, vertical_axis
 from asterism.errors import AsterismError
-from asterism.findings import Finding
+from asterism.findings import Finding, exit_status
 
 if TYPE_CHECKING:
     from asterism.labelling import MarkerGroups
@@ -81,9 +81,16 @@ def name(options: NameOptions) -> None:
     # by their motion alone: names in the file may be what is wrong
     groups = group_tracklets(clouds)
     places = locate_groups(clouds, groups)
-    worn, findings = None, list[Finding]()
+    # of the file itself; what labels it says the same
+    worn, findings = None, list(recording.warnings)
+    for finding in findings:
+        _console.report(finding)
     if options.suggest is not None or (options.markers is not None and options.names is None):
-        names, worn, findings = _suggested(options, clouds, groups)
+        names, worn, suggested = _suggested(options, clouds, groups)
+        for finding in suggested:
+            if finding not in findings:
+                _console.report(finding)
+                findings.append(finding)
     # written before anything is shown: a name that is refused shows no table
     findings += [] if options.output is None else _write(options.file, options.output, recording, groups, names)
     if options.suggest is not None:
@@ -115,10 +122,11 @@ def name(options: NameOptions) -> None:
             "groups": [_as_json(g, place, groups, names) for g, place in enumerate(places)],
         },
     )
+    raise typer.Exit(exit_status(findings))
 
 
 def _suggested(options: NameOptions, clouds: Clouds, groups: MarkerGroups) -> tuple[dict[int, str], str, list[Finding]]:
-    """What a labelling by virtual people calls the groups; the set that they wear, in words; and what was found, which is also printed."""
+    """What a labelling by virtual people calls the groups; the set that they wear, in words; and what was found."""
     from asterism.cli._labelling import worn_sets
     from asterism.labelling.naming import suggested_names
     from asterism.session import IGNORE, FileLabeller, LabellingOptions
@@ -128,8 +136,6 @@ def _suggested(options: NameOptions, clouds: Clouds, groups: MarkerGroups) -> tu
     how = LabellingOptions(markers=given, vertical=vertical_axis(options.vertical), file_names=IGNORE, in_memory=True)
     with _console.progress("suggesting names") as progress:
         labelled = FileLabeller((), how, [options.file]).label(options.file, progress)
-    for finding in labelled.findings:
-        _console.report(finding)
     words = ", ".join(one.words for one in labelled.worn)
     return suggested_names(clouds, groups, labelled.labelling), words, list(labelled.findings)
 
@@ -204,7 +210,9 @@ def _print(
     named = sum(int(groups.frames[g]) for g in names)
     # what is not in a frequent group need not be named by hand
     share = _console.percent(groups.frames[: groups.frequent].sum() / samples)
-    summary = f"{groups.frequent} groups hold {share} of all samples; {len(groups) - groups.frequent} more are rarely seen."
+    rare = len(groups) - groups.frequent
+    holds = "1 group holds" if groups.frequent == 1 else f"{groups.frequent} groups hold"
+    summary = f"{holds} {share} of all samples; {rare} more {'is' if rare == 1 else 'are'} rarely seen."
     of_whom = f" Suggested by virtual people who wear {suggested_by}" if suggested_by else " Named"
     _console.result(f"{summary}{of_whom}: {_console.percent(named / samples)}." if names or suggested_by else summary)
 

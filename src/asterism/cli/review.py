@@ -1,9 +1,9 @@
-"""`asterism review`: files in; the labels to check first, as a table, a page and JSON, out."""
+"""`asterism review`: files in; the pieces of tracks to look at first, as a table, a page and JSON, out."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -11,7 +11,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._folders import recordings_of
-from asterism.cli._labelling import check_labelling, file_labeller, model_json, model_text
+from asterism.cli._labelling import check_labelling, file_labeller, labelled_line, labelled_row, model_json, model_text
 from asterism.cli._review_options import ReviewOptions
 from asterism.errors import AsterismError
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 @takes(ReviewOptions)
 def review(options: ReviewOptions) -> None:
-    """List the labels to check first, or correct them.
+    """List the pieces of tracks to look at, or correct them.
 
     The files are labelled as `asterism label` does it, with the same options: without --model, by virtual people. Nothing is written to
     them. A line is a piece of a track between two gaps: one name for it corrects all its frames. The gain is the expected number of its
-    samples whose label is wrong or missing. The list begins where a check corrects most.
+    samples whose label is wrong or missing. The list begins where a look corrects most, and ends where none is worth it.
 
     With --serve a page opens on which each answer is taken at once, labels the rest again and is kept in a log beside the file. Without a
     browser, --csv writes the list as a table; with the answers filled in, --answers corrects the files.
@@ -65,7 +65,7 @@ def _check(options: ReviewOptions) -> None:
 
 
 def _listed(options: ReviewOptions) -> int:
-    """List what to check; returns the exit status."""
+    """List what to look at; returns the exit status."""
     batch, found = _console.Batch("reviewed"), _Review()
     files = recordings_of(options.files, batch)
     labeller = file_labeller(options, files, batch)
@@ -99,10 +99,9 @@ def _listed(options: ReviewOptions) -> int:
             "model": model_json(options),
             "keep_labels": options.keep_labels,
             "frame_wise": options.frame_wise,
-            "files": batch.done,
+            "files": found.rows,
             "failed": batch.failed,
             "findings": [finding.to_dict() for finding in batch.findings],
-            "shares": found.shares,
             "pieces": found.pieces,
             "gain": found.gain,
             "items": [_as_json(line) for line in found.lines],
@@ -127,29 +126,28 @@ class _Line:
 
 @dataclass
 class _Review:
-    """What was found in all files: the shares of each, how many pieces, how many samples they gain, and the lines that gain most."""
+    """What was found in all files: a row of each, how many pieces to look at, how many samples they gain, and the lines that gain most."""
 
-    shares: list[dict[str, Any]] = field(default_factory=list)
+    rows: list[dict[str, Any]] = field(default_factory=list)
     pieces: int = 0
     gain: float = 0.0
     lines: Sequence[_Line] = field(default_factory=tuple)
 
 
 def _add(found: _Review, labelled: LabelledFile, options: ReviewOptions, batch: _console.Batch) -> None:
-    """Add what there is to check in a file."""
-    from asterism.recording import label_shares
+    """Add what there is to look at in a file."""
     from asterism.report import ReviewEntry
 
     for finding in labelled.findings:
         batch.found(finding)
     path, recording, clouds, labelling, correction = labelled.path, labelled.about, labelled.clouds, labelled.labelling, None
-    items = labelled.items
+    items = labelled.to_look_at
     if options.csv is not None:
         from asterism.labelling.correction import question_row
 
         correction = labelled.correction()
-        items = correction.items()
-    found.shares.append({"file": path, "frames": len(clouds), **asdict(label_shares(labelling, clouds))})
+        items = correction.to_look_at()
+    found.rows.append(labelled_row(labelled))
     found.pieces += len(items)
     found.gain += sum(item.gain for item in items)
     lines = list(found.lines)
@@ -164,12 +162,11 @@ def _add(found: _Review, labelled: LabelledFile, options: ReviewOptions, batch: 
 
 
 def _print(found: _Review) -> None:
-    from asterism.cli._recordings import shares_text
     from asterism.recording.display import counted
     from asterism.report.review import alternatives_text, label_text
 
-    for row in found.shares:
-        _console.result(f"{row['file']}: {counted(row['frames'], 'frame')}, {shares_text(row)}")
+    for row in found.rows:
+        _console.result(labelled_line(row))
     entries = [line.entry for line in found.lines]
     rows = [
         [
@@ -186,13 +183,13 @@ def _print(found: _Review) -> None:
     ]
     if rows:
         columns = ["file", "point", "label", "alternatives", "frames", "look at", "samples", "gain"]
-        _console.table("Labels to check first", columns, rows, left=4)
+        _console.table("Pieces of tracks to look at first", columns, rows, left=4)
     listed = sum(entry.item.gain for entry in entries)
     _console.result(
-        f"{counted(found.pieces, 'piece')} of tracks to check, with {found.gain:,.1f} samples expected to be wrong or missing; "
+        f"{counted(found.pieces, 'piece')} of tracks to look at, with {found.gain:,.1f} samples expected to be wrong or missing; "
         f"{listed:,.1f} of these are in the {counted(len(rows), 'piece')} listed."
         if found.pieces
-        else "No label needs a check."
+        else "No piece of a track needs a look."
     )
 
 

@@ -65,15 +65,19 @@ def segment(options: SegmentOptions) -> None:
             with _console.progress("segmenting") as progress:
                 # by motion alone: labels may be missing or wrong
                 found = segment_limbs(recording.positions, options.limbs, method=options.method.value, progress=progress)
+            for fewer in found.fewer_than(options.limbs, str(path)):
+                batch.found(fewer)
             results.append((path, recording, found))
             if options.json != "-":
                 show(path, recording, found)
     if not results:
         raise typer.Exit(batch.close())
     if options.report is not None:
+        from asterism.recording.display import short_names
         from asterism.report.motion import segmentation_report
 
-        segmentation_report(options.report, [(path.name, recording, found) for path, recording, found in results])
+        names = short_names([path for path, _, _ in results])
+        segmentation_report(options.report, [(name, recording, found) for name, (_, recording, found) in zip(names, results, strict=True)])
     _console.write_json(
         options.json,
         {

@@ -34,7 +34,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity, exit_status
 
 if TYPE_CHECKING:
-    from asterism.labelling import TrainingRules
+    from asterism.labelling import MarkerModel, TrainingRules
     from asterism.recording import MarkerSet, Recording
 
 
@@ -77,7 +77,7 @@ def train(options: TrainOptions) -> None:
     from asterism.cli._recordings import left_out_markers, marker_set_of, uncovered_markers
 
     marker_set = marker_set_of(options.markers)
-    recordings, absent = _read(options.files, marker_set, options.vertical, options.virtual_people)
+    recordings, absent, warned = _read(options.files, marker_set, options.vertical, options.virtual_people)
     from asterism.labelling import MarkerModel
 
     errors: list[Any] = []
@@ -104,13 +104,16 @@ def train(options: TrainOptions) -> None:
         *left_out_markers(len(names), about["left_out_markers"]),
         *uncovered_markers(options.output, about["partial_solvers"]),
     ]
+    known_movement = any(_moves(recording) for recording in recordings)
+    of_training = _findings_of_training(options.output, model, known_movement)
+    notes += of_training
     # what the audit found was reported when it was found
     audited = [*(error.finding for error in errors), *otherwise]
-    findings = [*notes, *audited]
+    findings = [*warned, *notes, *audited]
     for finding in notes:
         _console.report(finding)
     if options.json != "-":
-        _print(options.output, len(names), len(recordings), about, seconds)
+        _print(options.output, len(names), len(recordings), about, seconds, known_movement)
     _console.write_json(
         options.json,
         {
@@ -124,8 +127,8 @@ def train(options: TrainOptions) -> None:
             "seconds": seconds,
         },
     )
-    # notes do not change the status; labels that were left out, or are learned under doubtful names, do
-    raise typer.Exit(exit_status(audited))
+    # labels that were left out, or are learned under doubtful names, change the status, and so does what is wrong with a file
+    raise typer.Exit(exit_status([*warned, *audited, *of_training]))
 
 
 def _rules(virtual_people: int | None, **given: Any) -> TrainingRules:
@@ -137,8 +140,9 @@ def _rules(virtual_people: int | None, **given: Any) -> TrainingRules:
 
 def _read(
     files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | None, virtual_people: int | None
-) -> tuple[list[Recording], list[Finding]]:
-    """The files' recordings: with the set's markers, else each with all its named ones; and which markers some files lack.
+) -> tuple[list[Recording], list[Finding], list[Finding]]:
+    """The files' recordings: with the set's markers, else each with all its named ones; which markers some files lack; and what was
+    found while they were read, which is also printed.
 
     Raises AsterismError where a file cannot be used.
     """
@@ -152,9 +156,8 @@ def _read(
     batch.tell_passed_over()
     if batch.failed:
         raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; correct them or leave them out.")
-    return recordings, [] if marker_set is None else _absent_markers(
-        batch.done, recordings, marker_set, by_virtual_people=virtual_people != 0
-    )
+    absent = [] if marker_set is None else _absent_markers(batch.done, recordings, marker_set, by_virtual_people=virtual_people != 0)
+    return recordings, absent, batch.findings
 
 
 def _absent_markers(
@@ -216,7 +219,36 @@ def _without_damage(
     return remove_errors(audited, errors), numbered, otherwise
 
 
-def _print(output: Path, markers: int, recordings: int, about: dict[str, Any], seconds: float) -> None:
+def _moves(recording: Recording) -> bool:
+    """Whether anything moves in a recording that is long enough to show it."""
+    from asterism.session.standing import StandingRules, stands
+
+    return len(recording) > StandingRules().duration * recording.rate and not stands(recording)
+
+
+def _findings_of_training(output: Path, model: MarkerModel, known_movement: bool) -> list[Finding]:
+    """What a model does not know, where no virtual people have shown it."""
+    from asterism.findings import Finding, Severity
+
+    found, people = list[Finding](), len(model.about["subjects"])
+    if model.about["virtual_people"]:
+        return found
+    if not known_movement:
+        sentence = f"{output}: nobody moves in these recordings, so that no label of a movement will be sure, and some will not be given."
+        mend = "Train on recordings in which the person moves as well; virtual people know movements, where the marker set has them."
+        found.append(Finding("train-standing", Severity.WARNING, str(output), sentence, mend))
+    if model.rigid_distances is not None and model.rigid_distances.few_people:
+        who = "one person shows" if people == 1 else f"{people} people show"
+        sentence = f"{output}: {who} little of how others differ; a stranger's labels may be right, and none of them be sure."
+        # its confidence cannot be tried on anybody else
+        sentence += " Of postures that one person has not shown, labels can be wrong at a confidence near 1." if people == 1 else ""
+        mend = "Look once at what it labels first of a new person, and teach it with `asterism learn`."
+        mend += " Recordings of several people need a folder for each." if people == 1 else ""
+        found.append(Finding("train-few-people", Severity.NOTE, str(output), sentence, mend))
+    return found
+
+
+def _print(output: Path, markers: int, recordings: int, about: dict[str, Any], seconds: float, known_movement: bool) -> None:
     from asterism.recording.display import counted
 
     people = len(about["subjects"])
@@ -225,14 +257,9 @@ def _print(output: Path, markers: int, recordings: int, about: dict[str, Any], s
         f"({counted(about['frames'], 'frame')}) in {seconds:.0f} s"
     )
     virtual = about["virtual_people"]
+    still = "" if known_movement else "; nobody moves in these, so that movements are known from the virtual people alone"
     _console.result(
-        f"started from {virtual} virtual people, who know bodies and movements that these do not show."
+        f"started from {virtual} virtual people, who know bodies and movements that these do not show{still}."
         if virtual
         else "real people only: no virtual ones were asked for, or no marker set says where at least half of these markers sit."
     )
-    # its confidence cannot be tried on anybody else
-    if people == 1 and not virtual:
-        _console.result(
-            "advice: one person tells little of others, and nothing of postures not shown, where labels can be wrong at a confidence "
-            "near 1: look at what it labels first, and let it learn. Recordings of several people need a folder for each."
-        )

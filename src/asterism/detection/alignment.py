@@ -15,6 +15,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.recording import Blobs, Floats, Ints
 from asterism.synchronization import to_common_clock
+from asterism.synchronization.rates import rates_apart
 
 _DEFAULT_RATE = 100.0
 """Frames per second where nothing says the rate."""
@@ -158,20 +159,10 @@ def common_rate(
         steps = np.concatenate([np.diff(column[np.isfinite(column)]) for column in when.T])
         return float(f"{1 / np.median(steps):.6g}") if len(steps) and np.median(steps) > 0 else _DEFAULT_RATE
     rates = np.array([source.rate for source in sources])
-    if not np.isfinite(rates).all():
-        return _DEFAULT_RATE
-    if np.ptp(rates) > 0.01 * rates.min():
-        slow, fast = int(np.argmin(rates)), int(np.argmax(rates))
-        findings.append(
-            Finding(
-                "detect-rates-differ",
-                Severity.WARNING,
-                names[slow],
-                f"camera {names[slow]} has {rates[slow]:g} frames/s, {names[fast]} {rates[fast]:g}: their frames do not match.",
-                "Give --times.",
-            )
-        )
-    return float(np.median(rates))
+    apart = rates_apart(names, rates.tolist(), [len(source) for source in sources])
+    if apart is not None:
+        findings.append(Finding("detect-rates-differ", Severity.WARNING, *apart, "Give --times."))
+    return float(np.median(rates)) if np.isfinite(rates).all() else _DEFAULT_RATE
 
 
 def on_common_clock(blobs: Blobs, findings: list[Finding]) -> tuple[Blobs, float]:

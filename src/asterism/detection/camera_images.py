@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from asterism.cameras import Rig
 from asterism.detection.blobs import BlobSettings, Flag, ImageBlobs, find_blobs, static_mask
 from asterism.detection.grey import Grey, background_of
+from asterism.detection.image_files import refuse_unread
 from asterism.detection.sources import Source, images, some_images
 from asterism.detection.thresholds import RULES, estimate_background, estimate_thresholds
 from asterism.errors import AsterismError
@@ -144,6 +145,7 @@ def search_images(
     """
     some = some_images(source, CHECKS.sampled)
     if not some:
+        refuse_unread(source.files[0] if source.files else source.path)
         raise AsterismError(f"{source.path}: none of its images can be read; record or copy them again.")
     first = some[0][1]
     _check_size(source, name, first, rig)

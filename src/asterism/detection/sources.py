@@ -16,15 +16,19 @@ from numpy.typing import NDArray
 
 from asterism.detection.claimed_sizes import check_claimed_chunks, check_claimed_size, claimed_size
 from asterism.detection.grey import Grey, as_grey
+from asterism.detection.image_files import refuse_unread
 from asterism.errors import AsterismError, guarded_reading
 
 if TYPE_CHECKING:
     import cv2
 
 IMAGES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp", ".jp2"}
+_ANIMATED = {".gif", ".webp", ".avif", ".png"}
 _PAGED = {".tif", ".tiff"}
 _MOST_BYTES = 2**31 - 1
 """What OpenCV takes as one file in memory."""
+_LEAST_PAGE = 50
+"""Bytes that describe a page of a TIFF at least: its width, its height, how its pixels are meant and where they are."""
 _SPARSE = 10
 """Frame numbers that leave more than this many places for each image are no frame numbers."""
 
@@ -80,6 +84,8 @@ def _opened(path: Path) -> Source:
     if path.is_dir():
         files = [file for file in _listed(path) if file.suffix.casefold() in IMAGES]
         if not files:
+            for file in _listed(path):
+                refuse_unread(file)
             raise AsterismError(f"{path} holds no images ({', '.join(sorted(IMAGES))}); give the folder of one camera.")
         return _series(path, path.resolve().name, files)
     if not path.is_file():
@@ -91,11 +97,18 @@ def _opened(path: Path) -> Source:
         pages, cut = _pages(path)
         if len(pages) > 1 or cut:
             return Source(path, path.stem, "pages", np.arange(len(pages)), pages=pages, cut=cut)
-    if path.suffix.casefold() in IMAGES or cv2.haveImageReader(str(path)):
+    # FFmpeg reads all images of an animated GIF, of which OpenCV would read the first as a picture.
+    moving = path.suffix.casefold() in _ANIMATED and cv2.imcount(str(path)) > 1
+    if not moving and (path.suffix.casefold() in IMAGES or cv2.haveImageReader(str(path))):
         return _series(path, path.stem, [path])
     with _film(path) as capture:
         there, image = capture.read()
+        if moving and capture.get(cv2.CAP_PROP_FRAME_COUNT) < 2:
+            raise AsterismError(
+                f"{path} is an animation, of which only the first image could be read; make a video or single images of it."
+            )
         if not there:
+            refuse_unread(path)
             raise AsterismError(f"{path} cannot be opened as an image or a video; it may be cut off, record or copy it again.")
         if _is_deep(capture) and image.dtype != np.uint16:
             raise AsterismError(f"{path} has more than 8 bits, of which OpenCV {cv2.__version__} reads 8; make 16 bit PNG or TIFF of it.")
@@ -200,8 +213,10 @@ def _page(file: Path, at: int, place: int) -> NDArray[Any] | None:
         there, pages = cv2.imreadmulti(str(file), start=place, count=1, flags=cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
         return np.asarray(pages[0]) if there and len(pages) else None
     order, big = _tiff(content)
-    # The mapping is private: the file on disk stays as it is.
-    struct.pack_into(order + ("Q" if big else "I"), content.data, 8 if big else 4, at)
+    # The mapping is private: the file on disk stays as it is. This page becomes the last one, too, or OpenCV counts those behind it.
+    kind = order + ("Q" if big else "I")
+    struct.pack_into(kind, content.data, 8 if big else 4, at)
+    struct.pack_into(kind, content.data, _next_page(content, at, order, big), 0)
     return _decoded(file, np.asarray(content), at)
 
 
@@ -218,22 +233,28 @@ def _pages(file: Path) -> tuple[tuple[int, ...], bool]:
     order, big = _tiff(content)
     if not order:
         return (), False
-    count, entry, offset = ("Q", 20, "Q") if big else ("H", 12, "I")
-
-    def number(kind: str, at: int) -> int:
-        return int(struct.unpack_from(order + kind, content.data, at)[0])
-
+    kind = order + ("Q" if big else "I")
     found: dict[int, None] = {}
     try:
-        at = number(offset, 8 if big else 4)
-        # A damaged file may lead back to a page that was read; that would never end.
+        at = int(struct.unpack_from(kind, content.data, 8 if big else 4)[0])
+        # A damaged file may lead back to a page that was read, or through pages that share their bytes: that would not end.
         while at and at not in found:
-            following = number(offset, at + struct.calcsize(order + count) + entry * number(count, at))
+            end = _next_page(content, at, order, big)
+            following = int(struct.unpack_from(kind, content.data, end)[0])
+            if end - at < _LEAST_PAGE or len(found) * _LEAST_PAGE > len(content):
+                return tuple(found), True
             found[at] = None
             at = following
     except struct.error:
         return tuple(found), True
-    return tuple(found), False
+    return tuple(found), at != 0
+
+
+def _next_page(content: NDArray[np.uint8], at: int, order: str, big: bool) -> int:
+    """Where the description of a TIFF's page says where the next one is. Raises struct.error where it is beyond the file."""
+    count, entry = ("Q", 20) if big else ("H", 12)
+    entries = int(struct.unpack_from(order + count, content.data, at)[0])
+    return at + struct.calcsize(order + count) + entry * entries
 
 
 def _decoded(file: Path, content: NDArray[np.uint8], page: int = 0) -> NDArray[Any] | None:

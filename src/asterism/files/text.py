@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from asterism.errors import AsterismError, guarded_reading
@@ -11,6 +11,11 @@ from asterism.errors import AsterismError, guarded_reading
 _MISSING = {"", "na", "n/a", "#n/a", "null", "none", "-", "--", "nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#ind", "1.#ind"}
 _EXCEL_SEPARATOR = re.compile(r'(?i)"?sep=."?[;,]*\s*')
 _LONGEST_CELL = 1000
+LATIN, EUROPEAN, JAPANESE = "latin-1", ("cp1252", "cp1250"), "cp932"
+"""Latin-1 reads every byte; Windows' encodings have signs and letters where that has control characters; Windows' form of Shift-JIS."""
+_EUROPEAN_SIGNS = "’–—°²³µ·®™§"
+_RUN_OF_FOREIGN = re.compile(rb"[\x80-\xff]{3}")
+_JAPANESE_LEAD = re.compile(rb"[\x81-\x9f]")
 _FORMULA = ("=", "+", "-", "@")
 """How a cell begins that spreadsheets run."""
 _NUMBER = re.compile(r"[+-]?(\d++(\.\d*+)?|\.\d++)(e[+-]?\d++)?|[+-]?inf(inity)?|[+-]?nan", re.IGNORECASE)
@@ -28,7 +33,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def decoded(path: Path, data: bytes) -> str:
-    """The text of a file: UTF-8 or UTF-16 with its mark, else Latin-1. Raises AsterismError where it is not text."""
+    """The text of a file: UTF-8 or UTF-16 with its mark, else what `encoding_of` says, else Latin-1. Raises AsterismError for no text."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", errors="replace")
     # A zero byte is in no text but UTF-16.
@@ -37,8 +42,31 @@ def decoded(path: Path, data: bytes) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
-        # Latin-1 reads every byte; names may be wrong, numbers are not.
-        return data.decode("latin-1")
+        # Where no encoding fits, names may be wrong, numbers are not.
+        return data.decode(encoding_of([data]) or LATIN, errors="replace")
+
+
+def encoding_of(texts: Iterable[bytes]) -> str | None:
+    """The encoding that texts which are no UTF-8 share: Windows' for the West or the middle of Europe, or Shift-JIS; None where none fits.
+
+    European text has single accented letters or signs among plain letters. In Shift-JIS the first byte of most characters is one from
+    0x81 to 0x9F, which is no letter in Europe, mostly. Chinese, Korean and Cyrillic encodings have neither.
+    """
+    foreign = [text for text in texts if not text.isascii()]
+    # Three accented letters in a row are a word of another script.
+    for encoding in () if any(_RUN_OF_FOREIGN.search(text) for text in foreign) else EUROPEAN:
+        text = "".join(text.decode(encoding, errors="replace") for text in foreign)
+        if all(sign.isascii() or (sign.isalpha() and sign != "ƒ") or sign in _EUROPEAN_SIGNS for sign in text):
+            return encoding
+    for cut in (0, 1):
+        # A field of fixed width may end within a character.
+        try:
+            japanese = "".join(text[: len(text) - cut].decode(JAPANESE) for text in foreign)
+        except UnicodeDecodeError:
+            continue
+        if any(_JAPANESE_LEAD.search(text) for text in foreign) and not any("\ue000" <= sign <= "\uf8ff" for sign in japanese):
+            return JAPANESE
+    return None
 
 
 def lines_of(text: str) -> list[str]:
@@ -97,8 +125,11 @@ def some_of(names: Sequence[str], most: int = 5) -> str:
 
 
 def number_of(cell: str) -> float | None:
-    """A number in any common spelling, NaN for a spelling of missing, None for anything else."""
+    """A number in any common spelling, NaN for a spelling of missing, None for anything else. A single comma is a decimal sign."""
     cell = cell.strip().strip('"').strip()
     if cell.casefold() in _MISSING:
         return float("nan")
+    # The cell is cut out already, so that its comma separates no cells.
+    if cell.count(",") == 1 and "." not in cell and cell[-1] != ",":
+        cell = cell.replace(",", ".")
     return float(cell) if _NUMBER.fullmatch(cell) else None

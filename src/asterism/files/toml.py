@@ -15,14 +15,28 @@ from asterism.files.text import decoded, read_bytes
 
 _WIDTH = 120
 
+_TEXTS = re.compile(r"""\"{3}.*?\"{3}|'{3}.*?'{3}|"(?:\\.|[^"\\\n])*+"|'[^'\n]*+'|\#[^\n]*+""", re.DOTALL)
+_DEEP_KEY = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){64}")
+"""A key of more than 64 parts: ours have three, and the standard library's time goes with the square of their number."""
+
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file. Raises AsterismError where it is not TOML, or breaks off."""
     with guarded_reading(path, "write it again"):
         try:
-            return tomllib.loads(decoded(path, read_bytes(path)))
-        except tomllib.TOMLDecodeError as problem:
+            return tables_of_toml(decoded(path, read_bytes(path)))
+        except ValueError as problem:
             raise AsterismError(f"{path} is damaged: it is no TOML ({problem}); write it again.") from problem
+
+
+def tables_of_toml(text: str) -> dict[str, Any]:
+    """The tables of a text.
+
+    Raises ValueError where it is not TOML, or a key has more than 64 parts; RecursionError where it nests too deeply.
+    """
+    if _DEEP_KEY.search(_TEXTS.sub("s", text)):
+        raise ValueError("a key has more than 64 parts")
+    return tomllib.loads(text)
 
 
 def toml_line(key: str, value: Any) -> str:

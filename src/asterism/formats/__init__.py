@@ -9,6 +9,7 @@ from asterism.formats._confidence import LabelConfidence
 from asterism.formats._dispatch import (
     check_suffix,
     convert,
+    convert_and_tell,
     describe,
     is_recording_file,
     read,
@@ -22,9 +23,11 @@ from asterism.formats._dispatch import (
 if TYPE_CHECKING:
     from asterism.formats._columns import wanted_columns
     from asterism.formats._computed import computed_labels, without_computed
-    from asterism.formats._programs import PROGRAMS, for_program
+    from asterism.formats._programs import PROGRAMS, for_program, write_for_program
     from asterism.formats._vertical import vertical_from_positions
+    from asterism.formats.c3d.plates import force_plates
     from asterism.formats.csv_blobs import read_blobs, write_blobs
+    from asterism.formats.opensim_forces import companions
     from asterism.formats.storage import TimeSeriesTable, read_table, write_table
 
 __all__ = [
@@ -32,10 +35,13 @@ __all__ = [
     "LabelConfidence",
     "TimeSeriesTable",
     "check_suffix",
+    "companions",
     "computed_labels",
     "convert",
+    "convert_and_tell",
     "describe",
     "for_program",
+    "force_plates",
     "is_recording_file",
     "read",
     "read_blobs",
@@ -48,15 +54,18 @@ __all__ = [
     "without_computed",
     "write",
     "write_blobs",
+    "write_for_program",
     "write_points",
     "write_table",
 ]
 
 _MODULE_OF = {
+    "force_plates": "c3d.plates",
     "vertical_from_positions": "_vertical",
     "wanted_columns": "_columns",
     **dict.fromkeys(("computed_labels", "without_computed"), "_computed"),
-    **dict.fromkeys(("PROGRAMS", "for_program"), "_programs"),
+    **dict.fromkeys(("PROGRAMS", "for_program", "write_for_program"), "_programs"),
+    "companions": "opensim_forces",
     **dict.fromkeys(("read_blobs", "write_blobs"), "csv_blobs"),
     **dict.fromkeys(("TimeSeriesTable", "read_table", "write_table"), "storage"),
 }

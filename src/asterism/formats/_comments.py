@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from asterism.errors import AsterismError
-from asterism.files.text import number_of
+from asterism.files.text import delimiter_of, number_of
 from asterism.recording import Event, Floats, as_vertical
 
 
@@ -22,13 +22,20 @@ class Comments:
     first_frame: int | None = None
     frames: int | None = None
     events: tuple[Event, ...] = ()
+    unread: tuple[int, ...] = ()
+    """The numbers of the lines, counted from 1, that hold an event without a time or a name."""
 
 
 def comments_of(lines: Sequence[str]) -> Comments:
     """The comments among the first lines of a file. Comments that cannot be read are left out."""
     found: dict[str, str] = {}
-    events = []
-    for line in lines:
+    events, unread = [], []
+    # A spreadsheet that saved the file again separates the parts of an event as it separates cells.
+    start = data_start(lines)
+    between = delimiter_of(lines[start]) if start < len(lines) else None
+    for number, line in enumerate(lines, 1):
+        if not line.strip(" ,;\t"):
+            continue
         if not line.startswith("#"):
             # Comments stand at the head: a # further down is part of the data.
             break
@@ -36,11 +43,14 @@ def comments_of(lines: Sequence[str]) -> Comments:
         key, sign, value = line.lstrip("# ").rstrip(" ,;\t").partition("=")
         key, value = key.strip().casefold(), value.strip()
         if key == "event" and sign:
-            time, _, rest = value.partition(",")
-            context, _, label = rest.partition(",")
+            separator = between if between is not None and between in value else ","
+            time, _, rest = value.partition(separator)
+            context, _, label = rest.partition(separator)
             seconds = number_of(time)
-            if seconds is not None and seconds == seconds:
+            if seconds is not None and seconds == seconds and label.strip():
                 events.append(Event(label.strip(), seconds, context.strip()))
+            else:
+                unread.append(number)
         elif sign:
             # The first of two equal keys counts, as in the file that was opened first.
             found.setdefault(key, value)
@@ -60,6 +70,7 @@ def comments_of(lines: Sequence[str]) -> Comments:
         first_frame=_count(found.get("first_frame")),
         frames=_count(found.get("frames")),
         events=tuple(events),
+        unread=tuple(unread),
     )
 
 

@@ -33,8 +33,9 @@ def described(path: Path, points: Points) -> dict[str, Any]:
     captured = np.nonzero(kinds != COMPUTED)[0]
     seen = ~np.isnan(points.positions[:, physical, 0])
     # A file whose vertical is open is described all the same: that is what a person looks for here.
+    said = list[Finding]()
     try:
-        vertical, how = settle_vertical(
+        vertical, how, said = settle_vertical(
             path,
             points.positions if len(captured) == len(kinds) else points.positions[:, captured],  # no copy of an hour
             [labels[c] for c in captured],
@@ -65,7 +66,7 @@ def described(path: Path, points: Points) -> dict[str, Any]:
         "gaps": gaps(seen),
         "events": [{"label": e.label, "context": e.context, "time": e.time} for e in points.events],
         "log": [str(step) for step in points.log],
-        "findings": located(path, [*points.findings, *_repeated(labels)]),
+        "findings": located(path, [*points.found, *said, *_repeated(labels)]),
     }
 
 

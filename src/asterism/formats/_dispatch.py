@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError, NoMarkers, guarded_reading
 from asterism.files.text import decoded, lines_of
+from asterism.findings import Finding
 from asterism.formats._columns import Points, recording_of
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats._describe import described
@@ -22,6 +23,7 @@ from asterism.recording import Clouds, Evidence, Ints, Labelling, MarkerSet, Rec
 _READERS = {
     "TRC": "trc.read_trc",
     "Motive CSV": "csv_motive.read_motive",
+    "OptiTrack CSV": "csv_optitrack.read_optitrack",
     "Nexus CSV": "csv_nexus.read_nexus",
     "CSV long": "csv_long.read_long",
     "CSV": "csv_wide.read_wide",
@@ -41,7 +43,7 @@ _WRITERS = {
     ".npz": "npz.write_npz",
 }
 _TABLES = (".mot", ".sto", ".csv")
-_FORMS_NOT_WRITTEN = ("Motive CSV", "Nexus CSV")
+_FORMS_NOT_WRITTEN = ("Motive CSV", "OptiTrack CSV", "Nexus CSV")
 """Other programs' CSV files that are read; a CSV that is written has Asterism's own columns."""
 _WITH_CONFIDENCE = (".csv", ".npz")
 """Suffixes of text and NPZ files that have a place for the confidence of labels."""
@@ -98,7 +100,7 @@ def read_clouds(path: str | Path, vertical: ArrayLike | str | None = None) -> Cl
         if _kind_of(path) == "NPZ":
             clouds = npz.read_npz_clouds(path)
             if clouds is not None:
-                return clouds
+                return replace(clouds, vertical=read(path, vertical=vertical).vertical)
         # Anything else is read as a recording, and loses its labels.
         return read(path, vertical=vertical).clouds()
 
@@ -142,7 +144,7 @@ def write(
     own_form = str(recording.metadata.get("format", ""))
     if suffix == ".csv" and own_form in _FORMS_NOT_WRITTEN:
         lost = write(path, replace(recording, metadata={**recording.metadata, "format": "CSV"}), labelling=labelling, clouds=clouds)
-        return [f"the form of a {own_form}, and is a CSV of Asterism's instead", *lost]
+        return [f"the form of {'an' if own_form[0] in 'AEIOU' else 'a'} {own_form}, and is a CSV of Asterism's instead", *lost]
     if path.name.casefold().endswith(".long.csv"):
         return csv_long.write_long(path, recording, confidence)
     if suffix == ".c3d":
@@ -306,6 +308,11 @@ def convert(source: str | Path, target: str | Path, vertical: ArrayLike | str | 
     >>> convert("walk.npz", "walk.trc")
     ['the vertical: TRC readers take Y as up or determine it from the data']
     """
+    return convert_and_tell(source, target, vertical)[1]
+
+
+def convert_and_tell(source: str | Path, target: str | Path, vertical: ArrayLike | str | None = None) -> tuple[list[Finding], list[str]]:
+    """`convert`, with what reading the source found, and what the target could not carry."""
     from asterism.formats import npz, storage
 
     source, target = Path(source), Path(target)
@@ -319,13 +326,14 @@ def convert(source: str | Path, target: str | Path, vertical: ArrayLike | str | 
                 raise AsterismError(
                     f"{source} holds a table of values and no marker positions; write it as {', '.join(_TABLES)}, not as {target.name}."
                 )
-            return storage.write_table(target, table)
+            return [], storage.write_table(target, table)
     if kind == "NPZ":
         with guarded_reading(source):
             clouds = npz.read_npz_clouds(source)
         if clouds is not None and target.suffix.casefold() in (".npz", ".csv"):
-            return write(target, clouds)
-    return write(target, read(source, vertical=vertical))
+            return [], write(target, clouds)
+    recording = read(source, vertical=vertical)
+    return list(recording.warnings), write(target, recording)
 
 
 def _function(name: str) -> Callable[..., Any]:
@@ -364,11 +372,12 @@ def _kind_of(path: Path) -> str:
 
 def _text_kind(path: Path, head: bytes) -> str | None:
     """The format by the first lines of a file, or None."""
-    from asterism.formats import csv_blobs, csv_long, csv_nexus
+    from asterism.formats import csv_blobs, csv_long, csv_nexus, csv_optitrack
 
     # Ever weaker signs, the most telling first.
     lines = lines_of(decoded(path, head))
-    first = lines[0].strip().strip('"').casefold()
+    # A line `sep=;`, by which Excel reads, may stand above.
+    first = next((line for line in lines if line.strip()), "").strip().strip('"').casefold()
     if first.startswith("format version"):
         return "Motive CSV"
     if first.startswith("pathfiletype") or any(
@@ -380,6 +389,8 @@ def _text_kind(path: Path, head: bytes) -> str | None:
     # An endheader stands far down where a header lists many columns.
     if any(line.strip(" ,;\t").casefold() == "endheader" for line in lines[:200]):
         return "storage"
+    if csv_optitrack.is_optitrack(lines):
+        return "OptiTrack CSV"
     if csv_nexus.is_nexus(lines):
         return "Nexus CSV"
     if csv_blobs.is_blobs(lines):

@@ -15,9 +15,19 @@ _SUFFIXES = tuple(
         r"(?P<axis>[xyz])[_. :\-/|]+(?P<name>.+?)",
         r"(?P<name>.+?)\s*[\[(](?P<axis>[xyz012])[\])]",
         r"(?P<name>.+?)(?P<axis>[XYZ])",
+        r"(?P<axis>[xyz])(?P<name>\d+)",
     )
 )
-_NO_POSITIONS = re.compile(r"(?i).*(force|moment|torque|_v$|_f$|_p$|angle|velocity|accel|speed|quat|rot(ation)?|_r$).*|.*_v|.*_p")
+_EXPLICIT, _ATTACHED = 1, 4
+"""The spellings with the word position, and with the axis right behind the name."""
+_QUANTITY = re.compile(
+    r"forces?|grfs?|moments?|torques?|powers?|impulse|angles?|angular|euler|quat(ernion)?|rot(ation)?|orientation|vel(ocity|ocities)?|speed"
+    r"|omega|accel|accelerations?|accelerometer|linacc|freeacc|jerk|gyr|gyro|gyroscope|magnetometer|magnetic|gravity|emg|strain",
+    re.IGNORECASE,
+)
+_PERHAPS_QUANTITY = re.compile("acc|mag|for|mom|cop|[agmfwveq]", re.IGNORECASE)
+"""Words that name an axis of a force plate or of an inertial sensor, and a marker as well (ACC on the acromion)."""
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 
 
 @dataclass(frozen=True)
@@ -32,17 +42,32 @@ class ColumnGroup:
 def marker_groups(names: Sequence[str]) -> tuple[list[ColumnGroup], list[int]]:
     """The points that a table's column names spell out, in column order, and the other columns.
 
-    The spellings are NAME_x, NAME.X, NAME X, NAME:x, NAME_tx, x_NAME, NAME_pos_x, NAME[0] and NAMEX, each with or without a unit
-    after it. The first spelling that gives the most groups counts for the whole file.
+    The spellings are NAME_x, NAME.X, NAME X, NAME:x, NAME_tx, x_NAME, NAME_pos_x, NAME[0], NAMEX and X1, each with or without a unit
+    after it. The first spelling that gives the most groups counts for the whole file. Forces, angles and what inertial sensors measure
+    have an x, y and z as well, and are no points.
     """
-    best: list[ColumnGroup] = []
     # One spelling for the whole file: mixed ones would tear the axes of a marker apart.
-    for pattern in _SUFFIXES:
-        found = _groups(names, pattern)
-        if len(found) > len(best):
-            best = found
+    found = [_positions(_groups(names, pattern), attached=i == _ATTACHED) for i, pattern in enumerate(_SUFFIXES)]
+    best = max(found, key=len)
+    # Where the names say which columns are positions, the others are none.
+    if any(word.casefold() in ("pos", "position") for group in best for word in _WORD.findall(group.name)):
+        best = found[_EXPLICIT]
     taken = {column for group in best for column in group.columns}
     return best, [i for i in range(len(names)) if i not in taken]
+
+
+def _positions(groups: list[ColumnGroup], attached: bool) -> list[ColumnGroup]:
+    """The groups that are no forces, angles, accelerations, ...; `attached` where the axis stands right behind the name."""
+    words = [_WORD.findall(group.name) for group in groups]
+    # OpenSim writes ground_force_vx and hip_rx; with a separator before the axis, such a letter is a side.
+    sure = [
+        any(map(_QUANTITY.fullmatch, of)) or (attached and group.name[-2:] in ("_v", "_p", "_f", "_m", "_r"))
+        for group, of in zip(groups, words, strict=True)
+    ]
+    perhaps = [len(of) <= 2 and any(map(_PERHAPS_QUANTITY.fullmatch, of)) for of in words]
+    # A doubtful word counts beside a clear one, and where there is nothing else.
+    both = any(sure) or all(perhaps)
+    return [group for group, no, doubtful in zip(groups, sure, perhaps, strict=True) if not no and not (both and doubtful)]
 
 
 def exact_groups(names: Sequence[str], before_axis: str, start: int = 0) -> list[ColumnGroup] | None:
@@ -65,9 +90,6 @@ def _groups(names: Sequence[str], pattern: re.Pattern[str]) -> list[ColumnGroup]
         if match is None:
             continue
         marker, axis = match["name"].strip(), match["axis"].lower()
-        # Forces and angles have x, y and z as well, and are no places.
-        if _NO_POSITIONS.fullmatch(marker):
-            continue
         axes = incomplete.setdefault(marker, {})
         # An index of 0 to 2 stands for x to z.
         axes[("xyz".find(axis) if axis in "xyz" else int(axis))] = column

@@ -18,6 +18,11 @@ from asterism.recording.arrays import nan_median
 
 MARKER, COMPUTED, UNNAMED = "marker", "computed", "unnamed"
 
+OTHER_UNIT = re.compile(
+    r"k?n|n[. *-]?m?m|n(m|mm)?/kg|w(/kg)?|m?m/s(2|\^2|²)?|m?g|°|deg(rees?)?|(deg|°|rad)/s|dps|rad|[muµ]?v|a\.?u\.?|[muµ]?t|gauss|%|hz"
+)
+"""Units of forces, angles, speeds and signals. Seconds are none of them: a time column stands beside positions, too."""
+
 _FRAMES_TESTED = 24
 _FEWEST_FRAMES = 5
 _EXACT = 1.5e-6
@@ -34,7 +39,9 @@ _COMPUTED_NAME = re.compile(
     r"|progress(?:ion)?angles?|velocity|acceleration)\d*"
     r"|.*(?:centreof|centerof)(?:mass|pressure|gravity).*|(?:whole)?body?com|com|com[xyz]|cop|[lr]cop|cop[12lr]"
     rf"|(?:left|right|l|r)?{_JOINT}?joint(?:centre|center)\w*|(?:left|right|l|r)?{_JOINT}jc\w{{0,4}}|jc{_JOINT}?[lr]?|{_JOINT}jc(?:left|right|l|r)"
-    r"|(?:left|right|l|r)?(?:hip|knee|ankle|shoulder|elbow|wrist)(?:centre|center)"
+    r"|(?:left|right|l|r)?(?:hip|knee|ankle|shoulder|elbow|wrist)(?:centre|center)(?:left|right|l|r)?"
+    r"|(?:left|right|l|r)?(?:hip|knee|ank(?:le)?|foot|pelvis|trunk|thorax|shoulder|elbow|wrist)"
+    r"(?:ang|mom|pow|flex(?:ion)?|ext(?:ension)?|abd(?:uction)?|add(?:uction)?|rot(?:ation)?)[xyz]?\d*(?:left|right|l|r)?"
     r"|proj[lr]\w+|virtual.*|.*computed|[lr]?(?:prox|dist)(?:ff|hf)|[lr]?[fh]fplantar"
     r"|v(?:mid|pel|[lr](?:hi|kn|an|to|he|ha|sh|el|wr))"
 )

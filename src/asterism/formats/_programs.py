@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.formats._dispatch import write
 from asterism.formats.c3d._file import C3DFile
+from asterism.formats.c3d.plates import force_plates
+from asterism.formats.opensim_forces import write_opensim_forces
 from asterism.recording import Floats, Recording, as_vertical, is_unnamed
 
 
@@ -58,8 +62,9 @@ def for_program(recording: Recording, program: str, target: str | Path) -> tuple
         return recording, left
     # Turned points no longer fit the analog data and axes of their file.
     if isinstance(recording.source, C3DFile):
+        also = " and forces" if program == "opensim" else ""
         why = f"which {program} does not need" if wanted.named else "whose axes are those of the file"
-        left.append(f"what {recording.metadata.get('file', 'the source')} holds besides markers and events, {why}")
+        left.append(f"what {recording.metadata.get('file', 'the source')} holds besides markers, events{also}, {why}")
     elif recording.source is not None and len(recording.source.labels) > len(recording.taken):
         left.append(f"{len(recording.source.labels) - len(recording.taken)} computed points")
     positions = recording.positions @ rotation_between(recording.vertical, up).T if turned else recording.positions
@@ -74,6 +79,25 @@ def for_program(recording: Recording, program: str, target: str | Path) -> tuple
     if len(named) < len(prepared.labels):
         left.append(f"{len(prepared.labels) - len(named)} points without a name")
     return prepared.select(named), left
+
+
+def write_for_program(recording: Recording, program: str, target: str | Path, **marks: Any) -> list[str]:
+    """Write the recording as a program of `PROGRAMS` takes it; returns a phrase for each thing that is left behind.
+
+    For opensim the forces of a C3D file's force plates are written beside it, see `opensim_forces`. marks: `labelling` and `clouds`, as
+    `write` takes them. Raises AsterismError as `for_program` and `write` do.
+    """
+    prepared, left = for_program(recording, program, target)
+    left += write(target, prepared, **marks)
+    if program == "opensim" and isinstance(recording.source, C3DFile) and len(recording):
+        plates, findings = force_plates(recording)
+        for finding in findings:
+            what, _, why = finding.sentence.rpartition(f"{recording.source.path}: ")[2].rstrip(".").partition(" cannot be used: ")
+            left.append(f"{what} ({why})")
+        if plates:
+            turn = rotation_between(recording.vertical, as_vertical(PROGRAMS[program].up))
+            left += write_opensim_forces(Path(target), recording, plates, turn)
+    return left
 
 
 def rotation_between(vertical: Floats, up: Floats) -> Floats:

@@ -16,7 +16,8 @@ from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
 from asterism.formats._confidence import LabelConfidence
-from asterism.formats._tables import rate_of
+from asterism.formats._findings import cut_off, unread_events
+from asterism.formats._tables import decimal_points, rate_of
 from asterism.formats._writing import all_points
 from asterism.recording import Clouds, Floats, Ints, Recording
 
@@ -56,10 +57,14 @@ def read_long(path: Path) -> Points:
     name_at = next((i for i, name in enumerate(names) if _NAME.fullmatch(name)), None)
     # The clock and the place are what every row must have.
     wanted = [i for i in (frame_at, time_at) if i is not None] + [axes[axis] for axis in "xyz"]
-    values, marks, line_numbers = _samples(path, lines, at + 1, delimiter, wanted, name_at)
+    findings: list[Finding] = []
+    # Our own files end with a line's end: without it, the last line was cut off, maybe within a number.
+    if comments.frames is not None and lines[-1].strip():
+        lines = lines[:-1]
+        findings.append(cut_off("the file ends within a line, which is left out"))
+    values, marks, line_numbers = _samples(path, lines, at + 1, delimiter, wanted, name_at, len(names))
     count = 1 + (frame_at is not None and time_at is not None)
     raw = values[:, count:]
-    findings: list[Finding] = []
     frame, frames, first = _frames(path, values[:, 0], frame_at is not None, comments.first_frame, comments.frames, line_numbers)
     times: Floats | None = None
     if time_at is not None:
@@ -91,7 +96,7 @@ def read_long(path: Path) -> Points:
         first_time=float(times[0]) if times is not None and len(times) and np.isfinite(times[0]) else None,
         events=comments.events,
         subject=comments.subject,
-        findings=(*found, *findings, *missing),
+        findings=(*found, *findings, *missing, *unread_events(comments.unread)),
     )
 
 
@@ -156,29 +161,32 @@ def write_clouds(path: Path, clouds: Clouds) -> list[str]:
 
 
 def _samples(
-    path: Path, lines: list[str], start: int, delimiter: str | None, wanted: list[int], name_at: int | None
+    path: Path, lines: list[str], start: int, delimiter: str | None, wanted: list[int], name_at: int | None, width: int
 ) -> tuple[Floats, list[str] | None, list[int]]:
-    """The wanted numbers of each row, its marker's name, and its line number."""
+    """The wanted numbers of each row, its marker's name, and its line number; the header has `width` cells."""
     values: list[list[float]] = []
     marks: list[str] = []
     numbers: list[int] = []
+    with_point = decimal_points(path, lines[start:], delimiter)
     last = max([*wanted, -1 if name_at is None else name_at])
     for i in range(start, len(lines)):
         line = lines[i]
         if not line.strip(" ,;\t"):
             continue
         cells = cells_of(line, delimiter) if '"' in line else line.split(delimiter)
+        if len(cells) > width and any(cell.strip() for cell in cells[width:]):
+            raise AsterismError(f"{path}, line {i + 1}: {len(cells)} cells where the header has {width}; correct or remove this line.")
         if len(cells) <= last:
             # The last line of a file that broke off is dropped; others are damage inside.
             if i == len(lines) - 1:
                 break
             raise AsterismError(f"{path}, line {i + 1}: {len(cells)} cells where the header has more; correct or remove this line.")
         try:
-            row = [float(cells[k]) for k in wanted]
+            row = [float(cells[k] if with_point is None else with_point(cells[k])) for k in wanted]
         except ValueError:
             row = []
             for k in wanted:
-                number = number_of(cells[k].replace(",", ".") if delimiter == ";" else cells[k])
+                number = number_of(cells[k] if with_point is None else with_point(cells[k]))
                 if number is None:
                     raise AsterismError(
                         f"{path}, line {i + 1}, column {k + 1}: {cells[k].strip()[:30]!r} is not a number; correct it or leave it blank."

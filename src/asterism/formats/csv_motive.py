@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.files.text import cells_of, decoded, lines_of, number_of, read_bytes
+from asterism.files.text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._findings import header_conflict
 from asterism.formats._physical import COMPUTED, MARKER, UNNAMED, kinds_by_name
-from asterism.formats._tables import frames_in_place, rate_of, rows_of_numbers
+from asterism.formats._tables import blanked, frames_in_place, lead_of, rate_of, rows_of_numbers
 from asterism.recording import Floats, as_vertical
 
 _TYPES = {"marker", "rigid body", "rigid body marker", "bone", "bone marker", "skeleton", "marker set", "unlabeled marker"}
@@ -33,23 +33,33 @@ def read_motive(path: Path) -> Points:
     header or a cell cannot be read.
     """
     lines = lines_of(decoded(path, read_bytes(path)))
-    header = _key_values(cells_of(lines[0], ","))
-    at = next((i for i, line in enumerate(lines[:24]) if i > 0 and cells_of(line, ",")[0].casefold() == "frame"), None)
+    # A spreadsheet that saved the export again writes its own separator and decimal sign.
+    top = next(i for i, line in enumerate(lines) if line.strip())
+    delimiter = delimiter_of(lines[top])
+    header = _key_values(cells_of(lines[top], delimiter))
+    at = next((i for i, line in enumerate(lines[: top + 24]) if i > top and cells_of(line, delimiter)[:1] in (["Frame"], ["frame"])), None)
     if at is None:
         raise AsterismError(f"{path} has no line that begins with Frame; export it from Motive again, with its header.")
-    above = [cells_of(line, ",") for line in lines[1:at]]
+    above = [cells_of(line, delimiter) for line in lines[top + 1 : at]]
     # Motive moves these rows from version to version: they are found by what they hold.
     types = next((row for row in above if any(cell.casefold() in _TYPES for cell in row[2:])), None)
     if types is None:
         raise AsterismError(f"{path} has no row with the types of its columns (Marker, Rigid Body, ...); export it with its header.")
-    names = above[above.index(types) + 1] if above.index(types) + 1 < len(above) else []
+    below = above[above.index(types) + 1 :]
+    names = next((row for row in above if row[1:2] in (["Name"], ["name"])), below[0] if below else [])
+    if names[1:2] in (["ID"], ["Parent"]) or names == types:
+        raise AsterismError(f"{path} has no row with the names of its markers; export it from Motive again, with its header.")
     what = next((row for row in reversed(above) if any(cell.casefold() == "position" for cell in row)), [])
-    axes = cells_of(lines[at], ",")
-    blocks = _blocks(types, names, what, axes)
+    axes = cells_of(lines[at], delimiter)
+    blocks = _blocks(path, types, names, what, axes)
     if not blocks:
         raise AsterismError(f"{path} holds no positions; export it from Motive again, with markers.")
-    values, findings = rows_of_numbers(path, lines[at + 1 :], at + 2, ",", len(axes))
-    raw = values[:, [column for block in blocks for column in block.columns]].reshape(len(values), len(blocks), 3)
+    columns = [column for block in blocks for column in block.columns]
+    # A timecode is no number.
+    words = {i for i, axis in enumerate(axes) if axis.casefold() == "timecode"}
+    body = blanked(lines[at + 1 :], words, delimiter)
+    values, findings = rows_of_numbers(path, body, at + 2, delimiter, len(axes), lead_of(columns, len(axes)))
+    raw = values[:, columns].reshape(len(values), len(blocks), 3)
     scale, units, found = metres_per_unit(path, header.get("length units"), raw)
     positions, missing = as_metres(raw, scale)
     declared = number_of(header.get("export frame rate", header.get("capture frame rate", "")))
@@ -81,17 +91,19 @@ def _key_values(cells: list[str]) -> dict[str, str]:
     return {key.casefold(): value for key, value in zip(cells[::2], cells[1::2], strict=False) if key}
 
 
-def _blocks(types: list[str], names: list[str], what: list[str], axes: list[str]) -> list[_Block]:
-    """Runs of three columns X, Y, Z that are positions of one thing."""
+def _blocks(path: Path, types: list[str], names: list[str], what: list[str], axes: list[str]) -> list[_Block]:
+    """Runs of three columns X, Y, Z that are positions of one thing. Raises AsterismError where the rows above do not fit them."""
     blocks = []
     for i in range(2, len(axes) - 2):
         trio = [cell.upper() for cell in axes[i : i + 3]]
-        if trio != ["X", "Y", "Z"] or max(i + 3, 0) > len(names) or i >= len(types):
+        if trio != ["X", "Y", "Z"] or {cell.casefold() for cell in what[i : i + 3]} == {"rotation"}:
             continue
-        if what and (i >= len(what) or what[i].casefold() != "position"):
-            continue
-        if len(set(names[i : i + 3])) == 1:
-            blocks.append(_Block(types[i].casefold(), names[i], (i, i + 1, i + 2)))
+        # Rows that have lost a cell would give the names to other markers.
+        if any(len(row) < i + 3 or len(set(row[i : i + 3])) != 1 for row in (types, names, *([what] if what else []))):
+            raise AsterismError(
+                f"{path}, column {i + 1}: X, Y and Z do not stand below one name, type and Position; export it from Motive again."
+            )
+        blocks.append(_Block(types[i].casefold(), names[i], (i, i + 1, i + 2)))
     return blocks
 
 

@@ -14,14 +14,20 @@ from asterism.findings import Finding
 from asterism.formats._columns import METRES_PER_UNIT, Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
 from asterism.formats._confidence import LabelConfidence
+from asterism.formats._findings import header_conflict, unread_events, values_left_out
 from asterism.formats._groups import exact_groups, marker_groups
-from asterism.formats._tables import frames_in_place, rate_of, rows_of_numbers
+from asterism.formats._physical import OTHER_UNIT
+from asterism.formats._tables import blanked, frames_in_place, frames_of, lead_of, rate_of, rows_of_numbers, separator_of
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.recording import Recording
 
 _CONFIDENCE = "_confidence"
-_FRAME = re.compile(r"(?i)(frame|frames|frame[ _]?(no|number|id|index)?\.?#?|index|sample|#|nr|no)?")
-_TIME = re.compile(r"(?i)(time|t|timestamp|seconds)(\s*[\[(_ ]\s*(?P<unit>s|sec|secs|seconds|ms|milliseconds)\s*[\])]?)?")
+_HIGHEST_HEADER = 40
+"""Lines above the names of the columns that are looked through; the longest that programs write are half of it."""
+_FRAME = re.compile(r"(?i)(frame|frames|fnum|field ?#?|frame[ _]?(no|number|id|index)?\.?#?|index|sample|#|nr|no)?")
+_TIME = re.compile(
+    r"(?i)(time|t|timestamp|seconds|zeit|temps|tiempo|tempo)(\s*[\[(_ ]\s*(?P<unit>s|sec|secs|seconds|ms|milliseconds)\s*[\])]?)?"
+)
 
 
 def read_wide(path: Path) -> Points:
@@ -40,6 +46,16 @@ def read_wide(path: Path) -> Points:
         raise AsterismError(f"{path} has no header row; write one such as frame,time,LKNE_x,LKNE_y,LKNE_z.")
     delimiter = delimiter_of(lines[at])
     names, units, body_at = _header(lines, at, delimiter)
+    said_rate = comments.rate
+    # Programs write what they know of the recording above the names of the columns.
+    if not marker_groups(names)[0]:
+        found_at = next((i for i in range(at + 1, min(at + _HIGHEST_HEADER, len(lines))) if _names_markers(lines, i)), None)
+        if found_at is not None:
+            above, said_units = _preamble(lines[at:found_at])
+            said_rate = said_rate if said_rate is not None and np.isfinite(said_rate) else above
+            delimiter = delimiter_of(lines[found_at])
+            names, units, body_at = _header(lines, found_at, delimiter)
+            units = units or said_units
     # Our own files are read exactly: no name of theirs can be mistaken for an axis.
     by_asterism = comments.frames is not None and names[:2] == ["frame", "time"]
     positions_end = _positions_end(names) if by_asterism else len(names)
@@ -47,9 +63,16 @@ def read_wide(path: Path) -> Points:
     groups, rest = marker_groups(names) if exact is None else (exact, [0, 1])
     if not groups:
         shown = some_of([name for name in names if name])
-        raise NoMarkers(f"{path} has no marker in its header ({shown}): name three columns LKNE_x, LKNE_y, LKNE_z to make one.")
-    values, findings = rows_of_numbers(path, _numbers_only(lines[body_at:], names, rest, delimiter), body_at + 1, delimiter, len(names))
-    raw = values[:, [column for group in groups for column in group.columns]].reshape(len(values), len(groups), 3)
+        raise NoMarkers(
+            f"{path} is a table of values ({shown}) and no recording: no columns are called like positions of a marker, "
+            "such as LKNE_x, LKNE_y, LKNE_z."
+        )
+    columns = [column for group in groups for column in group.columns]
+    body = _numbers_only(lines[body_at:], names, rest, delimiter)
+    values, findings = rows_of_numbers(path, body, body_at + 1, delimiter, len(names), lead_of(columns, positions_end), stop=positions_end)
+    raw = values[:, columns].reshape(len(values), len(groups), 3)
+    if comments.frames is not None and comments.frames != len(values):
+        findings.append(header_conflict(f"the header says {comments.frames} frames, the file holds {len(values)}"))
     unit = comments.units or units or next((group.units for group in groups if group.units), None)
     scale, name, found = metres_per_unit(path, unit, raw)
     positions, missing = as_metres(raw, scale)
@@ -60,12 +83,17 @@ def read_wide(path: Path) -> Points:
         match = _TIME.fullmatch(names[time_at])
         milliseconds = match is not None and (match["unit"] or "").lower().startswith("m")
         times = values[:, time_at] * (0.001 if milliseconds else 1.0)
-    rate = rate_of(path, comments.rate, times, findings)
+    rate = rate_of(path, said_rate, times, findings)
     first, jumps = comments.first_frame, list[Finding]()
     if frame_at is not None:
         # A frame column also shows the frames that were left out.
         positions, numbered, jumps = frames_in_place(values[:, frame_at], positions)
         first = numbered if len(values) else first
+    elif times is not None:
+        positions, _, jumps = frames_in_place(frames_of(times, rate), positions)
+    others = [names[i] for i in rest if names[i] and i not in (time_at, frame_at)]
+    if others:
+        findings.append(values_left_out(f"the columns {some_of(others)} are no positions and are left out"))
     return Points(
         positions,
         tuple(group.name for group in groups),
@@ -77,7 +105,7 @@ def read_wide(path: Path) -> Points:
         first_time=float(times[0]) if times is not None and len(times) and np.isfinite(times[0]) else None,
         events=comments.events,
         subject=comments.subject,
-        findings=(*found, *findings, *missing, *jumps),
+        findings=(*found, *findings, *missing, *jumps, *unread_events(comments.unread)),
     )
 
 
@@ -155,12 +183,37 @@ def _header(lines: list[str], at: int, delimiter: str | None) -> tuple[list[str]
             joined.append(f"{over}_{axis}" if re.fullmatch(r"(?i)[xyz]", axis) else (axis or name))
         names, body = joined, at + 2
         below = cells_of(lines[body], delimiter) if body < len(lines) else []
-    words = [cell.strip("[]()").casefold() for cell in below if cell.strip()]
+    words = [cell.strip("[]()").casefold() for cell in below]
     lengths = [word for word in words if word in METRES_PER_UNIT]
     # A row of units has words where the data have numbers.
-    if len(lengths) >= 3 and all(number_of(word) is None for word in words):
-        return names, lengths[0], body + 1
-    return names, None, body
+    if sum(word in METRES_PER_UNIT or OTHER_UNIT.fullmatch(word) is not None for word in words) < 3 or any(
+        number_of(word) is not None for word in words if word
+    ):
+        return names, None, body
+    # What is measured in newtons or degrees is no position: its unit becomes part of its name, as in a header of one row.
+    named = [f"{name} ({word})" if OTHER_UNIT.fullmatch(word) else name for name, word in zip(names, words, strict=False)]
+    return [*named, *names[len(named) :]], next(iter(lengths), None), body + 1
+
+
+def _names_markers(lines: list[str], at: int) -> bool:
+    """Whether a line is a header that spells out positions of points, with numbers below."""
+    names, _, body = _header(lines, at, delimiter_of(lines[at]))
+    first = next((line for line in lines[body:] if line.strip(" ,;\t")), "")
+    numbers = [number_of(cell) for cell in cells_of(first, separator_of(first, delimiter_of(lines[at])))]
+    return None not in numbers and len(numbers) > 2 and len(marker_groups(names)[0]) > 0
+
+
+def _preamble(lines: list[str]) -> tuple[float | None, str | None]:
+    """The frames per second and the unit of length in lines such as `Frequency: 100` and `Units,mm`; None where they are not there."""
+    rate, units = None, None
+    for line in lines:
+        key, *values = [cell for cell in re.split(r"[:=,;\t]+\s*", line.strip(' ,;\t"')) if cell] or [""]
+        value = values[0].strip(' "').casefold() if values else ""
+        if rate is None and re.search(r"(?i)freq|rate|\bfps\b|\bhz\b", key):
+            rate = number_of(re.sub(r"\s*(hz|fps)$", "", value)) if value else None
+        if units is None and value in METRES_PER_UNIT and re.search(r"(?i)unit", key):
+            units = value
+    return rate, units
 
 
 def _numbers_only(lines: list[str], names: list[str], rest: list[int], delimiter: str | None) -> list[str]:
@@ -168,17 +221,8 @@ def _numbers_only(lines: list[str], names: list[str], rest: list[int], delimiter
     first = next((line for line in lines if line.strip(" ,;\t")), "")
     cells = cells_of(first, delimiter)
     # Columns of text, such as a subject, are blanked, or no row would be one of numbers.
-    words = [i for i in rest if i < len(cells) and number_of(cells[i].replace(",", ".")) is None]
-    if not words or delimiter is None or len(cells) > len(names):
-        return lines
-    kept = []
-    for line in lines:
-        row = cells_of(line, delimiter)
-        for i in words:
-            if i < len(row):
-                row[i] = ""
-        kept.append(delimiter.join(row))
-    return kept
+    words = {i for i in rest if i < len(cells) and number_of(cells[i]) is None}
+    return lines if len(cells) > len(names) else blanked(lines, words, delimiter)
 
 
 def _unrepeated(labels: tuple[str, ...]) -> list[str]:

@@ -14,7 +14,7 @@ from asterism.errors import AsterismError, NoMarkers, cause_of
 from asterism.files.atomic import write_atomically
 from asterism.files.npz import arrays_of_npz, most_unpacked
 from asterism.files.text import read_bytes
-from asterism.formats._columns import Points
+from asterism.formats._columns import Points, recording_of
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats._writing import all_points
 from asterism.recording import Clouds, Event, Evidence, Recording, as_vertical, log_as_text, log_from_text
@@ -180,7 +180,7 @@ def write_npz_clouds(path: Path, clouds: Clouds, evidence: Evidence | None = Non
 
 def described_clouds(path: Path, clouds: Clouds) -> dict[str, Any]:
     """What a file of clouds holds, as plain values."""
-    counts = clouds.counts
+    counts, read = clouds.counts, recording_of(path, _points_of_clouds(clouds))
     return {
         "file": str(path),
         "format": "NPZ clouds",
@@ -188,13 +188,14 @@ def described_clouds(path: Path, clouds: Clouds) -> dict[str, Any]:
         "rate": clouds.rate,
         "duration": len(clouds) / clouds.rate,
         "units": "m",
-        "vertical": [float(v) for v in clouds.vertical],
-        "vertical_from": "file",
+        "vertical": [float(v) for v in read.vertical],
+        "vertical_from": read.metadata["vertical_from"],
         "points_per_frame": {
             "fewest": int(counts.min()) if len(counts) else 0,
             "median": float(np.median(counts)) if len(counts) else 0.0,
             "most": int(counts.max()) if len(counts) else 0,
         },
+        "findings": read.metadata.get("findings", ()),
     }
 
 

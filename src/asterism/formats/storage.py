@@ -14,8 +14,9 @@ from asterism.files.atomic import utf8, write_atomically
 from asterism.files.text import cell_text, cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes, some_of
 from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
+from asterism.formats._findings import header_conflict, located, values_left_out
 from asterism.formats._groups import ColumnGroup, exact_groups, marker_groups
-from asterism.formats._tables import rate_of, rows_of_numbers
+from asterism.formats._tables import frames_in_place, frames_of, lead_of, rate_of, rows_of_numbers
 from asterism.formats._writing import all_points
 from asterism.recording import Floats, Recording, as_vertical
 
@@ -35,6 +36,7 @@ class TimeSeriesTable:
     format      "MOT", "STO" or "CSV"
     units       the unit of length that the header names, or ""
     said_rate   rows per second by the header, NaN where it does not say
+    findings    what was found while reading; their sentences name no file
     """
 
     names: tuple[str, ...]
@@ -45,6 +47,7 @@ class TimeSeriesTable:
     format: str = "STO"
     units: str = ""
     said_rate: float = float("nan")
+    findings: tuple[Finding, ...] = ()
 
     @property
     def rate(self) -> float:
@@ -81,6 +84,9 @@ def _table(path: Path) -> TimeSeriesTable:
     while names and not names[-1]:
         names.pop()
     body = lines[names_at + 1 :]
+    kind = header.get("datatype", "")
+    if kind and not kind.casefold().startswith(("double", "vec3")):
+        raise NoMarkers(f"{path} holds values of the type {kind[:40]} (orientations, for instance) and no marker positions.")
     # A Vec3 cell holds its three numbers between commas.
     if header.get("datatype", "").casefold().startswith("vec3") and delimiter == "\t":
         names = [names[0], *(f"{name}_{axis}" for name in names[1:] for axis in "xyz")]
@@ -88,7 +94,13 @@ def _table(path: Path) -> TimeSeriesTable:
     # Numbers in the header are a file without one.
     if not names or any(number_of(name) is not None and name for name in names):
         raise AsterismError(f"{path}, line {names_at + 1}: numbers where the column names belong; write a row of names above the numbers.")
-    values, _ = rows_of_numbers(path, body, names_at + 2, delimiter, len(names))
+    columns = [column for group in marker_groups(names)[0] for column in group.columns]
+    lead = lead_of(columns, len(names)) if columns else None
+    values, findings = rows_of_numbers(path, body, names_at + 2, delimiter, len(names), lead)
+    for key in ("nrows", "datarows"):
+        count = number_of(header.get(key, ""))
+        if count is not None and count == count and count != len(values):
+            findings.append(header_conflict(f"the header says {count:g} rows, the file holds {len(values)}"))
     time_at = next((i for i, name in enumerate(names) if re.fullmatch(r"(?i)time(\s*[\[(_]?s(ec(onds)?)?[\])]?)?|t", name)), None)
     if time_at is None:
         raise AsterismError(f"{path} has no column called time; add one in seconds.")
@@ -103,6 +115,7 @@ def _table(path: Path) -> TimeSeriesTable:
         format={".mot": "MOT", ".sto": "STO"}.get(path.suffix.casefold(), "CSV" if end is None else "STO"),
         units=header.get("units", ""),
         said_rate=number_of(header.get("datarate", "")) or float("nan"),
+        findings=tuple(findings),
     )
 
 
@@ -178,14 +191,17 @@ def points_of_table(path: Path, table: TimeSeriesTable) -> Points:
         raise NoMarkers(
             f"{path} holds {what} ({some_of(table.names)}), no marker positions; use asterism.formats.read_table or convert it to CSV."
         )
-    groups, _ = _groups_of(table)
+    groups, rest = _groups_of(table)
     raw = table.values[:, [column for group in groups for column in group.columns]].reshape(len(table.values), len(groups), 3)
-    findings: list[Finding] = []
+    findings = list(table.findings)
+    if rest:
+        findings.append(values_left_out(f"the columns {some_of([table.names[i] for i in rest])} are no positions and are left out"))
     scale, units, found = metres_per_unit(path, table.units or next((g.units for g in groups if g.units), None), raw)
     positions, missing = as_metres(raw, scale)
     rate = rate_of(path, table.said_rate, table.times, findings)
     # A start beyond 30 years is no time of a recording, but a clock's.
     start = float(table.times[0]) if len(table.times) and np.abs(table.times[0]) < 1e9 else None
+    positions, _, jumps = frames_in_place(frames_of(table.times, rate), positions)
     return Points(
         positions,
         tuple(group.name for group in groups),
@@ -195,7 +211,7 @@ def points_of_table(path: Path, table: TimeSeriesTable) -> Points:
         fallback=as_vertical("y"),
         first_frame=1 if start is None else round(start * rate) + 1,
         first_time=start,
-        findings=(*found, *findings, *missing),
+        findings=(*found, *findings, *missing, *jumps),
     )
 
 
@@ -226,6 +242,7 @@ def described_table(path: Path, table: TimeSeriesTable) -> dict[str, Any]:
         "columns": list(table.names),
         "in_degrees": table.in_degrees,
         "missing": float(np.isnan(table.values).mean()) if table.values.size else 0.0,
+        "findings": located(path, table.findings),
     }
 
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, NoMarkers
 from asterism.files.atomic import utf8, write_atomically
-from asterism.files.text import decoded, lines_of, number_of, read_bytes
+from asterism.files.text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes
 from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
-from asterism.formats._findings import header_conflict
+from asterism.formats._findings import header_conflict, unread_events
 from asterism.formats._tables import frames_in_place, rate_of, rows_of_numbers
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.formats.csv_long import is_long, read_long
@@ -21,14 +21,25 @@ from asterism.formats.csv_wide import read_wide
 from asterism.recording import Event, Recording, as_vertical
 
 _KEY = re.compile(r"[A-Z][A-Z_0-9]{3,}")
+_OTHER_DATA = {
+    "BODY_NAMES": "6D data (poses of rigid bodies)",
+    "SEGMENT_NAMES": "a skeleton (poses of segments)",
+    "SKELETON_NAME": "a skeleton (poses of segments)",
+    "FORCE_PLATE_NAME": "data of a force plate",
+    "CHANNEL_NAMES": "analog data",
+    "NO_OF_CHANNELS": "analog data",
+    "EYE_TRACKER_NAME": "data of an eye tracker",
+}
+"""The keys of QTM's other exports, and what these hold."""
 
 
 @dataclass(frozen=True)
 class _Head:
-    """The lines above the table: their keys with values, the events, and the place of the line that follows."""
+    """The lines above the table: their keys with values, the events, the lines of unread ones, and the place of what follows."""
 
     values: dict[str, list[str]]
     events: list[Event]
+    unread: list[int]
     stop: int
 
     def first(self, key: str) -> str:
@@ -42,18 +53,28 @@ def read_tsv(path: Path) -> Points:
     Raises AsterismError, naming the file, where it holds 6D data, has no marker names, or a cell is not a number.
     """
     lines = lines_of(decoded(path, read_bytes(path)))
-    head = _head(lines)
+    # A spreadsheet that saved the export again may separate its cells otherwise.
+    delimiter = delimiter_of(next(line for line in lines if line.strip())) or "\t"
+    head = _head(lines, delimiter)
+    # Any program writes tables with tabs: without QTM's keys it is one of those.
+    if not head.values:
+        return read_long(path) if is_long(lines) else read_wide(path)
+    held = next((what for key, what in _OTHER_DATA.items() if key in head.values), None)
+    if "MARKER_NAMES" not in head.values and held is not None:
+        raise NoMarkers(f"{path} holds {held} of QTM and no trajectories of markers; export 3D data from QTM.")
     if "MARKER_NAMES" not in head.values:
-        # Any program writes tables with tabs: without QTM's keys it is one of those.
-        if not head.values:
-            return read_long(path) if is_long(lines) else read_wide(path)
         raise AsterismError(f"{path} has no line MARKER_NAMES; export 3D data from QTM again, with its header.")
     included = (head.first("DATA_INCLUDED") or "3D").upper()
     if included != "3D":
-        raise AsterismError(f"{path} holds {included} data (poses of bodies) and no trajectories; export 3D data from QTM.")
-    labels = [label for label in head.values["MARKER_NAMES"] if label]
-    start, extra = _table(lines, head.stop, len(labels))
-    rows, short = rows_of_numbers(path, lines[start:], start + 1, "\t", extra + 3 * len(labels))
+        raise NoMarkers(f"{path} holds {included} data of QTM and no trajectories of markers; export 3D data from QTM.")
+    labels = head.values["MARKER_NAMES"]
+    while labels and not labels[-1]:
+        labels.pop()
+    # A trajectory without a name has its columns like the others.
+    numbers = iter(range(1, len(labels) + 1))
+    labels = [label or f"*{next(numbers)}" for label in labels]
+    start, extra = _table(lines, head.stop, len(labels), delimiter)
+    rows, short = rows_of_numbers(path, lines[start:], start + 1, delimiter, extra + 3 * len(labels), lead=extra)
     raw = rows[:, extra:].reshape(len(rows), len(labels), 3)
     scale, units, findings = metres_per_unit(path, "mm", raw)
     positions, missing = as_metres(raw, scale)
@@ -77,39 +98,43 @@ def read_tsv(path: Path) -> Points:
         first_frame=first,
         first_time=float(times[0]) if times is not None and len(times) and np.isfinite(times[0]) else None,
         events=tuple(head.events),
-        findings=(*findings, *short, *missing, *jumps),
+        findings=(*findings, *short, *missing, *jumps, *unread_events(head.unread)),
         extra={"description": head.first("DESCRIPTION"), "time_stamp": head.first("TIME_STAMP")},
     )
 
 
-def _head(lines: list[str]) -> _Head:
+def _head(lines: list[str], delimiter: str) -> _Head:
     """The header of a file: lines that begin with a key in capitals."""
     values: dict[str, list[str]] = {}
     events: list[Event] = []
+    unread: list[int] = []
     for i, line in enumerate(lines):
-        cells = [cell.strip() for cell in line.split("\t")]
-        if not line.strip():
+        cells = cells_of(line, delimiter)
+        if not any(cells):
             continue
         # The first line without a key in capitals begins the table.
         if not _KEY.fullmatch(cells[0]) or (len(cells) > 1 and number_of(cells[0]) is not None):
-            return _Head(values, events, i)
-        if cells[0] == "EVENT" and len(cells) > 3:
-            time = number_of(cells[3])
+            return _Head(values, events, unread, i)
+        if cells[0] == "EVENT":
+            time = number_of(cells[3]) if len(cells) > 3 else None
             if time is not None and np.isfinite(time):
                 events.append(Event(cells[1], float(time)))
+            else:
+                unread.append(i + 1)
         else:
             values.setdefault(cells[0], cells[1:])
-    return _Head(values, events, len(lines))
+    return _Head(values, events, unread, len(lines))
 
 
-def _table(lines: list[str], at: int, markers: int) -> tuple[int, int]:
+def _table(lines: list[str], at: int, markers: int, delimiter: str) -> tuple[int, int]:
     """The place of the first row of numbers, and how many columns (Frame, Time) stand before the coordinates."""
-    if at < len(lines) and number_of(lines[at].split("\t")[0]) is None:
-        titles = [cell.strip().casefold() for cell in lines[at].split("\t")]
+    cells = cells_of(lines[at], delimiter) if at < len(lines) else [""]
+    if number_of(cells[0]) is None:
+        titles = [cell.casefold() for cell in cells]
         return at + 1, int("frame" in titles[:2]) + int("time" in titles[:2])
     if at < len(lines):
         # Without titles, the number of cells beyond the coordinates tells whether frame and time are there.
-        return at, {2: 2, 1: 1}.get(len(lines[at].rstrip("\t").split("\t")) - 3 * markers, 0)
+        return at, {2: 2, 1: 1}.get(len(lines[at].rstrip(delimiter).split(delimiter)) - 3 * markers, 0)
     return at, 0
 
 

@@ -109,6 +109,7 @@ def capture(
     frames: list[int] = []
     found: list[DensePoints] = []
     counts: list[list[int]] = []
+    crowded = np.zeros(len(rig), dtype=np.int64)
     # The factor on the centres' errors comes from the first moments; these wait for it, and all later ones need not.
     first: list[Future[CircleRays]] = []
     under_way: deque[Future[DensePoints]] = deque()
@@ -127,6 +128,7 @@ def capture(
         for number, circles in _readings(moments, read, max(1, ahead), pool):
             frames.append(number)
             counts.append([0 if one is None else int((np.asarray(one.ids) >= 0).sum()) for one in circles])
+            crowded += [any(f.code == "garment-many-circles" for f in getattr(one, "findings", ())) for one in circles]
             rays = pool.submit(_rays, rig, circles, rules)
             if scale is not None:
                 under_way.append(pool.submit(_points, rig, pattern, rays, rules, scale))
@@ -153,7 +155,7 @@ def capture(
     seen = np.array([one.seen for one in found], dtype=np.int64)
     vertical = None if rig.vertical is None else rig.vertical
     trajectories = dense_trajectories(found, rate, vertical)
-    findings = tuple(_findings(rig, found, read_of, scale or 1.0, rules))
+    findings = (*_crowds(rig, crowded, len(frames)), *_findings(rig, found, read_of, scale or 1.0, rules))
     return Capture(trajectories, np.array(frames, dtype=np.int64), points, seen, read_of, scale or 1.0, findings)
 
 
@@ -206,6 +208,15 @@ def _common_scale(rig: Rig, moments: Sequence[Future[CircleRays]], rules: Captur
     """The median over moments of the factor on the centres' standard deviations."""
     scales = [pool.submit(ray_scale, rig, rays.result(), rules.dense) for rays in moments]
     return float(np.median([scale.result() for scale in scales]))
+
+
+def _crowds(rig: Rig, crowded: Ints, frames: int) -> Iterator[Finding]:
+    """The cameras in whose images there was more than is read."""
+    for name, count in zip(rig.names, crowded.tolist(), strict=True):
+        if count:
+            sentence = f"camera {name} has more coloured spots in {count} of {frames} frames than are read; those below were left out."
+            mend = "Light the cloth alone or come nearer; in Python, raise `ReadRules.most_circles`."
+            yield Finding("garment-many-circles", Severity.WARNING, name, sentence, mend)
 
 
 def _findings(rig: Rig, found: Sequence[DensePoints], read: Ints, scale: float, rules: CaptureRules) -> Iterator[Finding]:

@@ -34,7 +34,8 @@ class PhotoCheck:
     windows     blocks of 3 x 3 that were read whole
     existing    of them, in the pattern
     chance      share of blocks of nine random colours that are in the pattern
-    misread     share of colours that are misread, estimated
+    misread     share of colours that are misread, estimated; NaN, as the next three, where it is unknown: where fewer than nine blocks were
+                read, all of which may share one circle, and where the image shows another pattern
     misread_most    and at most, with 95 % probability
     wrong_blocks    share of blocks that are in the pattern by a misread, estimated: before the grid confirms them
     wrong_blocks_most   and at most, with 95 % probability
@@ -79,6 +80,9 @@ def judge_reading(read: ReadCircles, pattern: Pattern) -> PhotoCheck:
     """The check of what was read; see `check_photo`."""
     chance = chance_share(pattern)
     blocks, blocks_most = misread_blocks(read.windows, read.existing, chance)
+    # Blocks of another garment are in this pattern by chance, however well their colours were read.
+    if any(finding.severity is Severity.ERROR for finding in read.findings):
+        blocks = blocks_most = float("nan")
     named = read.ids >= 0
     diameter = float(np.median(2 * read.axes[named, 0])) if named.any() else float("nan")
     checked = PhotoCheck(
@@ -98,9 +102,9 @@ def judge_reading(read: ReadCircles, pattern: Pattern) -> PhotoCheck:
 
 
 def misread_blocks(windows: int, existing: int, chance: float) -> tuple[float, float]:
-    """The share of blocks with a misread colour, estimated and at most (95 %), from how many of the blocks read exist."""
-    if windows == 0:
-        return 1.0, 1.0
+    """The share of blocks with a misread colour, estimated and at most (95 %), from how many of the blocks read exist; NaN of too few."""
+    if windows < _BLOCK:
+        return float("nan"), float("nan")
     # One misread colour spoils up to nine blocks, so a ninth of them counts as independent.
     missing = 1.0 - existing / windows
     apart = windows / _BLOCK
@@ -121,7 +125,9 @@ def _findings(checked: PhotoCheck, read: ReadCircles) -> list[Finding]:
     found = []
     if checked.windows < _FEW_BLOCKS:
         mend = "Take a photo in which more of the cloth is seen from the front."
-        sentence = f"{checked.windows} blocks were read, which bound the misreads to {checked.misread_most:.1%} only."
+        bound = f"bound the misreads to {checked.misread_most:.1%} only"
+        unknown = "say nothing about misreads"
+        sentence = f"{checked.windows} blocks were read, which {unknown if np.isnan(checked.misread) else bound}."
         found.append(Finding("garment-few-blocks", Severity.WARNING, "", sentence, mend))
     if checked.misread > _MANY_MISREAD:
         mend = "Use lamps that have all colours, mend exposure and focus, and compare the printed card's colours with the planned ones."

@@ -9,7 +9,7 @@ from asterism.garment.footage import ColourFootage
 from asterism.garment.pattern import Pattern
 from asterism.garment.read import read_image
 
-_ANOTHER = ("garment-other-pattern", "garment-no-colours")
+_ANOTHER = ("garment-other-pattern", "garment-no-colours", "garment-mirrored", "garment-channels-swapped")
 
 
 def check_first_images(footage: ColourFootage, pattern: Pattern, rig: Rig) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from asterism.calibration.boards.footage import Footage, footage_of
 from asterism.cameras import Rig
+from asterism.detection.image_files import read_eight_bits
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.recording import Ints
@@ -76,13 +77,13 @@ class _Film:
             opened.callback(self._video.release)
 
     def at(self, number: int) -> Image | None:
-        import cv2
 
         place = self._numbers.get(number)
         if place is None:
             return None
         if self._video is None:
-            return self._named(_colour(cv2.imread(str(self._images[place]), cv2.IMREAD_COLOR)), number)
+            file = self._images[place]
+            return self._named(_colour(read_eight_bits(file, colour=True) if file.is_file() else None), number)
         # A video is read forwards only: seeking is inexact in many codecs.
         image = None
         while self._next <= place:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from time import perf_counter
@@ -15,7 +16,7 @@ from asterism.labelling.marker_model import METHODS, MarkerModel
 from asterism.labelling.reliability import ConfidenceScore, ConfidenceTally
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts, simulate_occlusions
 from asterism.progress import Progress
-from asterism.recording import Clouds, Floats, Ints, Labelling, Recording, subject_of
+from asterism.recording import LABEL_STATES, Clouds, Floats, Ints, Labelling, LabelShares, Recording, label_states, subject_of
 
 BINS = 20
 """Bins of equal width in which confidence is compared with the share that was right. Not tuned."""
@@ -26,6 +27,7 @@ class Condition:
     """What came of labelling with so many markers hidden and so many ghosts there at every moment. Rates are shares, 0 to 1.
 
     frames, visible, given  counts: frames, markers that could be seen, labels given
+    shares                  what `asterism label` says of these recordings, which knows no truth
     right                   right labels among the visible markers
     fa                      false assignments: wrong among the labels given (thesis, section 5.3)
     fo                      false occlusions: nulls for visible markers among all nulls (thesis, section 5.3)
@@ -44,6 +46,7 @@ class Condition:
     frames: int
     visible: int
     given: int
+    shares: LabelShares
     right: float
     fa: float
     fo: float
@@ -104,6 +107,7 @@ class _Tally:
     given: list[Ints] = field(default_factory=list)
     confidence: list[Floats] = field(default_factory=list)
     subjects: list[str] = field(default_factory=list)
+    states: Counter[str] = field(default_factory=Counter)
     seconds: float = 0.0
     evaluations: float = 0.0
 
@@ -282,6 +286,7 @@ def _run_conditions(
             tally.given.append(labelling.indices)
             tally.confidence.append(labelling.confidence)
             tally.subjects.append(subject)
+            tally.states.update({name: int(held.sum()) for name, held in vars(label_states(labelling, clouds)).items()})
             done += 1
             if progress:
                 progress(done / (len(tallies) * len(recordings)), "labelling")
@@ -323,6 +328,7 @@ def _condition(occlusions: int, ghosts: int, tally: _Tally, score: ConfidenceSco
         frames=len(truth),
         visible=int(visible.sum()),
         given=int(label.sum()),
+        shares=LabelShares(**{name: tally.states[name] / label.size if label.size else float("nan") for name in LABEL_STATES}),
         right=float(right.sum() / max(1, visible.sum())),
         fa=everyone["fa"],
         fo=everyone["fo"],

@@ -277,6 +277,7 @@ class MarkerModel:
             best = Labelling(rows, confidence, self.marker_set.names)
             verdict = judge(best.positions(clouds)[:, self.state.markers], clouds.counts, self.rigid_distances)
         indices = np.where(confidence >= self.least_confidence, rows, NULL)
+        verdict = verdict.without_labels() if verdict is not None and not (indices != NULL).any() else verdict
         return Labelling(indices, confidence, self.marker_set.names, verdict=verdict), counters[:, 0]
 
     def _label_by_votes(self, clouds: Clouds, method: str) -> tuple[Labelling, Ints]:

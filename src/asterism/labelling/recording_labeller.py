@@ -21,9 +21,9 @@ from asterism.labelling.whole.label import label_whole
 from asterism.labelling.whole.point_labels import BodyInRecording
 from asterism.labelling.whole.relabel import LabelledTracklets, label_tracklets
 from asterism.labelling.whole.settings import RecordingLabellingSettings
-from asterism.labelling.whole.verdict import CERTAIN
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Ints, Labelling, MarkerSet
+from asterism.recording.verdict import CERTAIN
 
 METHODS = ("whole-body", "partial-solvers", "thesis")
 """How single frames are labelled: by the whole body; by the votes of partial solvers, completed by the strong classifier of all markers; by

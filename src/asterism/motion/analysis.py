@@ -120,7 +120,8 @@ def analyse_motion(
     else:
         segmentation = segment_limbs(recording.positions, limbs, rules=rules.segmentation, progress=progress)
         limb_of, names = segmentation.limb_of, tuple(f"limb {i + 1}" for i in range(segmentation.limbs))
-    file = recording.metadata.get("file", "recording")
+    file = str(recording.metadata.get("file", "recording"))
+    fewer = [] if segmentation is None or isinstance(limbs, Mapping) else segmentation.fewer_than(limbs, file)
     motions, kept, left_out, problems = [], [], [], []
     # One limb that cannot be told must not cost the angles of the others.
     for limb, name in enumerate(names):
@@ -146,7 +147,7 @@ def analyse_motion(
     angles = tuple(joint_angles(motions[a], motions[b], (a, b), f"{names[a]} / {names[b]}") for a, b in skeleton.pairs)
     joints = [skeleton.joints[child] for _, child in skeleton.pairs]
     centres = np.array([joint.centres(motions[a], motions[b]) for (a, b), joint in zip(skeleton.pairs, joints, strict=True) if joint])
-    findings = (*left_out, *_findings(recording, limb_of, angles), *_apart(names, skeleton))
+    findings = (*fewer, *left_out, *_findings(recording, limb_of, angles), *_apart(names, skeleton))
     # The log says what made the angles, in the file that keeps them.
     logged = recording.logged("motion estimated", "asterism", method=rules.method, joints=rules.joint_method, limbs=len(names))
     return MotionAnalysis(

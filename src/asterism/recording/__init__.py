@@ -1,18 +1,20 @@
 """The types of the data: arrays in; recordings, clouds, blobs, labellings and marker sets out."""
 
-from asterism.recording.arrays import Floats, Ints, as_vertical
+from asterism.recording.arrays import Floats, Ints, as_vertical, axis_name
 from asterism.recording.blobs import Blobs
 from asterism.recording.clouds import NULL, Clouds, Evidence, Labelling
+from asterism.recording.force_plate import ForcePlate
 from asterism.recording.known_labels import Disagreement, check_labels, is_partly_labelled
 from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, shipped_sets, without_subject
 from asterism.recording.place import Place, landmarks
 from asterism.recording.processing import ProcessingStep, log_as_text, log_from_text
-from asterism.recording.shares import SURE, LabelShares, LabelStates, label_shares, label_states
+from asterism.recording.shares import LABEL_STATES, SURE, LabelShares, LabelStates, label_shares, label_states
 from asterism.recording.trajectories import Event, Recording, keep_labels, subject_of
 from asterism.recording.verdict import Verdict
 from asterism.recording.worn_set import WornSet, worn_marker_sets
 
 __all__ = [
+    "LABEL_STATES",
     "NULL",
     "SURE",
     "Blobs",
@@ -21,6 +23,7 @@ __all__ = [
     "Event",
     "Evidence",
     "Floats",
+    "ForcePlate",
     "Ints",
     "LabelShares",
     "LabelStates",
@@ -32,6 +35,7 @@ __all__ = [
     "Verdict",
     "WornSet",
     "as_vertical",
+    "axis_name",
     "canonical",
     "check_labels",
     "is_partly_labelled",

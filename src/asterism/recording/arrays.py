@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,11 +39,26 @@ def as_vertical(vertical: ArrayLike | str) -> Floats:
     return vector / np.linalg.norm(vector)
 
 
+def axis_name(vertical: Floats) -> str:
+    """A vertical as --vertical takes it: an axis where it is one, else three numbers.
+
+    >>> axis_name(np.array([0.0, -1.0, 0.0]))
+    '-y'
+    """
+    axis = int(np.abs(vertical).argmax())
+    if abs(vertical[axis]) > 1.0 - 1e-6:
+        return f"{'-' if vertical[axis] < 0 else ''}{'xyz'[axis]}"
+    return ",".join(f"{number:.4g}" for number in vertical)
+
+
 def nan_quantile(values: Floats, shares: ArrayLike, axis: int) -> Floats:
     """The quantiles along an axis of the values that are there, NaN where none is, one after the other along a new first axis.
 
     As `numpy.nanquantile`, which, like `numpy.nanmedian`, loads `numpy.ma`: a tenth of the time that a short command takes.
     """
+    # Of no values at all none is there.
+    if not values.shape[axis]:
+        return np.full((np.size(shares), *np.delete(values.shape, axis)), np.nan)
     # Sorting puts NaN last, so that the values that are there come first.
     ordered = np.sort(values, axis=axis)
     # At least 0: a row without a value takes its first NaN.
@@ -59,6 +75,30 @@ def nan_quantile(values: Floats, shares: ArrayLike, axis: int) -> Floats:
 def nan_median(values: Floats, axis: int) -> Floats:
     """The median along an axis of the values that are there, NaN where none is."""
     return np.asarray(nan_quantile(values, 0.5, axis)[0])
+
+
+def missing_codes(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Which samples are a program's number for "missing", such as -9999 or 9999999: (..., 3) in a file's own unit in, (...) out.
+
+    A code consists of nines, or is an end of the 16-bit integers. It counts where all three coordinates have it, which no measured
+    point does to the last bit, or where one coordinate alone is 999999 or more: a kilometre, also in millimetres.
+    """
+    x, y, z = values[..., 0], values[..., 1], values[..., 2]
+    alike = (x == y) & (y == z) & (x != 0)
+    # Most recordings have no suspect: two comparisons tell it.
+    large = (values >= 999_999) | (values <= -999_999)
+    suspect = alike | large.any(axis=-1) if large.any() else alike
+    if not suspect.any():
+        return np.zeros(suspect.shape, dtype=np.bool_)
+    size = np.abs(values[suspect].astype(np.float64))
+    some = np.where(np.isfinite(size), size, 0.0)
+    # 9999.9 is a code as well: the next power of ten is one unit, or a tenth or less of one, away; to the digits that 32 bits hold.
+    gap = 10.0 ** np.ceil(np.log10(np.clip(some, 999.0, 1e300))) - some
+    nines = (gap > 0) & (np.abs(gap[..., None] - [1.0, 0.1, 0.01, 0.001]) <= 6e-8 * some[..., None]).any(axis=-1)
+    limits = (some == 32767) | (some == 32768)
+    coded = np.zeros(suspect.shape, dtype=np.bool_)
+    coded[suspect] = (alike[suspect] & (nines | limits).all(axis=-1)) | (nines & (some >= 999_999)).any(axis=-1)
+    return coded
 
 
 def frame_rows(offsets: Ints, cells: Ints) -> tuple[Ints, Ints]:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.recording.arrays import Floats, Ints, as_vertical, check_offsets, checked_rate, frame_rows, same_values
-from asterism.recording.display import Rows, as_html, as_text, duration, listed
+from asterism.recording.display import Rows, as_html, as_text, duration, listed, significant
 from asterism.recording.verdict import Verdict
 
 NULL = -1
@@ -209,7 +209,7 @@ class Labelling:
 
     def _facts(self) -> Rows:
         given = self.indices >= 0
-        share = f"{100 * given.mean():.4g} % of {given.size}" if given.size else ""
+        share = f"{significant(100 * given.mean(), 4)} % of {given.size}" if given.size else ""
         # Labels without a known confidence have none to be the lowest.
         stated = self.confidence[given & ~np.isnan(self.confidence)]
         lowest = f"{stated.min():.3f}" if stated.size else ""
@@ -230,7 +230,7 @@ class Labelling:
                 Finding("label-two-bodies", Severity.WARNING, where, sentence, "Give --model, or --markers without one, once for each.")
             )
         if self.verdict is not None:
-            found += self.verdict.findings(where)
+            found += self.verdict.findings(where, labels=bool((self.indices >= 0).any()))
         if self.stretches > 1:
             sentence = f"{where} is long: it was labelled in {self.stretches} stretches, which were joined where they overlap."
             mend = "Nothing need be done; a label differs from that of the whole only where a stretch alone does not show what it is."

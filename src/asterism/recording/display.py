@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Sequence
 from html import escape
+from pathlib import Path
 
 Rows = Sequence[tuple[str, str]]
 """What is shown of an object: names and values."""
@@ -39,21 +42,53 @@ def counted(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
+def singular(name: str) -> str:
+    """The name of what a number counts, for the number one.
+
+    >>> singular("pieces of tracks"), singular("frames at 100 Hz")
+    ('piece of tracks', 'frame at 100 Hz')
+    """
+    return re.sub(r"s\b", "", name, count=1)
+
+
+def significant(number: float, digits: int) -> str:
+    """A number rounded to so many digits that count, never as a power of ten.
+
+    >>> significant(99.6, 2), significant(0.012345, 3), significant(123456.0, 2)
+    ('100', '0.0123', '123,456')
+    """
+    if not number or not math.isfinite(number):
+        return f"{number:g}"
+    places = max(0, digits - 1 - math.floor(math.log10(abs(number))))
+    text = f"{number:,.{places}f}"
+    return text.rstrip("0").rstrip(".") if places else text
+
+
+def short_names(files: Sequence[str | Path]) -> list[str]:
+    """What to call each file: its name, with as many of its folders as tell it from other files of that name.
+
+    >>> short_names(["data/anna/walk.c3d", "data/ben/walk.c3d", "data/ben/run.c3d"])
+    ['anna/walk.c3d', 'ben/walk.c3d', 'run.c3d']
+    """
+    parts = [Path(file).parts for file in files]
+    names = []
+    for own in parts:
+        # one file that is given twice has one name
+        others = {other for other in parts if other != own and other[-1:] == own[-1:]}
+        length = next((n for n in range(1, len(own)) if all(other[-n:] != own[-n:] for other in others)), len(own))
+        names.append("/".join(own[-length:]))
+    return names
+
+
 def metres(length: float) -> str:
     """A length with its unit, never as a power of ten.
 
     >>> metres(0.0123), metres(1440.0)
     ('0.0123 m', '1,440 m')
     """
-    return (
-        f"{length:,.0f} m"
-        if abs(length) >= 100
-        else f"{length:.4f}".rstrip("0").rstrip(".") + " m"
-        if abs(length) < 0.1
-        else f"{length:.3g} m"
-    )
+    return f"{significant(length, 3)} m"
 
 
 def duration(frames: int, rate: float) -> str:
     """Frames, rate and seconds: "500 at 100 Hz (5 s)"."""
-    return f"{frames} at {rate:g} Hz ({frames / rate:.4g} s)"
+    return f"{frames} at {rate:g} Hz ({significant(frames / rate, 4)} s)"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
@@ -12,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, guarded_reading, refuse_special
+from asterism.files.toml import tables_of_toml
 from asterism.recording.arrays import Ints
 from asterism.recording.place import Place
 
@@ -138,10 +138,9 @@ class MarkerSet:
             text = resources.files("asterism").joinpath("marker_sets", f"{source}.toml").read_text(encoding="utf-8")
             return cls.from_toml(text, origin=source)
         path = Path(source)
+        refuse_special(path)
         if not path.is_file():
             raise AsterismError(f"marker set {str(source)!r} is neither shipped nor a TOML file that exists; {_near(str(source))}.")
-        from asterism.errors import guarded_reading
-
         with guarded_reading(path):
             return cls.from_toml(path.read_text(encoding="utf-8", errors="replace"), origin=str(path))
 
@@ -152,8 +151,8 @@ class MarkerSet:
 
         # A damaged file may nest too deeply, or hold values of any type.
         try:
-            return cls(**fields_of(tomllib.loads(text), origin))
-        except (tomllib.TOMLDecodeError, RecursionError, ValueError) as problem:
+            return cls(**fields_of(tables_of_toml(text), origin))
+        except (RecursionError, ValueError) as problem:
             raise AsterismError(
                 f"{origin} is not a marker set ({problem}); it is TOML with a list `markers`, "
                 "if needed `aliases`, `pairs`, `segments` and `places`."

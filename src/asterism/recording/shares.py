@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 from asterism.recording.clouds import Clouds, Labelling
 
 SURE = 0.99
-"""Confidence from which a marker counts as labelled. Below it, one label in a hundred or more is expected to be wrong."""
+"""Confidence from which a marker counts as labelled, and is believed to be hidden. Below it, one in a hundred or more is expected to be
+wrong. At half of it a guess would count as labelled; nothing is twice as sure."""
+
+
+LABEL_STATES = ("labelled", "likely", "unsure", "hidden")
+"""What becomes of a marker in a frame; see `LabelStates`."""
 
 
 @dataclass(frozen=True)
@@ -19,8 +24,9 @@ class LabelStates:
 
     labelled  a point got the marker's name, with a confidence of 99 % or more
     likely    a point got it, with less confidence, or with one that is not known
-    unsure    no point got it, and the frame has points without a name, one of which may be the marker
-    hidden    no point got it, and every point of the frame has a name
+    unsure    no point got it, and one of the frame's points without a name may be the marker
+    hidden    no point got it, and none is left that may be the marker: every point of the frame has a name, or beside labelled markers the
+              best of the others is the marker with a chance of less than 1 % (a ghost)
     """
 
     labelled: NDArray[np.bool_]
@@ -44,8 +50,10 @@ def label_states(labelling: Labelling, clouds: Clouds) -> LabelStates:
     given = np.asarray(labelling.indices >= 0)
     # A confidence that is not known is not sure.
     sure = given & (np.nan_to_num(labelling.confidence) >= SURE)
-    # A point without a name may be the marker; without one it is hidden.
-    unsure = ~given & (clouds.counts > given.sum(axis=1))[:, None]
+    # Where nothing has a label, nothing tells where a marker would be; nor does a chance that is not known.
+    number = given.sum(axis=1)
+    ghosts = (number > 0)[:, None] & (labelling.confidence < 1.0 - SURE)
+    unsure = ~given & (clouds.counts > number)[:, None] & ~ghosts
     return LabelStates(sure, given & ~sure, unsure, ~given & ~unsure)
 
 
@@ -62,4 +70,4 @@ def label_shares(labelling: Labelling, clouds: Clouds) -> LabelShares:
     if labelling.indices.size == 0:
         return LabelShares(*[float("nan")] * 4)
     states = label_states(labelling, clouds)
-    return LabelShares(*(float(state.mean()) for state in (states.labelled, states.likely, states.unsure, states.hidden)))
+    return LabelShares(*(float(getattr(states, name).mean()) for name in LABEL_STATES))

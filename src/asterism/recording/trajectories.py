@@ -14,7 +14,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate, same_values
 from asterism.recording.clouds import NULL, Clouds, Labelling
-from asterism.recording.display import Rows, as_html, as_text, duration, listed
+from asterism.recording.display import Rows, as_html, as_text, duration, listed, significant
 from asterism.recording.marker_set import MarkerSet, is_unnamed
 from asterism.recording.processing import ProcessingStep
 
@@ -128,7 +128,7 @@ class Recording:
     def _facts(self) -> Rows:
         file = str(self.metadata.get("file", ""))
         visible = self.visible
-        missing = f"{100 * (1 - visible.mean()):.2g} % of the samples" if visible.size and not visible.all() else ""
+        missing = f"{significant(100 * (1 - visible.mean()), 2)} % of the samples" if visible.size and not visible.all() else ""
         return (
             ("file", file),
             ("frames", duration(len(self), self.rate)),

@@ -1,5 +1,6 @@
 """Results in; self-contained HTML pages out, that need no network and keep their tables where no script may run."""
 
+from asterism.recording.sides import marker_sides
 from asterism.report.boards import board_report
 from asterism.report.capturability import capturability_report
 from asterism.report.detection import detection_report
@@ -11,7 +12,7 @@ from asterism.report.recording import RecordingPage, plot_recording, recording_r
 from asterism.report.refinement import refinement_report
 from asterism.report.review import ReviewEntry, review_report
 from asterism.report.rig import rig_report
-from asterism.report.skeleton import marker_bones, marker_sides
+from asterism.report.skeleton import marker_bones
 from asterism.report.wand import wand_report
 
 __all__ = [

@@ -85,7 +85,7 @@ def _thesis_sections(capturability: Capturability) -> list[Section]:
                 "Each line is a number of hidden markers, each point a target hit rate of the partial solvers (thesis, figure 5.2). "
                 "The higher the target, the fewer labels are wrong, and the more markers in sight are taken for hidden.",
                 figure=figures.trade_off(lines),
-                table=Table(["target hit rate", "hidden", "false assignments", "false occlusions"], rows),
+                table=Table(["target hit rate", "hidden", "wrong, of the labels given", "in view, of those without a label"], rows),
                 folded=True,
             )
         )

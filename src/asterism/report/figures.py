@@ -10,10 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.recording import Floats
+from asterism.recording.display import significant
 
 Figure = dict[str, Any]
 
 PALETTE = ("#0f7b8a", "#d1495b", "#e09f3e", "#5b5f97", "#3a9d5d", "#8d5a97", "#64748b", "#b5651d")
+SIDES: dict[str, dict[str, str]] = {"left": {"color": "#d1344b"}, "right": {"color": "#2563c9", "dash": "dash"}}
+"""How lines of each side are drawn: left red, right blue, as gait laboratories do; dashes tell them without colours. The player has the
+same colours."""
 MOST_NINES = 4.0
 COLUMNS = 600
 """The most columns of a picture over time; longer recordings are drawn by blocks of frames."""
@@ -112,7 +116,7 @@ def matrix(names: Sequence[str], shares: Floats) -> Figure:
     small = len(names) > 20
     # The colour is the root of the share, so the scale is labelled with the shares themselves.
     parts = [highest * part for part in (0, 0.1, 0.25, 0.5, 1)]
-    bar = colour_bar(tickvals=[float(np.sqrt(part)) for part in parts], ticktext=[f"{100 * part:.3g} %" for part in parts])
+    bar = colour_bar(tickvals=[float(np.sqrt(part)) for part in parts], ticktext=[f"{significant(100 * part, 3)} %" for part in parts])
     trace = {
         "type": "heatmap", "x": list(names), "y": list(names), "z": np.round(np.sqrt(off), 5), "customdata": np.round(100 * off, 3),
         "zmin": 0, "zmax": float(np.sqrt(highest)), "xgap": 1, "ygap": 1, "colorbar": bar,
@@ -170,13 +174,16 @@ def _logarithmic(values: Sequence[float]) -> dict[str, Any]:
 
 
 def trade_off(lines: Mapping[str, tuple[Any, Any]]) -> Figure:
-    """Named lines of (false assignments, false occlusions), as shares; both axes in percent."""
+    """Named lines of (wrong labels of those given, markers in view of those without a label), as shares; both axes in percent."""
     data = []
     for number, (name, (wrong, missed)) in enumerate(lines.items()):
         x, y = (100 * np.asarray(share, dtype=np.float64) for share in (wrong, missed))
-        hover = name + ": %{x:.3f} % wrong, %{y:.2f} % of the nulls missed"
+        hover = name + ": %{x:.3f} % wrong, %{y:.2f} % of the markers without a label in view"
         data.append(line(x, y, name, hover, mode="lines+markers", line={"color": PALETTE[number % len(PALETTE)]}))
-    axes = {"xaxis": titled("false assignments", ticksuffix=" %"), "yaxis": titled("false occlusions", ticksuffix=" %")}
+    axes = {
+        "xaxis": titled("wrong, of the labels given", ticksuffix=" %"),
+        "yaxis": titled("in view, of those without", ticksuffix=" %"),
+    }
     return figure(data, height=360, **axes)
 
 
@@ -207,7 +214,9 @@ def _reliability_traces(name: str, bins: Sequence[tuple[float, float, int]], col
     """One condition's line of shares, and below it the line of counts; bins without labels are left out."""
     # A bin without labels has no share; drawn as 0 it would look like an error.
     kept = [(float(confidence), float(right), int(n)) for confidence, right, n in bins if n > 0]
-    text = [f"confidence {100 * confidence:.4g} %, right {100 * right:.4g} % of {n:,}" for confidence, right, n in kept]
+    text = [
+        f"confidence {significant(100 * confidence, 4)} %, right {significant(100 * right, 4)} % of {n:,}" for confidence, right, n in kept
+    ]
     shared = {"legendgroup": name, "visible": True if drawn else "legendonly", "text": text, "mode": "lines+markers"}
 
     def drawn_line(y: Any, width: int, size: int, **more: Any) -> dict[str, Any]:

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from asterism.findings import Finding
 from asterism.recording import Clouds, Floats, Ints, Labelling, LabelStates, MarkerSet, label_states
+from asterism.recording.display import short_names
 from asterism.recording.shares import SURE
 from asterism.recording.verdict import FITS, OTHER_BODY
-from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, findings_table, percent, short_names, tinted, write_page
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, findings_table, percent, tinted, write_page
 from asterism.report.player import WRONG, ShownRecording, pack_recordings
 
 
@@ -29,8 +30,6 @@ class LabelledRecording:
     truth        (T, M) int, for each marker its place in its frame's cloud, -1 where it is hidden; None where it is not known
     first_frame  the number that the file gives its first frame
 
-    A marker without a label counts as unsure where its frame has points left over, as hidden where none is left. Where the truth is
-    given, it decides.
     """
 
     labelling: Labelling
@@ -41,7 +40,7 @@ class LabelledRecording:
 
     @cached_property
     def states(self) -> LabelStates:
-        """What became of each marker in each frame, by what is left over."""
+        """What became of each marker in each frame."""
         return label_states(self.labelling, self.clouds)
 
     @cached_property
@@ -56,13 +55,13 @@ class LabelledRecording:
 
     @cached_property
     def unsure(self) -> NDArray[np.bool_]:
-        """(T, M) whether a marker got no label though it may be in view."""
-        return self.states.unsure if self.truth is None else np.asarray(~self.given & (self.truth >= 0))
+        """(T, M) whether a marker got no label though a point without one may be it."""
+        return self.states.unsure
 
     @cached_property
     def hidden(self) -> NDArray[np.bool_]:
-        """(T, M) whether a marker got no label and is out of view."""
-        return ~self.given & ~self.unsure
+        """(T, M) whether a marker got no label and no point is left that may be it."""
+        return self.states.hidden
 
     @cached_property
     def wrong(self) -> NDArray[np.bool_] | None:
@@ -83,7 +82,7 @@ def label_report(
 
     shown       the recordings, in the order of `files`; their truth, where it is known, adds right, wrong and missed
     files       a mapping per file: file, frames, labelled, likely, unsure, hidden (shares 0..1), verdict, readiness, use,
-                frames_per_second; what is absent is counted in the recording, or shows as a dash
+                why, frames_per_second; what is absent is counted in the recording, or shows as a dash
     model_info  facts for the foot of the page: model, seed, rules, ...
     findings    on the files
 
@@ -97,7 +96,7 @@ def label_report(
     rows = [{**_counted(recordings, i, row), **row} for i, row in enumerate(given_rows)]
     names = short_names([str(row.get("file", "")) or "the recording" for row in rows])
     sections = [
-        Section("Files", table=_files(rows, names), note=_note(recordings)),
+        Section("Files", table=_files(rows, names), note=_note(rows, names)),
         *([Section("What to know before using it", table=findings_table(findings))] if findings else []),
         *([_against_truth(recordings)] if any(one.truth is not None for one in recordings) else []),
         *_pictures(recordings, rows, names),
@@ -205,17 +204,13 @@ _MANY_UNSURE = 0.02
 """Share of unsure markers from which the page marks it."""
 _FEW_WRONG = 0.001
 """Share of wrong labels up to which the page marks it as good: the target hit rate of a model by default."""
+_NAMED = 5
+"""Files that are named with a reason; a line has room for so many."""
 _NOTE = (
-    "Unsure: a marker without a label in a frame with unlabelled points (the marker may be hidden, and the points may be ghosts). "
-    "Hidden: a marker without a label in a frame in which every point has a label."
+    "Labelled: a label with a confidence of 99 % or more. Likely: a label with less. "
+    "Unsure: a marker without a label, where one of the unlabelled points may be it. "
+    "Hidden: a marker without a label, where none is left that may be it: all points have a label, or the others are ghosts."
 )
-_NOTE_WITH_TRUTH = "Unsure: a marker in view without a label. Hidden: a marker out of view without a label, which is right."
-_NOTE_LIKELY = "Labelled: a label with a confidence of 99 % or more. Likely: a label with less. "
-
-
-def _note(recordings: Sequence[LabelledRecording]) -> str:
-    known = [one.truth is not None for one in recordings]
-    return _NOTE_LIKELY + (_NOTE_WITH_TRUTH if known and all(known) else _NOTE)
 
 
 def _files(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Table:
@@ -240,6 +235,16 @@ def _files(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Table:
         left=2 if judged else 1,
         opens=True,
     )
+
+
+def _note(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
+    """What the columns mean, and why files need a look; each reason once, with its first files."""
+    of_reason: dict[str, list[str]] = {}
+    for row, name in zip(rows, names, strict=True):
+        if row.get("why"):
+            of_reason.setdefault(f"{row['use']}: {row['why']}", []).append(name)
+    reasons = [f"{', '.join(files[:_NAMED])}{', ...' if len(files) > _NAMED else ''}: {reason}." for reason, files in of_reason.items()]
+    return " ".join([_NOTE, *reasons])
 
 
 def _verdict(row: Mapping[str, Any]) -> Cell:

@@ -139,11 +139,13 @@ def _joint_table(analysis: MotionAnalysis) -> Table:
 
 
 def _angle_section(name: str, analysis: MotionAnalysis, joint: JointAngles, one: AngleUncertainty | None) -> Section:
+    from asterism.motion.uncertainty.budget import TRIED_ON
+
     text = "How far the joint has turned since its first frame."
     bands = []
     if one is not None:
-        text += " Bands: shortest intervals that hold the angle with 65 and 95 %."
-        bands = [(f"{100 * p:.0f} %", *one.angle_intervals[p]) for p in sorted(one.angle_intervals, reverse=True)]
+        text += f" Bands: nominal 65 and 95 % intervals. {TRIED_ON}"
+        bands = [(f"nominal {100 * p:.0f} %", *one.angle_intervals[p]) for p in sorted(one.angle_intervals, reverse=True)]
     return Section(f"{name}: {joint.name}", text, figure=band_figure(analysis.recording.times, joint.angle, bands))
 
 
@@ -174,8 +176,7 @@ def _budget_section(joint: JointAngles, one: AngleUncertainty, times: Floats) ->
         data.append(figures.line(list(times), np.round(np.degrees(part), 4), source, source + " %{x:.2f} s: %{y:.2f}°", line=style))
     names = list(one.budget)
     rows: list[list[str | Cell]] = []
-    # Both: landmarks change the one and not the other.
-    for label, budget in (("flexion in anatomical axes", one.budget), ("angle since the first frame", one.angle_budget)):
+    for label, budget in (("flexion about the joint's axis", one.budget), ("angle since the first frame", one.angle_budget)):
         rows.append([label, *(decimal(float(np.degrees(np.sqrt(np.nanmean(budget[name] ** 2)))), 2) for name in names)])
     axes = {"xaxis": figures.titled("time (s)"), "yaxis": figures.titled("standard uncertainty (°)", rangemode="tozero")}
     return Section(
@@ -183,5 +184,5 @@ def _budget_section(joint: JointAngles, one: AngleUncertainty, times: Floats) ->
         "The standard uncertainty of the flexion from each source alone, and from all together.",
         figure=figures.figure(data, height=320, **axes),
         table=Table(["root mean square over the frames, °", *names], rows),
-        note="Misplaced landmarks shift the flexion by one angle in all frames. They leave the angle since a frame as it is.",
+        note="The joint's axis is found from the motion: no landmark is palpated for it, and none can be misplaced.",
     )

@@ -15,15 +15,14 @@ if TYPE_CHECKING:
     from asterism.motion.analysis import JointAngles, MotionAnalysis
     from asterism.motion.clinical import ClinicalAngles, ClinicalUncertainty
 
-_SIDE_COLOURS = {"left": "#d1495b", "right": "#3a9d5d"}
-"""Red and green, as gait laboratories draw them."""
 _GAPS = (0.06, 0.1)
 """Space between the rows and between the columns of small figures, shares of the whole."""
 
 
 def clinical_section(name: str, times: Floats, clinical: ClinicalAngles, known: ClinicalUncertainty | None) -> Section:
-    """Flexion, adduction and rotation of hip, knee and ankle over time, left and right in one small figure each; 95 % bands if known."""
+    """Flexion, adduction and rotation of hip, knee and ankle over time, left and right in one small figure each; bands if known."""
     from asterism.motion.clinical import CLINICAL
+    from asterism.motion.clinical.uncertainty import TRIED_ON
 
     joints = list(dict.fromkeys(joint.joint for joint in clinical.joints))
     data: list[dict[str, object]] = []
@@ -39,19 +38,19 @@ def clinical_section(name: str, times: Floats, clinical: ClinicalAngles, known: 
             axes, sides = _axes(cell, (row, len(joints)), (column, len(CLINICAL)), f"{joint} {angle} (°)", last)
             layout |= sides if drawn else {}
             for number, one in drawn:
-                colour, group = _SIDE_COLOURS[one.side], {**axes, "legendgroup": one.side}
+                side, group = figures.SIDES[one.side], {**axes, "legendgroup": one.side}
                 if known is not None:
                     low, high = (np.round(np.degrees(end[:, column]), 2) for end in known.joints[number].intervals[0.95])
-                    data += figures.band(list(times), low, high, colour + "2e", group, {"showlegend": False})
+                    data += figures.band(list(times), low, high, side["color"] + "2e", group, {"showlegend": False})
                 values, hover = np.round(np.degrees(one.angles[:, column]), 3), one.name + " " + angle + " %{x:.2f} s: %{y:.1f}°"
-                style = {"line": {"color": colour, "width": 2}, "showlegend": cell == 0}
+                style = {"line": {**side, "width": 2}, "showlegend": cell == 0}
                 data.append(figures.line(list(times), values, one.side, hover, **style, **group))
     measured = sorted({measure for one in clinical.measures.values() for measure in one.from_file})
     taken = f"Measures from the file: {', '.join(measured).replace('_', ' ')}." if measured else "The file has no measures: an adult's."
     text = "Of Grood and Suntay, by the markers of Helen Hayes or Plug-in-Gait. Flexion, adduction and internal rotation are positive."
     return Section(
         f"{name}: clinical angles",
-        text + (" Bands: the shortest intervals that hold the angle with 95 %." if known is not None else ""),
+        text + (f" Bands: nominal 95 % intervals. {TRIED_ON}" if known is not None else ""),
         figure=figures.figure(data, height=230 * len(joints) + 40, **layout),
         table=_clinical_budget(known) if known is not None else None,
         note=f"{taken} The foot is a line from ankle to toe, which tells no adduction.",

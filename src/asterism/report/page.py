@@ -18,6 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from asterism.files.atomic import utf8, write_atomically
 from asterism.findings import Finding, Severity
+from asterism.recording.display import singular
 from asterism.report.player import deflated, player_script, player_style, template
 
 NOTHING = "–"
@@ -93,6 +94,7 @@ def write_page(path: str | Path, page: Page) -> None:
         plotly=_plotly() if figures else "",
         data=_as_script({"figures": _without_markup(figures), "players": players}),
         is_cell=lambda cell: isinstance(cell, Cell),
+        singular=singular,
     )
     # Whole or not at all: a browser that reloads must not meet half a page.
     write_atomically(target, utf8(html))
@@ -154,13 +156,6 @@ def findings_table(findings: Sequence[Finding], more: Sequence[Sequence[str | Ce
     rows: list[Sequence[str | Cell]] = [(_SEVERITIES[finding.severity], str(finding)) for finding in findings]
     rows += more
     return Table(["", "what was found"], rows or [["good", "nothing speaks against it"]], left=2)
-
-
-def short_names(files: Sequence[str]) -> list[str]:
-    """What to call each file: its name, with its folder where another file has the same name."""
-    names = {file: Path(file).name for file in files}
-    twice = {name for name in names.values() if list(names.values()).count(name) > 1}
-    return ["/".join(Path(file).parts[-2:]) if names[file] in twice else names[file] for file in files]
 
 
 def tinted(share: float, digits: int, worst: float, kind: str = "warn") -> Cell:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from asterism.geometry import rotate_z_up
 from asterism.recording import Clouds, Floats, Ints, Labelling, MarkerSet
+from asterism.recording.sides import marker_sides
 from asterism.report.figures import MOST_NINES, nines
-from asterism.report.skeleton import marker_bones, marker_sides
+from asterism.report.skeleton import marker_bones
 
 WRONG, IN_QUESTION = 1, 2
 """Marks of a point: its label is known to be wrong; it is what the page asks about."""

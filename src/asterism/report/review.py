@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asterism.recording import Clouds, Labelling, MarkerSet
-from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, short_names, write_page
+from asterism.recording.display import short_names
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, write_page
 from asterism.report.player import IN_QUESTION, ShownRecording, pack_recordings
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def review_report(
     # The list may be the head of a longer one; the totals are of the whole.
     number, gain = totals or (len(entries), head)
     merits = [
-        (count(number), "pieces of tracks to check", ""),
+        (count(number), "pieces of tracks to look at", ""),
         (f"{gain:,.1f}", "wrong or missing samples expected in them", "warn" if gain >= 1 else "good"),
         (count(len(entries)), "listed here", ""),
         (percent(head / gain if gain else float("nan"), 1), "of the expected gain is in this list", ""),
@@ -91,8 +92,8 @@ def review_report(
         text = "The ringed point is in question; the list opens each of them. Drag to turn; with the picture in focus, space plays and "
         sections.append(Section("In 3D", text + "the arrow keys step.", player=pack_recordings(shown)))
     lead = f"{len(entries)} of {number:,} pieces of tracks, by the number of samples that a check corrects."
-    lead = lead if entries else "No label needs a check."
-    write_page(path, Page("What to check first", lead, model_info or {}, merits, sections))
+    lead = lead if entries else "No piece of a track needs a look."
+    write_page(path, Page("What to look at first", lead, model_info or {}, merits, sections))
 
 
 def label_text(item: ReviewItem) -> str:

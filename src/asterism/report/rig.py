@@ -11,6 +11,7 @@ import numpy as np
 from asterism.cameras import Rig
 from asterism.cameras.accuracy import RigMap, WandAccuracy, map_rig, sees, sensitivity
 from asterism.recording import Floats, as_vertical
+from asterism.recording.display import significant
 from asterism.report.page import NOTHING, Cell, Page, Section, Table, decimal, millimetres, percent, tinted, write_page
 from asterism.report.space import rig_in_space, slices
 
@@ -42,10 +43,11 @@ def rig_report(
     up = as_vertical("z") if rig.vertical is None else rig.vertical
     seen = sees(rig, result.places)
     three = result.coverage(3)
+    noise = significant(result.noise, 2)
     merits = [
         (str(len(rig)), "cameras", ""),
         (percent(three), "of the volume is seen by three cameras or more", "good" if three > 0.95 else "warn" if three > 0.7 else "bad"),
-        (millimetres(result.median_error), f"error of a marker (RMS, median) at {result.noise:.2g} px noise", ""),
+        (millimetres(result.median_error), f"error of a marker (RMS, median) at {noise} px noise", ""),
         (percent(float(result.facing.mean())), "of markers on a body face two cameras or more", ""),
     ]
     # Percentiles: one place at the edge must not take the whole scale.
@@ -62,7 +64,7 @@ def rig_report(
         ),
         Section(
             "How exactly a marker is measured",
-            f"The RMS length of the error in 3D from all cameras that see the place, for {result.noise:.2g} px noise of a blob's x and y. "
+            f"The RMS length of the error in 3D from all cameras that see the place, for {noise} px noise of a blob's x and y. "
             "Calibration is taken as exact. Grey: fewer than two cameras.",
             figure=slices(result, 1000 * result.error, up, "mm", ERROR_SHADES, float(best), float(worst)),
             table=_errors(result),
@@ -98,7 +100,7 @@ def _errors(result: RigMap) -> Table:
         [
             row("RMS length of the error in 3D", result.error),
             row("standard deviation along the worst direction", result.worst_axis),
-            row(f"sensitivity of the best pair, ± {result.noise:.2g} px (mean of 12)", result.sensitivity),
+            row(f"sensitivity of the best pair, ± {significant(result.noise, 2)} px (mean of 12)", result.sensitivity),
         ],
     )
 
@@ -163,11 +165,12 @@ def _pairs(rig: Rig, result: RigMap) -> Section:
     def scalars(pair: Mapping[str, Any]) -> list[str]:
         return [decimal(1000 * value, 2) for axis in "xyz" for value in pair["scalars_m"][axis].values()]
 
+    noise = significant(result.noise, 2)
     head = ["pair (a, b)", "mean of 12", *(f"{axis} of {coordinate}" for axis in "xyz" for coordinate in COORDINATES)]
     rows = [[", ".join(pair["pair"]), decimal(1000 * pair["effective_m"], 2), *scalars(pair)] for pair in pair_scalars(rig, result)]
     return Section(
         "Sensitivity of pairs in the middle of the volume",
-        f"How far a point moves, in mm, where one coordinate of one image moves from -{result.noise:.2g} to +{result.noise:.2g} px and the "
+        f"How far a point moves, in mm, where one coordinate of one image moves from -{noise} to +{noise} px and the "
         "others stay: the 12 one-at-a-time scalars, and their mean.",
         table=Table(head, rows),
         folded=True,

@@ -1,20 +1,15 @@
-"""Marker names and positions in; the side of each marker, and the pairs of markers that a picture joins by a line, out."""
+"""Marker names and positions in; the pairs of markers that a picture joins by a line, out."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from asterism.recording import Floats, MarkerSet, canonical, shipped_sets
-from asterism.recording.marker_set import without_subject
-
-_WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
-_OTHER_SIDE = {"l": "r", "r": "l", "left": "right", "right": "left"}
+from asterism.recording import Floats, MarkerSet, canonical
+from asterism.recording.sides import known_set
 
 
 @dataclass(frozen=True)
@@ -34,39 +29,6 @@ class BoneRules:
 
 
 _RULES = BoneRules()
-
-
-def known_set(names: Sequence[str]) -> MarkerSet | None:
-    """The smallest shipped marker set that has all these markers, for their pairs and segments."""
-    wanted = {canonical(without_subject(name)) for name in names}
-    return next((known for known in _shipped() if wanted <= {canonical(name) for name in known.names}), None)
-
-
-@cache
-def _shipped() -> tuple[MarkerSet, ...]:
-    """The shipped sets, the smallest first."""
-    return tuple(sorted(shipped_sets().values(), key=len))
-
-
-def marker_sides(names: Sequence[str], marker_set: MarkerSet | None = None) -> list[str]:
-    """For each marker "left", "right" or "middle".
-
-    By the pairs of the marker set, or of a shipped one with these markers; other markers by their names: LKNE beside RKNE, L.Knee,
-    KneeOut_L, left_heel.
-
-    >>> marker_sides(["LKNE", "RKNE", "SACR", "left_heel"])
-    ['left', 'right', 'middle', 'left']
-    """
-    # The set says which markers are pairs; names are only asked where it does not.
-    known = marker_set if marker_set is not None and marker_set.pairs else known_set(names)
-    side: dict[str, str] = {}
-    for left, right in known.pairs if known is not None else ():
-        side[canonical(left)], side[canonical(right)] = "left", "right"
-    plain = [without_subject(name) for name in names]
-    every = {canonical(name) for name in plain}
-    return [
-        side.get(canonical(name)) or side.get(canonical(bare)) or _side_of(bare, every) for name, bare in zip(names, plain, strict=True)
-    ]
 
 
 def marker_bones(positions: Floats, names: Sequence[str], marker_set: MarkerSet | None = None) -> list[list[int]]:
@@ -97,21 +59,3 @@ def marker_bones(positions: Floats, names: Sequence[str], marker_set: MarkerSet 
     cost[~frequent | (mean > _RULES.longest)] = 0.0
     np.fill_diagonal(cost, 0.0)
     return [[int(a), int(b)] for a, b in zip(*minimum_spanning_tree(np.triu(cost)).nonzero(), strict=True)]
-
-
-def _side_of(name: str, every: set[str]) -> str:
-    """By a name's own words, or because the name with the other side's letter is a marker too; every: all names, canonical."""
-    words = [word.casefold() for word in _WORDS.findall(name)]
-    plain_name = canonical(name)
-    for word in ("left", "right"):
-        if word in words or plain_name.startswith(word):
-            return word
-    # A single letter counts only beside another word: a marker may be called L.
-    alone = [word for word in (words[:1] + words[-1:]) if word in ("l", "r")]
-    if alone and len(words) > 1:
-        return "left" if alone[0] == "l" else "right"
-    for at in [0, len(plain_name) - 1, *range(1, len(plain_name) - 1)] if plain_name else ():
-        other = _OTHER_SIDE.get(plain_name[at])
-        if other is not None and plain_name[:at] + other + plain_name[at + 1 :] in every:
-            return "left" if plain_name[at] == "l" else "right"
-    return "middle"

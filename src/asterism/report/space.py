@@ -48,7 +48,7 @@ def rig_in_space(
         marker: dict[str, Any] = {"size": 3, "color": PALETTE[2]}
         if values is not None:
             marker |= {"color": np.round(np.asarray(values, dtype=np.float64), 4), "colorscale": "Viridis", "colorbar": colour_bar(what)}
-        hover = place + ("" if values is None else ": %{marker.color:.3g}") + "<extra></extra>"
+        hover = place + ("" if values is None else ": %{marker.color:.3r}") + "<extra></extra>"
         data.append(in_space(np.asarray(points) @ turn.T, marker=marker, hovertemplate=hover, showlegend=False))
     axis = titled("", backgroundcolor="#f7f9fc", gridcolor="#dfe5ee", showspikes=False, ticksuffix=" m", nticks=6)
     view = {"eye": {"x": 1.1, "y": -1.35, "z": 0.95}, "center": {"x": 0, "y": 0, "z": -0.12}}
@@ -81,7 +81,7 @@ def slices(result: RigMap, values: Floats, vertical: Floats, what: str, shades: 
             {
                 "type": "heatmap", "x": np.round(result.axes[across], 3), "y": np.round(result.axes[along], 3),
                 "z": np.round(grid[layer].T, 4), "zmin": low, "zmax": high, "colorscale": list(shades), "colorbar": colour_bar(what),
-                "showscale": n == len(layers) - 1, "hovertemplate": "%{x:.2f}, %{y:.2f} m: %{z:.3g} " + what + "<extra></extra>", **axes,
+                "showscale": n == len(layers) - 1, "hovertemplate": "%{x:.2f}, %{y:.2f} m: %{z:.3r} " + what + "<extra></extra>", **axes,
             }
         )  # fmt: skip
     drawn = int(np.clip(90 + 900 / len(layers) * deep / wide, 220, 460))

@@ -5,29 +5,48 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from asterism.files.plain import as_json
+from asterism.findings import Finding
 
 NAME = "asterism-label.jsonl"
 _SLACK = 2 * 10**9
 """ns by which a file system may round the time of a file down."""
 
 
-class FinishedFiles:
-    """The record in a folder of outputs: for each output what it was made from, how, and with which result.
+@dataclass(frozen=True)
+class FinishedFile:
+    """What an earlier run has said of a file.
 
-    A line is written before an output, and another one after it. A line that was cut off is as if it were not there.
+    row       its results
+    findings  what it reported, so that a run that goes on reports the same
+    changed   whether somebody has changed the output since
     """
 
-    def __init__(self, folder: Path, how: Mapping[str, Any], models: Sequence[Path]) -> None:
-        self.folder = folder
+    row: Mapping[str, Any]
+    findings: Sequence[Finding]
+    changed: bool
+
+
+class FinishedFiles:
+    """The record in a folder of outputs: for each output what it was made from, how, with which result, and what was found.
+
+    A line is written before an output, and another one after it. A line that was cut off is as if it were not there.
+    how: the options, as plain values. inputs: models and other files beside the sources that an output depends on, by their content.
+    columns: what a row of results has, without which a line is damaged.
+    """
+
+    def __init__(self, folder: Path, how: Mapping[str, Any], inputs: Sequence[Path], columns: Collection[str] = ()) -> None:
+        self.folder, self.columns = folder, columns
         # other options or models make another output: the record of an earlier run says nothing then
         self.how = hashlib.sha256(json.dumps(as_json(how), sort_keys=True).encode()).hexdigest()
-        self.models = [_hash(path) for path in models]
+        self.inputs = [_hash(path) for path in inputs]
         self.entries: dict[str, dict[str, Any]] = {}
         for line in _lines(folder / NAME):
             # an output that was begun again is not what the earlier line says
@@ -36,11 +55,8 @@ class FinishedFiles:
             elif line.get("event") == "written" and str(line.get("output")) in self.entries:
                 self.entries[str(line["output"])] |= line
 
-    def row(self, place: Path, source: Path, target: Path) -> dict[str, Any] | None:
-        """The result of a file that this version has labelled with the same models and options from the same content; else None.
-
-        `changed` in it says that somebody has changed the output since.
-        """
+    def finished(self, place: Path, source: Path, target: Path) -> FinishedFile | None:
+        """What was said of a file that this version has labelled with the same models and options from the same content; else None."""
         entry = self.entries.get(place.as_posix())
         # the source, the models, the options or the program are others than then
         if entry is None or entry.get("key") != self._key(source):
@@ -48,27 +64,31 @@ class FinishedFiles:
         try:
             written = target.stat().st_mtime_ns
             # the run was stopped between the two lines: the output counts where it was written after the first one
-            if "row" not in entry and written + _SLACK < int(entry["at"]):
+            if "sha256" not in entry and written + _SLACK < int(entry["at"]):
                 return None
             # what somebody corrected by hand stays; the row says that it is no longer what was written
             changed = "sha256" in entry and entry["sha256"] != _hash(target)
-        except (OSError, ValueError, KeyError, TypeError):
+            # both may be named by other paths today
+            named = {str(entry["source"]): str(source), str(entry["target"]): str(target)}
+            findings = [_renamed(Finding.from_dict(found), named) for found in entry["findings"]]
+            row = dict(entry["row"])
+            return FinishedFile(row, findings, changed) if row.keys() >= set(self.columns) else None
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return None
-        row = entry.get("row")
-        return {**(row if isinstance(row, dict) else {}), "changed": changed}
 
-    def begin(self, place: Path, source: Path) -> None:
-        """Note that an output is being made."""
-        self._append({"event": "begun", "output": place.as_posix(), "source": str(source), "key": self._key(source), "at": time.time_ns()})
+    def begin(self, place: Path, source: Path, target: Path, row: Mapping[str, Any], findings: Sequence[Finding]) -> None:
+        """Note that an output is being made, and what is said of it where the run is stopped before `end`."""
+        about = {"source": str(source), "target": str(target), "key": self._key(source), "at": time.time_ns()}
+        self._append({"event": "begun", "output": place.as_posix(), **about, **_said(row, findings)})
 
-    def end(self, place: Path, target: Path, row: Mapping[str, Any]) -> None:
-        """Note that an output is complete, with its row of results."""
-        self._append({"event": "written", "output": place.as_posix(), "sha256": _hash(target), "row": as_json(row)})
+    def end(self, place: Path, target: Path, row: Mapping[str, Any], findings: Sequence[Finding]) -> None:
+        """Note that an output is complete, with its row of results and all that was found."""
+        self._append({"event": "written", "output": place.as_posix(), "sha256": _hash(target), **_said(row, findings)})
 
     def _key(self, source: Path) -> str:
         from asterism import __version__
 
-        return hashlib.sha256(" ".join([__version__, self.how, *self.models, _hash(source)]).encode()).hexdigest()
+        return hashlib.sha256(" ".join([__version__, self.how, *self.inputs, _hash(source)]).encode()).hexdigest()
 
     def _append(self, line: Mapping[str, Any]) -> None:
         """Add a line in one piece, after an end of line where the last one was cut off."""
@@ -79,6 +99,22 @@ class FinishedFiles:
             if file.seek(0, os.SEEK_END) and (file.seek(-1, os.SEEK_END), file.read(1))[1] != b"\n":
                 text = "\n" + text
             file.write(text.encode())
+
+
+def _said(row: Mapping[str, Any], findings: Sequence[Finding]) -> dict[str, Any]:
+    return {"row": as_json(row), "findings": [finding.to_dict() for finding in findings]}
+
+
+def _renamed(finding: Finding, named: Mapping[str, str]) -> Finding:
+    """A finding under today's names of the files that it names."""
+    # the longer name first, and none inside another path: out/walk.c3d holds walk.c3d
+    names = "|".join(map(re.escape, sorted(named, key=len, reverse=True)))
+    pattern = re.compile(rf"(?<![\w/\\.-])(?:{names})(?![\w-])")
+
+    def today(text: str) -> str:
+        return pattern.sub(lambda found: named[found[0]], text)
+
+    return replace(finding, where=today(finding.where), sentence=today(finding.sentence), mend=today(finding.mend))
 
 
 def _lines(path: Path) -> list[dict[str, Any]]:

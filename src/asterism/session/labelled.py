@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-from asterism.findings import Finding
+from asterism.findings import Finding, Severity
 from asterism.labelling import MarkerModel, ReviewItem
 from asterism.labelling.correction import Correction, FirstLabels
-from asterism.labelling.correction.readiness import Readiness, readiness
+from asterism.labelling.correction.readiness import DO_NOT_USE, Readiness, readiness, to_look_at
 from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller
 from asterism.recording import Clouds, Labelling, MarkerSet, Recording
 from asterism.recording.verdict import Verdict
@@ -25,7 +25,7 @@ class LabelledFile:
     path        the file
     labelling   (T, M) of its clouds, with the names of the file that hold
     marker_set  its names are the labelling's
-    findings    what a person should know before they use the labels
+    found       what was found while the file was read and labelled, without what follows for its use; `findings` has both
     standing    the trial by which the model was narrowed to the person; None where none was used
     file_names  what was done with the names that the points had: "keep", "check", "ignore"; None where they played no part
     models      one for each body, as they were given
@@ -40,7 +40,7 @@ class LabelledFile:
     path: Path
     labelling: Labelling
     marker_set: MarkerSet
-    findings: tuple[Finding, ...]
+    found: tuple[Finding, ...]
     standing: Path | None
     file_names: str | None
     models: tuple[MarkerModel, ...]
@@ -68,13 +68,30 @@ class LabelledFile:
 
     @cached_property
     def items(self) -> Sequence[ReviewItem]:
-        """What a person should check, by expected gain. Of a recording that is not in memory, without the points."""
+        """All pieces of tracks with doubts, by expected gain. Of a recording that is not in memory, without the points."""
         return self.copy.items()
+
+    @property
+    def to_look_at(self) -> list[ReviewItem]:
+        """Those of them that a person should look at: as many as `readiness` says."""
+        return to_look_at(self.items)
 
     @cached_property
     def readiness(self) -> Readiness:
         """Whether the labels can be used."""
         return readiness(self.labelling, self.clouds, self.items)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What a person should know before they use the labels: the same behind every door."""
+        # a file without any label has its own finding, which says more
+        if self.readiness.kind != DO_NOT_USE or not (self.labelling.indices >= 0).any():
+            return self.found
+        sentence = f"{self.path}: {100 * self.readiness.error:.0f} % of the labels are expected to be wrong or missing, do not use them."
+        # a model has its own marker set
+        mend = "Name the marker set that is worn with --markers, or look" if self.worn else "Look"
+        mend += " at the labels with `asterism review`."
+        return (*self.found, Finding("label-do-not-use", Severity.WARNING, str(self.path), sentence, mend))
 
     def correction(self) -> Correction:
         """The labels, to be corrected by a person; of a recording that is in memory."""
@@ -82,12 +99,8 @@ class LabelledFile:
 
     def corrected(self, correction: Correction) -> LabelledFile:
         """The same file under the labels that a person has corrected."""
-        # findings and verdict stay: they are on what the models said
+        # what was found and the verdict stay: they are on what the models said
         return replace(self, labelling=correction.labelling, copy=self.copy.corrected(correction))
-
-    def without_file(self) -> LabelledFile:
-        """The same without what only writing needs: half of the memory of a recording of an hour."""
-        return replace(self, copy=self.copy.without_file())
 
     def write(self, target: Path | str, *, program: str | None = None, drop_computed: bool = False) -> list[str]:
         """Write the labelled recording; returns what the file cannot hold.

@@ -28,8 +28,8 @@ from asterism.labelling.virtual_model import virtual_model
 from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.labelling.whole.verdict import MIN_FRAMES
 from asterism.progress import Progress
-from asterism.recording import Clouds, Disagreement, Labelling, MarkerSet
-from asterism.recording.display import counted
+from asterism.recording import Clouds, Disagreement, Ints, Labelling, MarkerSet
+from asterism.recording.display import counted, significant
 from asterism.recording.verdict import OTHER_BODY
 from asterism.session.coincident import coincident_findings
 from asterism.session.labelled import LabelledFile
@@ -40,11 +40,7 @@ from asterism.session.sources import FrameSource, open_source
 from asterism.session.standing import StandingTrials
 from asterism.session.upright import labelled_upright, vertical_finding
 from asterism.session.wider import wider_model
-from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules, SetFinder, WornMarkers
-
-_FRAMES_TO_FIND = 3000
-"""Frames of a file among which the marker set is looked for: half a minute at 100 Hz. Of a longer file, a person has come into view by then
-or the frames with most points are as good."""
+from asterism.session.worn import BY_NAMES, BY_POINTS, FRAMES_TO_FIND, GIVEN, FindRules, SetFinder, WornMarkers
 
 _WORTH_TELLING = 0.01
 """Probability below which another set is not named."""
@@ -161,12 +157,13 @@ class FileLabeller:
         said, other = source.about.vertical, labelled_upright(self._plain, recording)
         labelled = self._label_source(path, source if other is None else self._open(path, other), progress)
         # whatever points up, the body may be another: then all axes are tried before it is refused
-        if other is None and (labelled.verdict is not None and labelled.verdict.kind == OTHER_BODY):
+        refused = labelled.verdict is not None and labelled.verdict.kind == OTHER_BODY
+        if other is None and (refused or not (labelled.labelling.indices >= 0).any()):
             other = labelled_upright(self._plain, recording, every=True)
             labelled = labelled if other is None else self._label_source(path, self._open(path, other), progress)
         if other is None:
             return labelled
-        return replace(labelled, findings=(vertical_finding(str(path), said, other), *labelled.findings))
+        return replace(labelled, found=(vertical_finding(str(path), said, other), *labelled.found))
 
     def _open(self, path: Path, vertical: ArrayLike | str | None) -> FrameSource:
         """The recording of a file. Raises AsterismError as `label` does."""
@@ -193,7 +190,7 @@ class FileLabeller:
         copy = found.source.finish(found.labelling, policy, self.options.by)
         seconds = time.perf_counter() - started
         findings += found.labelling.findings(str(path))
-        findings += _nothing_labelled(path, found.labelling) or _few_frames(path, found.labelling)
+        findings += _nothing_labelled(path, found.labelling) or _few_frames(path, source.counts)
         clouds = source.clouds(_beginning(source))
         findings += coincident_findings(str(path), clouds)
         findings += mirror_findings(str(path), self._plain, found.labelling, clouds)
@@ -233,13 +230,13 @@ class FileLabeller:
             turned = not np.allclose(shown, said)
             labelled = labeller._label_source(path, labeller._open(path, shown if turned else self.options.vertical), progress)
             if turned:
-                labelled = replace(labelled, findings=(vertical_finding(str(path), said, shown), *labelled.findings))
-        findings = [*labelled.findings, *findings_on_sets(path, bodies, self._finder.rules)]
+                labelled = replace(labelled, found=(vertical_finding(str(path), said, shown), *labelled.found))
+        findings = [*labelled.found, *findings_on_sets(path, bodies, self._finder.rules)]
         if BY_NAMES not in {one.by for one in bodies}:
             findings += _few_markers(path, labelled.labelling, labelled.clouds, bodies)
         if labeller.wider is not None:
             findings.append(_explained_by(path, labeller.wider.name, bodies[0].name))
-        return replace(labelled, worn=tuple(bodies), findings=tuple(findings))
+        return replace(labelled, worn=tuple(bodies), found=tuple(findings))
 
     def _of_wider(self, labeller: FileLabeller, wider: WiderModel) -> FileLabeller:
         """What labels the files of a set whose points another model explains better, made once."""
@@ -382,7 +379,7 @@ def label_file(
 
 def _beginning(source: FrameSource) -> slice:
     """The frames of a file that tell what is worn, and what is up."""
-    return slice(0, min(len(source.counts), _FRAMES_TO_FIND))
+    return slice(0, min(len(source.counts), FRAMES_TO_FIND))
 
 
 def body_names(models: Sequence[Path]) -> list[str]:
@@ -403,10 +400,10 @@ def findings_on_sets(path: Path, worn: Sequence[WornMarkers], rules: FindRules) 
     findings = []
     for one in worn:
         if one.by == BY_POINTS and one.same_names < rules.sure:
-            rest = ", ".join(f"{name} ({100 * chance:.2g} %)" for name, chance in one.others if chance > _WORTH_TELLING)
+            rest = ", ".join(f"{name} ({significant(100 * chance, 2)} %)" for name, chance in one.others if chance > _WORTH_TELLING)
             rest = rest or "a set that is not shipped"
-            sentence = f"{path}: the points may be those of {one.name} ({100 * one.probability:.2g} %) or of {rest}; {one.name} was taken,"
-            sentence += f" by which {100 * one.same_names:.2g} % of the names are expected to be right."
+            sentence = f"{path}: the points may be those of {one.name} ({significant(100 * one.probability, 2)} %) or of {rest}; "
+            sentence += f"{one.name} was taken, by which {significant(100 * one.same_names, 2)} % of the names are expected to be right."
             if one.shown < one.points:
                 sentence += f" Its markers explain {one.shown} of {one.points} points."
             mend = "Name the set with --markers; recordings of one person in one folder are judged together."
@@ -450,12 +447,13 @@ def _few_markers(path: Path, labelling: Labelling, clouds: Clouds, worn: Sequenc
     return [Finding("label-few-markers", Severity.WARNING, str(path), sentence, mend)]
 
 
-def _few_frames(path: Path, labelling: Labelling) -> list[Finding]:
-    """The finding that a file is too short for its movement to speak for the labels."""
-    frames = len(labelling.indices)
+def _few_frames(path: Path, counts: Ints) -> list[Finding]:
+    """The finding that a file shows too little for its movement to speak for the labels; counts (T,) points of each frame."""
+    frames = int((np.asarray(counts) > 0).sum())
     if frames >= MIN_FRAMES:
         return []
-    sentence = f"{path}: {counted(frames, 'frame')} cannot show which distances stay while a body moves; the posture alone gave the labels."
+    sentence = f"{path}: {counted(frames, 'frame')} with points cannot show which distances stay while a body moves; "
+    sentence += "the posture alone gave the labels."
     mend = "Check them with `asterism review`, or give the whole recording: its other frames make them sure."
     return [Finding("label-few-frames", Severity.NOTE, str(path), sentence, mend)]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -90,10 +90,6 @@ class LabelledCopy(Protocol):
         """The recording under labels that a person has corrected."""
         ...
 
-    def without_file(self) -> LabelledCopy:
-        """The same without what only writing needs."""
-        ...
-
 
 def open_source(path: Path, options: LabellingOptions, *, by_ranges: bool) -> FrameSource:
     """A file's recording. by_ranges: whether a long C3D file stays on the disk.
@@ -170,16 +166,13 @@ class _CopyInMemory:
 
     def write(self, target: Path, program: str | None, drop_computed: bool) -> list[str]:
         written = formats.without_computed(self.recording) if drop_computed else self.recording
-        left = list[str]()
+        marks: Any = {"labelling": self.labelling, "clouds": self.clouds}
         if program is not None:
-            written, left = formats.for_program(written, program, target)
-        return [*left, *formats.write(target, written, labelling=self.labelling, clouds=self.clouds)]
+            return formats.write_for_program(written, program, target, **marks)
+        return formats.write(target, written, **marks)
 
     def corrected(self, correction: Correction) -> _CopyInMemory:
         return replace(self, labelling=correction.labelling, correction=correction)
-
-    def without_file(self) -> _CopyInMemory:
-        return self
 
 
 class _ByRanges:
@@ -255,14 +248,14 @@ class _ByRanges:
 class _CopyByRanges:
     """A long C3D recording under its labels, written by ranges of frames."""
 
-    long: LongRecording | None
-    labelled: LabelledRanges | None
+    long: LongRecording
+    labelled: LabelledRanges
     clouds: Clouds
     found: list[ReviewItem]
 
     @property
     def recording(self) -> Recording:
-        return self._ranges().frames(slice(None))[0]
+        return self.labelled.frames(slice(None))[0]
 
     def items(self) -> list[ReviewItem]:
         return self.found
@@ -270,23 +263,14 @@ class _CopyByRanges:
     def write(self, target: Path, program: str | None, drop_computed: bool) -> list[str]:
         if program is not None:
             raise ValueError("a recording for another program is written as a whole; label it in memory")
-        labelled = self._ranges()
+        labelled = self.labelled
         if drop_computed:
             # the head alone says which columns are written: no range of frames need be touched
             labelled = replace(labelled, head=formats.without_computed(labelled.head))
-        assert self.long is not None
         return write_long(target, self.long.file, labelled)
 
     def corrected(self, correction: Correction) -> _CopyByRanges:
         raise ValueError("a recording is corrected in memory; label it so")
-
-    def without_file(self) -> _CopyByRanges:
-        return replace(self, long=None, labelled=None)
-
-    def _ranges(self) -> LabelledRanges:
-        if self.labelled is None:
-            raise ValueError("the file of this recording was let go; label it again")
-        return self.labelled
 
 
 def _counted(counts: Ints, recording: Recording) -> Clouds:

@@ -10,7 +10,7 @@ from asterism.findings import Finding, Severity
 from asterism.formats import vertical_from_positions
 from asterism.labelling.recording_labeller import RecordingLabeller
 from asterism.labelling.whole.bodies import SeveralBodies
-from asterism.recording import Clouds, Floats, Recording
+from asterism.recording import Clouds, Floats, Recording, axis_name
 
 _OTHER = 0.5
 """Cosine of the angle between verticals from which they are one: 60 degrees. Axes are 90 degrees apart, a tilted floor a few."""
@@ -25,15 +25,15 @@ chance decides, at twice a head that is upside down passes."""
 
 
 def other_verticals(recording: Recording, *, every: bool = False) -> list[Floats]:
-    """What may point up instead of the vertical that a file says: what the points of a body show, where that is something else.
+    """What may point up instead of the vertical that a recording was read with: what its points show, where that is something else.
 
-    every: all other axes, where the points show nothing else, since nothing was found with the vertical of the file.
+    every: all other axes behind it, since nothing was found with the vertical that was read.
     """
     shown = vertical_from_positions(recording.positions, recording.labels)
-    if shown is not None and shown @ recording.vertical < _OTHER:
-        return [shown]
+    found = [] if shown is None else [shown]
     axes = np.concatenate([np.eye(3), -np.eye(3)])
-    return [axis for axis in axes if axis @ recording.vertical < _OTHER] if every else []
+    others = [*found, *(axis for axis in axes if every and not any(axis @ one > _OTHER for one in found))]
+    return [axis for axis in others if axis @ recording.vertical < _OTHER]
 
 
 def labelled_upright(labeller: RecordingLabeller, recording: Recording, *, every: bool = False) -> Floats | None:
@@ -66,14 +66,7 @@ def _labels(labeller: RecordingLabeller, clouds: Clouds, vertical: Floats) -> fl
 
 def vertical_finding(where: str, said: Floats, taken: Floats) -> Finding:
     """The finding that a file's vertical was not believed."""
-    sentence = f"{where}: it was read with {_name(said)} up, but its points are a body with {_name(taken)} up, and were labelled so."
-    mend = f"Say it with --vertical {_name(taken)}, and correct it in the file; --vertical {_name(said)} where the file is right."
+    up, other = axis_name(taken), axis_name(said)
+    sentence = f"{where}: it was read with {other} up, but its points are a body with {up} up, and were labelled so."
+    mend = f"Say it with --vertical {up}, and correct it in the file; --vertical {other} where the file is right."
     return Finding("label-vertical", Severity.WARNING, where, sentence, mend)
-
-
-def _name(vertical: Floats) -> str:
-    """A vertical as --vertical takes it: an axis where it is one."""
-    axis = int(np.abs(vertical).argmax())
-    if abs(vertical[axis]) > 1.0 - 1e-6:
-        return f"{'-' if vertical[axis] < 0 else ''}{'xyz'[axis]}"
-    return ",".join(f"{number:.4g}" for number in vertical)

@@ -10,7 +10,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.recording import Floats, Ints, MarkerSet, canonical
-from asterism.recording.display import Rows, as_html, as_text, listed
+from asterism.recording.display import Rows, as_html, as_text, listed, significant
 from asterism.views.arrays import ArticulatedBodyArrays
 
 Point = tuple[float, float, float]
@@ -264,7 +264,7 @@ class ArticulatedBody:
     def _facts(self) -> Rows:
         return (
             ("title", self.title),
-            ("height", f"{self.height:.3g} m"),
+            ("height", f"{significant(self.height, 3)} m"),
             ("bones", listed([bone.name for bone in self.bones])),
             ("hinges", str(len(self.hinges))),
             ("markers", listed(self.labels)),

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from asterism.errors import AsterismError, guarded_reading
-from asterism.files.toml import toml_text
+from asterism.files.toml import tables_of_toml, toml_text
 from asterism.views.body import ArticulatedBody, BodyMarker, Bone, Capsule, Hinge, Point
 
 _VERSION = 1
@@ -51,13 +50,13 @@ def save_body(body: ArticulatedBody, path: str | Path) -> None:
 def body_from_toml(text: str, origin: str) -> ArticulatedBody:
     """A body model from its TOML text; `origin` names it in messages. Raises AsterismError that names the first entry that is wrong."""
     try:
-        table = tomllib.loads(text)
+        table = tables_of_toml(text)
         if table.get("format") != "asterism body":
             raise ValueError('it does not begin with format = "asterism body"')
         if table.get("version") != _VERSION:
             raise ValueError(f"its version is {table.get('version')!r}, and this Asterism reads {_VERSION}")
         return _body(table, origin)
-    except (tomllib.TOMLDecodeError, RecursionError, ValueError, TypeError) as problem:
+    except (RecursionError, ValueError, TypeError) as problem:
         raise AsterismError(f"{origin} is not a body model ({problem}); make one with `asterism body fit`.") from problem
 
 

@@ -90,7 +90,8 @@ class Guard:
 
     def _is_own_name(self, given: str) -> bool:
         """Whether a Host header names this server. With it, a page of another site cannot point its own name at this machine."""
-        name, _, port = given.rpartition(":")
+        # Browsers leave out the port of the protocol; the address of IPv6 ends in a bracket, which has colons before it.
+        name, _, port = given.rpartition(":") if ":" in given.rpartition("]")[2] else (given, "", "80")
         if port != str(self.port):
             return False
         name = name.strip("[]").lower()

@@ -8,8 +8,10 @@ import numpy as np
 
 from asterism.geometry import rotate_z_up
 from asterism.labelling.correction import Correction, CorrectionChange, Readiness
-from asterism.recording import label_shares
-from asterism.report import marker_bones, marker_sides
+from asterism.recording import label_shares, label_states
+from asterism.recording.display import short_names
+from asterism.recording.sides import marker_sides
+from asterism.report import marker_bones
 from asterism.web.session import CORRECTED, READY, CorrectionSession, CorrectionTrial
 
 ITEMS = 500
@@ -20,18 +22,18 @@ BONE_FRAMES = 200
 
 def plain_trials(session: CorrectionSession) -> dict[str, Any]:
     """What `/api/trials` answers."""
-    out = session.options.output
+    out, names = session.options.output, short_names([trial.path for trial in session.trials])
     return {
-        "trials": [_plain_trial(trial) for trial in session.trials],
+        "trials": [_plain_trial(trial, name) for trial, name in zip(session.trials, names, strict=True)],
         "markers_of_model": [] if session.labeller.marker_set is None else list(session.labeller.marker_set.names),
         "out": CORRECTED if out is None else str(out),
     }
 
 
-def _plain_trial(trial: CorrectionTrial) -> dict[str, Any]:
+def _plain_trial(trial: CorrectionTrial, name: str) -> dict[str, Any]:
     row: dict[str, Any] = {
         "id": trial.id,
-        "name": trial.path.name,
+        "name": name,
         "path": str(trial.path),
         "state": trial.state,
         "error": trial.error,
@@ -49,9 +51,7 @@ def _plain_trial(trial: CorrectionTrial) -> dict[str, Any]:
             "rate": correction.recording.rate,
             "first_frame": correction.recording.first_frame,
             "verdict": plain_verdict(correction.verdict),
-            "labelled": _number(shares.labelled),
-            "likely": _number(shares.likely),
-            "unsure": _number(shares.unsure),
+            **{name: _number(share) for name, share in vars(shares).items()},
             "touches": len(correction.touches),
             "saved": trial.is_saved,
         }
@@ -90,8 +90,9 @@ def plain_state(trial: CorrectionTrial, correction: Correction) -> dict[str, Any
                 "gain": round(item.gain, 3),
                 "alternatives": [[name, round(chance, 6)] for name, chance in item.alternatives],
             }
-            for item in correction.items()[:ITEMS]
+            for item in correction.to_look_at()[:ITEMS]
         ],
+        "unsure": _unsure_frames(correction),
         "verdict": plain_verdict(correction.verdict),
         "can_undo": correction.can_undo,
         "can_redo": correction.can_redo,
@@ -126,6 +127,13 @@ def packed_points(correction: Correction) -> bytes:
 def packed_pieces(correction: Correction) -> bytes:
     """What `/api/trials/ID/piece_points` answers: the place in the table of pieces of each point."""
     return correction.pieces.of_point.astype("<u4").tobytes()
+
+
+def _unsure_frames(correction: Correction) -> list[list[list[int]]]:
+    """For each marker the runs of frames, first and last, in which a point without a name may be it."""
+    unsure = label_states(correction.labelling, correction.clouds).unsure
+    edges = np.diff(np.pad(unsure.astype(np.int8), ((1, 1), (0, 0))), axis=0).T
+    return [np.column_stack([np.nonzero(row > 0)[0], np.nonzero(row < 0)[0] - 1]).tolist() for row in edges]
 
 
 def _bones(correction: Correction) -> list[list[int]]:

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import errno
+import html
+import ipaddress
+import os
 import secrets
 import socket
+import tempfile
 import threading
 import webbrowser
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 from asterism.errors import AsterismError
 from asterism.web.session import CorrectionSession
@@ -63,17 +69,22 @@ def serve(session: CorrectionSession, place: PageAddress, say: Callable[[str], N
         # Labelling begins at once; the page shows each trial as it gets ready.
         thread = session.start()
         say(f"The page is at {address}")
+        if not ipaddress.ip_address(listening.getsockname()[0]).is_loopback:
+            say("Whoever has this address and reaches this machine can see and change the labels, and nothing is encrypted on the way.")
         say("Stop with Ctrl-C. Every answer is kept in a log at once.")
+        leading = _leading_to(address) if place.browser else None
         # In a thread: some browsers return only when they are closed.
         if place.browser:
-            threading.Thread(target=_open, args=(address, say), daemon=True).start()
+            threading.Thread(target=_open, args=(leading, say), daemon=True).start()
         try:
             server.run(sockets=[listening])
         except KeyboardInterrupt:
             pass
         finally:
-            session.close()
+            if leading is not None:
+                leading.unlink(missing_ok=True)
             thread.join(timeout=0.1)
+            session.close()
 
 
 def _bound(place: PageAddress) -> socket.socket:
@@ -121,9 +132,26 @@ def _own_address() -> str:
             return "127.0.0.1"
 
 
-def _open(address: str, say: Callable[[str], None]) -> None:
+def _leading_to(address: str) -> Path | None:
+    """A file that only this user can read and that leads a browser to an address; None where it cannot be written.
+
+    The address itself would stand in the browser's list of arguments, which every user of the machine can read, with its token.
+    """
+    # A browser from a snap sees other files in the folder for temporary files than we do, and no hidden ones in the home.
+    folders = [os.path.expanduser("~"), None] if os.path.isdir("/snap") else [None]
+    shown = html.escape(address)
+    for folder in folders:
+        with suppress(OSError):
+            handle, name = tempfile.mkstemp(".html", "asterism-page-", folder)
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(f'<!doctype html><meta http-equiv="refresh" content="0;url={shown}"><a href="{shown}">Asterism</a>')
+            return Path(name)
+    return None
+
+
+def _open(leading: Path | None, say: Callable[[str], None]) -> None:
     try:
-        opened = webbrowser.open(address)
+        opened = leading is not None and webbrowser.open(leading.as_uri())
     except (webbrowser.Error, OSError):
         opened = False
     if not opened:

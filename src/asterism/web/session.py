@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from asterism import __version__
 from asterism.errors import AsterismError
+from asterism.files.atomic import write_atomically
 from asterism.findings import Finding
 from asterism.labelling.correction import Correction, CorrectionLog, log_path
 from asterism.labelling.correction.event_log import SAVED
@@ -77,7 +79,7 @@ class CorrectionTrial:
     _correction: Correction | None = None
     _log: CorrectionLog | None = None
     _saved: int = -1
-    _saved_hash: str = ""
+    _ours: set[str] = field(default_factory=set)
     _on_disk: tuple[int, int] = (0, 0)
 
     def label(self, labeller: FileLabeller) -> None:
@@ -139,17 +141,22 @@ class CorrectionTrial:
             self._check_target()
             self.target.parent.mkdir(parents=True, exist_ok=True)
             assert self._labelled is not None
-            lost = self._labelled.corrected(correction).write(self.target)
-            # The hash tells our file from one that someone else put there.
-            self._saved, self._saved_hash = correction.revision, _hash_of_file(self.target)
+            with tempfile.TemporaryDirectory(prefix="asterism-") as folder:
+                draft = Path(folder) / self.target.name
+                lost = self._labelled.corrected(correction).write(draft)
+                data = draft.read_bytes()
+            # The hash tells our file from one that someone else put there. Noted first: a kill may come between.
+            saved = hashlib.sha256(data).hexdigest()
             if self._log is not None:
-                self._log.append({"kind": SAVED, "file": str(self.target), "sha256": self._saved_hash})
-            number = correction.revision
+                self._log.append({"kind": SAVED, "file": str(self.target), "sha256": saved})
+            self._ours.add(saved)
+            write_atomically(self.target, data)
+            number = self._saved = correction.revision
         self.changed(self.id, number)
         return f"{self.target.name} leaves out {', '.join(lost)}." if lost else ""
 
     def close(self) -> None:
-        """Close the log."""
+        """Close the log. Raises AsterismError where it was deleted and cannot be written again."""
         with self._lock:
             if self._correction is not None:
                 self._correction.close()
@@ -171,22 +178,22 @@ class CorrectionTrial:
             log.close()
             raise
         if log.dropped:
-            self.notes.append(f"{log.path.name}: the last line was not whole and was dropped; one correction may be missing.")
-        # A file that an earlier sitting saved is ours if its content still is.
+            self.notes.append(f"{log.path.name}: its end was not whole and is dropped; one correction may be missing.")
+        # A file that an earlier sitting saved is ours if its content still is; the last one may have been noted, and not written.
         saves = [entry for entry in log.entries if entry["kind"] == SAVED and entry.get("file") == str(self.target)]
-        self._saved_hash = str(saves[-1].get("sha256")) if saves else ""
-        if saves and log.entries[-1] is saves[-1] and self._is_ours():
+        self._ours = {str(entry.get("sha256")) for entry in saves}
+        if saves and log.entries[-1] is saves[-1] and self._is_ours({str(saves[-1].get("sha256"))}):
             self._saved = correction.revision
         self._labelled, self._correction, self._log, self._on_disk = labelled, correction, log, stamp
 
-    def _is_ours(self) -> bool:
-        """Whether the target is the file that was saved last."""
-        return self.target.is_file() and _hash_of_file(self.target) == self._saved_hash
+    def _is_ours(self, hashes: set[str]) -> bool:
+        """Whether the target is a file that was saved, by the hashes of such."""
+        return self.target.is_file() and _hash_of_file(self.target) in hashes
 
     def _check_target(self) -> None:
         if self.target.exists() and self.target.samefile(self.path) and not self.options.overwrite:
             raise AsterismError(f"{self.target} is the recording itself; choose another folder with -o, or replace it with --overwrite.")
-        if self.target.exists() and not self.options.overwrite and not self._is_ours():
+        if self.target.exists() and not self.options.overwrite and not self._is_ours(self._ours):
             raise AsterismError(f"{self.target} exists; choose another folder with -o, or replace it with --overwrite.")
 
 
@@ -252,10 +259,16 @@ class CorrectionSession:
         return target
 
     def close(self) -> None:
-        """Close the logs; labelling stops after the present file."""
+        """Close the logs; labelling stops after the present file. Raises AsterismError where a log is gone and cannot be written again."""
         self._stopped.set()
+        problems = []
         for trial in self.trials:
-            trial.close()
+            try:
+                trial.close()
+            except AsterismError as problem:
+                problems.append(str(problem))
+        if problems:
+            raise AsterismError(" ".join(problems))
 
     def _label_all(self) -> None:
         for trial in self.trials:

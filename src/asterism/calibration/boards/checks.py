@@ -15,11 +15,12 @@ from asterism.cameras.camera import Camera
 from asterism.cameras.rig import Rig
 from asterism.findings import Finding, Severity
 from asterism.recording import Floats, Ints
+from asterism.recording.display import significant
 
 
 @dataclass(frozen=True)
 class BoardCheckRules:
-    """From where on something is worth saying, and (the second number of a pair) from where on the rig should not be used.
+    """What to say of a board's calibration; each pair: warn from, refuse from.
 
     focal           standard deviation of a focal length, as a share of it
     bend            how far the board's points lie from where they should be, as a share of its longer side
@@ -184,8 +185,8 @@ def check_flat(bend: float, points: Floats) -> Iterator[Finding]:
             "board-not-flat",
             _grade(not bend < RULES.bend[1]),
             "",
-            f"the board is not flat, or its squares are not alike: its points lie {off:.2g} mm off, which can make focal lengths wrong by "
-            f"{100 * RULES.lens_per_bend * bend:.0f} %.",
+            f"the board is not flat, or its squares are not alike: its points lie {significant(off, 2)} mm off, "
+            f"which can make focal lengths wrong by {100 * RULES.lens_per_bend * bend:.0f} %.",
             "Glue it on glass and film again.",
         )
 

@@ -11,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from asterism.detection.image_files import read_eight_bits, refuse_unread, unread_kind
 from asterism.errors import AsterismError, guarded_reading
 from asterism.files.text import decoded, read_bytes
 from asterism.findings import Finding, Severity
 from asterism.recording import Ints
+from asterism.synchronization.rates import rates_apart
 
 _IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
-_VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm")
+_VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".gif")
 _LISTS = (".yml", ".yaml", ".xml")
 TIMES_FILE = "timestamps.csv"
 UNNUMBERED = -1
@@ -33,6 +35,7 @@ class Footage:
     video    the video file, or None
     frames   (n,) int: images of different cameras with the same number were taken together
     findings what is wrong with its files; images that cannot be read are known once they were gone through
+    rate     frames per second of a video without a file of times, else NaN
     """
 
     name: str
@@ -40,6 +43,7 @@ class Footage:
     video: Path | None
     frames: Ints
     findings: list[Finding] = field(default_factory=list)
+    rate: float = float("nan")
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -55,7 +59,7 @@ class Footage:
 
         if self.video is None:
             for frame, path in zip(self.frames.tolist(), self.images, strict=True):
-                image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+                image = read_eight_bits(path, colour=False) if path.is_file() else None
                 if image is None:
                     self.findings.append(_unreadable(path))
                     continue
@@ -86,7 +90,11 @@ class Footage:
 
 def _unreadable(path: Path) -> Finding:
     return Finding(
-        "board-image-unreadable", Severity.WARNING, str(path), f"{path} cannot be read as an image; it was left out.", "Copy it again."
+        "board-image-unreadable",
+        Severity.WARNING,
+        str(path),
+        f"{path} {unread_kind(path) or 'cannot be read as an image'}; it was left out.",
+        "Copy it again.",
     )
 
 
@@ -105,11 +113,17 @@ def footage_of(paths: Sequence[str | Path]) -> list[Footage]:
         _collect(path, images, videos)
     found = [_video(path) for path in videos] + _image_cameras(images)
     if not found:
+        for file in [file for path in map(Path, paths) if path.is_dir() for file in sorted(path.rglob("*")) if file.is_file()]:
+            refuse_unread(file)
         raise AsterismError(f"{', '.join(map(str, paths)) or 'nothing'}: no image or video there; name files or folders of them.")
     names = [one.name for one in found]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise AsterismError(f"two cameras would be called {twice}; give their folders or videos names of their own.")
+    apart = rates_apart(names, [one.rate for one in found], [len(one) for one in found])
+    if apart is not None:
+        mend = f"Give the frames that were taken together in a {TIMES_FILE}, or film at one rate."
+        found[names.index(apart[0])].findings.append(Finding("board-rates-differ", Severity.WARNING, *apart, mend))
     # By the numbers in names, so that cam10 comes after cam2; every tuple has a number first, so that all compare.
     return sorted(found, key=lambda one: [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", one.name) if p])
 
@@ -133,6 +147,7 @@ def _collect(path: Path, images: list[tuple[Path, str | None]], videos: list[Pat
     elif path.suffix.casefold() in _IMAGES:
         images.append((path, None))
     else:
+        refuse_unread(path)
         raise AsterismError(f"{path} is not an image, video, image list or folder; name those that show the board.")
 
 
@@ -174,9 +189,10 @@ def _video(path: Path) -> Footage:
 
     film = cv2.VideoCapture(str(path))
     count = int(film.get(cv2.CAP_PROP_FRAME_COUNT)) if film.isOpened() else 0
+    rate = float(film.get(cv2.CAP_PROP_FPS)) if count else float("nan")
     film.release()
     if count <= 0:
-        raise AsterismError(f"{path} cannot be read as a video; it may be cut off, convert or copy it again.")
+        raise AsterismError(f"{path} {unread_kind(path) or 'cannot be read as a video; it may be cut off, convert or copy it again'}.")
     findings: list[Finding] = []
     frames = np.arange(count, dtype=np.int64)
     times = path.with_name(TIMES_FILE)
@@ -192,8 +208,10 @@ def _video(path: Path) -> Footage:
                     "Give the file that belongs to the video, or remove it.",
                 )
             )
-        frames = given[:count] if len(given) else frames
-    return Footage(path.stem, (), path, frames, findings)
+        if len(given):
+            # Frames that are matched one by one do not come apart.
+            frames, rate = given[:count], float("nan")
+    return Footage(path.stem, (), path, frames, findings, rate)
 
 
 def _synchronised_frames(times: Path, video: Path) -> Ints:

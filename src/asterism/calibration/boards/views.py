@@ -71,6 +71,10 @@ def find_board(footage: Sequence[Footage], board: Board, *, every: int = 1, prog
         done += len(camera)
     rows = [row for one in found for row in one.rows]
     if not rows:
+        # Where no image could be read, that is what to mend.
+        unread = next((finding for camera in footage for finding in camera.findings), None)
+        if unread is not None and not any(one.images for one in found):
+            raise AsterismError(str(unread))
         how = {
             "chessboard": "it counts inner corners, and needs a white border",
             "charuco": "it counts squares, columns first; check the dictionary, and that images are not mirrored",

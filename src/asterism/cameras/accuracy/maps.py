@@ -13,6 +13,7 @@ from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
 from asterism.progress import Progress
 from asterism.recording import Floats, Ints, as_vertical
+from asterism.recording.display import significant
 
 NOISE = 0.3
 """px, of a blob's centre, where the rig does not say how well it was calibrated."""
@@ -104,7 +105,7 @@ def map_rig(
     known = [camera.error for camera in rig if np.isfinite(camera.error) and camera.error > 0]
     noise = (float(np.median(known) / np.sqrt(2)) if known else NOISE) if noise is None else noise
     if not (step > 0 and 0 < noise < np.inf):
-        raise AsterismError(f"a step of {step:.3g} m and a noise of {noise:g} px make no map; both must be positive.")
+        raise AsterismError(f"a step of {significant(step, 3)} m and a noise of {noise:g} px make no map; both must be positive.")
     axes = volume.axes(step)
     places = volume.places(step)
     seen = sees(rig, places)

@@ -10,6 +10,7 @@ import numpy as np
 from asterism.cameras.camera import Camera
 from asterism.errors import AsterismError
 from asterism.recording import Floats
+from asterism.recording.display import significant
 
 CLOSE_PX = 1e-3
 TOLERABLE_PX = 0.1
@@ -113,7 +114,7 @@ def with_shapes(place: str, camera: Camera, shapes: Sequence[tuple[int, int]]) -
     (radial, denominator), left = fitted_radial(ideal[there], seen[there], focal, shapes, beyond=False)
     if left > TOLERABLE_PX:
         raise AsterismError(
-            f"{place}: camera {camera.name} has a lens that the radial coefficients of this format miss by {left:.2g} px; "
+            f"{place}: camera {camera.name} has a lens that the radial coefficients of this format miss by {significant(left, 2)} px; "
             "write Asterism's own .toml instead."
         )
     return replace(camera, radial=radial, denominator=denominator), left
@@ -141,11 +142,13 @@ def with_fisheye(where: str, camera: Camera, distortion: Floats) -> Camera:
     some = np.nonzero(inside)[0][:: max(1, int(inside.sum()) // 400)]
     (radial, denominator), left = fitted_radial(np.tan(angle[some]), seen[some], camera.focal[0], POLYNOMIALS + RATIONALS)
     if left > TOLERABLE_PX:
-        raise AsterismError(f"{where}: a fisheye lens that this camera model misses by {left:.2g} px; calibrate it with a pinhole model.")
+        raise AsterismError(
+            f"{where}: a fisheye lens that this camera model misses by {significant(left, 2)} px; calibrate it with a pinhole model."
+        )
     return replace(camera, radial=radial, denominator=denominator)
 
 
 def lens_lost(lefts: Mapping[str, float]) -> list[str]:
     """One phrase for what the fits of lenses miss, by camera in px, where that is more than 0.001 px anywhere."""
     worst = max(lefts, key=lambda name: lefts[name])
-    return [f"up to {lefts[worst]:.2g} px of the lenses (camera {worst})"] if lefts[worst] > CLOSE_PX else []
+    return [f"up to {significant(lefts[worst], 2)} px of the lenses (camera {worst})"] if lefts[worst] > CLOSE_PX else []

@@ -17,6 +17,7 @@ from asterism.files.atomic import utf8, write_atomically
 from asterism.files.text import decoded, read_bytes
 from asterism.geometry import rotation_from_vector
 from asterism.recording import Floats
+from asterism.recording.display import significant
 
 _GRID = (17, 13, 5)
 _PIXEL_MM = 0.01
@@ -193,7 +194,7 @@ def _as_camera(path: Path, name: str, orientation: Orientation, setup: Setup) ->
     fitted, left = _equivalent(camera, normal, pixels, points)
     if not left[0] < _WORST_FIT_PX:
         raise AsterismError(
-            f"{path}: no camera without its lens and window comes nearer to it than {left[0]:.2g} px; is its .addpar right?"
+            f"{path}: no camera without its lens and window comes nearer to it than {significant(left[0], 2)} px; is its .addpar right?"
         )
     return fitted, left
 
@@ -302,7 +303,9 @@ def write_openptv(path: Path, rig: Rig) -> list[str]:
     for camera in rig:
         orientation, left = _as_orientation(camera)
         if left > TOLERABLE_PX:
-            raise AsterismError(f"{path}: camera {camera.name} has a lens that OpenPTV's misses by {left:.2g} px; write .toml instead.")
+            raise AsterismError(
+                f"{path}: camera {camera.name} has a lens that OpenPTV's misses by {significant(left, 2)} px; write .toml instead."
+            )
         lefts[camera.name] = left
         if Path(camera.name).name != camera.name:
             raise AsterismError(f"{path}: camera {camera.name!r} cannot be part of a file's name; rename it, or write .toml instead.")

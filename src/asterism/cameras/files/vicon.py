@@ -15,6 +15,7 @@ from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
 from asterism.files.atomic import write_atomically
 from asterism.recording import Floats
+from asterism.recording.display import significant
 
 _RADII = 400
 _LEAST_SLOPE = 0.6
@@ -155,7 +156,8 @@ def write_vicon(path: Path, rig: Rig) -> list[str]:
         inward, left = _inward_of(camera)
         if left > TOLERABLE_PX:
             raise AsterismError(
-                f"{path}: camera {camera.name} has a lens that Vicon's three coefficients miss by {left:.2g} px; write .toml instead."
+                f"{path}: camera {camera.name} has a lens that Vicon's three coefficients miss by {significant(left, 2)} px; "
+                "write .toml instead."
             )
         lefts[camera.name] = left
         own = {} if camera.name in users else {"NAME": camera.name}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -66,18 +67,14 @@ def check(options: CheckOptions) -> None:
 
 def _check(path: Path, pattern: Any) -> PhotoCheck:
     from asterism.errors import guarded_reading
-    from asterism.files.text import read_bytes
     from asterism.garment.check import check_photo
 
     with guarded_reading(path, "take the photo again"):
-        import cv2
-        import numpy as np
+        from asterism.detection.image_files import read_eight_bits, unread_kind
 
-        # read as bytes first: OpenCV opens no path with letters beyond ASCII on Windows
-        data = np.frombuffer(read_bytes(path), dtype=np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+        image = read_eight_bits(path, colour=True)
         if image is None:
-            raise AsterismError(f"{path} is not an image that can be read; give JPEG, PNG or TIFF.")
+            raise AsterismError(f"{path} {unread_kind(path) or 'is not an image that can be read; give JPEG, PNG or TIFF'}.")
         return check_photo(image, pattern)
 
 
@@ -90,6 +87,5 @@ def _cells(result: PhotoCheck) -> list[str]:
         str(result.windows),
         share,
         _console.percent(result.chance),
-        _console.percent(result.misread),
-        _console.percent(result.misread_most),
+        *("unknown" if math.isnan(share) else _console.percent(share) for share in (result.misread, result.misread_most)),
     ]

@@ -152,10 +152,13 @@ def _as_json(rig: Rig, result: RigMap, findings: tuple[Finding, ...]) -> dict[st
 
 def print_map(rig: Rig, result: RigMap) -> None:
     """The table of a rig's map."""
+    from asterism.recording.display import significant
+
     summary = result.to_dict()
     low, high = result.volume.low, result.volume.high
     spans = ", ".join(f"{axis} {a:g} to {b:g}" for axis, a, b in zip("xyz", low, high, strict=True))
     lacking = [("not in the file", ", ".join(rig.lacks))] if rig.lacks else []
+    noise = significant(result.noise, 2)
     _console.facts(
         f"{len(rig)} cameras, volume {spans} m",
         [
@@ -163,11 +166,11 @@ def print_map(rig: Rig, result: RigMap) -> None:
             ("markers on a body that face two", _console.percent(summary["facing_coverage"], 1)),
             (
                 "error of a marker, RMS",
-                f"median {_mm(summary['error_median_m'])}, 95 % of places {_mm(summary['error_95_m'])} at {result.noise:.2g} px",
+                f"median {_mm(summary['error_median_m'])}, 95 % of places {_mm(summary['error_95_m'])} at {noise} px",
             ),
             (
                 "sensitivity of the best pair",
-                f"median {_mm(summary['sensitivity_median_m'])}, mean of the 12 scalars at ± {result.noise:.2g} px",
+                f"median {_mm(summary['sensitivity_median_m'])}, mean of the 12 scalars at ± {noise} px",
             ),
             *lacking,
         ],

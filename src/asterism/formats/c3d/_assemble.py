@@ -6,7 +6,8 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.formats.c3d._edit import with_number
-from asterism.formats.c3d._file import BLOCK, C3DFile
+from asterism.formats.c3d._file import C3DFile
+from asterism.formats.c3d._layout import BLOCK, LIMIT
 from asterism.formats.c3d._numbers import Words
 from asterism.formats.c3d._parameters import Parameters, Record
 
@@ -19,7 +20,7 @@ def assembled(file: C3DFile, parameters: Parameters, width: int, points: int, ra
     raw, start, kind = file.raw, file.layout.start, file.point_words.dtype
     begin, size = min(file.header.parameters_at, start), file.layout.frames * width * kind.itemsize
     section, shift = raw[begin:start], 0
-    tail, tail_shift = tail_of(file, size - (file.layout.stop - start))
+    tail, tail_shift = tail_of(file, size - (file.layout.stop - start), parameters is not file.parameters)
     # Changed parameters, or data of another length, move what comes behind.
     if parameters is not file.parameters or tail_shift:
         if begin == start:
@@ -44,19 +45,25 @@ def assembled(file: C3DFile, parameters: Parameters, width: int, points: int, ra
     return data, words.reshape(file.layout.frames, width)
 
 
-def tail_of(file: C3DFile, growth: int) -> tuple[bytes, int]:
-    """What follows the data, padded so that it begins at the same place in a block; and by how many blocks it moves."""
+def tail_of(file: C3DFile, growth: int, changed: bool = True) -> tuple[bytes, int]:
+    """What follows the data, with padding up to a whole block before it; and by how many blocks it moves.
+
+    changed: whether anything else in the file does.
+    """
     tail = bytes(file.raw[file.layout.stop :])
+    # Behind more frames than 16 bits count, other readers take padding for frames.
+    if (growth or changed) and file.layout.frames >= LIMIT and len(tail) <= BLOCK and not any(tail):
+        return b"", 0
     if not growth:
         return tail, 0
     # The piece of a frame at which a file breaks off would count as whole frames where frames have become smaller.
     if file.layout.cut:
         return b"", 0
-    # Padding behind the data carries nothing: it only has to end the last block.
-    if not tail.strip(b"\0") and len(tail) <= BLOCK:
-        return (bytes(-(file.layout.stop + growth) % BLOCK) if len(file.raw) % BLOCK == 0 else tail), 0
-    pad = -growth % BLOCK
-    return bytes(pad) + tail, (growth + pad) // BLOCK
+    # Padding behind the data carries nothing, whatever a program left in it: it only has to end the last block.
+    before, after = -file.layout.stop % BLOCK, -(file.layout.stop + growth) % BLOCK
+    if len(tail) <= before or (len(tail) <= BLOCK and not any(tail)):
+        return (bytes(after) if len(file.raw) % BLOCK == 0 else tail), 0
+    return bytes(after) + tail[before:], (growth + after - before) // BLOCK
 
 
 def _fitted_section(file: C3DFile, parameters: Parameters, tail_shift: int) -> tuple[bytes, int]:
@@ -71,6 +78,10 @@ def _fitted_section(file: C3DFile, parameters: Parameters, tail_shift: int) -> t
     changes: dict[tuple[str, str], Record | None] = {}
     for group in parameters.groups:
         block = parameters.count(group, "DATA_START")
+        # Behind 32 MB, pointers to what follows the data are wrapped round 16 bits.
+        if block is not None and group != "POINT":
+            behind = block + max(0, -(-(file.layout.stop // BLOCK + 1 - block) // (LIMIT + 1))) * (LIMIT + 1)
+            block = behind if (behind - 1) * BLOCK < len(file.raw) else block
         # Only pointers at or behind the data move with them.
         if block is not None and block >= start // BLOCK + 1 and (shift or (tail_shift and block > start // BLOCK + 1)):
             moved = block + shift + (tail_shift if block > start // BLOCK + 1 else 0)

@@ -10,7 +10,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.formats.c3d._file import C3DFile, numbered
 from asterism.formats.c3d._numbers import Processor
-from asterism.formats.c3d._parameters import CHARACTER, FLOAT, INTEGER, Parameters, Record, make_group, make_parameter, text_of
+from asterism.formats.c3d._parameters import CHARACTER, FLOAT, INTEGER, Parameters, Record, make_group, make_parameter
 from asterism.recording import Event, ProcessingStep, log_as_text, log_from_text
 
 MOST_STRINGS = 255
@@ -104,7 +104,8 @@ def with_declared(parameters: Parameters, gone: Collection[str], renamed: Mappin
         if record is None or record.kind != CHARACTER or len(record.dimensions) != 2 or not name.startswith(COMPUTED_GROUPS):
             continue
         listed = parameters.raw_strings("POINT", name)
-        kept = [renamed[text_of(raw)].encode("utf-8") if text_of(raw) in renamed else raw for raw in listed if text_of(raw) not in gone]
+        read = parameters.text_of
+        kept = [renamed[read(raw)].encode("utf-8") if read(raw) in renamed else raw for raw in listed if read(raw) not in gone]
         if kept != listed:
             width, processor = record.dimensions[0], parameters.processor
             # A list without an entry would be an array of size 0, which some readers refuse.

@@ -1,7 +1,5 @@
 """A C3D file as a whole: its bytes in, header, parameters, points and analog samples out, whatever the vendor.
 
-Headers and parameters of real files contradict each other. What they say about the data block (points, analog samples, frames,
-number format) is treated as a set of claims; those that agree with the length of the file are used.
 Source: the public C3D format specification.
 """
 
@@ -10,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +16,20 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError, guarded_reading
 from asterism.findings import Finding
-from asterism.formats._findings import cut_off, header_conflict
+from asterism.formats._columns import METRES_PER_UNIT, body_size
+from asterism.formats._findings import header_conflict, header_doubt, rate_conflict
+from asterism.formats.c3d._layout import BLOCK, Header, Layout, find_layout, first_frame_of, header_of
 from asterism.formats.c3d._numbers import PC, PROCESSORS, Processor, Words
-from asterism.formats.c3d._parameters import Parameters, parse_parameters, text_of
+from asterism.formats.c3d._parameters import Parameters
 from asterism.recording import Event, Floats
+from asterism.recording.arrays import missing_codes
 
-BLOCK = 512
 KEY = 0x50
-_LABEL_KEY = 12345
 _NOWHERE = 1e8
+_SAME_SCALE = 1e-3
+"""Scales that differ by less move the points of a person by 2 mm at most."""
+_PERSON = (0.3, 3.0)
+"""m, the size of what a person wears: from the markers of a leg of a child to a tall person who stretches."""
 _FRAMES_AT_ONCE = 10_000
 """What is converted at a time: a recording of an hour is in memory once, not three times."""
 
@@ -35,47 +37,6 @@ _FRAMES_AT_ONCE = 10_000
 def ranges(frames: int) -> Iterator[slice]:
     """Ranges of frames that together are all, each as many as are converted at once."""
     return (slice(start, min(start + _FRAMES_AT_ONCE, frames)) for start in range(0, frames, _FRAMES_AT_ONCE))
-
-
-@dataclass(frozen=True)
-class Header:
-    """The first block, with its numbers as they are, right or wrong."""
-
-    parameters_at: int
-    points: int
-    analog_per_frame: int
-    first_frame: int
-    last_frame: int
-    scale: float
-    data_at: int
-    analog_per_point_frame: int
-    rate: float
-    events: tuple[Event, ...]
-
-
-@dataclass(frozen=True)
-class Layout:
-    """What the data block holds: `frames` of `points` times four words and `analog` words each, from byte `start` on.
-
-    cut: whether the file breaks off before the frames that it declares.
-    """
-
-    start: int
-    frames: int
-    points: int
-    analog: int
-    real: bool
-    cut: bool = False
-
-    @property
-    def width(self) -> int:
-        """Words per frame."""
-        return 4 * self.points + self.analog
-
-    @property
-    def stop(self) -> int:
-        """The byte behind the last frame."""
-        return self.start + self.frames * self.width * (4 if self.real else 2)
 
 
 @dataclass(frozen=True)
@@ -109,11 +70,28 @@ class C3DFile:
     @cached_property
     def scale(self) -> float:
         """The length of one integer step in the file's unit, positive."""
+        return self._scale[0]
+
+    @cached_property
+    def _scale(self) -> tuple[float, Finding | None]:
+        """The header's scale, unless the points are as large as a person only by POINT:SCALE; a finding where the two differ."""
+        claims = (self.header.scale, self.parameters.number("POINT", "SCALE") or 0.0)
         # A scale of 0 would put all points into the origin.
-        for scale in (self.header.scale, self.parameters.number("POINT", "SCALE") or 0.0):
-            if np.isfinite(scale) and scale != 0:
-                return abs(scale)
-        return 1.0
+        scales = [abs(scale) for scale in claims if np.isfinite(scale) and scale != 0]
+        if not scales and not self.layout.real:
+            return 1.0, header_doubt("neither the header nor POINT:SCALE gives the length of an integer step; one unit was used")
+        if self.layout.real or len(scales) < 2 or abs(scales[0] / scales[1] - 1) < _SAME_SCALE:
+            return (scales or [1.0])[0], None
+        some = slice(None, None, max(1, self.layout.frames // 200))
+        steps = self.processor.integers(self.point_words[some, :, :3]).astype(np.float64)
+        steps[(self.residuals_of(some) < 0) | ~steps.any(axis=2)] = np.nan
+        metres = body_size(steps) * METRES_PER_UNIT.get(self.parameters.text("POINT", "UNITS").casefold(), 0.001)
+        persons = [_PERSON[0] <= metres * scale <= _PERSON[1] for scale in scales]
+        scale = scales[1] if persons == [False, True] else scales[0]
+        sentence = f"the scale is {scales[0]:.6g} by the header and {scales[1]:.6g} by POINT:SCALE; {scale:.6g} was used"
+        if persons[0] == persons[1]:
+            return scale, header_doubt(sentence)
+        return scale, header_conflict(f"{sentence}, which makes the points as large as a person")
 
     def residuals_of(self, frames: slice) -> NDArray[np.floating[Any]]:
         """(frames, points) the fourth word as a signed number; negative means missing, mostly."""
@@ -158,7 +136,7 @@ class C3DFile:
             stored = self.processor.floats(xyz) if self.layout.real else self.processor.integers(xyz)
             values = stored.astype(np.float64) * (1.0 if self.layout.real else self.scale)
             # Compared this way round, NaN is missing, too.
-            missing = ~(np.abs(values) < _NOWHERE).all(axis=2)
+            missing = ~(np.abs(values) < _NOWHERE).all(axis=2) | missing_codes(values) | missing_codes(stored)
         if not self.residuals_are_unused:
             missing |= self.residuals_of(frames) < 0
         # Many programs write zeros for missing points and leave the residual at 0.
@@ -166,6 +144,16 @@ class C3DFile:
             missing |= ~(xyz & self._not_sign).any(axis=2)
         values[missing] = np.nan
         return values
+
+    @cached_property
+    def coded(self) -> Floats:
+        """(N, 3) the samples, as they are stored, that no residual marks as missing, but a number such as -9999."""
+        found = []
+        for some in ranges(self.layout.frames):
+            xyz = self.point_words[some, :, :3]
+            stored = self.processor.floats(np.ascontiguousarray(xyz)) if self.layout.real else self.processor.integers(xyz)
+            found.append(stored[missing_codes(stored) & ~(self.residuals_of(some) < 0)])
+        return np.concatenate([np.empty((0, 3)), *found])
 
     @property
     def _not_sign(self) -> np.unsignedinteger[Any]:
@@ -222,7 +210,7 @@ class C3DFile:
     @cached_property
     def labels(self) -> list[str]:
         """One label per point; a point without one is called `*` and its place, counted from 1."""
-        found = [text_of(raw) for raw in self.raw_labels]
+        found = [self.parameters.text_of(raw) for raw in self.raw_labels]
         return [label or f"*{place + 1}" for place, label in enumerate(found)]
 
     @cached_property
@@ -238,17 +226,43 @@ class C3DFile:
     @cached_property
     def rate(self) -> float:
         """Frames per second. Raises AsterismError where neither the header nor POINT:RATE says it."""
-        for rate in (self.parameters.number("POINT", "RATE"), self.header.rate):
-            if rate is not None and np.isfinite(rate) and 0 < rate < 1e7:
-                return float(rate)
-        raise AsterismError(f"{self.path}: neither the header nor POINT:RATE gives a frame rate; write the right one into POINT:RATE.")
+        return self._rate[0]
+
+    @cached_property
+    def _rate(self) -> tuple[float, Finding | None]:
+        """POINT:RATE, unless the header and the rate of the analog samples agree on another one; a finding where they differ."""
+        samples = self.layout.analog / self.analog_channels if self.analog_channels else 0.0
+        analog = self.parameters.number("ANALOG", "RATE") or 0.0
+        claims = {
+            "POINT:RATE": self.parameters.number("POINT", "RATE") or 0.0,
+            "the header": self.header.rate,
+            "ANALOG:RATE": analog / samples if samples else 0.0,
+        }
+        rates = {name: rate for name, rate in claims.items() if np.isfinite(rate) and 0 < rate < 1e7}
+        if not rates.keys() - {"ANALOG:RATE"}:
+            raise AsterismError(f"{self.path}: neither the header nor POINT:RATE gives a frame rate; write the right one into POINT:RATE.")
+        # Rates agree where they come apart by less than half a frame until the recording ends.
+        votes = {name: sum(abs(rate / other - 1) * self.layout.frames <= 0.5 for other in rates.values()) for name, rate in rates.items()}
+        name = max(rates, key=lambda name: votes[name])
+        if votes[name] == len(rates):
+            return rates[name], None
+        said = ", ".join(f"{rate:.6g} by {name}" for name, rate in rates.items())
+        sentence = f"there are several frame rates: {said}; {rates[name]:.6g} was used"
+        return rates[name], rate_conflict(sentence) if votes[name] > 1 else header_doubt(sentence)
 
     @cached_property
     def first_frame(self) -> int:
         """The number of the first stored frame, 1 for the first of the trial."""
-        start = self.parameters.counts("TRIAL", "ACTUAL_START_FIELD")
-        # The header's number has 16 bits only.
-        return start[0] + 65536 * start[1] if len(start) >= 2 else self.header.first_frame
+        return self._first_frame[0]
+
+    @cached_property
+    def _first_frame(self) -> tuple[int, Finding | None]:
+        return first_frame_of(self.header, self.parameters, self.layout, self.events, self.rate)
+
+    @cached_property
+    def doubts(self) -> tuple[Finding, ...]:
+        """What the file contradicts itself in beyond its layout: scale, rate and the number of the first frame."""
+        return tuple(finding for _, finding in (self._scale, self._rate, self._first_frame) if finding is not None)
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
@@ -289,23 +303,8 @@ def parse_c3d(raw: bytes | bytearray, path: str) -> C3DFile:
         processor = _likely_processor(raw)
         findings.append(header_conflict(f"processor type {raw[parameters_at + 3]} is unknown; {processor.name} is assumed"))
     header = header_of(raw, processor, parameters_at)
-    data_at = _data_start(raw, processor, header, findings)
-    # Parameters end where the data begin, or where their own count says.
-    stop = data_at if data_at > parameters_at else min(len(raw), parameters_at + BLOCK * max(raw[parameters_at + 2], 1))
-    parameters = parse_parameters(bytes(raw[parameters_at:stop]), processor)
-    # The other pointer to the data, which vendors fill in more or less well.
-    data_start = (parameters.count("POINT", "DATA_START") or 0) * BLOCK - BLOCK
-    if not header.data_at and parameters_at < data_start <= len(raw):
-        data_at = data_start
-        parameters = parse_parameters(bytes(raw[parameters_at:data_at]), processor)
-    elif data_start != data_at:
-        findings.append(
-            header_conflict(
-                f"POINT:DATA_START says block {data_start // BLOCK + 1}, the header {data_at // BLOCK + 1}; the header was used"
-            )
-        )
-    layout = _layout(path, len(raw), data_at, header, parameters, findings)
-    return C3DFile(path, raw, processor, header, parameters, layout, (*findings, *parameters.findings))
+    parameters, layout, found = find_layout(raw, path, processor, header)
+    return C3DFile(path, raw, processor, header, parameters, layout, (*findings, *found, *parameters.findings))
 
 
 def _likely_processor(raw: bytes | bytearray) -> Processor:
@@ -315,107 +314,6 @@ def _likely_processor(raw: bytes | bytearray) -> Processor:
         return np.isfinite(rate) and 0.1 <= rate <= 1e5
 
     return next((processor for processor in PROCESSORS.values() if sane(processor)), PC)
-
-
-def header_of(raw: bytes | bytearray, processor: Processor, parameters_at: int) -> Header:
-    """The header of a file's bytes."""
-
-    def word(number: int) -> int:
-        return processor.unsigned_at(raw, 2 * number - 2)
-
-    return Header(
-        parameters_at=parameters_at,
-        points=word(2),
-        analog_per_frame=word(3),
-        first_frame=word(4),
-        last_frame=word(5),
-        scale=processor.float_at(raw, 12),
-        data_at=max(word(9) - 1, 0) * BLOCK,
-        analog_per_point_frame=word(10),
-        rate=processor.float_at(raw, 20),
-        events=tuple(_events_of_header(raw, processor)),
-    )
-
-
-def _data_start(raw: bytes | bytearray, processor: Processor, header: Header, findings: list[Finding]) -> int:
-    if BLOCK <= header.data_at <= len(raw) and header.data_at != header.parameters_at:
-        return header.data_at
-    # The count of parameter blocks is the last resort.
-    counted = header.parameters_at + BLOCK * raw[header.parameters_at + 2]
-    if header.data_at:
-        findings.append(
-            header_conflict(f"the header says that data begin in block {header.data_at // BLOCK + 1}, which the file does not have")
-        )
-    return min(counted, len(raw))
-
-
-def _layout(path: str, size: int, start: int, header: Header, parameters: Parameters, findings: list[Finding]) -> Layout:
-    room = size - start
-    claims = list(_claims(header, parameters, start))
-    fits = [(claim, room - (claim.stop - start)) for claim in claims]
-    # A layout that fills the file but for its last block is the true one.
-    best = next((claim for claim, left in fits if 0 <= left < BLOCK and claim.frames), None)
-    if best is None:
-        # Else the one that leaves least of the file unread.
-        best = next((claim for claim, left in sorted(fits, key=lambda fit: fit[1]) if left >= 0 and claim.frames and claim.width), None)
-    if best is None:
-        # None fits into the file: it was cut off, and holds as many frames as are whole.
-        claim = next((c for c in claims if c.width and c.frames), claims[0])
-        frames = room // (claim.width * (4 if claim.real else 2)) if claim.width else 0
-        if claim.frames and claim.width and not frames:
-            raise AsterismError(f"{path} breaks off before its first frame ends; export or copy it again.")
-        best = Layout(start, min(frames, claim.frames), claim.points, claim.analog, claim.real, cut=frames < claim.frames)
-        if best.cut:
-            findings.append(cut_off(f"the file breaks off: it holds {best.frames} of {claim.frames} frames"))
-    first = claims[0]
-    for noun, declared, found in (
-        ("points", header.points, best.points),
-        ("analog samples per frame", header.analog_per_frame, best.analog),
-        ("points", parameters.count("POINT", "USED"), best.points),
-        ("frames", first.frames, best.frames),
-    ):
-        # What was cut off contradicts every count; saying so once is enough.
-        if declared is not None and declared != found and not any("breaks off:" in finding.sentence for finding in findings):
-            findings.append(header_conflict(f"{declared} {noun} are declared, the data hold {found}"))
-    return best
-
-
-def _claims(header: Header, parameters: Parameters, start: int) -> Iterator[Layout]:
-    """Every layout of the data block that some part of the file declares, the most reliable first."""
-    used = parameters.count("POINT", "USED")
-    channels, rates = parameters.count("ANALOG", "USED"), [parameters.number(group, "RATE") for group in ("ANALOG", "POINT")]
-    analog = [header.analog_per_frame]
-    if channels is not None:
-        analog.append(channels * header.analog_per_point_frame)
-        if rates[0] and rates[1]:
-            analog.append(channels * min(max(round(rates[0] / rates[1]), 0), 65535))
-    begin, end = parameters.counts("TRIAL", "ACTUAL_START_FIELD"), parameters.counts("TRIAL", "ACTUAL_END_FIELD")
-    # Frames are counted in three places, with 16 bits in two of them.
-    frames = [header.last_frame - header.first_frame + 1]
-    if len(begin) >= 2 and len(end) >= 2:
-        frames.append(end[0] + 65536 * end[1] - begin[0] - 65536 * begin[1] + 1)
-    frames += [count for name in ("LONG_FRAMES", "FRAMES") if (count := parameters.count("POINT", name)) is not None]
-    # 65535 is what a 16-bit count shows of more frames: it comes last.
-    frames = sorted(dict.fromkeys(count for count in frames if count > 0), key=lambda count: count == 65535) or [0]
-    scale = parameters.number("POINT", "SCALE")
-    signs = [header.scale] if np.isfinite(header.scale) and header.scale != 0 else []
-    signs += [scale] if scale else []
-    # Without a sign both number formats are tried.
-    reals = dict.fromkeys([sign < 0 for sign in signs] or [True, False])
-    points = [header.points] + ([used] if used is not None else [])
-    for real, count, samples, length in product(reals, dict.fromkeys(points), dict.fromkeys(analog), frames):
-        yield Layout(start, length, count, samples, real)
-
-
-# Labels of header events are only there with this key.
-def _events_of_header(raw: bytes | bytearray, processor: Processor) -> Iterator[Event]:
-    if processor.unsigned_at(raw, 298) != _LABEL_KEY:
-        return
-    for place in range(min(processor.unsigned_at(raw, 300), 18)):
-        time = processor.float_at(raw, 304 + 4 * place)
-        label = raw[396 + 4 * place : 400 + 4 * place].decode("latin-1").strip("\0 ")
-        if np.isfinite(time):
-            yield Event(label, time)
 
 
 def _events_of_group(parameters: Parameters) -> Iterator[Event]:

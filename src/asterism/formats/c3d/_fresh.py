@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.formats.c3d._edit import LOG_GROUP, MOST_STRINGS, event_records, floats_record, integers_record, log_record, strings_record
-from asterism.formats.c3d._file import BLOCK, ranges
+from asterism.formats.c3d._file import ranges
+from asterism.formats.c3d._layout import BLOCK, LIMIT
 from asterism.formats.c3d._numbers import PC
 from asterism.formats.c3d._parameters import CHARACTER, Record, make_group, make_parameter
 from asterism.recording import Floats, Recording
 
 _POINT, _ANALOG, _FORCE_PLATFORM, _TRIAL, _EVENT, _SUBJECTS, _MANUFACTURER, _LOG = range(1, 9)
-_MOST = 65535
 _SCREENS = {"x": "+Y", "y": "+X", "z": "+X"}
 
 
@@ -31,8 +31,8 @@ def fresh_c3d(recording: Recording, target: str, residual: Floats | None = None,
     Raises AsterismError where the recording does not fit: more than 65535 points, or a label beyond 127 bytes.
     """
     frames, points = recording.positions.shape[:2]
-    if points > _MOST:
-        raise AsterismError(f"{target}: {points} points are more than the {_MOST} that a C3D file can hold; write fewer columns.")
+    if points > LIMIT:
+        raise AsterismError(f"{target}: {points} points are more than the {LIMIT} that a C3D file can hold; write fewer columns.")
     # Frame numbers are 32 bits; where they do not fit, the file begins at 1.
     first = recording.first_frame if recording.first_frame >= 1 and recording.first_frame + frames - 1 < 2**31 else 1
     step = 1.0 if residual is None else _RESIDUAL_STEP
@@ -41,7 +41,7 @@ def fresh_c3d(recording: Recording, target: str, residual: Floats | None = None,
     except AsterismError as problem:
         raise AsterismError(f"{target}: {problem}") from problem
     head, size = _header(recording, first, len(section) // BLOCK + 2, step) + section, 16 * frames * points
-    ending = 0 if frames >= _MOST else -size % BLOCK  # readers take bytes behind uncounted frames for frames
+    ending = 0 if frames >= LIMIT else -size % BLOCK  # readers take bytes behind uncounted frames for frames
     out = bytearray(len(head) + size + ending)
     out[: len(head)] = head
     block = np.frombuffer(out, dtype=f"{PC.order}u4", count=size // 4, offset=len(head)).reshape(frames, points, 4)
@@ -73,7 +73,7 @@ def _header(recording: Recording, first: int, data_start: int, step: float) -> b
     words[0] = 0x5002
     words[1] = points
     # With more frames than 16 bits count, the header says how many it can.
-    words[3:5] = (first, last) if last <= _MOST else (1, min(frames, _MOST))
+    words[3:5] = (first, last) if last <= LIMIT else (1, min(frames, LIMIT))
     words[8] = data_start
     head = bytearray(PC.store(words))
     head[12:16] = PC.store(PC.words_of_floats([-step]))
@@ -92,10 +92,10 @@ def _section(recording: Recording, first: int, step: float) -> bytes:
 def _chain(recording: Recording, first: int, data_start: int, step: float) -> bytes:
     frames, points = recording.positions.shape[:2]
     last = first + frames - 1
-    records = [_group("POINT", _POINT), _integer("USED", _POINT, points), _integer("FRAMES", _POINT, min(frames, _MOST))]
+    records = [_group("POINT", _POINT), _integer("USED", _POINT, points), _integer("FRAMES", _POINT, min(frames, LIMIT))]
     records += [_integer("DATA_START", _POINT, data_start), _float("SCALE", _POINT, -step), _float("RATE", _POINT, recording.rate)]
     # A float holds what the 16-bit count cannot.
-    if frames > _MOST:
+    if frames > LIMIT:
         records.append(_float("LONG_FRAMES", _POINT, frames))
     records += [_text("UNITS", _POINT, "mm"), *_screens(recording.vertical)]
     for page, at in enumerate(range(0, points, MOST_STRINGS)):

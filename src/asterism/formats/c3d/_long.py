@@ -13,15 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from asterism.errors import AsterismError, guarded_reading
 from asterism.files.atomic import write_atomically
 from asterism.formats._columns import recording_of
+from asterism.formats._vertical import SAMPLED_FRAMES
 from asterism.formats.c3d._assemble import assembled, tail_of
 from asterism.formats.c3d._confidence import Channels, LabelSummary
-from asterism.formats.c3d._file import BLOCK, KEY, C3DFile, Layout, header_of, open_c3d, parse_parameters, ranges
+from asterism.formats.c3d._file import KEY, C3DFile, open_c3d, ranges
+from asterism.formats.c3d._layout import BLOCK, Layout, header_of
+from asterism.formats.c3d._parameters import parse_parameters
 from asterism.formats.c3d._reader import points_of, scaled
 from asterism.formats.c3d._writer import Filling, RewritePlan, planned, renamed_computed
 from asterism.recording import Floats, Ints, Recording, as_vertical
-
-SAMPLED_FRAMES = 2_000
-"""Frames, evenly spread, by which the vertical is found and which points a model computed."""
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,16 @@ Source: the public C3D format specification, "The parameter section".
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.files.text import JAPANESE, LATIN, encoding_of
 from asterism.findings import Finding
-from asterism.formats._findings import header_conflict
+from asterism.formats._findings import header_conflict, text_encoding
 from asterism.formats.c3d._numbers import Processor
 
 CHARACTER, BYTE, INTEGER, FLOAT = -1, 1, 2, 4
@@ -41,13 +42,17 @@ class Record:
 
 @dataclass(frozen=True)
 class Parameters:
-    """A parsed section: `records` in file order, `tail` the bytes after the last of them, `findings` what was wrong."""
+    """A parsed section: `records` in file order, `tail` the bytes after the last of them, `findings` what was wrong.
+
+    encoding: that of its texts that are no UTF-8.
+    """
 
     head: bytes
     records: tuple[Record, ...]
     tail: bytes
     processor: Processor
     findings: tuple[Finding, ...] = ()
+    encoding: str = LATIN
     _index: Mapping[tuple[str, str], int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -82,7 +87,11 @@ class Parameters:
 
     def strings(self, group: str, name: str) -> list[str]:
         """A character parameter as strings without padding; empty where absent."""
-        return [text_of(raw) for raw in self.raw_strings(group, name)]
+        return [self.text_of(raw) for raw in self.raw_strings(group, name)]
+
+    def text_of(self, raw: bytes) -> str:
+        """A character string of the file as text."""
+        return text_of(raw, self.encoding)
 
     def raw_strings(self, group: str, name: str) -> list[bytes]:
         """A character parameter as byte strings, padding included; empty where absent."""
@@ -147,10 +156,18 @@ class Parameters:
                 # A new parameter stands behind its group, where readers look for it.
                 after = next((i for i, r in enumerate(records) if r.is_group and r.group == change.group), -1)
                 records.insert(after + 1, change)
+        return self._of(records)
+
+    def without(self, group: str) -> Parameters:
+        """The section without a group and its parameters."""
+        number = self.group_id(group)
+        return self._of([record for record in self.records if record.group != number])
+
+    def _of(self, records: Sequence[Record]) -> Parameters:
         # A chain that ended by its link needs a zero record once something follows.
         ended_by_link = bool(self.records) and self.records[-1].last
         tail = b"\0\0" + self.tail[2:] if ended_by_link else self.tail
-        return Parameters(self.head, tuple(records), tail, self.processor, self.findings)
+        return replace(self, records=tuple(records), tail=tail)
 
     def repaired(self) -> Parameters:
         """The section with a last parameter that the data cut short filled up with blanks, so that something can follow it."""
@@ -159,7 +176,7 @@ class Parameters:
         last = self.records[-1]
         data = last.data.ljust(prod(last.dimensions) * abs(last.kind), b" " if last.kind == CHARACTER else b"\0")
         whole = make_parameter(last.name, last.group, last.kind, last.dimensions, data, processor=self.processor)
-        return Parameters(self.head, (*self.records[:-1], whole), b"", self.processor, self.findings)
+        return replace(self, records=(*self.records[:-1], whole), tail=b"")
 
     def to_bytes(self) -> bytes:
         """The section with its four-byte head, as long as its records need and ended by a zero record."""
@@ -194,7 +211,28 @@ def parse_parameters(section: bytes, processor: Processor) -> Parameters:
         at += len(record.raw)
         if record.last or record.cut:
             break
-    return Parameters(section[:_HEADER], tuple(records), section[at:], processor, tuple(findings))
+    parameters = Parameters(section[:_HEADER], tuple(records), section[at:], processor, tuple(findings))
+    foreign = _foreign(parameters)
+    encoding = encoding_of(foreign) if foreign else LATIN
+    if encoding == JAPANESE:
+        findings.append(text_encoding("the names are in Shift-JIS, which is not what the format has, and were read as such"))
+    elif encoding is None:
+        # The first such name, as it is shown, tells a person what is meant.
+        shown = text_of(foreign[0])[:20]
+        findings.append(text_encoding(f"the encoding of the names is not known, such as of {shown!r}; their letters are shown wrong"))
+    return replace(parameters, encoding=encoding or LATIN, findings=tuple(findings))
+
+
+def _foreign(parameters: Parameters) -> list[bytes]:
+    """The names of points, channels, events and subjects that are no UTF-8."""
+    strings = (
+        _unpadded(raw)
+        for group in ("POINT", "ANALOG", "EVENT", "SUBJECTS")
+        for name in parameters.groups.get(group, ())
+        for raw in parameters.raw_strings(group, name)
+        if not raw.isascii()
+    )
+    return [raw for raw in strings if _utf8(raw) is None]
 
 
 def _record_at(section: bytes, at: int, size: int, processor: Processor) -> tuple[Record | None, str]:
@@ -262,11 +300,22 @@ def make_parameter(
     return Record(raw, name, group, False, False, kind, tuple(dimensions), data)
 
 
-def text_of(raw: bytes) -> str:
-    """Characters of a file as text: UTF-8 where it is, else Latin-1; blanks and NUL padding taken off."""
+def text_of(raw: bytes, encoding: str = LATIN) -> str:
+    """Characters of a file as text: UTF-8 where it is, else that encoding; blanks and NUL padding taken off."""
+    raw = _unpadded(raw)
+    text = _utf8(raw)
+    return raw.decode(encoding, errors="replace").strip() if text is None else text
+
+
+def _unpadded(raw: bytes) -> bytes:
     # NUL pads as blanks do; what stands behind it is left from before.
-    raw = raw.split(b"\0", 1)[0].strip()
+    return raw.split(b"\0", 1)[0].strip()
+
+
+def _utf8(raw: bytes) -> str | None:
+    """The text of UTF-8, also where the width of its field cut the last character of several; None of anything else."""
     try:
         return raw.decode("utf-8")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1").strip()
+    except UnicodeDecodeError as problem:
+        before = raw[: problem.start].decode("utf-8")
+        return before if problem.reason == "unexpected end of data" and not before.isascii() else None

@@ -10,11 +10,14 @@ from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError, NoMarkers
 from asterism.findings import Finding
-from asterism.formats._columns import Points, metres_per_unit, recording_of
-from asterism.formats._physical import COMPUTED, point_kinds
+from asterism.formats._columns import METRES_PER_UNIT, Points, coded_samples, metres_per_unit, recording_of
+from asterism.formats._physical import COMPUTED, OTHER_UNIT, point_kinds
 from asterism.formats.c3d._edit import COMPUTED_GROUPS, log_of
 from asterism.formats.c3d._file import C3DFile, numbered, open_c3d
 from asterism.recording import Floats, Recording, as_vertical
+
+_UNITS = ("UNITS", "MODELED_MARKER_UNITS", "SCALAR_UNITS")
+"""Parameters of POINT: the unit of the points, and others among which it may stand by mistake."""
 
 
 def read_c3d(path: Path, markers: Any = None, vertical: ArrayLike | str | None = None) -> Recording:
@@ -60,9 +63,10 @@ def points_of(file: C3DFile, some: slice | None = None) -> Points:
         first_frame=file.first_frame,
         events=file.events,
         subject=one_subject(file),
-        findings=(*file.findings, *found),
+        findings=(*file.findings, *file.doubts, *found, *coded_samples(file.coded)),
         extra={"encoding": encoding_of(file), "metres_per_unit": scale},
         log=log_of(file.parameters),
+        frames=file.layout.frames,
     )
 
 
@@ -74,12 +78,15 @@ def in_metres(file: C3DFile) -> tuple[Floats, float, str, list[Finding]]:
 
 def unit_of(file: C3DFile) -> tuple[float, str, list[Finding]]:
     """Metres per unit, the unit's name, and a finding where the unit is assumed; some 200 frames tell it."""
+    # Values that are no lengths are taken for millimetres, as most files keep them, where they are read as markers all the same.
+    if holds_values(file):
+        return METRES_PER_UNIT["mm"], "mm", []
     some = file.coordinates_of(slice(None, None, max(1, file.layout.frames // 200)))
     # Computed points have other sizes and units, and would mislead the guess.
     kinds = point_kinds(file.labels, None, declared_computed(file))
     captured = np.array([kind != COMPUTED for kind in kinds], dtype=bool)
-    others = [file.parameters.text("POINT", name) for name in ("MODELED_MARKER_UNITS", "SCALAR_UNITS")]
-    return metres_per_unit(Path(file.path), file.parameters.text("POINT", "UNITS"), some[:, captured], others)
+    declared, *others = (file.parameters.text("POINT", name) for name in _UNITS)
+    return metres_per_unit(Path(file.path), declared, some[:, captured], others)
 
 
 def scaled(raw: Floats, scale: float) -> Floats:
@@ -97,7 +104,15 @@ def kinds_of_points(file: C3DFile, positions: Floats) -> list[str]:
 
     positions (frames, points, 3) m. The rounded numbers of integer files keep no exact geometry.
     """
+    if holds_values(file):
+        return [COMPUTED] * len(file.labels)
     return point_kinds(file.labels, positions if file.layout.real else None, declared_computed(file))
+
+
+def holds_values(file: C3DFile) -> bool:
+    """Whether the unit of the points is none of length, but one of angles, forces or the like."""
+    declared, *others = (file.parameters.text("POINT", name).casefold() for name in _UNITS)
+    return OTHER_UNIT.fullmatch(declared) is not None and not any(other in METRES_PER_UNIT for other in others)
 
 
 def declared_computed(file: C3DFile) -> set[str]:

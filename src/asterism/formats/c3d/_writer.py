@@ -23,12 +23,12 @@ from asterism.formats.c3d._confidence import with_confidence
 from asterism.formats.c3d._edit import label_parameters, log_of, with_declared, with_events, with_log, with_number
 from asterism.formats.c3d._file import C3DFile, parse_c3d, ranges
 from asterism.formats.c3d._fresh import fresh_c3d
+from asterism.formats.c3d._layout import LIMIT
 from asterism.formats.c3d._numbers import Words
-from asterism.formats.c3d._parameters import Parameters, Record, text_of
+from asterism.formats.c3d._parameters import Parameters, Record
 from asterism.formats.c3d._reader import in_metres, scaled, unit_of
 from asterism.recording import Floats, Ints, LabelStates, Recording
 
-_MOST_POINTS = 65535
 COMPUTED_ENDING = b"_computed"
 """What follows the label of a computed point where a marker of the recording has the same label."""
 
@@ -130,10 +130,8 @@ def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: st
     """
     seen = without_common_subject(file.labels)[0]
     slots = _slots(seen, recording, main, file.layout.points)
-    if len(slots) > _MOST_POINTS:
-        raise AsterismError(
-            f"{target}: {len(slots)} points are more than the {_MOST_POINTS} that a C3D file can hold; write fewer columns."
-        )
+    if len(slots) > LIMIT:
+        raise AsterismError(f"{target}: {len(slots)} points are more than the {LIMIT} that a C3D file can hold; write fewer columns.")
     renamed = _renamed_computed(file, seen, recording, slots)
     labels = _labels(file, seen, recording, slots, renamed, target)
     # Columns that stay in their places with their labels leave the parameters untouched.
@@ -146,10 +144,14 @@ def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: st
         ]
         parameters = parameters.replaced(label_parameters(file, labels, descriptions))
         # Lists of angles and forces name points by their labels.
-        gone = {text_of(raw) for raw in file.raw_labels} - {text_of(raw) for raw in labels}
-        parameters = with_declared(parameters, gone, {text_of(file.raw_labels[place]): text_of(raw) for place, raw in renamed.items()})
+        read = file.parameters.text_of
+        gone = {read(raw) for raw in file.raw_labels} - {read(raw) for raw in labels}
+        parameters = with_declared(parameters, gone, {read(file.raw_labels[place]): read(raw) for place, raw in renamed.items()})
     if recording.events != file.events:
         parameters = with_events(parameters, recording.events)
+    # Readers that see this group count no more frames than 16 bits do; without rotations it says nothing.
+    if parameters is not file.parameters and file.layout.frames >= LIMIT and file.parameters.count("ROTATION", "USED") == 0:
+        parameters = parameters.without("ROTATION")
     if recording.log != log_of(file.parameters):
         parameters = with_log(parameters, recording.log)
     rate = recording.rate if recording.rate != file.rate else None
@@ -160,7 +162,7 @@ def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: st
 
 
 def _slots(seen: Sequence[str], recording: Recording, main: Sequence[int], points: int) -> list[_Slot]:
-    """The columns of the new file: in an old place by label or by the samples' origin, else behind the others."""
+    """The columns of the new file, each with the place of the old one by its label or by its samples' origin."""
     free = {place for place in recording.taken if 0 <= place < points}
     place_of: dict[int, int] = {}
     by_label: dict[str, list[int]] = {}
@@ -189,8 +191,15 @@ def _slots(seen: Sequence[str], recording: Recording, main: Sequence[int], point
         if column not in place_of and main[column] < 0 and free:
             take(column, min(free))
     column_at = {place: column for column, place in place_of.items()}
-    slots = [_Slot(p, column_at.get(p)) for p in range(points) if p in column_at or p not in set(recording.taken)]
-    return slots + [_Slot(None, column) for column in range(len(recording.labels)) if column not in place_of]
+    stay = [_Slot(p, column_at.get(p)) for p in range(points) if p in column_at or p not in set(recording.taken)]
+    new = [_Slot(None, column) for column in range(len(recording.labels)) if column not in place_of]
+    named = {column for column, label in enumerate(recording.labels) if not is_unnamed(label)}
+    if not any(is_unnamed(seen[place_of[column]]) if column in place_of else main[column] >= 0 for column in named):
+        return stay + new
+    # Where points got names: markers in the recording's order, which is that of their set, and points without a name last.
+    own = sorted((slot for slot in [*stay, *new] if slot.column is not None), key=lambda slot: (slot.column not in named, slot.column))
+    middle = [slot for slot in stay if slot.column is None]
+    return [*own[: len(named)], *middle, *own[len(named) :]]
 
 
 def _commonest(places: Ints) -> int:
@@ -298,7 +307,7 @@ def _renamed_computed(file: C3DFile, seen: Sequence[str], recording: Recording, 
     if not clashes:
         return {}
     kinds = kinds_of_points(file, in_metres(file)[0])
-    return {place: text_of(file.raw_labels[place]).encode("utf-8") + COMPUTED_ENDING for place in clashes if kinds[place] == COMPUTED}
+    return {place: file.labels[place].encode("utf-8") + COMPUTED_ENDING for place in clashes if kinds[place] == COMPUTED}
 
 
 def _labels(

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.findings import Finding
+from asterism.findings import Finding, Severity
 from asterism.garment.pattern import Pattern
 from asterism.garment.read.circles import Circles, ellipse_axes, find_circles
 from asterism.garment.read.colours import classify
-from asterism.garment.read.findings import reading_findings
+from asterism.garment.read.findings import CHANGES, reading_findings
 from asterism.garment.read.identify import identify
 from asterism.garment.read.lattice import link_circles
 from asterism.garment.read.rules import ReadRules
@@ -63,8 +64,9 @@ def read_image(image: NDArray[np.uint8], pattern: Pattern, rules: ReadRules | No
 
     Pixel (0, 0) has its middle at (0, 0). Circles come in the order of their regions from the upper left. The result depends on the image
     alone: no randomness, no state. Cost: O(pixels + circles); memory some 2 bytes a pixel, and some 50 for each run of coloured pixels in
-    a row. What makes an image unreadable is in `findings`: no circles, no colours, another pattern. Raises AsterismError where the image is
-    not (h, w, 3) uint8, or has fewer than 8 pixels a side.
+    a row. Without a lattice it is read at half its size, too: circles may be larger than `rules.longest_side`. One of another pattern is
+    read mirrored and with red and blue exchanged, too, to say so. What makes an image unreadable is in `findings`: no circles, no colours,
+    another pattern. Raises AsterismError where the image is not (h, w, 3) uint8, or has fewer than 8 pixels a side.
     """
     rules = rules or ReadRules()
     image = np.asarray(image)
@@ -76,7 +78,25 @@ def read_image(image: NDArray[np.uint8], pattern: Pattern, rules: ReadRules | No
         raise AsterismError(
             f"an image of {width} x {height} pixels shows no garment; give a photo of at least {_LEAST_SIDE} pixels a side."
         )
-    circles = find_circles(np.ascontiguousarray(image), rules)
+    read = _read(np.ascontiguousarray(image), pattern, rules)
+    codes = [finding.code for finding in read.findings]
+    if "garment-no-circles" in codes and min(image.shape[:2]) >= 2 * _LEAST_SIDE:
+        height, width = (side // 2 for side in image.shape[:2])
+        half = read_image(cv2.resize(image[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA), pattern, rules)
+        if "garment-no-circles" not in [finding.code for finding in half.findings]:
+            axes = half.axes * [2.0, 2.0, 1.0]
+            return replace(half, centres=2.0 * half.centres + 0.5, covariance=4.0 * half.covariance, axes=axes)
+    if "garment-other-pattern" in codes:
+        for change, findings in CHANGES:
+            changed = _read(np.ascontiguousarray(change(image)), pattern, rules)
+            if not any(finding.severity is Severity.ERROR for finding in changed.findings) and (changed.ids >= 0).any():
+                return replace(read, findings=(*(f for f in read.findings if f.code != "garment-other-pattern"), *findings))
+    return read
+
+
+def _read(image: NDArray[np.uint8], pattern: Pattern, rules: ReadRules) -> ReadCircles:
+    """The circles of an image as it is."""
+    circles = find_circles(image, rules)
     links, _ = link_circles(circles, pattern.diameter / pattern.pitch, rules)
     # Three links: a chance neighbour makes one or two.
     linked = (links[:, :, 0] >= 0).sum(axis=1) >= 3

@@ -280,37 +280,45 @@ def refine_frames(centres, found, links, frames, fit, out):
 
 
 @kernel(inline=True)
-def between(flat, width, x, y):
-    """Gives the value between four pixels, bilinear. IN flat (h w,) an image, row by row; its width; x, y px, inside. O(1).
+def between(flat, begin, width, height, x, y):
+    """Gives the value between four pixels, bilinear. IN flat, from `begin` on an image, row by row; its width, height; x, y px. O(1).
 
-    Bounds: x < w - 1 and y < h - 1, which centres of `measure` keep, and so all places on the way between two.
+    Bounds: places are clamped to 0 <= x < w - 1, 0 <= y < h - 1; the caller sees to it that flat holds h rows of w from `begin` on.
     """
+    x, y = min(max(x, 0.0), width - 1.000001), min(max(y, 0.0), height - 1.000001)
     left, above = int(x), int(y)
     a, b = x - left, y - above
     # Unsigned places: Numba then does not ask whether they count from the end.
-    place = np.uint64(above * width + left)
+    place = np.uint64(begin + above * width + left)
     below, one = place + np.uint64(width), np.uint64(1)
     upper = (1.0 - a) * flat[place] + a * flat[place + one]
     return (1.0 - b) * upper + b * ((1.0 - a) * flat[below] + a * flat[below + one])
 
 
 @kernel
-def bump(flat, width, x, y, other_x, other_y, steps, rise):
+def bump(flat, sizes, x, y, other_x, other_y, steps, rise):
     """By how much the colourfulness falls after it has risen on the way from one circle to another, where there should be dark cloth.
 
-    IN flat (h w,) uint8, an image row by row; its width; x, y, other_x, other_y px; steps of the way; rise (2,) that counts: as a share of
-    the lower end, and at least
+    IN flat, sizes of `grey_levels`; x, y, other_x, other_y px; steps of the way; rise (1 + levels,) that counts: as a share of the lower
+    end, and at least at each level
 
     Gives the largest fall, 0 where it nowhere rises; the rise that counts here; the lower end. O(steps).
     """
+    # A step's worth of pixels is averaged: single ones of a wide gap are as noisy as those of a narrow one, and far more.
+    long, level, scale = max(abs(other_x - x), abs(other_y - y)) / steps, 0, 1.0
+    while level + 1 < len(sizes) and long > 1.4142135623730951 * scale:
+        level += 1
+        scale *= 2.0
+    begin, width, height = sizes[level, 0], sizes[level, 1], sizes[level, 2]
+    x, y, other_x, other_y = (x + 0.5) / scale - 0.5, (y + 0.5) / scale - 0.5, (other_x + 0.5) / scale - 0.5, (other_y + 0.5) / scale - 0.5
     dx, dy = (other_x - x) / steps, (other_y - y) / steps
-    first, last = between(flat, width, x, y), between(flat, width, other_x, other_y)
+    first, last = between(flat, begin, width, height, x, y), between(flat, begin, width, height, other_x, other_y)
     end = max(min(first, last), 1.0)
-    needed = max(rise[0] * end, rise[1])
+    needed = max(rise[0] * end, rise[1 + level])
     # It falls from the first circle to dark cloth, and may then rise only at the other end.
     lowest, fall, highest = first, 0.0, -1.0
     for k in range(1, steps + 1):
-        value = between(flat, width, x + dx * k, y + dy * k)
+        value = between(flat, begin, width, height, x + dx * k, y + dy * k)
         if highest < 0.0:
             lowest = min(lowest, value)
             # It has risen by more than noise before the end: something coloured lies on the way.
@@ -323,20 +331,19 @@ def bump(flat, width, x, y, other_x, other_y, steps, rise):
 
 
 @kernel
-def cut_skipping(grey, centres, whiten, side, rise, checked, links):
+def cut_skipping(flat, sizes, centres, whiten, side, rise, checked, links):
     """Cut links that lead over a circle that was not found, and those whose length is not a pitch by the ellipses at their ends.
 
     Between two neighbours the colourfulness falls to dark cloth and rises again. If it rises and falls again before, there is a circle.
 
-    IN  grey (h, w) uint8; centres (n, 2); whiten (n, 2, 2); side (2,) shortest and longest link in pitches, the mean of both ends;
-        rise (2,) of the colourfulness that is taken for a circle: as a share of the lower end, and at least
+    IN  flat, sizes of `grey_levels`; centres (n, 2); whiten (n, 2, 2); side (2,) shortest and longest link in pitches, the mean of both
+        ends; rise (1 + levels,) of the colourfulness that is taken for a circle: as a share of the lower end, and at least at each level
     IO  checked (n, 4) int32: links that were looked at before, -1 for none, else twice the neighbour, and one more if the link was cut; no
         decision depends on it. links (n, 4, 2)
 
     O(n). Twin: tests/twins_garment_read.py
     """
     steps = 16
-    flat, width = grey.ravel(), grey.shape[1]
     for i in range(len(links)):
         for d in range(4):
             j, back = links[i, d, 0], links[i, d, 1]
@@ -354,7 +361,7 @@ def cut_skipping(grey, centres, whiten, side, rise, checked, links):
                 # By the ellipses at its ends first, which costs nothing.
                 cut = length < side[0] or length > side[1]
                 if not cut:
-                    fall, needed, _ = bump(flat, width, centres[i, 0], centres[i, 1], centres[j, 0], centres[j, 1], steps, rise)
+                    fall, needed, _ = bump(flat, sizes, centres[i, 0], centres[i, 1], centres[j, 0], centres[j, 1], steps, rise)
                     cut = fall > needed
                 checked[i, d] = 2 * j + cut
             if checked[i, d] & 1:

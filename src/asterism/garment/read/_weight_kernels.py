@@ -137,17 +137,16 @@ def slants(centres, moments, at, fits, cells, out):
 
 
 @kernel
-def bumps(grey, centres, at, fits, cells, rise, out):
+def bumps(flat, sizes, centres, at, fits, cells, rise, out):
     """By how much the colourfulness rises and falls again on the way from a circle to its neighbours, where there should be dark cloth.
 
-    IN  grey (h, w) uint8; centres (n, 2); at (rows, cols) of `occupy`; fits (n,); cells (n, 2); rise (2,) that counts: as a share of the
-        lower end, and at least
+    IN  flat, sizes of `grey_levels`; centres (n, 2); at (rows, cols) of `occupy`; fits (n,); cells (n, 2); rise (1 + levels,) that
+        counts: as a share of the lower end, and at least at each level
     OUT out (n,) largest fall as a share of the lower end, 0 where it nowhere rises
 
     O(n). Twin: tests/twins_garment_read.py
     """
     steps = 12
-    flat, width = grey.ravel(), grey.shape[1]
     for i in range(len(cells)):
         out[i] = 0.0
         if cells[i, 0] < 0:
@@ -156,7 +155,7 @@ def bumps(grey, centres, at, fits, cells, rise, out):
             j = there(at, fits, cells[i, 0] + _DOWN[d], cells[i, 1] + _RIGHT[d])
             if j < 0:
                 continue
-            fall, _, end = bump(flat, width, centres[i, 0], centres[i, 1], centres[j, 0], centres[j, 1], steps, rise)
+            fall, _, end = bump(flat, sizes, centres[i, 0], centres[i, 1], centres[j, 0], centres[j, 1], steps, rise)
             # As a share of the lower end, because the same bump is more beside a faint circle.
             out[i] = max(out[i], fall / end)
 
@@ -192,3 +191,34 @@ def usual_areas(area, cells, at, out):
                 count += 1
         if count > 0:
             out[i] = (around[(count - 1) // 2] + around[count // 2]) / 2.0
+
+
+@kernel
+def stretches(moments, cells, at, out):
+    """How far each ellipse is from the mean ellipse of the up to eight circles around it, whatever their sizes.
+
+    IN  moments (n, 2, 2) px2; cells (n, 2); at (rows, cols) of `occupy`
+    OUT out (n,) logarithm of the longer over the shorter axis, seen so that the mean ellipse around is a circle; 0 without neighbours
+
+    O(n), no allocation. Twin: tests/twins_garment_read.py
+    """
+    for i in range(len(cells)):
+        out[i] = 0.0
+        row, col = np.int64(cells[i, 0]), np.int64(cells[i, 1])
+        if row < 0:
+            continue
+        xx, xy, yy = 0.0, 0.0, 0.0
+        for r in range(max(row - 1, 0), min(row + 2, at.shape[0])):
+            for c in range(max(col - 1, 0), min(col + 2, at.shape[1])):
+                j = at[r, c]
+                if j < 0 or (r == row and c == col):
+                    continue
+                xx, xy, yy = xx + moments[j, 0, 0], xy + moments[j, 0, 1], yy + moments[j, 1, 1]
+        around = xx * yy - xy * xy
+        if not around > 0.0:
+            continue
+        # Half of the trace over the root of the determinant: the hyperbolic cosine of the logarithm wanted, 1 for one shape.
+        own = moments[i, 0, 0] * moments[i, 1, 1] - moments[i, 0, 1] * moments[i, 1, 0]
+        both = yy * moments[i, 0, 0] - 2.0 * xy * moments[i, 0, 1] + xx * moments[i, 1, 1]
+        ratio = max(both / (2.0 * np.sqrt(around * own)), 1.0)
+        out[i] = np.log(ratio + np.sqrt(ratio * ratio - 1.0))

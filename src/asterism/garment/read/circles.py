@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -12,6 +13,10 @@ from asterism.garment.read import _circle_kernels as kernels
 from asterism.garment.read.rules import ReadRules
 from asterism.recording import Floats
 
+_LEVELS = 4
+"""An image and three halves: for ways of up to 180 px, which is more than the largest circles are apart."""
+_LEAST_CLOTH = 200
+"""Pixels of dark cloth from which its noise can be told to a tenth."""
 _LEFT, _LEFT_OF_MORE = 0.375, 0.28
 """What smoothing leaves of the noise: 3 x 3, and 5 x 5 pixels."""
 
@@ -26,6 +31,7 @@ class Circles:
     light       (n, 3) mean light within: red, green, blue, linear, 1 is the image's highest value
     grey        (h, w) uint8 colourfulness, smoothed
     noise       standard deviation of a pixel's value, of 255
+    lowest      colourfulness below which nothing is taken for a circle
     """
 
     centres: Floats
@@ -34,6 +40,48 @@ class Circles:
     light: Floats
     grey: NDArray[np.uint8]
     noise: float
+    lowest: float
+
+    @cached_property
+    def levels(self) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """The colourfulness at full size and halved again and again, for ways of any length, as `grey_levels` gives it."""
+        return grey_levels(self.grey)
+
+    @cached_property
+    def cloth_noise(self) -> Floats:
+        """(levels,) standard deviation of the colourfulness of cloth without a circle, at each level; 0 where there is none to be seen."""
+        flat, sizes = self.levels
+        return np.array([_cloth_noise(flat[begin : begin + w * h].reshape(h, w), self.lowest) for begin, w, h in sizes.tolist()])
+
+    def rises(self, share: float, least: float, of_noise: float) -> Floats:
+        """(1 + levels,) of the colourfulness that are more than noise: a share of a circle's own, and at each level at least so much."""
+        return np.concatenate([[share], np.maximum(least, of_noise * self.cloth_noise)])
+
+
+def _cloth_noise(grey: NDArray[np.uint8], lowest: float) -> float:
+    """From second differences of pixels two apart: between neighbours, noise that the camera's colour filter has spread would hide."""
+    # Every fourth row is enough, and what is as colourful as a circle is left out.
+    rows = grey[::4].astype(np.int16)
+    left, middle, right = rows[:, :-4], rows[:, 2:-2], rows[:, 4:]
+    dark = np.maximum(np.maximum(left, middle), right) <= lowest
+    if dark.sum() < _LEAST_CLOTH:
+        return 0.0
+    # Mean of the absolute values: those of small whole numbers have a coarse median.
+    return float(np.abs(left + right - 2 * middle)[dark].mean() * np.sqrt(np.pi / 12))
+
+
+def grey_levels(grey: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """An image (h, w) and its halves, means of 2 x 2 pixels.
+
+    Gives all their pixels (n,) row by row, and for each (levels, 3) where it begins, its width and height.
+    """
+    levels = [np.ascontiguousarray(grey)]
+    while len(levels) < _LEVELS and min(levels[-1].shape) >= 8:
+        height, width = (side // 2 for side in levels[-1].shape)
+        levels.append(cv2.resize(levels[-1][: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA))
+    begins = np.cumsum([0, *(level.size for level in levels[:-1])])
+    sizes = np.array([(begin, level.shape[1], level.shape[0]) for begin, level in zip(begins, levels, strict=True)], np.int64)
+    return np.concatenate([level.ravel() for level in levels]), sizes
 
 
 def find_circles(image: NDArray[np.uint8], rules: ReadRules) -> Circles:
@@ -68,7 +116,9 @@ def find_circles(image: NDArray[np.uint8], rules: ReadRules) -> Circles:
     covariance = _symmetric(measured[:, 2:5]) + rules.centre_floor**2 * np.eye(2)
     # Lens, pixels and smoothing widen an ellipse, and are taken off again.
     moments = _symmetric(measured[:, 5:8]) - rules.blur_moment * np.eye(2)
-    return Circles(measured[:, :2].copy(), covariance, _at_least(moments, rules.least_moment), measured[:, :8:-1].copy(), grey, noise)
+    return Circles(
+        measured[:, :2].copy(), covariance, _at_least(moments, rules.least_moment), measured[:, :8:-1].copy(), grey, noise, lowest
+    )
 
 
 def image_noise(image: NDArray[np.uint8]) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,27 @@ _WHITE = 0.25
 """Share of white pixels from which on lamps or exposure hide colours."""
 _SHARED = 0.05
 """Share of circles whose place on the sheet another circle has, too."""
+
+_MIRRORED = Finding(
+    "garment-mirrored",
+    Severity.ERROR,
+    "",
+    "The image is mirrored.",
+    "Turn off what mirrors it in the camera's program, or mirror it again.",
+)
+_SWAPPED = Finding(
+    "garment-channels-swapped",
+    Severity.ERROR,
+    "",
+    "Red and blue are exchanged in the image.",
+    "Write images in the order that their format asks for; in Python, give blue, green, red, as OpenCV loads them.",
+)
+CHANGES: tuple[tuple[Callable[[NDArray[np.uint8]], NDArray[np.uint8]], tuple[Finding, ...]], ...] = (
+    (lambda image: image[:, ::-1], (_MIRRORED,)),
+    (lambda image: image[..., ::-1], (_SWAPPED,)),
+    (lambda image: image[:, ::-1, ::-1], (_MIRRORED, _SWAPPED)),
+)
+"""What other programs do to images (h, w, 3) of a garment, and what to say where undoing it shows the pattern."""
 
 
 def reading_findings(

@@ -14,7 +14,7 @@ from asterism.garment.read import _growth_kernels as growth
 from asterism.garment.read import _identity_kernels as kernels
 from asterism.garment.read import _weight_kernels as weigh
 from asterism.garment.read._patch_kernels import place_patches
-from asterism.garment.read.circles import Circles
+from asterism.garment.read.circles import Circles, ellipse_axes
 from asterism.garment.read.rules import ReadRules
 from asterism.recording import Floats
 
@@ -22,6 +22,8 @@ _RADIUS = 3
 """Rows and columns around a circle whose colours speak for it."""
 _BLOCKS = 3
 """Blocks side by side from which cells are carried on."""
+_FOLDS = 0.25
+"""Change of the logarithm of the ratio of axes from a circle to its neighbours that folds and covers make; a circle of d px adds 1 / d."""
 _SIDE = 8.0
 """px, of the buckets that circles are sorted into."""
 _LEVEL = 0.95
@@ -89,10 +91,11 @@ def identify(circles: Circles, links: NDArray[np.int32], posterior: Floats, patt
     twice = _twice(cells, pattern.shape)
     cells[twice] = -1
     odds = _odds(circles, likelihood, own, pattern, rules, cells)
-    apart = _apart_from_neighbours(circles.moments, cells, pattern.shape)
-    odds -= rules.unlike * apart
+    apart, stretch = _apart_from_neighbours(circles.moments, cells, pattern.shape)
+    odds -= rules.unlike * apart + rules.slanted * np.maximum(stretch - rules.slant, 0.0) ** 2
     # A circle that is covered or has run into another one has its centre in the wrong place, however sure its cell is.
     given = (odds > rules.odds) & (apart < rules.alike)
+    given &= _beside_another(np.where(given[:, None], cells, -1), pattern.shape)
     grid = np.where(given[:, None], cells, -1).astype(np.int32)
     ids = np.where(given, pattern.ids[cells[:, 0], cells[:, 1]], -1).astype(np.int32)
     # No certainty beyond what was measured on images with known truth.
@@ -150,7 +153,7 @@ def _odds(circles: Circles, likelihood: Floats, own: Floats, pattern: Pattern, r
     growth.rivals(centres, pattern.colours, heads, following, _SIDE, cells, at, fits, rival)
     weigh.evidence(at, fits, cells, own, _RADIUS, around)
     weigh.smoothness(centres, at, fits, cells, off)
-    weigh.bumps(circles.grey, centres, at, fits, cells, np.array(rules.bump), bump)
+    weigh.bumps(*circles.levels, centres, at, fits, cells, circles.rises(*rules.bump, rules.cloth_noise), bump)
     slant = np.empty(n)
     weigh.slants(centres, circles.moments, at, fits, cells, slant)
     predictors = {
@@ -173,11 +176,23 @@ def _odds(circles: Circles, likelihood: Floats, own: Floats, pattern: Pattern, r
     return np.where(there & near & held, np.column_stack(list(predictors.values())) @ np.array(rules.weights), -np.inf)
 
 
-def _apart_from_neighbours(moments: Floats, cells: NDArray[np.int32], shape: tuple[int, int]) -> Floats:
-    """(n,) how far the logarithm of each circle's area is from that of its neighbours (the median of up to eight).
+def _beside_another(cells: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """(n,) circles one of whose up to eight neighbours has a cell, too: what all around it is doubted for speaks against it."""
+    taken = np.zeros((shape[0] + 2, shape[1] + 2), np.int64)
+    there = cells[:, 0] >= 0
+    row, col = cells[there].T + 1
+    taken[row, col] = 1
+    out = np.zeros(len(cells), np.bool_)
+    out[there] = sum(taken[row + r, col + c] for r in (-1, 0, 1) for c in (-1, 0, 1)) > 1
+    return out
+
+
+def _apart_from_neighbours(moments: Floats, cells: NDArray[np.int32], shape: tuple[int, int]) -> tuple[Floats, Floats]:
+    """(n,) how far the logarithm of each circle's area is from that of its neighbours (the median of up to eight), and its ellipse's shape.
 
     A circle that something covers in part is smaller than its neighbours, and one that has run into another is larger; both have their
-    centres in the wrong place.
+    centres in the wrong place. The cloth around a circle is seen as aslant as the circle: another slant is another thing. The shape is
+    the logarithm of the ratio of axes, over what pixels alone make of it.
     """
     area, at, usual = np.sqrt(np.linalg.det(moments)), np.empty(shape, np.int32), np.empty(len(cells))
     growth.occupy(cells, at)
@@ -186,7 +201,11 @@ def _apart_from_neighbours(moments: Floats, cells: NDArray[np.int32], shape: tup
     out = np.zeros(len(area))
     known = np.isfinite(usual)
     out[known] = np.abs(np.log(area[known] / usual[known]))
-    return out
+    stretch = np.empty(len(cells))
+    weigh.stretches(moments, cells, at, stretch)
+    # Pixels change the axes of a small circle more; folds bend the cloth between circles of any size.
+    shorter = 4.0 * np.sqrt(ellipse_axes(moments)[0][:, 1])
+    return out, stretch / (_FOLDS + 1.0 / shorter)
 
 
 def _at_most(count: int, wrong: int) -> float:

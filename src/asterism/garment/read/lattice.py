@@ -36,17 +36,17 @@ def link_circles(circles: Circles, diameter: float, rules: ReadRules) -> tuple[N
     side = max(4.0, 2.0 / diameter * 2.0 * float(np.sqrt(np.median(np.trace(circles.moments, axis1=1, axis2=2)))))
     kernels.candidates(circles.centres, whiten, rules.reach, side, found, offsets)
     kernels.first_frames(found, offsets, whiten, np.array(rules.side), rules.square, rules.fit, frames, scores)
-    ends, rise = np.array(rules.length), np.array([rules.rise, rules.rise_noise * circles.noise])
+    ends, rise = np.array(rules.length), circles.rises(rules.rise, rules.rise_noise * circles.noise, rules.cloth_noise)
     ahead, checked = np.empty((n, 4), np.int32), np.full((n, 4), -1, np.int32)
     # Neighbours correct each other's vectors, and corrected vectors find more neighbours; two rounds reach the borders.
     for _ in range(_ROUNDS):
         kernels.link(circles.centres, found, frames, rules.fit, ahead, links)
-        kernels.cut_skipping(circles.grey, circles.centres, whiten, ends, rise, checked, links)
+        kernels.cut_skipping(*circles.levels, circles.centres, whiten, ends, rise, checked, links)
         refined = np.empty_like(frames)
         kernels.refine_frames(circles.centres, found, links, frames, rules.fit, refined)
         frames = refined
     kernels.link(circles.centres, found, frames, rules.fit, ahead, links)
-    kernels.cut_skipping(circles.grey, circles.centres, whiten, ends, rise, checked, links)
+    kernels.cut_skipping(*circles.levels, circles.centres, whiten, ends, rise, checked, links)
     return links, frames
 
 

@@ -53,6 +53,7 @@ class ReadRules:
     length         (2,) pitches, of a link as the ellipses at its ends have it, in the mean
     rise           share of a circle's colourfulness by which the gap to its neighbour may rise and fall in between
     rise_noise     the same, in standard deviations of the noise
+    cloth_noise    the same, in standard deviations of what dark cloth shows, at the size of the image at which the gap has some ten pixels
     misread        share of colours that are misread at most, in the evidence
     map_evidence   nats, evidence that the whole map of a neighbourhood needs beyond chance
     map_evidence_supported  the same where other maps that have `map_evidence` hold more than half of the circles that have a cell: the
@@ -66,6 +67,8 @@ class ReadRules:
                    farthest one, pitches from where another cell is expected, squares, own nats, bump
     odds           log odds that a circle needs
     unlike         loss of log odds by how far the logarithm of a circle's area is from that of its neighbours
+    slant, slanted how far its ellipse's shape may be from theirs, in what pixels and folds make of it, and the loss of log odds by the
+                   square of what is beyond: of 42,947 right circles (36 rendered suits, seed 6203) 99 % are below 0.9, 99.9 % below 1.3
     end, corner    what it needs besides where it closes two squares at most, and one
     astray         pitches, by which a circle may be off one of the ways in which its neighbours expect it: where one of two
                    neighbouring lines of circles is a cell off, the ways across say so
@@ -97,6 +100,7 @@ class ReadRules:
     length: tuple[float, float] = (0.65, 1.4)
     rise: float = 0.08
     rise_noise: float = 1.3
+    cloth_noise: float = 4.0
     misread: float = 0.01
     map_evidence: float = 16.0
     map_evidence_supported: float = 10.0
@@ -107,6 +111,8 @@ class ReadRules:
     weights: tuple[float, ...] = (-2.01, 0.158, 0.047, -1.622, -1.017, 0.392, 0.856, 0.366, -4.715)
     odds: float = 5.75
     unlike: float = 5.0
+    slant: float = 1.1
+    slanted: float = 8.0
     end: EndRules = EndRules(squares=2, slant=0.5, bump=0.2)
     corner: EndRules = EndRules(squares=1, slant=0.3, bump=0.1, rival=0.8)
     astray: float = 0.75

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.labelling.correction.event_log import REDO, SAVED, UNDO, CorrectionLog, hash_of_models, hash_of_points
+from asterism.labelling.correction.event_log import REDO, SAVED, UNDO, CorrectionLog, damaged_line, hash_of_models, hash_of_points
 from asterism.labelling.correction.pieces import (
     Pieces,
     cut_before,
@@ -19,7 +19,7 @@ from asterism.labelling.correction.pieces import (
     point_of_piece,
     table_of_pieces,
 )
-from asterism.labelling.correction.readiness import Readiness, readiness
+from asterism.labelling.correction.readiness import Readiness, readiness, to_look_at
 from asterism.labelling.correction.relabelling import Relabelling
 from asterism.labelling.correction.touches import Cut, Ghost, Name, PointInFrame, Request, Right, Swap, SwapMarkers, Touch
 from asterism.labelling.recording_labeller import LabelledBodies, LabellingSettings, RecordingLabeller
@@ -166,12 +166,16 @@ class Correction:
         return hash_of_points(self.clouds), hash_of_models(self.models)
 
     def items(self) -> list[ReviewItem]:
-        """What a person should check, by expected gain, without what they have answered."""
+        """All pieces of tracks with doubts, by expected gain, without what a person has answered."""
         if self._items is None:
             pieces = self.pieces
             found = review(self.labelling, self.clouds, tracklets=self._solved.tracklets)
             self._items = [item for item in found if not pieces.person[pieces.of_point[item.points[0]]]]
         return self._items
+
+    def to_look_at(self) -> list[ReviewItem]:
+        """Those of them that a person should look at: as many as `verdict` says."""
+        return to_look_at(self.items())
 
     @property
     def verdict(self) -> Readiness:
@@ -265,12 +269,11 @@ class Correction:
         """Take what a log holds, and write to it from now on. Raises AsterismError where an entry does not fit the recording."""
         done: list[Touch] = []
         undone: list[Touch] = []
-        # The header is line 1 of the file.
-        for number, entry in enumerate(log.entries, 2):
+        for number, entry in zip(log.lines, log.entries, strict=True):
             try:
                 _replay(entry, done, undone)
             except (KeyError, TypeError, ValueError, IndexError, OverflowError) as problem:
-                raise AsterismError(f"{log.path}, line {number} is damaged; move the log away, and correct anew.") from problem
+                raise damaged_line(log.path, number) from problem
         # An entry that is well formed may still name a point that this recording lacks.
         try:
             solved = self._solve(done)

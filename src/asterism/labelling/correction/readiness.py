@@ -9,7 +9,8 @@ import numpy as np
 
 from asterism.labelling.review import ReviewItem
 from asterism.recording import Clouds, Labelling
-from asterism.recording.verdict import OTHER_BODY
+from asterism.recording.shares import SURE
+from asterism.recording.verdict import OTHER_BODY, OTHER_PERSON
 
 READY, LOOK, DO_NOT_USE = "ready", "look", "do-not-use"
 
@@ -36,23 +37,31 @@ _RULES = ReadinessRules()
 class Readiness:
     """Whether a labelled recording can be used.
 
-    kind      "ready", "look" (some pieces should be looked at) or "do-not-use"
-    sentence  what a person should know, in one sentence
+    kind      "ready", "look" (at some pieces, or once at the whole) or "do-not-use"
     look_at   number of pieces to look at
     error     share of the markers' samples whose label is expected to be wrong or missing
+    why       the reason, and what to do then; empty where the pieces are all there is to say
     """
 
     kind: str
-    sentence: str
     look_at: int
     error: float
+    why: str = ""
 
     @property
     def words(self) -> str:
-        """For a column of a table: "ready", "look at 3" or "do not use"."""
+        """For a column of a table: "ready", "look at 3", "look once" or "do not use"."""
         if self.kind == LOOK:
-            return f"look at {self.look_at}" if self.look_at else "look"
+            return f"look at {self.look_at}" if self.look_at else "look once"
         return "ready" if self.kind == READY else "do not use"
+
+    @property
+    def sentence(self) -> str:
+        """What a person should know, in one sentence."""
+        if self.kind == READY:
+            return "Ready: no label needs a look."
+        pieces = f" piece{'s' if self.look_at > 1 else ''} of tracks" if self.kind == LOOK and self.look_at else ""
+        return f"{self.words.capitalize()}{pieces}{': ' if self.why else ''}{self.why}."
 
 
 def to_look_at(items: Sequence[ReviewItem], rules: ReadinessRules = _RULES) -> list[ReviewItem]:
@@ -69,25 +78,32 @@ def readiness(labelling: Labelling, clouds: Clouds, items: Sequence[ReviewItem],
     visible = int(np.minimum(clouds.counts, len(labelling.names)).sum())
     error = min(1.0, sum(item.gain for item in items) / max(visible, 1))
     look_at = len(to_look_at(items, rules))
-    verdict = labelling.verdict
+    verdict, given = labelling.verdict, int((labelling.indices >= 0).sum())
     if verdict is not None and not verdict.fits:
         # A recording that does not fit hides its errors: points without a label count as missing.
         unanswered = sum(item.samples for item in items if item.marker is None)
-        error = max(error, min(unanswered, visible - int((labelling.indices >= 0).sum())) / max(visible, 1))
+        error = max(error, min(unanswered, visible - given) / max(visible, 1))
+
+    def judged(kind: str, why: str = "") -> Readiness:
+        return Readiness(kind, look_at, error, why)
+
     # Nothing was labelled, so that there are no labels whose errors could be counted.
-    if verdict is not None and verdict.kind == OTHER_BODY and not (labelling.indices >= 0).any():
-        return Readiness(DO_NOT_USE, "Do not use: this is no body that the model knows, and no label was given.", look_at, error)
+    if not given:
+        unknown = "this is no body that the model knows, and " if verdict is not None and verdict.kind == OTHER_BODY else ""
+        return judged(DO_NOT_USE, f"{unknown}no label was given")
     if error > rules.max_error:
-        sentence = f"Do not use: {100 * error:.0f} % of the labels are expected to be wrong or missing."
-        return Readiness(DO_NOT_USE, sentence, look_at, error)
-    # A recording of too few points shows nothing that could contradict the model.
-    if visible and not (labelling.indices >= 0).any():
-        return Readiness(DO_NOT_USE, "Do not use: no label was given.", look_at, error)
-    # Two halves that may be exchanged as a whole show no error in any single label.
-    exchangeable = () if verdict is None else verdict.exchangeable
-    if exchangeable:
-        names = "; ".join(f"{', '.join(group[:-1])} and {group[-1]}" for group in exchangeable)
-        return Readiness(LOOK, f"Look: {names} may be exchanged throughout.", look_at, error)
-    if look_at:
-        return Readiness(LOOK, f"Look at {look_at} piece{'s' if look_at > 1 else ''} of tracks.", look_at, error)
-    return Readiness(READY, "Ready: no label needs a look.", 0, error)
+        return judged(DO_NOT_USE, f"{100 * error:.0f} % of the labels are expected to be wrong or missing")
+    # What concerns the whole recording shows no error in any single label.
+    if labelling.bodies > 1:
+        return judged(LOOK, "a second person wears the model's markers and has no label; give the model once for each")
+    if verdict is not None and verdict.exchangeable:
+        names = "; ".join(f"{', '.join(group[:-1])} and {group[-1]}" for group in verdict.exchangeable)
+        return judged(LOOK, f"{names} may be exchanged throughout")
+    # What a person has confirmed is sure, whatever the model knows.
+    if verdict is not None and not verdict.fits and (labelling.confidence[labelling.indices >= 0] < SURE).any():
+        # No piece stands out, so that one look at the whole is enough.
+        agree = "" if look_at else "the labels agree with each other, but "
+        teach = "; then teach them with `asterism learn`" if verdict.kind == OTHER_PERSON else ""
+        limit = f"none of the model's labels is above {100 * verdict.max_confidence:.2f} %"
+        return judged(LOOK, f"{agree}{verdict.limited_by}, so that {limit}{teach}")
+    return judged(LOOK if look_at else READY)

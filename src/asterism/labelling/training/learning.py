@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.geometry import align_about_z
 from asterism.labelling.body._score_kernels import best_pose
 from asterism.labelling.body._workspace_kernels import make_body_workspace
 from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
@@ -336,8 +338,32 @@ def beside(
     virtual = placed_by_neighbours(virtual, frames, seed)
     count = int(people.max()) + 1 if len(people) else 0
     others = int(virtual.people.max()) + 1
-    weights = np.concatenate([np.ones(count), np.full(others, rules.virtual_weight / others)])
-    return np.concatenate([frames, virtual.frames]), np.concatenate([people, count + virtual.people]), weights
+    together, whose = np.concatenate([frames, virtual.frames]), np.concatenate([people, count + virtual.people])
+    weights = np.concatenate([_shares_of_postures(together, whose, count), np.full(others, rules.virtual_weight / others)])
+    return together, whose, weights
+
+
+def _shares_of_postures(frames: Floats, people: Ints, count: int) -> Floats:
+    """How much each of the first `count` people tells, (count,), at most 1 for one who moves as much as the others of `people` (N,) do.
+
+    A person's mean body is off by how people differ and by the postures that were not shown: a standing trial is one posture, and must not
+    become everybody's habit. So the weight is (d + s) / (d + 1): s the share of the others' variance over time that the person shows, d
+    the variance between people by that over time. O(N M).
+    """
+    placed = align_about_z(frames, frames[np.argmax((~np.isnan(frames[:, :, 0])).sum(axis=1))])
+    means, moved = np.empty((2, int(people.max()) + 1, *frames.shape[1:]))
+    with warnings.catch_warnings():
+        # of a marker that a person does not show
+        warnings.simplefilter("ignore", RuntimeWarning)
+        for person in range(len(means)):
+            own = placed[people == person]
+            means[person], moved[person] = np.nanmean(own, axis=0), np.nanvar(own, axis=0)
+        # zero for a marker that none of the others wears: it tells nothing of how people move
+        usual, differ = (np.nan_to_num(of_others) for of_others in (np.nanmean(moved[count:], axis=0), np.nanvar(means[count:], axis=0)))
+    worn = np.where(np.isnan(moved[:count]), 0.0, usual)
+    shown = np.nansum(np.minimum(moved[:count], usual), axis=(1, 2)) / worn.sum(axis=(1, 2))
+    apart = float(differ.sum() / usual.sum())
+    return (apart + shown) / (apart + 1.0)
 
 
 @dataclass(frozen=True)

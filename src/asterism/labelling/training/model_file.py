@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from asterism.errors import AsterismError, cause_of
+from asterism.errors import AsterismError, cause_of, refuse_special
 from asterism.files.atomic import write_atomically
 from asterism.files.npz import arrays_of_npz
 from asterism.labelling.training.model_schema import check_contents
@@ -55,6 +55,7 @@ def reading(path: str | os.PathLike[str]) -> Iterator[Contents]:
     path = Path(path)
     if path.is_dir():
         raise AsterismError(f"{path} is a folder; name the model's file in it.")
+    refuse_special(path)
     if not path.is_file():
         raise AsterismError(f"{path} does not exist; train a model first (asterism train), or check the path.")
     try:

@@ -50,7 +50,7 @@ def check_contents(head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) 
         value = head.get(name)
         # A bool is an int to Python, and no count or share to us.
         if isinstance(value, bool) or not isinstance(value, (int, float) if kind is float else kind):
-            raise ValueError(f"its {name} is {value if name not in head else type(value).__name__}, not {kind.__name__}")
+            raise ValueError(f"its {name} is {'of another kind' if name in head else 'missing'}")
     _check_numbers("head", head, 0)
     markers = head["marker_set"].get("names")
     if not isinstance(markers, list) or not all(isinstance(name, str) for name in markers) or len(markers) > _MOST_MARKERS:
@@ -86,7 +86,7 @@ def _check_sample(arrays: Mapping[str, NDArray[Any]], markers: int) -> None:
     if planes.shape[1] != 3 * samples or len(missing) != (samples + 7) // 8:
         raise ValueError("its sample of the training has another length than it says")
     if not ((arrays["sample_rates"] > 0) & (arrays["sample_rates"] < 1e6)).all():
-        raise ValueError("a frame rate of its sample is none")
+        raise ValueError("a frame rate of its sample is not possible")
 
 
 def _check_numbers(where: str, value: Any, depth: int) -> None:
@@ -98,7 +98,7 @@ def _check_numbers(where: str, value: Any, depth: int) -> None:
     if isinstance(value, float) and not math.isfinite(value) and where != "about":
         raise ValueError(f"its {where} holds {value}")
     if isinstance(value, int) and abs(value) > _LARGEST:
-        raise ValueError(f"its {where} holds {value:.3g}")
+        raise ValueError(f"its {where} holds {value:g}")
     if isinstance(value, dict):
         for key, inner in value.items():
             _check_numbers("about" if where == "about" else str(key), inner, depth + 1)

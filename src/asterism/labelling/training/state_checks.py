@@ -38,13 +38,13 @@ def check_state(state: ModelState) -> None:
             or (np.diff(curve.margin) < 0).any()
             or not ((curve.right >= 0) & (curve.right <= 1)).all()
         ):
-            raise ValueError("a curve of confidence is none")
+            raise ValueError("a curve of confidence is broken")
     _check_like("look", state.frame_settings, type(state.frame_settings)())
     if state.training is not None:
         config = state.training.config
         _check_like("recipe", config.rules, type(config.rules)())
         if not 0.0 < config.target_hit_rate <= 1.0 or not (config.miner is None or isinstance(config.miner, str)):
-            raise ValueError("its target hit rate or miner is none")
+            raise ValueError("its target hit rate or search of partial solvers is not possible")
 
 
 def _curves(calibration: Any) -> tuple[Any, ...]:
@@ -74,7 +74,7 @@ def _check_like(where: str, value: Any, default: Any) -> None:
     """That settings have the types of the default ones, and are not beyond all use."""
     if is_dataclass(default):
         if type(value) is not type(default):
-            raise ValueError(f"its {where} is {type(value).__name__}")
+            raise ValueError(f"its {where} is of another kind")
         for field in fields(default):
             _check_like(f"{where}.{field.name}", getattr(value, field.name), getattr(default, field.name))
     elif isinstance(default, bool):

@@ -31,6 +31,7 @@ from asterism.labelling.whole.splits import split_tracklets
 from asterism.labelling.whole.verdict import judge_scene
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
+from asterism.recording.verdict import FITS, UNKNOWN
 from asterism.tracking.linking import Tracklets, find_tracklets
 
 
@@ -222,7 +223,8 @@ def label_if_foreign(
     names, rules = [body.names[marker] for marker in body.markers], settings.foreign
     few = reference.few_people and not verdict.scatter <= reference.rules.own_scatter
     crowded = few and verdict.surplus >= reference.rules.min_surplus * len(names)
-    if verdict.fits and not crowded and forward_travel(found, names, rules) > rules.backward:
+    # where nothing could be compared, no other labelling can be told to be better
+    if verdict.kind in (FITS, UNKNOWN) and not crowded and forward_travel(found, names, rules) > rules.backward:
         return None
     return label_foreign(body.labeller, found, reference, names, relabel, settings)
 

@@ -18,20 +18,18 @@ from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole.certainty import Certainty
 from asterism.labelling.whole.foreign import ForeignConfidence
 from asterism.labelling.whole.joint import SceneLabelling
-from asterism.labelling.whole.scene import labels_of_body, placed_points
+from asterism.labelling.whole.scene import labels_of_body
 from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.labelling.whole.verdict import (
-    CERTAIN,
-    MIN_FRAMES,
+    JudgedPoints,
     RigidDistances,
     RivalCounts,
     VerdictRules,
     confidence_limit,
-    judge,
-    judge_scene,
+    judge_points,
 )
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
-from asterism.recording.verdict import Verdict
+from asterism.recording.verdict import CERTAIN, OTHER_BODY, Verdict
 
 FRAMES_AT_ONCE = 2000
 """Frames that are written at once: what is worked out for them fits into the cache."""
@@ -147,9 +145,10 @@ def labelling_of(
         _write([of_all[frames] for of_all in out], some, label, rival, chance, certainty >= least, body.markers)
     if verdict is not None:
         # labels that were all taken back are nobody's to compare
-        pairs = rivals.exchangeable(len(clouds)) if (out[0] != NULL).any() else ()
+        given = bool((out[0] != NULL).any())
+        pairs = rivals.exchangeable(len(clouds)) if given else ()
         named = tuple(tuple(body.names[body.markers[marker]] for marker in pair) for pair in pairs)
-        verdict = replace(verdict, exchangeable=named, rough=labels.found.rough)
+        verdict = replace(verdict if given else verdict.without_labels(), exchangeable=named, rough=labels.found.rough)
     indices, confidence, candidates = out
     own = body.markers
     _limit(own[beside_left_over(body.labeller.body.mean[0], indices[:, own], clouds, mine)], indices, confidence)
@@ -239,6 +238,8 @@ def _certainty(
     """How certain each label is, and below which it is taken back: (P,) each. doubt: log odds that all of them lose."""
     certainty, least = labels.confidence(body.certainty, body.frame_certainty)
     certainty = np.minimum(certainty, confidence_limit(verdict))
+    # the verdict says that no label is given, whatever single points may look like
+    least = np.full_like(least, np.inf) if verdict is not None and verdict.kind == OTHER_BODY else least
     if labels.found.held is not None:
         # few people say little of where markers sit on others: to their model all near ones may be exchanged
         many = body.distances is None or not body.distances.few_people
@@ -265,14 +266,8 @@ def empty_labelling(body: BodyInRecording, clouds: Clouds) -> Labelling:
 
 
 def _verdict_of(body: BodyInRecording, number: int, clouds: Clouds, labels: PointLabels, offsets: Ints) -> Verdict | None:
-    """The verdict on the labels of the body with this number: by the long tracklets, or by all points where these are in few frames."""
-    scene = labels.found.scene
+    """The verdict on the labels of the body with this number; None for a model that keeps no sample of its training."""
     if body.distances is None:
         return None
-    if len(scene.sampled_frames) >= MIN_FRAMES:
-        return judge_scene(scene, labels.found.label, offsets, number, body.distances)
-    own, frames = labels_of_body(labels.label, offsets, number), len(clouds)
-    positions = placed_points(clouds.frame_of, own, clouds.xyz, frames, int(offsets[number + 1] - offsets[number]))
-    free = (own != NULL) | (labels.label == NULL)  # the points of other bodies are theirs
-    counts = np.bincount(clouds.frame_of, weights=free, minlength=frames).astype(np.int64)
-    return judge(positions, counts, body.distances)
+    points = JudgedPoints(clouds.frame_of, clouds.xyz, labels.label, labels.track != NULL, len(clouds))
+    return judge_points(points, offsets, number, body.distances)

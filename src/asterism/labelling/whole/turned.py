@@ -25,8 +25,8 @@ from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole._twin_kernels import TwinScores, score_exchanges, score_twins
 from asterism.labelling.whole.scene import RecordingScene, labels_of_body, marker_offsets, placed_points, score_scene, with_fewer_samples
 from asterism.labelling.whole.settings import RecordingLabellingSettings, TwinRules
-from asterism.labelling.whole.verdict import CERTAIN
 from asterism.recording import NULL, Floats, Ints
+from asterism.recording.verdict import CERTAIN
 
 NO_COLUMNS = np.empty(0, dtype=np.int64)
 

@@ -1,7 +1,9 @@
-"""A recording with the markers of a gait laboratory in; clinical angles of hip, knee and ankle, and how certain they are, out."""
+"""A recording with the markers of a gait laboratory in; Plug-in-Gait's angles, and how certain they are, out."""
 
 from asterism.motion.clinical.angles import CLINICAL, ClinicalAngles, ClinicalJoint, clinical_angles, complete_legs
-from asterism.motion.clinical.measures import LegMeasures, leg_measures
+from asterism.motion.clinical.measures import LegMeasures, SubjectMeasures, leg_measures, subject_measures
+from asterism.motion.clinical.plug_in_gait import Leg, LowerBody, lower_body
+from asterism.motion.clinical.static import StaticRules, with_static_offsets
 from asterism.motion.clinical.uncertainty import (
     ClinicalErrors,
     ClinicalUncertainty,
@@ -17,10 +19,17 @@ __all__ = [
     "ClinicalJoint",
     "ClinicalUncertainty",
     "JointUncertainty",
+    "Leg",
     "LegMeasures",
+    "LowerBody",
     "SkinMotion",
+    "StaticRules",
+    "SubjectMeasures",
     "clinical_angles",
     "clinical_uncertainty",
     "complete_legs",
     "leg_measures",
+    "lower_body",
+    "subject_measures",
+    "with_static_offsets",
 ]

@@ -1,22 +1,20 @@
-"""A recording with the markers of a gait laboratory in; clinical angles of hip, knee and ankle out."""
+"""A recording with the markers of a gait laboratory in; clinical angles of pelvis, hip, knee, ankle, foot and trunk out."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import dataclass, field, replace
 
 from asterism.errors import AsterismError
-from asterism.motion.clinical.measures import LegMeasures, leg_measures
-from asterism.motion.joints.anatomy import AnatomicalFrames, leg_frames, sacrum_markers
-from asterism.motion.joints.angles import grood_suntay
-from asterism.motion.rigid.rotations import unit_vectors
+from asterism.findings import Finding, Severity
+from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures, subject_measures
+from asterism.motion.clinical.plug_in_gait import angles_of, lower_body, radius_by_the_file
+from asterism.motion.joints.anatomy import sacrum_markers
 from asterism.recording import Floats, Recording
 
 CLINICAL = ("flexion", "adduction", "rotation")
 """The angles of a joint, in this order; positive are flexion (dorsiflexion), adduction and internal rotation, on both sides."""
-SIDES = {"L": "left", "R": "right"}
+JOINTS = ("hip", "knee", "ankle")
 _LEG = ("THI", "KNE", "TIB", "ANK")
 
 
@@ -40,10 +38,19 @@ class ClinicalJoint:
 
 @dataclass(frozen=True)
 class ClinicalAngles:
-    """The joints of the legs, left before right, and the measures by side with which they were computed."""
+    """The angles of one recording.
+
+    joints    of the legs, left before right
+    measures  by side, "left" and "right", with which they were computed; `subject` all of them
+    outputs   (T, 3) rad by Plug-in-Gait's names, such as LPelvisAngles: the joints', and those of pelvis, feet and trunk
+    findings  what was assumed or left out
+    """
 
     joints: tuple[ClinicalJoint, ...]
     measures: Mapping[str, LegMeasures]
+    subject: SubjectMeasures = field(default_factory=SubjectMeasures)
+    outputs: Mapping[str, Floats] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
 
 
 def complete_legs(recording: Recording) -> tuple[str, ...]:
@@ -54,21 +61,22 @@ def complete_legs(recording: Recording) -> tuple[str, ...]:
     return tuple(side for side in SIDES if not _missing(recording, side) and _seen_together(recording, side))
 
 
-def clinical_angles(recording: Recording, sides: Sequence[str] | None = None) -> ClinicalAngles:
-    """Flexion, adduction and internal rotation of hip, knee and ankle (Grood and Suntay 1983; ISB, Wu et al. 2002), over time.
+def clinical_angles(recording: Recording, sides: Sequence[str] | None = None, measures: SubjectMeasures | None = None) -> ClinicalAngles:
+    """Flexion, adduction and internal rotation of hip, knee and ankle, and the angles of pelvis, feet and trunk, by Plug-in-Gait.
 
-    sides  "L", "R" or both; by default those with all markers
+    sides     "L", "R" or both; by default those with all markers
+    measures  of the person; by default those of the recording's file (`subject_measures`), and where its own program computed angles, too,
+              the marker radius with which it did
 
-    Frames are those of `leg_frames`, with the measures that the file holds (`leg_measures`): widths, and how far the wands of thigh and
-    shank are turned, about which the markers are turned back first. The hip centre is Bell's (1990), not Davis', and no torsion of
-    the tibia is taken off: against Plug-in-Gait the angles of a subject differ by an offset. The foot is the line from ankle to TOE,
-    as in Plug-in-Gait; a line leaves its own turn open, so the ankle's adduction (inversion) is NaN. Without TOE there is no ankle.
+    With the measures of the file, angles are those that Plug-in-Gait computes, to the digits that a file holds: hip centres by Davis et
+    al. (1991), wand angles about the line between the joint centres, the tibia's torsion, the foot's offsets. `with_static_offsets`
+    takes the offsets from a standing trial. Without TOE there is no ankle.
     Raises AsterismError where a side lacks a marker or is none, and where no side has all markers. O(T).
 
     >>> from asterism.simulation import simulate_walks
     >>> walk = simulate_walks(1, frames=120, seed=0)[0]
-    >>> angles = {joint.name: np.degrees(joint.angles[:, 0]) for joint in clinical_angles(walk).joints}
-    >>> bool(50 < angles["left knee"].max() < 90)
+    >>> flexion = {joint.name: joint.angles[:, 0] for joint in clinical_angles(walk).joints}
+    >>> bool(0.9 < flexion["left knee"].max() < 1.6)
     True
     """
     chosen = complete_legs(recording) if sides is None else tuple(sides)
@@ -79,9 +87,52 @@ def clinical_angles(recording: Recording, sides: Sequence[str] | None = None) ->
         missing = min((_missing(recording, side) for side in SIDES), key=len)
         said = f"has no marker {', '.join(missing)}" if missing else "never shows all markers of a leg in one frame"
         raise AsterismError(f"{_file(recording)} {said}; clinical angles need the markers of Helen Hayes or Plug-in-Gait.")
-    measures = {SIDES[side]: leg_measures(recording, side) for side in chosen}
-    joints = [joint for side in chosen for joint in leg_angles(recording, side, measures[SIDES[side]])]
-    return ClinicalAngles(tuple(joints), measures)
+    found = []
+    if measures is None:
+        measures = subject_measures(recording)
+        found += _assumed(recording, measures, chosen)
+        fitted = radius_by_the_file(recording, measures)
+        if fitted is not None and abs(fitted - measures.marker_radius) > 1e-4:
+            found.append(_another_radius(recording, measures, fitted))
+        measures = measures if fitted is None else replace(measures, marker_radius=fitted)
+    outputs = angles_of(recording, lower_body(recording, measures, "".join(chosen)))
+    joints = tuple(
+        ClinicalJoint(SIDES[side], joint, outputs[name])
+        for side in chosen
+        for joint in JOINTS
+        if (name := f"{side}{joint.title()}Angles") in outputs
+    )
+    return ClinicalAngles(joints, {SIDES[side]: measures.of(side) for side in chosen}, measures, outputs, tuple(found))
+
+
+def _assumed(recording: Recording, measures: SubjectMeasures, sides: Sequence[str]) -> list[Finding]:
+    """A finding for each leg whose widths nobody gave: they move the joint by half of their error."""
+    found = []
+    for side in sides:
+        lacking = [name for name in ("knee_width", "ankle_width", "leg_length") if name not in measures.of(side).from_file]
+        if lacking:
+            words = ", ".join(name.replace("_", " ") for name in lacking)
+            found.append(
+                Finding(
+                    "clinical-measures",
+                    Severity.NOTE,
+                    _file(recording),
+                    f"{_file(recording)} has no {words} of the {SIDES[side]} leg; an adult's widths and the markers' distances were taken.",
+                    "Give the measures, or a standing trial that holds them.",
+                )
+            )
+    return found
+
+
+def _another_radius(recording: Recording, measures: SubjectMeasures, fitted: float) -> Finding:
+    said = f"{2000 * measures.marker_radius:g} mm"
+    return Finding(
+        "clinical-marker-diameter",
+        Severity.NOTE,
+        _file(recording),
+        f"{_file(recording)}: its own angles were computed with markers of {2000 * fitted:g} mm, not {said}; so are these.",
+        "Give MarkerDiameter if another one is right.",
+    )
 
 
 def _file(recording: Recording) -> str:
@@ -108,57 +159,3 @@ def _demand(recording: Recording, side: str) -> None:
         raise AsterismError(f"{_file(recording)} has no marker {', '.join(missing)}, which the {SIDES[side]} leg's angles need.")
     if not _seen_together(recording, side):
         raise AsterismError(f"{_file(recording)}: the markers of the {SIDES[side]} leg are never seen in one frame.")
-
-
-def leg_angles(recording: Recording, side: str, measures: LegMeasures) -> list[ClinicalJoint]:
-    """Hip, knee and, with TOE, ankle of one side, by given measures; see `clinical_angles`.
-
-    Raises AsterismError where a marker is missing.
-    """
-    right = 1.0 if side == "R" else -1.0
-    frames = leg_axes(recording, side, measures)
-    # Axes point right on both sides, so adduction and rotation of a left leg change sign.
-    mirrored = np.array([1.0, right, right])
-    hip = grood_suntay(frames.pelvis, frames.thigh) * mirrored
-    # A knee bends backwards: its flexion is the negative turn about z.
-    knee = grood_suntay(frames.thigh, frames.shank) * mirrored * [-1.0, 1.0, 1.0]
-    joints = [ClinicalJoint(SIDES[side], "hip", hip), ClinicalJoint(SIDES[side], "knee", knee)]
-    if f"{side}TOE" in recording.labels:
-        foot = _foot(frames, recording.positions[:, recording.labels.index(f"{side}TOE")])
-        ankle = grood_suntay(frames.shank, foot) * mirrored + [measures.foot_flexion, 0.0, 0.0]
-        # The line from ankle to toe has no turn about itself.
-        ankle[:, 1] = np.nan
-        joints.append(ClinicalJoint(SIDES[side], "ankle", ankle))
-    return joints
-
-
-def leg_axes(recording: Recording, side: str, measures: LegMeasures) -> AnatomicalFrames:
-    """The leg's frames, in m, after the wands of thigh and shank are turned back: the shank's needs the knee, which needs the thigh's."""
-    widths = {"knee_width": measures.knee_width, "ankle_width": measures.ankle_width}
-    # The thigh first: the knee centre, on which the shank's turn rests, moves with it.
-    for wand, end, angle in (("THI", "KNE", measures.thigh_rotation), ("TIB", "ANK", measures.shank_rotation)):
-        if angle:
-            frames = leg_frames(recording, side, **widths)
-            upper = frames.hip if wand == "THI" else frames.knee
-            recording = _turned(recording, side + wand, side + end, upper, -angle if side == "R" else angle)
-    return leg_frames(recording, side, **widths)
-
-
-def _turned(recording: Recording, wand: str, end: str, upper: Floats, angle: float) -> Recording:
-    """The recording with the marker `wand` turned by an angle (rad) about the line from the upper joint (T, 3) to the marker `end`."""
-    positions = recording.positions.copy()
-    marker = positions[:, recording.labels.index(end)]
-    axis = unit_vectors(marker - upper)
-    arm = positions[:, recording.labels.index(wand)] - marker
-    along = axis * np.einsum("ti,ti->t", axis, arm)[:, None]
-    # Rodrigues about the limb's line.
-    turned = arm * np.cos(angle) + np.cross(axis, arm) * np.sin(angle) + along * (1 - np.cos(angle))
-    positions[:, recording.labels.index(wand)] = marker + turned
-    return replace(recording, positions=positions)
-
-
-def _foot(frames: AnatomicalFrames, toe: Floats) -> Floats:
-    """(T, 3, 3): x from the ankle to the toe marker, z the shank's z as far as it is across x."""
-    x = unit_vectors(toe - frames.ankle)
-    y = unit_vectors(np.cross(frames.shank[:, :, 2], x))
-    return np.stack([x, y, np.cross(x, y)], axis=2)

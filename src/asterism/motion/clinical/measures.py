@@ -2,27 +2,51 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from asterism.recording import Recording
+from asterism.errors import AsterismError
+from asterism.recording import Floats, Recording
 
-_WIDTHS = (0.02, 0.25)
-"""m: what a width of a knee or an ankle can be; another value in a file is not believed."""
-_TURN = 1.0
-"""rad: no offset of a wand or of a foot is larger; another value in a file, perhaps in degrees, is not believed."""
+SIDES = {"L": "left", "R": "right"}
+MARKER_RADIUS = 0.007
+"""m: half of the 14 mm that Plug-in-Gait takes where nothing else is said."""
+
+_LENGTHS = {
+    "leg_length": ("LEGLENGTH", 0.3, 1.4),
+    "knee_width": ("KNEEWIDTH", 0.02, 0.25),
+    "ankle_width": ("ANKLEWIDTH", 0.02, 0.25),
+    "asis_trochanter": ("ASISTROCANTERDISTANCE", 0.01, 0.25),
+}
+"""The parameter of a length, and in which range (m) it is believed: another value may be in another unit."""
+_TURNS = {
+    "thigh_rotation": "THIGHROTATION",
+    "shank_rotation": "SHANKROTATION",
+    "tibial_torsion": "TIBIALTORSION",
+    "ankle_tilt": "ANKLEABADD",
+    "foot_flexion": "STATICPLANTFLEX",
+    "foot_rotation": "STATICROTOFF",
+}
+_RIGHT_ANGLE = np.pi / 2 + 1e-3
+"""rad: a wand may stand in front of a limb, so up to a right angle; what lies beyond is in degrees, or no such angle."""
 
 
 @dataclass(frozen=True)
 class LegMeasures:
     """Measures of one leg, as Plug-in-Gait has them.
 
-    knee_width, ankle_width         m, between the condyles and between the malleoli. The defaults are an adult's
-    thigh_rotation, shank_rotation  rad, by which the wand of thigh and shank is turned outwards about the limb
-    foot_flexion                    rad, between the line from ankle to toe and the sole in the standing trial
-    from_file                       which of these the recording's file holds
+    knee_width, ankle_width  m, between the condyles and between the malleoli. The defaults are an adult's
+    leg_length               m, from the anterior iliac spine to the medial malleolus; None: measured between the markers
+    asis_trochanter          m, from the spine backwards to the trochanter; None: by the leg's length (Davis et al. 1991)
+    thigh_rotation, shank_rotation  rad, by which the wand stands behind the joint's axis, about the line between the joint centres
+    tibial_torsion           rad, from the ankle's axis to the knee's; negative where the ankle turns outwards
+    ankle_tilt               rad, by which the ankle's axis is off a right angle with the shank
+    foot_flexion             rad, between the line from ankle to toe and the sole in the standing trial
+    foot_rotation            rad, the same line's turn against the foot's axis
+    from_file                which of these the recording's file holds, or were given
     """
 
     knee_width: float = 0.10
@@ -31,36 +55,132 @@ class LegMeasures:
     shank_rotation: float = 0.0
     foot_flexion: float = 0.0
     from_file: tuple[str, ...] = ()
+    leg_length: float | None = None
+    asis_trochanter: float | None = None
+    tibial_torsion: float = 0.0
+    ankle_tilt: float = 0.0
+    foot_rotation: float = 0.0
+
+    def with_values(self, values: Mapping[str, float]) -> LegMeasures:
+        """With these measures, m and rad, which count as given."""
+        return replace(self, **values, from_file=tuple(dict.fromkeys((*self.from_file, *values))))
 
 
-_NAMES = {
-    "knee_width": "KNEEWIDTH",
-    "ankle_width": "ANKLEWIDTH",
-    "thigh_rotation": "THIGHROTATION",
-    "shank_rotation": "SHANKROTATION",
-    "foot_flexion": "STATICPLANTFLEX",
-}
+@dataclass(frozen=True)
+class SubjectMeasures:
+    """Measures of both legs.
+
+    left, right    see `LegMeasures`
+    inter_asis     m, between the anterior iliac spines; None: measured between their markers
+    marker_radius  m, from the skin to a marker's centre
+    mass           kg, None where it is not known
+    """
+
+    left: LegMeasures = field(default_factory=LegMeasures)
+    right: LegMeasures = field(default_factory=LegMeasures)
+    inter_asis: float | None = None
+    marker_radius: float = MARKER_RADIUS
+    mass: float | None = None
+
+    def of(self, side: str) -> LegMeasures:
+        """The leg of side "L" or "R"."""
+        return self.left if side == "L" else self.right
+
+    def with_leg(self, side: str, leg: LegMeasures) -> SubjectMeasures:
+        """With another leg on side "L" or "R"."""
+        return replace(self, left=leg) if side == "L" else replace(self, right=leg)
+
+    def with_values(self, values: Mapping[str, float]) -> SubjectMeasures:
+        """With measures by Plug-in-Gait's names, such as LKneeWidth: lengths in mm, turns in degrees, mass in kg.
+
+        Raises AsterismError for a name that is no measure, and for a value that no person has.
+
+        >>> SubjectMeasures().with_values({"LKneeWidth": 100, "MarkerDiameter": 14}).left.knee_width
+        0.1
+        """
+        changed = self
+        for name, value in values.items():
+            changed = changed._with_value(name, value)
+        return changed
+
+    def _with_value(self, name: str, value: float) -> SubjectMeasures:
+        key = name.upper()
+        whole = {"INTERASISDISTANCE": ("inter_asis", 0.001), "MARKERDIAMETER": ("marker_radius", 0.0005), "BODYMASS": ("mass", 1.0)}
+        if key in whole:
+            return replace(self, **{whole[key][0]: value * whole[key][1]})  # type: ignore[arg-type]
+        side, parameter = key[:1], key[1:]
+        measure = next((one for one, (own, _, _) in _LENGTHS.items() if own == parameter), None)
+        turn = next((one for one, own in _TURNS.items() if own == parameter), None)
+        if side not in SIDES or (measure is None and turn is None):
+            known = [f"{letter}{own.title()}" for letter in SIDES for own, _, _ in _LENGTHS.values()]
+            raise AsterismError(
+                f"{name} is no measure of a person; measures are {', '.join(known)}, InterAsisDistance, MarkerDiameter, BodyMass "
+                "and the turns of Plug-in-Gait, such as LTibialTorsion."
+            )
+        if measure is not None:
+            _, least, most = _LENGTHS[measure]
+            if not least <= value * 0.001 <= most:
+                raise AsterismError(f"{name} is {value:g}; give it in mm, from {1000 * least:g} to {1000 * most:g}.")
+            return self.with_leg(side, self.of(side).with_values({measure: value * 0.001}))
+        if abs(value) > 90.0:
+            raise AsterismError(f"{name} is {value:g}; give it in degrees, from -90 to 90.")
+        return self.with_leg(side, self.of(side).with_values({str(turn): float(np.radians(value))}))
+
+
+def subject_measures(recording: Recording) -> SubjectMeasures:
+    """The measures of the PROCESSING group of the recording's C3D file; usual ones where it has none.
+
+    Plug-in-Gait writes lengths in the unit of the points and turns in radians. A value that no person has counts as absent.
+    """
+    read = _reader_of(recording)
+    left, right = (_leg(recording, side, read) for side in SIDES)
+    inter = _length(read("INTERASISDISTANCE"), recording, 0.05, 0.5)
+    mass = read("BODYMASS")
+    diameter = _length(read("MARKERDIAMETER"), recording, 0.002, 0.05)
+    radius = MARKER_RADIUS if diameter is None else diameter / 2
+    return SubjectMeasures(left, right, inter, radius, mass if mass is not None and 2.0 < mass < 400.0 else None)
 
 
 def leg_measures(recording: Recording, side: str) -> LegMeasures:
-    """The measures of the leg of this side ("L" or "R") in the PROCESSING group of the recording's C3D file; usual ones where it has none.
+    """The measures of the leg of this side ("L" or "R"), see `subject_measures`."""
+    return _leg(recording, side, _reader_of(recording))
 
-    Plug-in-Gait writes widths in the unit of the points and turns in radians. A measure that no leg can have counts as absent.
-    """
-    parameters: Any = getattr(recording.source, "parameters", None)
-    number = getattr(parameters, "number", None)
-    if number is None:
-        return LegMeasures()
+
+def _reader_of(recording: Recording) -> Any:
+    number = getattr(getattr(recording.source, "parameters", None), "number", None)
+    return (lambda name: None) if number is None else (lambda name: number("PROCESSING", name))
+
+
+def _leg(recording: Recording, side: str, read: Any) -> LegMeasures:
     measures: dict[str, float] = {}
-    # Widths are in the unit of the points, which may be mm or m.
+    for measure, (parameter, least, most) in _LENGTHS.items():
+        length = _length(read(side + parameter), recording, least, most)
+        if length is not None:
+            measures[measure] = length
+    for measure, parameter in _TURNS.items():
+        value = read(side + parameter)
+        if value is not None and 0.0 < abs(value) <= _RIGHT_ANGLE:
+            measures[measure] = float(value)
+    return LegMeasures().with_values(measures)
+
+
+def _length(value: float | None, recording: Recording, least: float, most: float) -> float | None:
+    """m; None for a value that no person has: guessing another unit would bend all angles."""
+    # Lengths are in the unit of the points, which may be mm or m.
     metres = float(recording.metadata.get("metres_per_unit", 0.001) or 0.001)
-    for name, parameter in _NAMES.items():
-        value = number("PROCESSING", f"{side}{parameter}")
-        if value is None or not np.isfinite(value):
-            continue
-        # A value that no leg has may be in another unit; guessing which would bend all angles.
-        if name.endswith("width") and _WIDTHS[0] <= value * metres <= _WIDTHS[1]:
-            measures[name] = float(value * metres)
-        elif not name.endswith("width") and 0 < abs(value) <= _TURN:
-            measures[name] = float(value)
-    return LegMeasures(**measures, from_file=tuple(measures))
+    return float(value * metres) if value is not None and least <= value * metres <= most else None
+
+
+def computed_by_the_file(recording: Recording, name: str) -> Floats | None:
+    """A quantity that the file's own program computed, such as "LHipAngles", (T, 3) in the file's unit; NaN where it has none.
+
+    None where the file has no such column, and for a recording that shows other frames than its file.
+    """
+    labels = [str(label).rpartition(":")[2] for label in getattr(recording.source, "labels", ())]
+    if name not in labels:
+        return None
+    values = np.array(recording.source.coordinates[:, labels.index(name)], dtype=np.float64)
+    if len(values) != len(recording):
+        return None
+    values[(values == 0.0).all(axis=1)] = np.nan
+    return values

@@ -7,13 +7,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asterism.motion.clinical.angles import SIDES, ClinicalAngles, ClinicalJoint, leg_angles, leg_axes
+from asterism.motion.clinical.angles import ClinicalAngles, ClinicalJoint
+from asterism.motion.clinical.measures import SIDES
+from asterism.motion.clinical.plug_in_gait import angles_of, lower_body
 from asterism.motion.uncertainty.monte_carlo import MonteCarloRules, run_by_source
 from asterism.motion.uncertainty.sources import CalibrationErrors, CalibrationField, MeasurementNoise
 from asterism.progress import Progress
 from asterism.recording import Floats, Recording
 
 SOURCES = ("cameras", "soft tissue", "placement")
+
+TRIED_ON = (
+    "Intervals are those of a model of errors, in which skin slides in proportion to the joints' flexion; they have not been tried on "
+    "bones."
+)
+"""What stands beside intervals wherever they are shown."""
 """What makes clinical angles uncertain; each can be looked at alone."""
 
 _SEGMENT_OF = {"ASI": "pelvis", "PSI": "pelvis", "THI": "thigh", "KNE": "thigh", "TIB": "shank", "ANK": "shank", "TOE": "foot"}
@@ -183,9 +191,11 @@ class _Legs:
         def run(rng: np.random.Generator) -> Floats:
             moved = replace(self.recording, positions=self._drawn(active, *rng.spawn(3)))
             letters = {name: letter for letter, name in SIDES.items()}
-            joints = [joint for side, measures in self.clinical.measures.items() for joint in leg_angles(moved, letters[side], measures)]
+            legs = "".join(letters[side] for side in self.clinical.measures)
+            outputs = angles_of(moved, lower_body(moved, self.clinical.subject, legs))
+            joints = [outputs[f"{letters[joint.side]}{joint.joint.title()}Angles"] for joint in self.clinical.joints]
             # Differences, unrolled: an angle near half a turn must not jump by a whole one between trials.
-            apart = np.array([joint.angles for joint in joints]) - np.array([joint.angles for joint in self.clinical.joints])
+            apart = np.array(joints) - np.array([joint.angles for joint in self.clinical.joints])
             return np.asarray((apart - 2 * np.pi * np.round(apart / (2 * np.pi)))[self.known])
 
         return run
@@ -221,6 +231,7 @@ class _Legs:
 def _axes_of(recording: Recording, side: str, clinical: ClinicalAngles) -> Mapping[str, Floats]:
     """The axes (T, 3, 3) of the segments of one side, 0 where they are not known; the foot's are the shank's."""
     letter = next(letter for letter, name in SIDES.items() if name == side)
-    frames = leg_axes(recording, letter, clinical.measures[side])
-    shank = np.nan_to_num(frames.shank)
-    return {"pelvis": np.nan_to_num(frames.pelvis), "thigh": np.nan_to_num(frames.thigh), "shank": shank, "foot": shank}
+    body = lower_body(recording, clinical.subject, letter)
+    leg = body.legs[letter]
+    shank = np.nan_to_num(leg.shank)
+    return {"pelvis": np.nan_to_num(body.pelvis), "thigh": np.nan_to_num(leg.thigh), "shank": shank, "foot": shank}

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 from asterism.motion.rigid._kernels import fit_frames, point_spread
 from asterism.motion.rigid.limb import checked_positions
 from asterism.motion.segmentation._kernels import stray_from_motions
@@ -82,6 +83,15 @@ class Segmentation:
     spectrum: Floats
     merges: tuple[tuple[float, int], ...] = ()
 
+    def fewer_than(self, asked: int | None, file: str) -> list[Finding]:
+        """What to say where so many limbs were asked for, and these could be formed."""
+        if asked is None or self.limbs >= asked:
+            return []
+        told = "the other points move as one of these, or fewer than three move together."
+        sentence = f"{file}: {asked} limbs were asked for, and {self.limbs} were found: {told}"
+        mend = f"Ask for {self.limbs}, or name each limb's markers with --markers."
+        return [Finding("motion-fewer-limbs", Severity.WARNING, file, sentence, mend)]
+
     def points(self, limb: int) -> Ints:
         """The numbers of the points of one limb."""
         return np.nonzero(self.limb_of == limb)[0]
@@ -142,7 +152,7 @@ def segment_limbs(
         # Merging fits every cluster again and again: some frames, spread over the whole motion, keep it quick.
         some = np.unique(np.linspace(0, len(shown) - 1, min(rules.frames, len(shown))).round().astype(int))
         label, merges = _merge(np.ascontiguousarray(shown[some]), label, _neighbours(coordinates), limbs, rules)
-        label = _settle(shown, label, _neighbours(coordinates), rules, rules.rounds)[0]
+        label = _split(shown, label, _neighbours(coordinates), limbs or 1, rules)
     label = _largest_first(label)
     count = int(label.max()) + 1
     stray = np.full((given.shape[1], count), np.inf)
@@ -249,6 +259,28 @@ def _merge(
         label, stray = _settle(positions, np.where(label == one, other, label), near, rules, rules.merge_rounds)
         merges.append((apart, stray.shape[1]))
     return label, tuple(merges)
+
+
+def _split(positions: Floats, label: Ints, near: Ints, limbs: int, rules: SegmentationRules) -> Ints:
+    """Settled labels; where there are fewer than so many limbs, those whose points stray most are taken apart as long as they can be."""
+    label, stray = _settle(positions, label, near, rules, rules.rounds)
+    tried = 0
+    while stray.shape[1] < limbs and tried < stray.shape[1]:
+        own = [float(np.median(stray[label == limb, limb])) for limb in range(stray.shape[1])]
+        points = np.nonzero(label == np.argsort(own)[-1 - tried])[0]
+        tried += 1
+        if len(points) < 2 * rules.least_points:
+            continue
+        # Two limbs in one, of three points each at least, are told apart as in a recording of their own.
+        alone = positions[:, points]
+        affinity = _affinity(np.ascontiguousarray(alone[np.isfinite(alone[:, :, 0]).any(axis=1)]), rules)[1]
+        parts = spectral_clusters(affinity, 2)[0]
+        split = label.copy()
+        split[points[parts == 1]] = stray.shape[1]
+        split, after = _settle(positions, split, near, rules, rules.rounds)
+        if after.shape[1] > stray.shape[1]:
+            label, stray, tried = split, after, 0
+    return label
 
 
 def _nearest_pair(stray: Floats, label: Ints) -> tuple[float, int, int]:

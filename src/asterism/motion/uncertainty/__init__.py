@@ -7,7 +7,6 @@ from asterism.motion.uncertainty.sources import (
     CalibrationErrors,
     ErrorSources,
     MeasurementNoise,
-    PlacementErrors,
     SoftTissueErrors,
     noise_from_rig,
 )
@@ -20,7 +19,6 @@ __all__ = [
     "MeasurementNoise",
     "MonteCarlo",
     "MonteCarloRules",
-    "PlacementErrors",
     "SoftTissueErrors",
     "UncertaintyResult",
     "estimate_uncertainty",

@@ -206,32 +206,6 @@ class SoftTissueErrors:
 
 
 @dataclass(frozen=True)
-class PlacementErrors:
-    """Anatomical landmarks that are palpated in the wrong place: they turn the axes of a limb, the same in all frames.
-
-    sigma_m  m, standard deviation of a landmark along each direction of the skin. Between examiners 13 to 25 mm, of one examiner 6 to
-             21 mm (Della Croce, Cappozzo and Kerrigan 1999). 2 cm of misplaced markers move peak ankle plantarflexion by 15.9 degrees
-             (Uchida and Seth 2022)
-
-    A limb's axes turn by the root of 2 times sigma over the distance of the landmarks: the limb's length for the two axes across, its
-    width for the turn about its long axis.
-    """
-
-    sigma_m: float = 0.010
-
-    def draw(self, template: Floats, rng: np.random.Generator) -> Floats:
-        """(3, 3): the turn of a limb's axes, of which template (N, 3) m gives the extent."""
-        present = np.asarray(np.isfinite(template).all(axis=1))
-        known = template[present]
-        directions = np.linalg.svd(known - known.mean(axis=0), full_matrices=False)[2]
-        extent = np.maximum(np.ptp((known - known.mean(axis=0)) @ directions.T, axis=0), 0.03)
-        # A landmark misplaced across a short lever turns the axes more.
-        lever = np.array([max(extent[1], extent[2]), extent[0], extent[0]])
-        turn = rng.standard_normal(3) * np.sqrt(2) * self.sigma_m / lever
-        return rotation_from_vector(turn @ directions)
-
-
-@dataclass(frozen=True)
 class ErrorSources:
     """The sources that count; None for one that does not.
 
@@ -241,4 +215,3 @@ class ErrorSources:
     noise: MeasurementNoise | None = None
     calibration: CalibrationErrors | None = None
     soft_tissue: SoftTissueErrors | None = SoftTissueErrors()
-    placement: PlacementErrors | None = PlacementErrors()

@@ -19,11 +19,16 @@ from scipy.special import expit, log_softmax
 from asterism.errors import AsterismError, NoMarkers
 from asterism.geometry import rotate_z_up
 from asterism.recording import Clouds, Floats, Ints, MarkerSet, Recording, shipped_sets, worn_marker_sets
+from asterism.recording.display import significant
 from asterism.recording.marker_set import is_unnamed
 from asterism.session.upright import other_verticals
 from asterism.session.worn.fit import FitRules, FrameFit, fit_frame
 from asterism.session.worn.shapes import BodyShapes, body_shapes
 from asterism.tracking import find_tracklets
+
+FRAMES_TO_FIND = 3000
+"""Frames of a file among which the marker set is looked for: half a minute at 100 Hz. Of a longer file, a person has come into view by then
+or the frames with most points are as good."""
 
 GIVEN, BY_NAMES, BY_POINTS = "given", "names", "points"
 """Why a marker set was taken: a person said so; the file's names are its; the points lie as its markers do."""
@@ -401,7 +406,7 @@ def _apart(points: Floats, rules: FindRules) -> list[Floats]:
 
 
 def _percent(chance: float) -> str:
-    return f"{100 * min(chance, 0.999):.3g} %"
+    return f"{significant(100 * min(chance, 0.999), 3)} %"
 
 
 def _name_of(given: str | Path | MarkerSet) -> str:

@@ -38,7 +38,7 @@ class FitRules:
               `extra` raise the log loss from 0.12 to 0.13 and 0.14, of `missing` to 0.16 and 0.18, with 0 to 2 of 180 sure sets wrong
     astray    share of the markers that lie `far` (m) off: in a posture that virtual people do not know, or placed elsewhere. Without them a
               raised hand costs a marker that is missing and a point that is extra
-    hopeless  nats behind the best set from which a set is not held against further postures
+    behind    nats behind the best set from which a set is not held against further postures
     """
 
     headings: int = 12
@@ -51,7 +51,7 @@ class FitRules:
     missing: float = -2.9
     astray: float = 0.05
     far: float = 0.08
-    hopeless: float = 60.0
+    behind: float = 60.0
 
 
 @dataclass(frozen=True)
@@ -82,9 +82,9 @@ def fit_frame(points: Floats, shapes: BodyShapes, rules: FitRules | None = None)
     given = np.full((len(shapes.columns), len(points)), -1, dtype=np.int64)
     for placed, latents in _starts(points, shapes, rules):
         # another posture saves no set that is so far behind
-        hopeless = nats.max() - rules.hopeless
+        rejected = nats.max() - rules.behind
         for number, columns in enumerate(shapes.columns.values()):
-            if not -np.inf < nats[number] < hopeless:
+            if not -np.inf < nats[number] < rejected:
                 found, markers = _explained(placed, latents, shapes, columns, rules)
                 if found > nats[number]:
                     nats[number], given[number] = found, markers

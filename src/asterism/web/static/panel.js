@@ -91,9 +91,9 @@
 
     set(labels) {
       const { items } = labels.state, gain = items.reduce((sum, item) => sum + item.gain, 0), most = items.length ? items[0].gain : 1;
-      this.heading.textContent = items.length ? `To check: ${items.length}${items.length >= 500 ? " or more" : ""}` : "Nothing is left to check";
+      this.heading.textContent = items.length ? `To look at: ${labels.state.verdict.look_at}` : "Nothing is left to look at";
       this.about.textContent = items.length ? `One answer corrects a whole piece. About ${amount(gain)} samples are expected to be wrong or missing.`
-        : "No label of this recording is in doubt.";
+        : "No piece of a track needs a look.";
       this.lines = new Map();
       this.list.replaceChildren(...items.map((item, i) => {
         const place = labels.place.get(item.piece);

@@ -74,7 +74,7 @@
 
     showTrials() {
       const text = trial => {
-        const verdict = trial.state === "ready" ? (trial.verdict.kind === "look" ? `look at ${trial.verdict.look_at}` : VERDICTS[trial.verdict.kind] || trial.verdict.kind)
+        const verdict = trial.state === "ready" ? (trial.verdict.kind === "look" ? (trial.verdict.look_at ? `look at ${trial.verdict.look_at}` : "look once") : VERDICTS[trial.verdict.kind] || trial.verdict.kind)
           : { waiting: "waiting", labelling: "being labelled", failed: "failed" }[trial.state];
         return `${plainText(trial.name)} – ${verdict}${trial.touches ? `, ${trial.touches} ${trial.touches === 1 ? "touch" : "touches"}` : ""}${trial.saved ? ", saved" : ""}`;
       };
@@ -184,7 +184,9 @@
       if (this.swapping) return "Select the piece to exchange it with; Esc gives up.";
       const { labels } = this, samples = labels.from[place + 1] - labels.from[place];
       const said = labels.pieces.person[place] ? " You said so." : "", track = labels.pieces.track?.[place] ?? -1;
-      return `${labels.frames(place)}, ${samples.toLocaleString("en")} samples${track >= 0 ? `, track ${track + 1}` : ""}.${said}`;
+      const { speed, near } = labels.motion(place), moves = speed === null ? "" : ` It moves ${speed.toFixed(2)} m/s.`;
+      const beside = near.length ? ` Nearest: ${near.map(([name, m]) => `${plainText(name)} ${m.toFixed(2)} m`).join(", ")}.` : "";
+      return `${labels.frames(place)}, ${samples.toLocaleString("en")} samples${track >= 0 ? `, track ${track + 1}` : ""}.${said}${moves}${beside}`;
     }
 
     async loadOdds(keep = false) {
@@ -227,7 +229,7 @@
 
     next(by) {
       const i = this.labels.nextItem(this.selected, this.wasItem, by);
-      if (i < 0) this.messages.say("Nothing is left to check.");
+      if (i < 0) this.messages.say("Nothing is left to look at.");
       else this.goToItem(i);
     }
 

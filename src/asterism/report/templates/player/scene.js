@@ -12,8 +12,8 @@
   function colours(element) {
     const style = getComputedStyle(element), of = (name, other) => style.getPropertyValue("--player-" + name).trim() || other;
     return {
-      left: of("left", "#2563c9"), right: of("right", "#d1495b"), middle: of("middle", "#23304d"), rest: of("rest", "#8a94a6"),
-      ghost: of("ghost", "#9a6bb0"), wrong: of("wrong", "#ff2d1a"), asked: of("asked", "#f08c00"), bone: of("bone", "#aab6c8"),
+      left: of("left", "#d1344b"), right: of("right", "#2563c9"), middle: of("middle", "#23304d"), rest: of("rest", "#8a94a6"),
+      ghost: of("ghost", "#9a6bb0"), wrong: of("wrong", "#e6007a"), asked: of("asked", "#f08c00"), bone: of("bone", "#aab6c8"),
       grid: of("grid", "#e3e8f0"), axis: of("axis", "#ccd5e2"), ink: of("ink", "#16213a"), paper: of("paper", "#fbfcfe"), arrow: of("arrow", "#0f7b8a"),
     };
   }
@@ -195,8 +195,7 @@
       places.forEach((place, m) => {
         if (!place.at || place.seen) return;
         context.strokeStyle = colours[recording.side[m]];
-        context.beginPath();
-        context.arc(place.at[0], place.at[1], RADIUS * 0.8 * place.at[2], 0, TAU);
+        this.outline(recording.side[m], place.at[0], place.at[1], RADIUS * 0.8 * place.at[2]);
         context.stroke();
       });
       context.globalAlpha = 1;
@@ -257,8 +256,7 @@
           const alpha = opacity(confidence[p]);
           context.fillStyle = context.strokeStyle = colours[side[marker[p]]];
           context.globalAlpha = alpha;
-          context.beginPath();
-          context.arc(x, y, r, 0, TAU);
+          this.outline(side[marker[p]], x, y, r);
           context.fill();
           if (alpha < 0.95) {
             context.globalAlpha = 0.9;
@@ -289,6 +287,20 @@
       this.context.stroke();
     }
 
+    // The shape of a side's markers, beside its colour: left round, right square, middle a triangle.
+    outline(side, x, y, r) {
+      const { context } = this;
+      context.beginPath();
+      if (side === "right") context.rect(x - 0.9 * r, y - 0.9 * r, 1.8 * r, 1.8 * r);
+      else if (side === "left") context.arc(x, y, r, 0, TAU);
+      else {
+        context.moveTo(x, y - 1.25 * r);
+        context.lineTo(x + 1.1 * r, y + 0.8 * r);
+        context.lineTo(x - 1.1 * r, y + 0.8 * r);
+        context.closePath();
+      }
+    }
+
     diamond(x, y, r) {
       this.context.fillStyle = this.colours.wrong;
       this.context.beginPath();
@@ -296,7 +308,11 @@
       this.context.lineTo(x + r, y);
       this.context.lineTo(x, y + r);
       this.context.lineTo(x - r, y);
+      this.context.closePath();
       this.context.fill();
+      this.context.lineWidth = 1.5;
+      this.context.strokeStyle = this.colours.ink;
+      this.context.stroke();
     }
 
     // Names of all markers, or of those in doubt; the nearest first, and none over another.

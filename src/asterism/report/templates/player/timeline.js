@@ -17,7 +17,7 @@
     out[HIDDEN] = of("hidden", "#e3e7ee");
     out[UNSURE] = of("unsure", "#f2a93b");
     out[PERSON] = of("person", "#2f9e62");
-    out[WRONG] = of("wrong", "#ff2d1a");
+    out[WRONG] = of("wrong", "#e6007a");
     return { codes: out, ink: of("ink", "#16213a"), soft: of("soft", "#5b6780"), asked: of("asked", "#f08c00"), rest: of("rest", "#8a94a6"),
       ghost: of("ghost", "#9a6bb0"), paper: of("paper", "#fbfcfe"), line: of("axis", "#ccd5e2") };
   }
@@ -35,6 +35,18 @@
     if (unsure) return UNSURE;
     if (2 * given < to - from) return HIDDEN;
     return lowest < 256 ? lowest : person ? PERSON : HIDDEN;
+  }
+
+  // What the colours mean, of those that are drawn: [class, colour, text].
+  function meanings({ codes }, bars, { codes: shade, rest, ghost }) {
+    const used = new Set(codes), given = [...used].some(code => code !== HIDDEN && code !== UNSURE && code !== PERSON && code !== WRONG);
+    const scale = `linear-gradient(90deg, ${shade[Asterism.LOWEST]}, ${shade[Asterism.HIGHEST]})`;
+    return [
+      ...(given ? [["", scale, `labelled, darker is surer`]] : []),
+      ...[[PERSON, "said by you"], [WRONG, "wrong label"], [UNSURE, "unsure: a point without a name may be it"], [HIDDEN, "hidden"]]
+        .filter(([code]) => used.has(code)).map(([code, text]) => ["", shade[code], text]),
+      ...(bars.some(bar => !bar.ghost) ? [["points", rest, "points without a label"]] : []), ...(bars.some(bar => bar.ghost) ? [["points", ghost, "ghosts"]] : []),
+    ];
   }
 
   // Puts intervals that overlap into lanes of their own: the lane of each, by their beginnings.
@@ -60,6 +72,9 @@
       this.canvas.setAttribute("role", "img");
       this.head = this.spacer.appendChild(Object.assign(document.createElement("div"), { className: "playhead" }));
       this.tip = host.appendChild(Object.assign(document.createElement("div"), { className: "tip", hidden: true }));
+      this.legend = document.createElement("div");
+      this.legend.className = "codes";
+      host.after(this.legend);
       this.context = this.canvas.getContext("2d", { alpha: false });
       this.cache = document.createElement("canvas");
       Object.assign(this, { seek, pick, frame: 0, bars: [], marked: [], data: null });
@@ -77,6 +92,11 @@
       if (!keepWindow || !before || before.frames !== frames) this.window = [0, Math.max(frames, 1)];
       this.colours = shades(this.canvas);
       this.canvas.setAttribute("aria-label", `${rows.length} markers over ${frames} frames; click to choose a frame, + and - to zoom`);
+      this.legend.replaceChildren(...meanings(this.data, bars, this.colours).map(([className, colour, textContent]) => {
+        const line = Object.assign(document.createElement("span"), { className, textContent });
+        line.style.setProperty("--code", colour);
+        return line;
+      }));
       this.redraw();
     }
 
@@ -309,5 +329,5 @@
     }
   }
 
-  Object.assign(Asterism, { Timeline, lanes, worst, CODES: { HIDDEN, UNSURE, PERSON, WRONG } });
+  Object.assign(Asterism, { Timeline, lanes, meanings, worst, CODES: { HIDDEN, UNSURE, PERSON, WRONG } });
 })(globalThis.Asterism = globalThis.Asterism || {});

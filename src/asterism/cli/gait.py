@@ -1,0 +1,219 @@
+"""`asterism gait`: labelled walks in; events, gait parameters and angles over the cycle, as tables and a page, out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from asterism.cli import _console
+from asterism.cli._command import takes
+from asterism.cli._options import Files, Json, Overwrite, Report, Vertical
+
+if TYPE_CHECKING:
+    from asterism.gait import GaitAnalysis
+    from asterism.motion.clinical import SubjectMeasures
+    from asterism.recording import Recording
+
+
+@dataclass(frozen=True)
+class GaitOptions:
+    """What `asterism gait` is asked to do."""
+
+    files: Files
+    static: Annotated[
+        Path | None,
+        typer.Option(
+            "--static", metavar="FILE", help="A standing trial of the person: offsets of wands, tibia and feet.", show_default=False
+        ),
+    ] = None
+    measure: Annotated[
+        list[str],
+        typer.Option(
+            "--measure", metavar="NAME=VALUE", help="A measure of the person by Plug-in-Gait's name, mm, degrees or kg: LKneeWidth=102."
+        ),
+    ] = field(default_factory=list)
+    sloped_foot: Annotated[
+        bool, typer.Option("--sloped-foot", help="With --static: heel and toe marker count as high as they are, not as equally high.")
+    ] = False
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Write the parameters of each cycle as CSV.", show_default=False),
+    ] = None
+    curves: Annotated[
+        Path | None,
+        typer.Option("--curves", metavar="FILE", help="Write the angles of each cycle, 0 to 100 %, as CSV.", show_default=False),
+    ] = None
+    band: Annotated[
+        Path | None,
+        typer.Option(
+            "--band", metavar="FILE", help="A band of controls, which --save-band wrote: scores, and the page's grey.", show_default=False
+        ),
+    ] = None
+    save_band: Annotated[
+        Path | None,
+        typer.Option(
+            "--save-band", metavar="FILE", help="Write the band of these walks, of people without complaints.", show_default=False
+        ),
+    ] = None
+    vertical: Vertical = None
+    overwrite: Overwrite = False
+    report: Report = None
+    json: Json = None
+
+
+@takes(GaitOptions)
+def gait(options: GaitOptions) -> None:
+    """Find gait events, and give parameters and angles.
+
+    Strikes and offs come from the markers of feet and pelvis, and from force plates that one foot alone stands on. Cadence, speed, lengths
+    and times of steps have an uncertainty. Angles of pelvis, hip, knee, ankle and foot are those of Plug-in-Gait, from the measures of the
+    file, of --static and of --measure. Several walks of one person go into one report.
+    """
+    from asterism.cli._folders import recordings_of
+    from asterism.formats import force_plates
+    from asterism.gait import Band, analyse_gait, band_of, measures_by_name, profile_scores
+    from asterism.recording import subject_of
+
+    outputs = [options.report, options.json, options.output, options.curves, options.save_band]
+    _console.check_outputs(outputs, [*options.files, options.static, options.band], options.overwrite)
+    given = measures_by_name(options.measure)
+    band = None if options.band is None else Band.load(options.band)
+    batch = _console.Batch("analysed")
+    static = None if options.static is None else _read(options.static, options, batch)
+    results: list[tuple[Path, GaitAnalysis]] = []
+    for path in recordings_of(options.files, batch):
+        with batch.file(path):
+            recording = _read(path, options, batch)
+            plates, found = force_plates(recording)
+            analysis = analyse_gait(recording, plates, _measures(recording, static, given, not options.sloped_foot))
+            for finding in [*found, *analysis.findings]:
+                batch.found(finding)
+            results.append((path, analysis))
+            if options.json != "-":
+                show(path, analysis)
+    if not results:
+        raise typer.Exit(batch.close())
+    analyses = [analysis for _, analysis in results]
+    scores = [] if band is None else profile_scores(analyses, band)
+    for score in scores if options.json != "-" else ():
+        side = "left" if score.side == "L" else "right"
+        _console.result(f"Gait Profile Score, {side}: {math.degrees(score.gps):.1f}° from the mean of the band.")
+    if options.save_band is not None:
+        people = [subject_of(analysis.recording) or str(path.parent) for path, analysis in results]
+        band_of(analyses, people).save(options.save_band)
+    if options.output is not None:
+        _console.write_csv(
+            options.output, ["file", "side", "begins_s", "parameter", "value", "uncertainty", "unit"], _parameter_rows(results)
+        )
+    if options.curves is not None:
+        _console.write_csv(options.curves, ["file", "side", "cycle", "angle", "percent", "x_deg", "y_deg", "z_deg"], _curve_rows(results))
+    if options.report is not None:
+        from asterism.recording.display import short_names
+        from asterism.report.gait import gait_report
+
+        names = short_names([path for path, _ in results])
+        gait_report(options.report, [(name, analysis) for name, (_, analysis) in zip(names, results, strict=True)], band=band)
+    content = {
+        "command": "gait",
+        "files": [{"file": path, **as_dict(analysis)} for path, analysis in results],
+        "scores": [
+            {
+                "side": score.side,
+                "gps_deg": math.degrees(score.gps),
+                "variables_deg": {name: math.degrees(value) for name, value in score.variables.items()},
+            }
+            for score in scores
+        ],
+        "failed": batch.failed,
+        "findings": [finding.to_dict() for finding in batch.findings],
+    }
+    _console.write_json(options.json, content)
+    raise typer.Exit(batch.close())
+
+
+def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:
+    """A file's recording; its warnings are told."""
+    from asterism.cli._recordings import report_warnings
+    from asterism.formats import read
+
+    recording = read(path, vertical=options.vertical)
+    report_warnings(recording, batch)
+    return recording
+
+
+def _measures(recording: Recording, static: Recording | None, given: dict[str, float], flat: bool) -> SubjectMeasures | None:
+    """Those given, over those of the standing trial, over those of the file; None where the file's alone count."""
+    from asterism.motion.clinical import StaticRules, subject_measures, with_static_offsets
+
+    if static is None and not given:
+        return None
+    measures = subject_measures(recording if static is None else static).with_values(given)
+    if static is not None:
+        measures = with_static_offsets(static, measures, StaticRules(flat_foot=flat))
+    return measures.with_values(given)
+
+
+def show(path: Path, analysis: GaitAnalysis) -> None:
+    """Print the parameters of one recording: mean, uncertainty and standard deviation of each side."""
+    from asterism.gait import PARAMETERS, summarise
+
+    summaries = {(one.name, one.side): one for one in summarise(analysis.parameters)}
+    rows = []
+    for name, unit in PARAMETERS.items():
+        own = [summaries.get((name, side)) for side in "LR"]
+        if any(own):
+            rows.append([name, unit, *(f"{one.mean:.3f} ± {one.sigma:.3f} ({one.count})" if one else "–" for one in own)])
+    where = "treadmill" if analysis.walking.treadmill else "floor"
+    sides = [sum(cycle.side == side for cycle in analysis.cycles) for side in "LR"]
+    plates = sum(event.source != "markers" for event in analysis.walking.events)
+    _console.result(
+        f"{path}: {sides[0]} left and {sides[1]} right cycles, on a {where}; {len(analysis.walking.events)} events, "
+        f"{plates} of them by force plates."
+    )
+    if rows:
+        _console.table(f"{path}: gait parameters (cycles)", ["parameter", "unit", "left", "right"], rows)
+
+
+def _parameter_rows(results: list[tuple[Path, GaitAnalysis]]) -> list[list[Any]]:
+    from asterism.gait import PARAMETERS
+
+    return [
+        [path, one.side, f"{one.begins:.4f}", one.name, f"{one.value:.5g}", f"{one.sigma:.2g}", PARAMETERS[one.name]]
+        for path, analysis in results
+        for one in analysis.parameters
+    ]
+
+
+def _curve_rows(results: list[tuple[Path, GaitAnalysis]]) -> list[list[Any]]:
+    import numpy as np
+
+    return [
+        [path, name[0], number + 1, name[1:].removesuffix("Angles"), percent, *(f"{value:.3f}" for value in np.degrees(values))]
+        for path, analysis in results
+        for name, curves in analysis.curves.items()
+        for number, curve in enumerate(curves)
+        for percent, values in enumerate(curve)
+    ]
+
+
+def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
+    """The analysis as JSON has it: seconds from the first frame, degrees."""
+    import dataclasses
+
+    import numpy as np
+
+    return {
+        "treadmill": analysis.walking.treadmill,
+        "events": [dataclasses.asdict(event) for event in analysis.walking.events],
+        "cycles": [
+            {"side": cycle.side, "strike": cycle.strike.time, "off": cycle.off.time, "next_strike": cycle.next_strike.time}
+            for cycle in analysis.cycles
+        ],
+        "parameters": [dataclasses.asdict(one) for one in analysis.parameters],
+        "curves_deg": {name: np.round(np.degrees(curves), 3) for name, curves in analysis.curves.items()},
+        "measures": {} if analysis.clinical is None else dataclasses.asdict(analysis.clinical.subject),
+    }

@@ -1,0 +1,33 @@
+"""Labelled markers, and forces where plates are, in; gait events, cycles and parameters out."""
+
+from asterism.gait.analysis import GaitAnalysis, analyse_gait, measures_by_name
+from asterism.gait.bands import Band, ProfileScore, band_of, profile_scores
+from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
+from asterism.gait.events import EventRules, GaitEvent, Walking, find_events
+from asterism.gait.feet import Feet, feet_of
+from asterism.gait.parameters import PARAMETERS, Parameter, ParameterSummary, parameters_of, summarise
+
+__all__ = [
+    "PARAMETERS",
+    "POINTS",
+    "Band",
+    "Cycle",
+    "EventRules",
+    "Feet",
+    "GaitAnalysis",
+    "GaitEvent",
+    "Parameter",
+    "ParameterSummary",
+    "ProfileScore",
+    "Walking",
+    "analyse_gait",
+    "band_of",
+    "cycles_of",
+    "feet_of",
+    "find_events",
+    "measures_by_name",
+    "over_cycle",
+    "parameters_of",
+    "profile_scores",
+    "summarise",
+]

@@ -1,0 +1,103 @@
+"""A recording of somebody who walks in; events, cycles, parameters and clinical angles over the cycles out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
+from asterism.gait.cycles import Cycle, cycles_of, over_cycle
+from asterism.gait.events import Walking, find_events
+from asterism.gait.parameters import Parameter, parameters_of
+from asterism.motion.clinical import ClinicalAngles, SubjectMeasures, clinical_angles, complete_legs
+from asterism.recording import Floats, ForcePlate, Recording
+
+CURVES = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress", "Thorax", "Spine")
+"""Quantities whose angles are drawn over the cycle, by Plug-in-Gait's names."""
+
+
+@dataclass(frozen=True)
+class GaitAnalysis:
+    """What is known of one recording.
+
+    walking     its events; cycles, whole ones; parameters of each cycle
+    clinical    angles over time; None where no leg has its markers
+    curves      name such as "LKneeAngles" -> (cycles of that side, 101, 3) rad
+    findings    what to know before using it
+    """
+
+    recording: Recording
+    walking: Walking
+    cycles: tuple[Cycle, ...]
+    parameters: tuple[Parameter, ...]
+    clinical: ClinicalAngles | None
+    curves: Mapping[str, Floats]
+    findings: tuple[Finding, ...]
+
+
+def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measures: SubjectMeasures | None = None) -> GaitAnalysis:
+    """Events, cycles, parameters and clinical angles of a recording.
+
+    plates    of the recording (`asterism.formats.force_plates`): they tell events to milliseconds
+    measures  of the person, such as `with_static_offsets` gives; by default those of the recording's file
+
+    What can be computed is: without the markers of Plug-in-Gait there are parameters and no angles, without a whole cycle events alone.
+    Raises AsterismError where feet or pelvis have no markers. O(T).
+
+    >>> from asterism.simulation import simulate_walks
+    >>> walk = simulate_walks(1, frames=300, markers="helen-hayes", seed=0)[0]
+    >>> analyse_gait(walk).curves["LKneeAngles"].shape[1:]
+    (101, 3)
+    """
+    walking = find_events(recording, plates)
+    cycles = tuple(cycles_of(walking))
+    file, found = str(recording.metadata.get("file", "the recording")), []
+    if not cycles:
+        found.append(
+            Finding(
+                "gait-no-cycle",
+                Severity.WARNING,
+                file,
+                f"{file} shows no whole gait cycle: {len(walking.events)} strikes and offs, but no strike, off and strike of one foot.",
+                "Record more steps, or give a longer part of the recording.",
+            )
+        )
+    clinical = clinical_angles(recording, measures=measures) if complete_legs(recording) else None
+    if clinical is None:
+        found.append(
+            Finding(
+                "gait-no-angles",
+                Severity.NOTE,
+                file,
+                f"{file} does not show the markers of Plug-in-Gait on a leg, so that there are parameters and no angles.",
+                "Label the recording with a set that has THI, KNE, TIB and ANK.",
+            )
+        )
+    else:
+        found += clinical.findings
+    curves: dict[str, Floats] = {}
+    for name, angles in ({} if clinical is None else clinical.outputs).items():
+        own = [over_cycle(angles, recording.rate, cycle) for cycle in cycles if cycle.side == name[0]]
+        if own and name[1:].removesuffix("Angles") in CURVES:
+            # An angle near half a turn must not jump by a whole one within a cycle.
+            curves[name] = np.unwrap(np.stack(own), axis=1)
+    return GaitAnalysis(recording, walking, cycles, tuple(parameters_of(walking, cycles)), clinical, curves, tuple(found))
+
+
+def measures_by_name(pairs: Sequence[str]) -> dict[str, float]:
+    """Measures from words such as "LKneeWidth=102". Raises AsterismError where a word is none.
+
+    >>> measures_by_name(["LKneeWidth=102", "BodyMass=50.5"])
+    {'LKneeWidth': 102.0, 'BodyMass': 50.5}
+    """
+    found = {}
+    for pair in pairs:
+        name, _, value = pair.partition("=")
+        try:
+            found[name.strip()] = float(value.replace(",", "."))
+        except ValueError:
+            raise AsterismError(f"--measure {pair} is no name and number; write for example LKneeWidth=102, in mm and degrees.") from None
+    return found

@@ -1,0 +1,128 @@
+"""Walks of people without complaints in; a band of each angle over the cycle out, and how far others are from it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.files.atomic import utf8, write_atomically
+from asterism.gait.analysis import GaitAnalysis
+from asterism.gait.cycles import POINTS
+from asterism.recording import Floats
+
+SCORED = (
+    ("Pelvis", 0, "pelvic tilt"),
+    ("Pelvis", 1, "pelvic obliquity"),
+    ("Pelvis", 2, "pelvic rotation"),
+    ("Hip", 0, "hip flexion"),
+    ("Hip", 1, "hip adduction"),
+    ("Hip", 2, "hip rotation"),
+    ("Knee", 0, "knee flexion"),
+    ("Ankle", 0, "ankle dorsiflexion"),
+    ("FootProgress", 2, "foot progression"),
+)
+"""The nine angles of the Gait Profile Score (Baker et al. 2009): quantity, which of its angles, name."""
+_FORMAT = "asterism gait band 1"
+
+
+@dataclass(frozen=True)
+class Band:
+    """Means and standard deviations (101, 3) rad of quantities such as "Knee", of both sides together, of so many people and cycles."""
+
+    mean: Mapping[str, Floats]
+    deviation: Mapping[str, Floats]
+    people: int
+    cycles: int
+
+    def save(self, path: str | Path) -> None:
+        """Write it as JSON, degrees, whole or not at all. Raises AsterismError where the file cannot be written."""
+        angles = {
+            name: {"mean_deg": np.degrees(self.mean[name]).round(4).tolist(), "sd_deg": np.degrees(self.deviation[name]).round(4).tolist()}
+            for name in self.mean
+        }
+        content = {"format": _FORMAT, "people": self.people, "cycles": self.cycles, "angles": angles}
+        write_atomically(Path(path), utf8(json.dumps(content, indent=1) + "\n"))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Band:
+        """Read a band that `save` wrote. Raises AsterismError where the file is none."""
+        try:
+            content = json.loads(Path(path).read_text(encoding="utf-8"))
+            if content["format"] != _FORMAT:
+                raise AsterismError(f"{path} is a band of another version ({content['format']}); make it again with --save-band.")
+            mean, deviation = (
+                {name: np.radians(np.asarray(angles[which], dtype=np.float64)) for name, angles in content["angles"].items()}
+                for which in ("mean_deg", "sd_deg")
+            )
+            people, cycles = int(content["people"]), int(content["cycles"])
+        except OSError as problem:
+            raise AsterismError(f"{path} cannot be read ({problem.strerror}); name a file that --save-band wrote.") from None
+        except (ValueError, KeyError, TypeError):
+            raise AsterismError(f"{path} is no band of gait curves; make one with asterism gait controls/*.c3d --save-band FILE.") from None
+        if any(values.shape != (POINTS, 3) for values in (*mean.values(), *deviation.values())):
+            raise AsterismError(f"{path} has curves of another length than {POINTS} points; make the band again with --save-band.")
+        return cls(mean, deviation, people, cycles)
+
+
+def band_of(analyses: Sequence[GaitAnalysis], people: Sequence[str]) -> Band:
+    """The band of analysed walks; `people` names whose each is. Each person counts once, whatever the number of cycles.
+
+    Raises AsterismError where no walk has angles over a whole cycle, and for fewer than two people.
+    """
+    curves: dict[str, dict[str, list[Floats]]] = {}
+    for analysis, person in zip(analyses, people, strict=True):
+        for name, cycles in analysis.curves.items():
+            curves.setdefault(name[1:].removesuffix("Angles"), {}).setdefault(person, []).extend(cycles)
+    who = {person for by_person in curves.values() for person in by_person}
+    if len(who) < 2:
+        raise AsterismError(f"a band needs whole gait cycles of two people or more, and {len(who)} has some; give more controls.")
+    mean, deviation, count = {}, {}, 0
+    for name, by_person in curves.items():
+        means = np.stack([np.nanmean(cycles, axis=0) for cycles in by_person.values()])
+        within = np.mean([np.nanvar(cycles, axis=0) for cycles in by_person.values()], axis=0)
+        # What a single cycle of a control does: how people differ, and how one person's cycles do.
+        mean[name], deviation[name] = means.mean(axis=0), np.sqrt(means.var(axis=0, ddof=1) + within)
+        count = max(count, sum(len(cycles) for cycles in by_person.values()))
+    return Band(mean, deviation, len(who), count)
+
+
+@dataclass(frozen=True)
+class ProfileScore:
+    """How far the mean curves of one side, "L" or "R", are from a band (Baker et al. 2009), rad.
+
+    variables  the Gait Variable Score of each angle of `SCORED`, RMS over the cycle
+    gps        the Gait Profile Score, their RMS
+    """
+
+    side: str
+    variables: Mapping[str, float]
+    gps: float
+
+
+def profile_scores(analyses: Sequence[GaitAnalysis], band: Band) -> list[ProfileScore]:
+    """The scores of each side of which all nine angles are known, over all cycles of the walks.
+
+    >>> from asterism.gait import analyse_gait
+    >>> from asterism.simulation import simulate_walks
+    >>> walks = [analyse_gait(walk) for walk in simulate_walks(3, frames=300, markers="helen-hayes", seed=0)]
+    >>> scores = profile_scores(walks[:1], band_of(walks, ["a", "b", "c"]))
+    >>> [score.side for score in scores], bool(0 < scores[0].gps < 0.5)
+    (['L', 'R'], True)
+    """
+    scores = []
+    for side in ("L", "R"):
+        variables = {}
+        for quantity, which, title in SCORED:
+            own = [analysis.curves[name] for analysis in analyses if (name := f"{side}{quantity}Angles") in analysis.curves]
+            if own and quantity in band.mean:
+                apart = np.nanmean(np.concatenate(own)[:, :, which], axis=0) - band.mean[quantity][:, which]
+                # Directions of progression differ by whole turns.
+                variables[title] = float(np.sqrt(np.mean(((apart + np.pi) % (2 * np.pi) - np.pi) ** 2)))
+        if len(variables) == len(SCORED) and np.isfinite(list(variables.values())).all():
+            scores.append(ProfileScore(side, variables, float(np.sqrt(np.mean(np.square(list(variables.values())))))))
+    return scores

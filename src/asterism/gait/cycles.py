@@ -1,0 +1,75 @@
+"""Events in; gait cycles, and curves over them from 0 to 100 %, out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asterism.gait.events import OFF, STRIKE, GaitEvent, Walking
+from asterism.recording import Floats
+
+POINTS = 101
+"""Points of a curve over a cycle: 0, 1, ... 100 %."""
+LONGEST = 4.0
+"""s: between two strikes that are farther apart one was missed, or the person stood."""
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """From one strike of a foot to its next.
+
+    side                     of the foot
+    strike, off, next_strike  events of this foot
+    other_off, other_strike   of the other foot within the cycle; None where it has none
+    """
+
+    side: str
+    strike: GaitEvent
+    off: GaitEvent
+    next_strike: GaitEvent
+    other_off: GaitEvent | None = None
+    other_strike: GaitEvent | None = None
+
+    @property
+    def duration(self) -> float:
+        """s."""
+        return self.next_strike.time - self.strike.time
+
+    @property
+    def off_share(self) -> float:
+        """Of the cycle, when the foot leaves the floor."""
+        return (self.off.time - self.strike.time) / self.duration
+
+
+def cycles_of(walking: Walking) -> list[Cycle]:
+    """All whole cycles, in the order of time."""
+    cycles = []
+    for side in walking.feet.sides:
+        own = [event for event in walking.events if event.side == side]
+        other = [event for event in walking.events if event.side != side]
+        for strike, off, following in zip(own, own[1:], own[2:], strict=False):
+            if (strike.label, off.label, following.label) != (STRIKE, OFF, STRIKE) or following.time - strike.time > LONGEST:
+                continue
+            inside = [event for event in other if strike.time <= event.time <= following.time]
+            offs, strikes = ([event for event in inside if event.label == label] for label in (OFF, STRIKE))
+            cycles.append(Cycle(side, strike, off, following, offs[0] if offs else None, strikes[0] if strikes else None))
+    return sorted(cycles, key=lambda cycle: cycle.strike.time)
+
+
+def over_cycle(values: Floats, rate: float, cycle: Cycle) -> Floats:
+    """(POINTS, ...) of a curve (T, ...) at `rate` from the first frame; NaN where the curve is missing, or ends before the cycle does.
+
+    >>> from asterism.gait.events import GaitEvent
+    >>> events = [GaitEvent("L", label, time, 0.0, "") for label, time in ((STRIKE, 0.1), (OFF, 0.7), (STRIKE, 1.1))]
+    >>> over_cycle(np.linspace(0.0, 2.0, 201), 100.0, Cycle("L", *events))[[0, 50, 100]].round(6)
+    array([0.1, 0.6, 1.1])
+    """
+    places = rate * np.linspace(cycle.strike.time, cycle.next_strike.time, POINTS)
+    below = np.floor(places).astype(int)
+    share = (places - below).reshape(-1, *[1] * (values.ndim - 1))
+    inside = (below >= 0) & (below < len(values))
+    lower, upper = (np.clip(below + step, 0, len(values) - 1) for step in (0, 1))
+    out = np.where(share > 0, values[lower] * (1 - share) + values[upper] * share, values[lower])
+    out[~inside | ((below + 1 >= len(values)) & (places > below))] = np.nan
+    return np.asarray(out)

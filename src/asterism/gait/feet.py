@@ -1,0 +1,108 @@
+"""A recording with markers of any laboratory in; heels, toes and pelvis over time, and where the person heads, out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, sosfiltfilt
+
+from asterism.errors import AsterismError
+from asterism.geometry import rotate_z_up
+from asterism.recording import Floats, Recording
+
+SIDES = ("L", "R")
+HEEL = (("HEE",), ("HEEL",), ("CAL",), ("LCA",))
+TOE = (("TOE",), ("MT2",), ("D2M",), ("MT1", "MT5"), ("D1M", "D5M"), ("MT5",), ("5TH",), ("D5M",))
+"""Names after the side, best first; of two names the middle counts. Points and underscores in names do not."""
+PELVIS = ("SACR", "LASI", "RASI", "LPSI", "RPSI", "LASIS", "RASIS", "LPSIS", "RPSIS")
+RATE = 200.0
+"""samples per second of all curves here, so that what follows does not depend on the cameras' rate."""
+CUT_OFF = 15.0
+"""Hz of the low-pass filter of feet: a strike lasts 30 ms. At half, hard strikes are told early; at double, noise shifts offs."""
+TURNING = 0.8
+"""Hz of the filter of the direction: nobody turns faster, and both feet together point where one heads."""
+
+
+@dataclass(frozen=True)
+class Feet:
+    """Curves (T,) or (T, 3) at `RATE` from the recording's first frame, z up.
+
+    heels, toes   m by side, in the room; pelvis (T, 3) m
+    ahead         (T, 2) unit vectors, where the feet point on average
+    leg_length    m, from the pelvis to the floor
+    """
+
+    times: Floats
+    heels: Mapping[str, Floats]
+    toes: Mapping[str, Floats]
+    pelvis: Floats
+    ahead: Floats
+    leg_length: float
+
+    def forward(self, points: Floats) -> Floats:
+        """(T,) m, how far points are ahead of the pelvis."""
+        return np.asarray(((points - self.pelvis)[:, :2] * self.ahead).sum(axis=1))
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Those with heel and toe."""
+        return tuple(self.heels)
+
+
+def feet_of(recording: Recording) -> Feet:
+    """The feet of a recording. Gaps are bridged; frames before the first sample of a marker repeat it. O(T).
+
+    Raises AsterismError where no foot has a heel and a toe marker, or no marker of the pelvis is there.
+    """
+    positions = rotate_z_up(recording.positions, recording.vertical)
+    names = [label.rpartition(":")[2].upper().replace(".", "").replace("_", "") for label in recording.labels]
+
+    def curve(name: str) -> Floats | None:
+        own = positions[:, names.index(name)] if name in names else None
+        return own if own is not None and np.isfinite(own).all(axis=1).sum() > 10 else None
+
+    def first(side: str, choices: tuple[tuple[str, ...], ...]) -> Floats | None:
+        for choice in choices:
+            curves = [found for name in choice if (found := curve(side + name)) is not None]
+            if len(curves) == len(choice):
+                return np.asarray(np.mean(curves, axis=0))
+        return None
+
+    feet = {side: (heel, toe) for side in SIDES if (heel := first(side, HEEL)) is not None and (toe := first(side, TOE)) is not None}
+    hips = [found for name in PELVIS if (found := curve(name)) is not None]
+    file = recording.metadata.get("file", "the recording")
+    if not feet:
+        raise AsterismError(f"{file} has no foot with a heel and a toe marker (such as LHEE and LTOE); gait events need them.")
+    if not hips:
+        raise AsterismError(f"{file} has no marker of the pelvis ({', '.join(PELVIS[:5])}); gait events need one.")
+    times = np.arange(0.0, (len(recording) - 1) / recording.rate + 1e-9, 1.0 / RATE)
+    smooth = {side: [_smooth(part, recording.rate, times, CUT_OFF) for part in pair] for side, pair in feet.items()}
+    with np.errstate(invalid="ignore"):
+        pelvis = _smooth(np.nanmean(hips, axis=0), recording.rate, times, 6.0)
+    pointing = sum(toe - heel for heel, toe in smooth.values())[:, :2]  # type: ignore[index]
+    ahead = _unit(_low_pass(_unit(pointing), RATE, TURNING))
+    heels, toes = ({side: pair[which] for side, pair in smooth.items()} for which in (0, 1))
+    floor = min(float(np.percentile(heel[:, 2], 5)) for heel in heels.values())
+    return Feet(times, heels, toes, pelvis, ahead, float(np.median(pelvis[:, 2])) - floor)
+
+
+def _unit(vectors: Floats) -> Floats:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))
+
+
+def _low_pass(values: Floats, rate: float, cut_off: float) -> Floats:
+    """Zero-lag Butterworth of second order, forwards and backwards."""
+    if cut_off >= 0.45 * rate:
+        return values
+    sections = butter(2, cut_off / (0.5 * rate), output="sos")
+    return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=min(len(values) - 1, int(2 * rate / cut_off))))
+
+
+def _smooth(points: Floats, rate: float, times: Floats, cut_off: float) -> Floats:
+    """Points (F, 3) without gaps, filtered, at other times."""
+    frames, known = np.arange(len(points)), np.isfinite(points).all(axis=1)
+    filled = np.stack([np.interp(frames, frames[known], points[known, axis]) for axis in range(3)], axis=1)
+    return np.asarray(CubicSpline(frames / rate, _low_pass(filled, rate, cut_off), axis=0)(times))

@@ -1,0 +1,318 @@
+"""Markers of Plug-in-Gait and measures of the person in; joint centres, segments and angles as Plug-in-Gait computes them, out.
+
+Sources: Davis et al. (1991) for hip centres and the chord; Kadaba et al. (1990) for segments and angles; the vendor's documentation for
+wand angles, torsion and feet. What these leave open was settled by the angles that recordings of eight laboratories hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.geometry import rotate_z_up
+from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures, computed_by_the_file
+from asterism.motion.joints.anatomy import sacrum_markers
+from asterism.motion.rigid.rotations import unit_vectors
+from asterism.recording import Floats, Recording
+
+TURNS = 30
+"""Steps in which a wand is turned to its angle, at most: each leaves a twentieth of the error, so twelve reach the last digit."""
+
+WALKED = 0.8
+"""m: a pelvis that moves less far from the first frame to the last stands, or is on a treadmill. As public copies of the model have it."""
+_NEAR_RIGHT = np.radians(75.0)
+"""rad: a turn about the middle axis that stays below was never past a right angle; at 100 frames/s none turns by 15 degrees in one."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One leg. Axes (T, 3, 3) are columns in a world with z up: x ahead, y to the left, z along the limb upwards.
+
+    hip, knee, ankle  (T, 3) m, joint centres
+    thigh             with the knee's axis as y
+    shank             with the knee's axis as y: the proximal tibia, from which the knee's angles count
+    distal_shank      with the ankle's axis as y, from which the ankle's angles count
+    foot              z from the toe to the heel, along the sole; None without a toe marker
+    """
+
+    hip: Floats
+    knee: Floats
+    ankle: Floats
+    thigh: Floats
+    shank: Floats
+    distal_shank: Floats
+    foot: Floats | None
+
+
+@dataclass(frozen=True)
+class LowerBody:
+    """Pelvis axes (T, 3, 3), its origin (T, 3) m between the anterior iliac spines, and the legs by side, "L" and "R"."""
+
+    pelvis: Floats
+    origin: Floats
+    legs: Mapping[str, Leg]
+
+
+def lower_body(recording: Recording, measures: SubjectMeasures, sides: str = "LR") -> LowerBody:
+    """Joint centres and segments of pelvis and legs, NaN where a marker is missing. O(T).
+
+    Raises AsterismError where the recording lacks a marker.
+    """
+    marker = marker_of(recording)
+    left, right = marker("LASI"), marker("RASI")
+    sacrum = np.mean([marker(name) for name in sacrum_markers(recording)], axis=0)
+    origin = (left + right) / 2
+    y = unit_vectors(left - right)
+    z = unit_vectors(np.cross(origin - sacrum, y))
+    pelvis = np.stack([np.cross(y, z), y, z], axis=2)
+    lengths = {side: _leg_length(recording, measures.of(side), side) for side in SIDES}
+    between = measures.inter_asis or median_of(np.linalg.norm(left - right, axis=1))
+    legs = {}
+    for side in sides:
+        own = measures.of(side)
+        hip = origin + pelvis @ _hip_centre(own, side, lengths, between, measures.marker_radius)
+        legs[side] = _leg(marker, side, hip, own, measures.marker_radius, f"{side}TOE" in recording.labels)
+    return LowerBody(pelvis, origin, legs)
+
+
+def marker_of(recording: Recording) -> Callable[[str], Floats]:
+    """A function that gives a marker's positions (T, 3) m, z up. It raises AsterismError for a marker that is not there."""
+    positions = rotate_z_up(recording.positions, recording.vertical)
+
+    def marker(name: str) -> Floats:
+        if name not in recording.labels:
+            raise AsterismError(f"{recording.metadata.get('file', 'the recording')} has no marker {name}, which the legs' axes need.")
+        return positions[:, recording.labels.index(name)]
+
+    return marker
+
+
+def _leg_length(recording: Recording, measures: LegMeasures, side: str) -> float:
+    """m: as measured on the person, or from spine to knee to ankle between the markers."""
+    if measures.leg_length is not None:
+        return measures.leg_length
+    marker = marker_of(recording)
+    if any(side + name not in recording.labels for name in ("ASI", "KNE", "ANK")):
+        return float("nan")
+    parts = [np.linalg.norm(marker(side + a) - marker(side + b), axis=1) for a, b in (("ASI", "KNE"), ("KNE", "ANK"))]
+    return median_of(parts[0] + parts[1])
+
+
+def median_of(values: Floats) -> float:
+    """Of the values that are known; NaN where none is."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def _hip_centre(measures: LegMeasures, side: str, lengths: Mapping[str, float], between: float, radius: float) -> Floats:
+    """(3,) m, in the pelvis' axes from its origin (Davis et al. 1991): 28.4 and 18 degrees are the angles of their regression."""
+    own = lengths[side]
+    # the median of two is their mean
+    both = median_of(np.array(list(lengths.values())))
+    trochanter = measures.asis_trochanter if measures.asis_trochanter is not None else 0.1288 * own - 0.04856
+    constant, theta, beta = 0.115 * both - 0.0153, 0.5, 0.314
+    ahead = (-trochanter - radius) * np.cos(beta) + constant * np.cos(theta) * np.sin(beta)
+    up = (-trochanter - radius) * np.sin(beta) - constant * np.cos(theta) * np.cos(beta)
+    out = between / 2 - constant * np.sin(theta)
+    return np.array([ahead, out if side == "L" else -out, up])
+
+
+def _leg(marker: Callable[[str], Floats], side: str, hip: Floats, measures: LegMeasures, radius: float, has_toe: bool) -> Leg:
+    outwards = 1.0 if side == "L" else -1.0
+    knee_marker, ankle_marker = marker(f"{side}KNE"), marker(f"{side}ANK")
+    knee = joint_centre(
+        hip, knee_marker, marker(f"{side}THI"), measures.knee_width / 2 + radius, outwards * measures.thigh_rotation
+    )  # fmt: skip
+    ankle = joint_centre(
+        knee, ankle_marker, marker(f"{side}TIB"), measures.ankle_width / 2 + radius, outwards * measures.shank_rotation, measures.ankle_tilt
+    )  # fmt: skip
+    thigh = along(hip - knee, outwards * (knee_marker - knee))
+    distal = along(knee - ankle, outwards * (ankle_marker - ankle))
+    shank = distal @ _about_z(outwards * measures.tibial_torsion)
+    foot = None
+    if has_toe:
+        line = along(ankle - marker(f"{side}TOE"), shank[:, :, 1])
+        foot = line @ _about_y(-measures.foot_flexion) @ _about_x(-outwards * measures.foot_rotation)
+    return Leg(hip, knee, ankle, thigh, shank, distal, foot)
+
+
+def joint_centre(upper: Floats, marker: Floats, wand: Floats, offset: float, turn: float = 0.0, tilt: float = 0.0) -> Floats:
+    """(T, 3) m: the centre of a joint `offset` (m) beside its marker, where upper centre, centre and marker make a right angle.
+
+    turn  rad about the line from the centre to the upper one, from the wand to the marker: how far the plane of upper centre, marker and
+          centre is turned out of the wand's
+    tilt  rad by which the angle at the centre is more than a right one
+
+    The chord function of Davis et al. (1991). The turn counts about the line between the centres, of which one is sought, so the plane
+    is turned until it does.
+    """
+    length = np.linalg.norm(marker - upper, axis=1, keepdims=True)
+    axis = unit_vectors(marker - upper)
+    corner = np.pi / 2 + tilt
+    # A joint nearer than its own half width would have no such triangle.
+    across = np.sqrt(np.maximum(length**2 - (offset * np.sin(corner)) ** 2, 0.0))
+    sine = np.clip((offset**2 + length**2 - (offset * np.cos(corner) + across) ** 2) / (2 * length * offset), -0.9, 0.9)
+    arm = wand - upper
+    first = unit_vectors(arm - _dot(arm, axis) * axis)
+    second = np.cross(axis, first)
+    angle = np.zeros_like(length)
+    for _ in range(TURNS):
+        centre: Floats = marker - offset * (sine * axis + np.sqrt(1 - sine**2) * (np.cos(angle) * first + np.sin(angle) * second))
+        if not turn:
+            break
+        line = unit_vectors(centre - upper)
+        to_marker, to_wand = (vector - _dot(vector, line) * line for vector in (marker - centre, wand - centre))
+        step = turn - np.arctan2(_dot(np.cross(to_wand, to_marker), line), _dot(to_wand, to_marker))
+        # the shorter way round: a wand behind the limb stands half a turn away
+        step = (step + np.pi) % (2 * np.pi) - np.pi
+        angle = angle + step
+        if not np.nanmax(np.abs(step), initial=0.0) > 1e-12:
+            break
+    return centre
+
+
+def along(z: Floats, left: Floats) -> Floats:
+    """(T, 3, 3) axes: z along the first, y as near as can be to the second."""
+    up = unit_vectors(z)
+    ahead = unit_vectors(np.cross(left, up))
+    return np.stack([ahead, np.cross(up, ahead), up], axis=2)
+
+
+def _dot(one: Floats, other: Floats) -> Floats:
+    return np.asarray(np.einsum("ti,ti->t", one, other)[:, None])
+
+
+def _about_x(angle: float) -> Floats:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def _about_y(angle: float) -> Floats:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def _about_z(angle: float) -> Floats:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def turns(parent: Floats, child: Floats) -> Floats:
+    """(T, 3) rad: turns of the child in the parent's axes, about y, then x, then z; NaN where axes are missing.
+
+    Two triples of turns make one rotation. The one nearer to the frame before is given, so that a foot that turns by more than a right
+    angle goes on.
+    """
+    r = np.einsum("tji,tjk->tik", parent, child)
+    found = np.stack(
+        [np.arctan2(r[:, 0, 2], r[:, 2, 2]), np.arcsin(np.clip(-r[:, 1, 2], -1.0, 1.0)), np.arctan2(r[:, 1, 0], r[:, 1, 1])], axis=1
+    )
+    known = np.nonzero(np.isfinite(found).all(axis=1))[0]
+    # Only one that comes near a right angle can have gone past it.
+    if len(known) and np.abs(found[known, 1]).max() > _NEAR_RIGHT:
+        other = found * [1.0, -1.0, 1.0] + np.pi
+        # No foot is upside down: of the first frame's two triples, that with less of the other turns.
+        first = min((found[known[0]], (other[known[0]] + np.pi) % (2 * np.pi) - np.pi), key=lambda turn: np.abs(turn[[0, 2]]).sum())
+        before = first.copy()
+        for frame in known:
+            apart = [np.abs((choice[frame] - before + np.pi) % (2 * np.pi) - np.pi).sum() for choice in (found, other)]
+            if apart[1] < apart[0]:
+                found[frame] = other[frame]
+            before = found[frame]
+    return found
+
+
+def walking_axes(body: LowerBody) -> Floats:
+    """(3, 3): the room's axes, z up, with x along that one of the room's axes along which the pelvis moves; where it stays, faces."""
+    seen = np.isfinite(body.origin).all(axis=1)
+    way = body.origin[seen][-1] - body.origin[seen][0] if seen.any() else np.zeros(3)
+    if np.linalg.norm(way[:2]) < WALKED:
+        faces = body.pelvis[np.isfinite(body.pelvis).all(axis=(1, 2)), :, 0]
+        way = faces.mean(axis=0) if len(faces) else np.array([1.0, 0.0, 0.0])
+    axis = int(abs(way[1]) > abs(way[0]))
+    ahead = np.zeros(3)
+    ahead[axis] = 1.0 if way[axis] >= 0 else -1.0
+    up = np.array([0.0, 0.0, 1.0])
+    return np.stack([ahead, np.cross(up, ahead), up], axis=1)
+
+
+def thorax_axes(recording: Recording) -> Floats | None:
+    """(T, 3, 3) of the trunk; None where one of CLAV, C7, STRN and T10 is not worn."""
+    if any(name not in recording.labels for name in ("CLAV", "C7", "STRN", "T10")):
+        return None
+    marker = marker_of(recording)
+    clavicle, neck, sternum, spine = (marker(name) for name in ("CLAV", "C7", "STRN", "T10"))
+    z = unit_vectors(clavicle + neck - sternum - spine)
+    y = unit_vectors(np.cross(z, clavicle + sternum - neck - spine))
+    return np.stack([np.cross(y, z), y, z], axis=2)
+
+
+def angles_of(recording: Recording, body: LowerBody) -> dict[str, Floats]:
+    """Angles (T, 3) rad by Plug-in-Gait's names: of hips, knees, ankles, pelvis, feet (FootProgress), thorax and spine.
+
+    Hip and knee: flexion, adduction, internal rotation. Ankle: dorsiflexion, then the foot's inversion and internal rotation. Pelvis and
+    thorax: tilt ahead, obliquity, rotation, in the axes of `walking_axes`.
+    """
+    room = np.broadcast_to(walking_axes(body), body.pelvis.shape)
+    thorax = thorax_axes(recording)
+    found: dict[str, Floats] = {}
+    for side, leg in body.legs.items():
+        left = 1.0 if side == "L" else -1.0
+        # Turns to the left are outwards on the left and inwards on the right.
+        mirrored = np.array([1.0, -left, -left])
+        seen = np.array([1.0, left, -left])
+        found[f"{side}HipAngles"] = turns(body.pelvis, leg.thigh) * mirrored * [-1.0, 1.0, 1.0]
+        found[f"{side}KneeAngles"] = turns(leg.thigh, leg.shank) * mirrored
+        found[f"{side}PelvisAngles"] = turns(room, body.pelvis) * seen
+        if leg.foot is not None:
+            for name, parent in (("Ankle", leg.distal_shank), ("FootProgress", room)):
+                about_y, about_x, about_z = turns(parent, leg.foot).T
+                # The foot's z points backwards, a right angle from the shank's.
+                angles = [-np.pi / 2 - about_y, -left * about_z, -left * about_x]
+                if name == "FootProgress":
+                    angles = [about_y, left * about_z, -left * about_x]
+                found[f"{side}{name}Angles"] = np.stack(angles, axis=1)
+        if thorax is not None:
+            found[f"{side}ThoraxAngles"] = turns(room, thorax) * seen
+            found[f"{side}SpineAngles"] = turns(thorax, body.pelvis) * seen * [-1.0, 1.0, 1.0]
+    return {name: (angles + np.pi) % (2 * np.pi) - np.pi for name, angles in found.items()}
+
+
+_RADII = np.arange(0.0025, 0.0151, 0.00025)
+"""m: radii of markers that are tried."""
+_FEW = 60
+"""Frames on which they are tried."""
+_FITS = np.radians(0.5)
+"""rad RMS: angles that no radius brings nearer were computed by another model or from other measures, and tell no radius."""
+
+
+def radius_by_the_file(recording: Recording, measures: SubjectMeasures) -> float | None:
+    """m: the marker radius with which the file's program computed the hip and knee angles that it holds; None where it holds none.
+
+    The diameter that a file names need not be the one that its angles were computed with. O(1).
+    """
+    names = [f"{side}{joint}Angles" for side in SIDES for joint in ("Hip", "Knee")]
+    given = {name: values for name in names if (values := computed_by_the_file(recording, name)) is not None}
+    if not given or any(name not in recording.labels for name in ("LASI", "RASI")):
+        return None
+    known = np.nonzero(np.isfinite(np.concatenate(list(given.values()), axis=1)).any(axis=1))[0]
+    rows = known[np.unique(np.linspace(0, len(known) - 1, min(_FEW, len(known))).astype(int))] if len(known) else known
+    some = replace(recording, positions=recording.positions[rows], source=None, origin=None)
+
+    def off(radius: float) -> float:
+        body = lower_body(some, replace(measures, marker_radius=radius), "".join(dict.fromkeys(name[0] for name in given)))
+        found = angles_of(some, body)
+        apart = np.concatenate([(found[name] - np.radians(values[rows]) + np.pi) % (2 * np.pi) - np.pi for name, values in given.items()])
+        return float(np.sqrt(np.nanmean(apart**2))) if np.isfinite(apart).any() else float("inf")
+
+    try:
+        coarse = int(np.argmin([off(radius) for radius in _RADII[::4]])) * 4
+        near = range(max(0, coarse - 3), min(len(_RADII), coarse + 4))
+        errors = {place: off(_RADII[place]) for place in near}
+    except AsterismError:
+        return None
+    best = min(errors, key=errors.__getitem__)
+    return float(_RADII[best]) if errors[best] < _FITS else None

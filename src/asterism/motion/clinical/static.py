@@ -1,0 +1,167 @@
+"""A standing trial in; the offsets of wands, tibia and feet that a walk's angles need, out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures
+from asterism.motion.clinical.plug_in_gait import Leg, along, joint_centre, lower_body, marker_of, turns
+from asterism.motion.rigid.rotations import unit_vectors
+from asterism.recording import Floats, Recording
+
+MEDIAL_ANKLE = ("MMA", "MED", "MMAL", "MALM", "MM", "ANKM")
+"""Names of a marker on the medial malleolus, after the side."""
+MEDIAL_KNEE = ("KNM", "KNEM", "MKNE", "MEK", "MFC", "MFE")
+"""Names of a marker on the medial condyle, after the side."""
+DEVICE = ("KAX", "KD1", "KD2")
+"""Markers of a knee alignment device: one on the knee's axis and two across it, all as far from the knee's marker."""
+
+
+@dataclass(frozen=True)
+class StaticRules:
+    """How a standing trial is read.
+
+    flat_foot  the sole stands flat: heel and toe marker count as equally high. Without, their heights count
+    tilted     the angle between the ankle's axis and the shank is taken from the malleoli; without, it is a right one
+    """
+
+    flat_foot: bool = True
+    tilted: bool = False
+
+
+def with_static_offsets(static: Recording, measures: SubjectMeasures, rules: StaticRules | None = None) -> SubjectMeasures:
+    """The measures with the offsets that the standing trial tells, for every leg whose markers it shows.
+
+    The knee's axis is that of a knee alignment device, where one is worn, else of a medial condyle's marker, else of the thigh's wand
+    turned by its angle. The ankle's is that of the malleoli, else of the shank's wand. From these follow the wands' angles and the
+    tibial torsion. The foot's flexion and rotation take the sole for the line from toe to heel. Means over the frames. O(T).
+    Raises AsterismError where neither leg shows its markers.
+    """
+    rules = rules or StaticRules()
+    static = with_knee_markers(static, measures)
+    found = {}
+    for side in SIDES:
+        needed = [f"{side}{name}" for name in ("THI", "KNE", "TIB", "ANK")]
+        if all(name in static.labels for name in needed):
+            found[side] = _leg_with_offsets(static, side, measures, rules)
+    if not found:
+        raise AsterismError(
+            f"{static.metadata.get('file', 'the standing trial')} shows no leg with THI, KNE, TIB and ANK; give a trial that does."
+        )
+    for side, leg in found.items():
+        measures = measures.with_leg(side, leg)
+    return measures
+
+
+def _leg_with_offsets(static: Recording, side: str, measures: SubjectMeasures, rules: StaticRules) -> LegMeasures:
+    own, marker, left = measures.of(side), marker_of(static), 1.0 if side == "L" else -1.0
+    radius = measures.marker_radius
+    told: dict[str, float] = {}
+    hip = lower_body(static, measures, side).legs[side].hip
+    knee_marker, ankle_marker = marker(f"{side}KNE"), marker(f"{side}ANK")
+    axis = _knee_axis(static, side)
+    if axis is not None:
+        # the plane of the device in place of the wand's
+        knee = joint_centre(hip, knee_marker, knee_marker + axis, own.knee_width / 2 + radius)
+        told["thigh_rotation"] = left * _angle_about(hip, knee, marker(f"{side}THI"), knee_marker)
+        own = own.with_values(_known(told))
+    medial = next((marker(side + name) for name in MEDIAL_ANKLE if side + name in static.labels), None)
+    thigh = _legs(static, side, measures, own).thigh
+    knee = _legs(static, side, measures, own).knee
+    if medial is not None and np.isfinite(medial).any():
+        outwards = ankle_marker - medial
+        if rules.tilted:
+            ankle = ankle_marker - (own.ankle_width / 2 + radius) * unit_vectors(outwards)
+            corner = np.arccos(np.clip(_cosine(knee - ankle, ankle_marker - ankle), -1.0, 1.0))
+            told["ankle_tilt"] = _mean(corner) - np.pi / 2
+        else:
+            ankle = joint_centre(knee, ankle_marker, ankle_marker + outwards, own.ankle_width / 2 + radius)
+        told["shank_rotation"] = left * _angle_about(knee, ankle, marker(f"{side}TIB"), ankle_marker)
+        own = own.with_values(_known(told))
+        legs = _legs(static, side, measures, replace(own, tibial_torsion=0.0))
+        # from the ankle's axis to the knee's, about the shank
+        between = turns(legs.distal_shank, along(legs.knee - legs.ankle, thigh[:, :, 1]))[:, 2]
+        told["tibial_torsion"] = left * _mean(between)
+    own = own.with_values(_known(told))
+    if f"{side}TOE" in static.labels and f"{side}HEE" in static.labels:
+        leg = _legs(static, side, measures, replace(own, foot_flexion=0.0, foot_rotation=0.0))
+        assert leg.foot is not None
+        toe, heel = marker(f"{side}TOE"), marker(f"{side}HEE").copy()
+        if rules.flat_foot:
+            heel[:, 2] = toe[:, 2]
+        sole = turns(leg.foot, along(heel - toe, leg.shank[:, :, 1]))
+        told["foot_flexion"] = -_mean(sole[:, 0])
+        told["foot_rotation"] = -left * _mean(sole[:, 1])
+    return own.with_values(_known(told))
+
+
+def _known(told: Mapping[str, float]) -> dict[str, float]:
+    """Without the offsets that no frame tells: the measures' own stay."""
+    return {name: value for name, value in told.items() if np.isfinite(value)}
+
+
+def _mean(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else float("nan")
+
+
+def _legs(static: Recording, side: str, measures: SubjectMeasures, own: LegMeasures) -> Leg:
+    return lower_body(static, measures.with_leg(side, own), side).legs[side]
+
+
+def _knee_axis(static: Recording, side: str) -> Floats | None:
+    """(T, 3): outwards along the knee's axis; None where only the wand tells it."""
+    marker = marker_of(static)
+    if all(side + name in static.labels for name in DEVICE):
+        return marker(f"{side}KAX") - marker(f"{side}KNE")
+    for name in MEDIAL_KNEE:
+        if side + name in static.labels and np.isfinite(marker(side + name)).any():
+            return marker(f"{side}KNE") - marker(side + name)
+    return None
+
+
+def with_knee_markers(static: Recording, measures: SubjectMeasures) -> Recording:
+    """The trial with the knee's marker where only a knee alignment device is worn: the corner from which its three markers are as far.
+
+    The corner of three equal edges at right angles stands over the middle of their ends, on the side where the limb is.
+    """
+    marker, added = marker_of(static), {}
+    for side in SIDES:
+        if f"{side}KNE" in static.labels or any(f"{side}{name}" not in static.labels for name in (*DEVICE, "ASI", "ANK")):
+            continue
+        ends = np.stack([marker(side + name) for name in DEVICE])
+        middle = ends.mean(axis=0)
+        normal = unit_vectors(np.cross(ends[1] - ends[0], ends[2] - ends[0]))
+        edge = np.mean([np.linalg.norm(ends[i] - ends[j], axis=1) for i, j in ((0, 1), (1, 2), (0, 2))], axis=0) / np.sqrt(2.0)
+        apart = normal * (edge / np.sqrt(3.0))[:, None]
+        spine, ankle = marker(f"{side}ASI"), marker(f"{side}ANK")
+        limb = unit_vectors(spine - ankle)
+        beside = [np.linalg.norm(np.cross(corner - ankle, limb), axis=1) for corner in (middle + apart, middle - apart)]
+        added[f"{side}KNE"] = np.where((beside[0] < beside[1])[:, None], middle + apart, middle - apart)
+    if not added:
+        return static
+    positions = np.concatenate([marker_positions(static), np.stack(list(added.values()), axis=1)], axis=1)
+    up = np.array([0.0, 0.0, 1.0])
+    return replace(static, positions=positions, labels=(*static.labels, *added), vertical=up, source=None, origin=None, taken=())
+
+
+def marker_positions(recording: Recording) -> Floats:
+    """(T, M, 3) m, z up."""
+    marker = marker_of(recording)
+    return np.stack([marker(name) for name in recording.labels], axis=1)
+
+
+def _angle_about(upper: Floats, centre: Floats, wand: Floats, marker: Floats) -> float:
+    """rad, mean over the frames: from the wand to the marker about the line from the centre to the upper one."""
+    line = unit_vectors(upper - centre) * -1.0
+    to_wand, to_marker = (vector - np.einsum("ti,ti->t", vector, line)[:, None] * line for vector in (wand - centre, marker - centre))
+    angle = np.arctan2(np.einsum("ti,ti->t", np.cross(to_wand, to_marker), line), np.einsum("ti,ti->t", to_wand, to_marker))
+    return _mean(angle)
+
+
+def _cosine(one: Floats, other: Floats) -> Floats:
+    return np.asarray(np.einsum("ti,ti->t", unit_vectors(one), unit_vectors(other)))

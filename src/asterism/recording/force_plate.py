@@ -1,0 +1,86 @@
+"""What a force plate measured beside a recording of markers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.errors import AsterismError
+from asterism.recording.arrays import Floats
+
+LOADED = 20.0
+"""N of vertical force from which a plate counts as loaded, as gait laboratories take it. Amplifiers drift by a few N; at half, drift is a
+step, at double a strike is told a millisecond late."""
+
+
+@dataclass(frozen=True)
+class ForcePlate:
+    """Forces on a person from one plate, in the axes of the recording that it belongs to.
+
+    number       of the plate in the file, from 1
+    corners      (4, 3) m, of the surface
+    force        (S, 3) N, on the person: upwards where somebody stands
+    moment       (S, 3) N m, of that force about `centre`
+    rate         samples per second; the first sample is at the recording's first frame
+    vertical     (3,) up
+    """
+
+    number: int
+    corners: Floats
+    force: Floats
+    moment: Floats
+    rate: float
+    vertical: Floats
+
+    @property
+    def centre(self) -> Floats:
+        """(3,) m, the middle of the surface."""
+        return np.asarray(self.corners.mean(axis=0))
+
+    @property
+    def load(self) -> Floats:
+        """(S,) N, the vertical force."""
+        return np.asarray(self.force @ self.vertical)
+
+    @property
+    def loaded(self) -> NDArray[np.bool_]:
+        """(S,) whether somebody stands on it."""
+        return np.asarray(self.load > LOADED)
+
+    @property
+    def pressure(self) -> Floats:
+        """(S, 3) m, the centre of pressure on the surface; NaN where the plate is not loaded."""
+        load = np.where(self.loaded, self.load, np.nan)[:, None]
+        # About the centre of pressure the moment is along the vertical: v x M / F.
+        return np.asarray(self.centre + np.cross(self.vertical, self.moment) / load + self._lean(load))
+
+    def _lean(self, load: Floats) -> Floats:
+        """(S, 3) m: none on a level surface; elsewhere as far as the surface rises towards the point."""
+        flat = np.cross(self.vertical, self.moment) / load
+        normal = np.cross(self.corners[1] - self.corners[0], self.corners[3] - self.corners[0])
+        rise = -(flat @ normal) / float(normal @ self.vertical)
+        return np.asarray(rise[:, None] * self.vertical)
+
+    @property
+    def free_moment(self) -> Floats:
+        """(S,) N m about the vertical through the centre of pressure; NaN where the plate is not loaded."""
+        arm = self.pressure - self.centre
+        return np.asarray((self.moment - np.cross(arm, self.force)) @ self.vertical)
+
+    def at(self, rate: float, frames: int) -> ForcePlate:
+        """With as many samples as the recording has frames, each the mean of the samples of half a frame before and behind it.
+
+        Raises AsterismError where the plate has fewer samples than frames.
+        """
+        step = self.rate / rate
+        if step < 0.999 or len(self.force) < frames * step - step:
+            raise AsterismError(f"plate {self.number} has {len(self.force)} samples at {self.rate:g} Hz, too few for {frames} frames.")
+        edges = np.clip(np.round((np.arange(frames + 1) - 0.5) * step).astype(int), 0, len(self.force) - 1)
+        edges[1:] = np.maximum(edges[1:], edges[:-1] + 1)
+        edges = np.minimum(edges, len(self.force))
+        sums = [np.concatenate([np.zeros((1, 3)), np.cumsum(values, axis=0)]) for values in (self.force, self.moment)]
+        width = np.maximum(edges[1:] - edges[:-1], 1)[:, None]
+        force, moment = ((total[edges[1:]] - total[edges[:-1]]) / width for total in sums)
+        return replace(self, force=force, moment=moment, rate=rate)

@@ -1,0 +1,227 @@
+"""Gait events, cycles and parameters: of feet that move by a known rule, of real children, on the command line."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import asterism
+from asterism import AsterismError, Recording, formats
+from asterism.cli import main
+from asterism.formats import force_plates
+from asterism.gait import (
+    POINTS,
+    Band,
+    Cycle,
+    analyse_gait,
+    band_of,
+    cycles_of,
+    find_events,
+    measures_by_name,
+    over_cycle,
+    parameters_of,
+    profile_scores,
+    summarise,
+)
+from asterism.gait.events import OFF, STRIKE, GaitEvent
+from asterism.simulation import simulate_walks
+
+STRIDE, TIME, STANCE, WIDTH = 1.2, 1.1, 0.62, 0.16
+"""m, s, share of the cycle, m: a person who walks by rule."""
+
+
+def stepping(*, treadmill: bool = False, heading: float = 0.0, rate: float = 100.0, up: str = "z") -> Recording:
+    """Eight seconds of two feet that stand, swing ahead along half a cosine, and stand; half a cycle apart; the pelvis goes on evenly."""
+    times = np.arange(0, 8, 1 / rate)
+    speed, points = STRIDE / TIME, {}
+
+    def foot(phase: float) -> tuple[np.ndarray, np.ndarray]:
+        cycle, share = np.divmod(times / TIME + phase, 1.0)
+        swing = np.clip((share - STANCE) / (1 - STANCE), 0, 1)
+        ahead = STRIDE * (cycle - phase + 0.5 * (1 - np.cos(np.pi * swing)) + STANCE / 2)
+        return ahead, 0.08 * np.sin(np.pi * swing)
+
+    for side, phase, aside in (("L", 0.0, WIDTH / 2), ("R", 0.5, -WIDTH / 2)):
+        ahead, lift = foot(phase)
+        for name, along, high in (("HEE", 0.0, 0.05), ("TOE", 0.2, 0.04)):
+            points[side + name] = np.stack([ahead + along, np.full_like(ahead, aside), high + lift], axis=1)
+    for name, aside in (("LASI", 0.12), ("RASI", -0.12), ("SACR", 0.0)):
+        points[name] = np.stack([speed * times + 0.1, np.full_like(times, aside), np.full_like(times, 0.9)], axis=1)
+    positions = np.stack(list(points.values()), axis=1)
+    if treadmill:
+        positions[:, :, 0] -= (speed * times)[:, None]
+    c, s = np.cos(heading), np.sin(heading)
+    positions = positions @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]).T
+    if up == "y":
+        positions = positions[:, :, [1, 2, 0]]
+    return Recording(positions, tuple(points), rate, vertical=np.array([0.0, 1.0, 0.0]) if up == "y" else np.array([0.0, 0.0, 1.0]))
+
+
+@pytest.mark.parametrize("treadmill", [False, True])
+@pytest.mark.parametrize(("heading", "up", "rate"), [(0.0, "z", 100.0), (2.4, "z", 150.0), (-1.0, "y", 60.0)])
+def test_parameters_are_those_of_the_rule(treadmill: bool, heading: float, up: str, rate: float) -> None:
+    walking = find_events(stepping(treadmill=treadmill, heading=heading, rate=rate, up=up))
+    assert walking.treadmill is treadmill
+    cycles = cycles_of(walking)
+    assert min(sum(cycle.side == side for cycle in cycles) for side in "LR") >= 5
+    means = {(one.name, one.side): one for one in summarise(parameters_of(walking, cycles))}
+    for side in "LR":
+        for name, value, near in (
+            ("stride time", TIME, 0.01),
+            ("cadence", 120 / TIME, 1.0),
+            ("stride length", STRIDE, 0.01),
+            ("step length", STRIDE / 2, 0.02),
+            ("step width", WIDTH, 0.005),
+            ("walking speed", STRIDE / TIME, 0.02),
+            ("step time", TIME / 2, 0.02),
+        ):
+            assert means[name, side].mean == pytest.approx(value, abs=near), (name, side)
+            assert means[name, side].sigma > 0
+
+
+def test_events_alternate_and_each_foot_leaves_after_it_struck() -> None:
+    walking = find_events(simulate_walks(1, frames=400, markers="helen-hayes", seed=2)[0])
+    for side in "LR":
+        labels = [event.label for event in walking.events if event.side == side]
+        assert all(one != other for one, other in pairwise(labels)) and len(labels) > 4
+    for cycle in cycles_of(walking):
+        assert cycle.strike.time < cycle.off.time < cycle.next_strike.time
+        assert cycle.other_off is not None and cycle.strike.time < cycle.other_off.time < cycle.off.time
+
+
+def test_a_person_who_stands_has_no_events() -> None:
+    walk = stepping()
+    still = replace(walk, positions=np.repeat(walk.positions[:1], 300, axis=0))
+    analysis = analyse_gait(still)
+    assert analysis.walking.events == () and [one.code for one in analysis.findings] == ["gait-no-cycle", "gait-no-angles"]
+
+
+def test_feet_without_markers_are_named() -> None:
+    walk = stepping()
+    with pytest.raises(AsterismError, match="heel and a toe"):
+        find_events(walk.select(["LHEE", "RHEE", "SACR"]))
+    with pytest.raises(AsterismError, match="pelvis"):
+        find_events(walk.select(["LHEE", "LTOE"]))
+    one_leg = find_events(walk.select(["LHEE", "LTOE", "SACR"]))
+    assert {event.side for event in one_leg.events} == {"L"}
+    assert "step length" not in {one.name for one in parameters_of(one_leg, cycles_of(one_leg))}
+
+
+@given(
+    begin=st.floats(0.0, 1.0),
+    duration=st.floats(0.3, 2.0),
+    slope=st.floats(-5.0, 5.0),
+    start=st.floats(-5.0, 5.0),
+    rate=st.floats(50.0, 300.0),
+)
+def test_a_straight_line_stays_one_over_the_cycle(begin: float, duration: float, slope: float, start: float, rate: float) -> None:
+    events = [GaitEvent("L", label, begin + share * duration, 0.0, "") for label, share in ((STRIKE, 0.0), (OFF, 0.6), (STRIKE, 1.0))]
+    times = np.arange(0.0, begin + duration + 2 / rate, 1 / rate)
+    curve = over_cycle(start + slope * times, rate, Cycle("L", *events))
+    np.testing.assert_allclose(curve, start + slope * (begin + duration * np.linspace(0, 1, POINTS)), atol=1e-9)
+
+
+def test_a_cycle_that_the_recording_cuts_off_is_missing_there() -> None:
+    events = [GaitEvent("L", label, time, 0.0, "") for label, time in ((STRIKE, 0.5), (OFF, 1.1), (STRIKE, 1.5))]
+    curve = over_cycle(np.arange(101.0), 100.0, Cycle("L", *events))
+    assert np.isfinite(curve[:50]).all() and np.isnan(curve[52:]).all()
+
+
+def test_strikes_of_real_children_are_near_those_of_their_files(data: Path) -> None:
+    """Told by markers alone; the stored ones are those of force plates. Two files: the benchmark has all."""
+    apart: list[float] = []
+    for child in ("HC003", "HC042"):
+        recording = asterism.read(data / "gait" / child / "straight.c3d")
+        start = float(recording.times[0])
+        for event in recording.events:
+            found = [one for one in find_events(recording).of(event.context[0], event.label)]
+            apart.append(min(abs(one.time + start - event.time) for one in found))
+    assert len(apart) == 8 and max(apart) < 0.05 and np.mean(apart) < 0.02
+
+
+def test_a_plate_tells_events_to_milliseconds(data: Path) -> None:
+    recording = asterism.read(data / "gait-events/plates/NP1003/walk_1003a09.c3d")
+    plates, _ = force_plates(recording)
+    by_plates = [event for event in find_events(recording, plates).events if event.source != "markers"]
+    assert len(by_plates) == 6 and {event.sigma for event in by_plates} == {0.004}
+    for event in by_plates:
+        plate = plates[int(event.source.split()[1]) - 1]
+        sample = round(event.time * plate.rate)
+        before, behind = plate.load[sample - 20 : sample - 5].mean(), plate.load[sample + 5 : sample + 20].mean()
+        assert (behind > before) is np.bool_(event.label == STRIKE)
+
+
+def test_gait_writes_tables_and_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    walk, table, curves, page = (tmp_path / name for name in ("walk.c3d", "parameters.csv", "curves.csv", "gait.html"))
+    formats.write(walk, simulate_walks(1, frames=300, markers="helen-hayes", seed=3)[0])
+    words = ["gait", str(walk), "--measure", "LKneeWidth=102", "-o", str(table), "--curves", str(curves), "--report", str(page)]
+    assert main([*words, "--json", str(tmp_path / "gait.json")]) == 0
+    assert "walking speed" in capsys.readouterr().out
+    found = json.loads((tmp_path / "gait.json").read_text())["files"][0]
+    assert found["measures"]["left"]["knee_width"] == pytest.approx(0.102)
+    with table.open() as lines:
+        rows = list(csv.DictReader(lines))
+    assert {row["parameter"] for row in rows} >= {"cadence", "step width", "double support"} and len(rows) == len(found["parameters"])
+    with curves.open() as lines:
+        knee = [row for row in csv.DictReader(lines) if (row["side"], row["angle"], row["cycle"]) == ("L", "Knee", "1")]
+    assert [int(row["percent"]) for row in knee] == list(range(101))
+    assert "knee flexion" in page.read_text() and "foot progression" in page.read_text()
+
+
+def test_a_measure_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    walk = tmp_path / "walk.c3d"
+    formats.write(walk, simulate_walks(1, frames=60, markers="helen-hayes", seed=3)[0])
+    for word, said in (("LKneeWidth", "no name and number"), ("LKneeWidth=0.1", "give it in mm"), ("Knee=100", "no measure")):
+        assert main(["gait", str(walk), "--measure", word]) == 2
+        assert said in capsys.readouterr().err
+    assert measures_by_name(["LKneeWidth=101,5"]) == {"LKneeWidth": 101.5}
+
+
+def test_a_band_is_kept_and_a_person_is_as_far_from_it_as_their_curves(tmp_path: Path) -> None:
+    walks = [analyse_gait(walk) for walk in simulate_walks(3, frames=300, markers="helen-hayes", seed=5)]
+    band = band_of(walks, ["a", "b", "c"])
+    band.save(tmp_path / "controls.band")
+    kept = Band.load(tmp_path / "controls.band")
+    assert (kept.people, kept.cycles) == (3, band.cycles)
+    np.testing.assert_allclose(kept.mean["Knee"], band.mean["Knee"], atol=1e-5)
+    moved = replace(walks[0], curves={name: np.repeat(band.mean[name[1:-6]][None], 2, axis=0) for name in walks[0].curves})
+    for score in profile_scores([moved], kept):
+        assert score.gps == pytest.approx(0.0, abs=1e-5)
+    bent = {name: curves + np.radians([10.0, 0.0, 0.0]) if "Knee" in name else curves for name, curves in moved.curves.items()}
+    for score in profile_scores([replace(moved, curves=bent)], kept):
+        assert np.degrees(score.variables["knee flexion"]) == pytest.approx(10.0, abs=0.01)
+        assert np.degrees(score.gps) == pytest.approx(10.0 / 3.0, abs=0.01), "one of nine"
+    with pytest.raises(AsterismError, match="two people or more"):
+        band_of(walks, ["a", "a", "a"])
+
+
+@pytest.mark.parametrize(
+    "content", ["", "{}", '{"format": "asterism gait band 9"}', '{"format": "asterism gait band 1", "angles": {"Hip": 3}}']
+)
+def test_what_is_no_band_is_refused(tmp_path: Path, content: str, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "no.band"
+    path.write_text(content)
+    assert main(["gait", "walk.c3d", "--band", str(path)]) == 2
+    told = capsys.readouterr().err
+    assert "no.band" in told and "--save-band" in told and "Error" not in told
+
+
+def test_controls_become_a_band_and_others_get_scores(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = []
+    for number, walk in enumerate(simulate_walks(3, frames=300, markers="helen-hayes", seed=5)):
+        (tmp_path / f"person{number}").mkdir()
+        files.append(tmp_path / f"person{number}" / "walk.c3d")
+        formats.write(files[-1], replace(walk, metadata={}))
+    band, page = tmp_path / "controls.band", tmp_path / "gait.html"
+    assert main(["gait", *map(str, files[:2]), "--save-band", str(band)]) == 0
+    assert main(["gait", str(files[2]), "--band", str(band), "--report", str(page)]) == 0
+    assert "Gait Profile Score, left" in capsys.readouterr().out
+    assert "Scores" in page.read_text() and "controls" in page.read_text()
