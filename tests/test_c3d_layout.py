@@ -168,7 +168,7 @@ def test_a_cropped_file_has_the_first_frame_that_fits_its_frames(tmp_path: Path)
     (tmp_path / "cropped.c3d").write_bytes(changed(file, {}, stale))
     recording = read(tmp_path / "cropped.c3d")
     assert (len(recording), recording.first_frame) == (100, 101)
-    assert said(recording, "first frame is 1 by TRIAL, 101 by the header; 101 was used", Severity.NOTE)
+    assert said(recording, "first frame is 1 by TRIAL, 101 by the header, 301 by TRIAL's last frame; 101 was used", Severity.NOTE)
     # Or it changed neither the numbers in TRIAL nor the events, and counts anew in the header.
     (tmp_path / "anew.c3d").write_bytes(changed(file, {4: 1, 5: 100}, {}))
     recording = read(tmp_path / "anew.c3d")
@@ -177,6 +177,15 @@ def test_a_cropped_file_has_the_first_frame_that_fits_its_frames(tmp_path: Path)
     without = written(tmp_path / "plain.c3d", walk(100, first_frame=101))
     (tmp_path / "plain.c3d").write_bytes(changed(without, {4: 1, 5: 100}, {}))
     assert said(read(tmp_path / "plain.c3d"), "101 by TRIAL, 1 by the header; 101 was used", Severity.WARNING)
+
+
+def test_a_file_that_may_be_cut_at_either_end_is_told(tmp_path: Path) -> None:
+    file = written(tmp_path / "walk.c3d", walk(100, first_frame=101, events=(Event("Foot Strike", 1.75, "Left"),)))
+    # Header and TRIAL begin with one frame, TRIAL ends 50 frames later: these are missing at the beginning or at the end.
+    (tmp_path / "cut.c3d").write_bytes(changed(file, {}, integers(file, "TRIAL", "ACTUAL_END_FIELD", 250, 0)))
+    recording = read(tmp_path / "cut.c3d")
+    assert recording.first_frame == 101
+    assert said(recording, "101 by TRIAL, 101 by the header, 151 by TRIAL's last frame; 101 was used", Severity.WARNING)
 
 
 @pytest.mark.parametrize("suffix", ["c3d", "npz"])

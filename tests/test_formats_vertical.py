@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from asterism.errors import AsterismError
-from asterism.formats import read, write
+from asterism.formats import describe, read, read_clouds, write
 from asterism.formats._columns import settle_vertical
 from asterism.formats._vertical import vertical_from_positions
 from asterism.recording import Recording
@@ -100,8 +100,9 @@ def test_somebody_lying_on_the_floor_is_not_stood_up_by_names(tmp_path):
 
 
 def test_somebody_lying_on_a_bed_does_not_overrule_the_file(tmp_path):
-    vector, how, _ = settle_vertical(tmp_path, lying(0.6), GAIT, declared=np.array([0.0, 0.0, 1.0]))
+    vector, how, said = settle_vertical(tmp_path, lying(0.6), GAIT, declared=np.array([0.0, 0.0, 1.0]))
     assert (tuple(vector), how) == ((0, 0, 1), "file")
+    assert "may be a body with x up" in said[0].sentence
 
 
 @pytest.mark.parametrize("labels, away", [(GAIT, 0.0), ((), 0.0), (GAIT, -5.0)], ids=["named", "nameless", "named, floor at -5 m"])
@@ -113,6 +114,47 @@ def test_a_declaration_that_walking_contradicts_is_not_believed_and_that_is_said
         assert (tuple(vector), how) in (((0, 0, 1), "data against file"), (AXES[wrong], "file"))
     vector, how, said = settle_vertical(tmp_path, standing, labels, declared=np.array([0.0, 0.0, 1.0]))
     assert (tuple(vector), how, said) == ((0, 0, 1), "file", [])
+
+
+@pytest.mark.parametrize("gap", [0.6, 1.2, 2.0])
+@pytest.mark.parametrize("up", AXES.values(), ids=AXES.keys())
+def test_two_walkers_side_by_side_keep_their_vertical(tmp_path, up, gap):
+    both = np.concatenate([walk(0), walk(1)[::-1] + np.array([0.3, gap, 0.0])], axis=1)
+    vector, _, _ = settle_vertical(tmp_path, turned(both, up), (), fallback=np.array([0.0, 0.0, 1.0]))
+    assert tuple(vector) == up
+
+
+def test_few_points_never_overrule_a_declaration(tmp_path):
+    """Three points of a wand stand and move like the feet of a person: they are a thing as often as not."""
+    wand = walk()[:, [0, 8, 12]]
+    vector, how, _ = settle_vertical(tmp_path, wand, (), declared=np.array([0.0, 1.0, 0.0]))
+    assert (tuple(vector), how) == ((0, 1, 0), "file")
+
+
+def test_what_a_file_does_not_show_follows_custom_and_is_noted(tmp_path):
+    standing = np.tile(np.random.default_rng(0).normal(0, 0.3, (1, 6, 3)), (20, 1, 1))
+    vector, how, said = settle_vertical(tmp_path, standing, (), fallback=np.array([0.0, 1.0, 0.0]))
+    assert (tuple(vector), how, [finding.code for finding in said]) == ((0, 1, 0), "convention", ["format-vertical-assumed"])
+
+
+def test_clouds_of_a_file_have_the_vertical_of_its_recording(tmp_path):
+    wrong = Recording(turned(walk(), (0, 1, 0)), tuple(f"*{i}" for i in range(len(GAIT))), 100.0)
+    write(tmp_path / "clouds.npz", wrong.clouds())
+    for vertical in (
+        read(tmp_path / "clouds.npz").vertical,
+        read_clouds(tmp_path / "clouds.npz").vertical,
+        describe(tmp_path / "clouds.npz")["vertical"],
+    ):
+        np.testing.assert_array_equal(vertical, [0, 1, 0])
+    np.testing.assert_array_equal(read_clouds(tmp_path / "clouds.npz", vertical="x").vertical, [1, 0, 0])
+
+
+@pytest.mark.parametrize("height", [0.01, 0.3, 0.6])
+def test_legs_that_kick_do_not_stand_somebody_up_who_lies(tmp_path, height):
+    """Names and length say that x is up, and nothing else does: in one recording of fifty somebody lies."""
+    body = lying(height) + (walk() - walk()[:1])[:, :, [2, 1, 0]] * (1, 1, 0)
+    vector, how, said = settle_vertical(tmp_path, body, GAIT, declared=np.array([0.0, 0.0, 1.0]))
+    assert (tuple(vector), how, [finding.code for finding in said]) == ((0, 0, 1), "file", ["format-vertical-conflict"])
 
 
 def test_the_vertical_that_is_given_is_taken(tmp_path):

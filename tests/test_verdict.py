@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import warnings
 from dataclasses import replace
@@ -15,9 +16,10 @@ import asterism
 from asterism import formats
 from asterism.cli import main
 from asterism.findings import Severity
+from asterism.labelling import join_labellings
 from asterism.labelling.whole._distance_kernels import frame_scatters
 from asterism.labelling.whole.verdict import RigidDistances, RivalCounts, VerdictRules, judge
-from asterism.recording import Floats, Recording
+from asterism.recording import Floats, Labelling, MarkerSet, Recording
 from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, UNKNOWN, Verdict
 from asterism.simulation import simulate_gaps_and_ghosts, simulate_standing, simulate_walks
 
@@ -197,7 +199,9 @@ def test_markers_too_few_to_compare_do_not_fit() -> None:
     verdict = judge(positions, np.full(20, 3), rigid_body())
     assert verdict.kind == UNKNOWN and verdict.max_confidence < 0.99
     positions[:, 3:10] = BODY[3:10]
-    assert judge(positions, np.full(20, 10), rigid_body()).kind == FITS
+    assert judge(positions, np.full(20, 10), rigid_body()).kind == UNKNOWN, "a quarter of the distances that one person has shown"
+    positions[:, 10:15] = BODY[10:15]
+    assert judge(positions, np.full(20, 15), rigid_body()).kind == FITS
 
 
 def test_a_person_who_enters_late_is_judged_where_they_are() -> None:
@@ -207,6 +211,49 @@ def test_a_person_who_enters_late_is_judged_where_they_are() -> None:
     verdict = judge(positions, counts, rigid_body())
     assert verdict == judge(positions[180:], counts[180:], rigid_body())
     assert verdict.labelled == 1.0
+
+
+def falls_of_verdict(people: int, known_share: float) -> tuple[int, int, int]:
+    """How often the verdict falls when markers of strangers are added one by one, of how many steps, and how many fit in the end.
+
+    Four walkers under their true labels: as they are, and with feet and ankles higher and lower than anybody's.
+    """
+    walks = simulate_walks(subjects=people + 4, frames=40, markers="helen-hayes", seed=12)
+    frames, of_whom = np.concatenate([walk.positions for walk in walks[:people]]), np.repeat(np.arange(people), 40)
+    reference = RigidDistances.of_training(frames, of_whom, 1.0, VerdictRules(known_share=known_share))
+    low = [m for m, name in enumerate(walks[0].labels) if name[1:] in ("TOE", "HEE", "ANK")]
+    ranks = {OTHER_BODY: 0, OTHER_MARKERS: 1, OTHER_PERSON: 2, UNKNOWN: 2, FITS: 3}
+    rng, falls, steps, fitting = np.random.default_rng(people), 0, 0, 0
+    for stretch, walk, _ in itertools.product((1.0, 1.3, 0.7), walks[people:], range(3)):
+        positions, order, ranked = walk.positions.copy(), rng.permutation(15), list[int]()
+        positions[:, low, 2] *= stretch
+        for shown in range(4, 16):
+            part = np.full((40, 15, 3), np.nan)
+            part[:, order[:shown]] = positions[:, order[:shown]]
+            ranked.append(ranks[judge(part, np.full(40, shown), reference).kind])
+        falls, steps, fitting = falls + int((np.diff(ranked) < 0).sum()), steps + len(ranked) - 1, fitting + (ranked[-1] == ranks[FITS])
+    return falls, steps, fitting
+
+
+def test_markers_that_are_added_hardly_lower_the_verdict() -> None:
+    """With few people a part of the body says little, and the verdict says so: half of the falls go."""
+    falls, steps, fitting = falls_of_verdict(4, VerdictRules().known_share)
+    without, _, as_many = falls_of_verdict(4, 0.0)
+    assert 2 * falls <= without and falls <= 0.04 * steps, (falls, without, steps)
+    assert fitting == as_many >= 12, "who fits with all markers does so either way"
+    falls, steps, _ = falls_of_verdict(24, VerdictRules().known_share)
+    assert falls <= 0.02 * steps, (falls, steps)
+
+
+def test_of_several_bodies_the_one_without_a_label_is_named() -> None:
+    """Its model gave no label: that is no word on the labels of the other one."""
+    labels = Labelling(np.array([[0, 1]] * 9), np.ones((9, 2)), ("A", "B"), verdict=Verdict(FITS, 0.01, 0.06, 1.0, 1.0, 0.0))
+    nothing = Labelling(np.full((9, 2), -1), np.zeros((9, 2)), ("A", "B"), verdict=Verdict(OTHER_BODY, 0.4, 0.06, 1.0, 0.1, 9.0))
+    both, _ = join_labellings([labels, nothing], [MarkerSet(("A", "B"))] * 2, ["ann", "crate"])
+    (finding,) = both.findings("two.c3d")
+    assert finding.sentence == "two.c3d, body crate: this is no body that the model knows; no label was given."
+    alone = replace(labels, verdict=nothing.verdict)
+    assert "the labels given are not to be used" in alone.findings("one.c3d")[0].sentence
 
 
 def test_exchangeable_markers_are_said_once() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import sys
@@ -29,6 +30,9 @@ class _Output(io.TextIOWrapper):
         except BrokenPipeError:
             raise
         except OSError as problem:
+            # Windows says so of a pipe whose reader has gone.
+            if sys.platform == "win32" and problem.errno == errno.EINVAL:
+                raise BrokenPipeError from problem
             raise StandardOutputError(
                 f"standard output cannot be written ({problem.strerror}); make space, or lead it elsewhere."
             ) from problem

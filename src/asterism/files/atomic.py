@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import secrets
@@ -85,7 +86,7 @@ def _written(target: Path, data: bytes | bytearray | Iterable[bytes | bytearray]
                 stream.write(piece)
             # On the disk before the name is: else a power cut can leave the new name with nothing in it.
             stream.flush()
-            os.fsync(stream.fileno())
+            keep(stream.fileno())
         if mode is not None:
             os.chmod(temporary, mode)
         yield temporary
@@ -122,6 +123,15 @@ def _holds(handle: int) -> bool | None:
     except OSError:
         return None
     return True
+
+
+def keep(handle: int) -> None:
+    """Have an open file on the disk when this returns; where a file system knows no such thing, nothing more can be done."""
+    try:
+        os.fsync(handle)
+    except OSError as problem:
+        if problem.errno not in (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS):
+            raise
 
 
 def _keep_names(folder: Path) -> None:

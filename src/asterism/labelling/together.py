@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -53,7 +54,11 @@ def join_labellings(
     confidence = np.concatenate([labelling.confidence for labelling in labellings], axis=1)
     known = [labelling.candidates for labelling in labellings if labelling.candidates is not None]
     candidates = np.concatenate(known, axis=1) if len(known) == len(labellings) else None
-    verdicts = [labelling.verdict for labelling in labellings if labelling.verdict is not None]
+    verdicts = [
+        replace(labelling.verdict, body=subject if len(labellings) > 1 else "")
+        for labelling, subject in zip(labellings, subjects, strict=True)
+        if labelling.verdict is not None
+    ]
     verdict = next((verdict for verdict in verdicts if not verdict.fits), verdicts[0] if verdicts else None)
     return Labelling(indices, confidence, everyone.names, candidates, verdict), everyone
 

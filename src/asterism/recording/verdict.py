@@ -46,6 +46,7 @@ class Verdict:
     surplus       points of a usual one of these frames to which none was found
     exchangeable  groups of markers, each of which may carry another's label throughout
     rough         number of pieces of tracks whose labels compete in too many ways to compare all; theirs are the best that were found
+    body          what it is called where the recording has several
     """
 
     kind: str
@@ -56,6 +57,7 @@ class Verdict:
     surplus: float
     exchangeable: tuple[tuple[str, ...], ...] = ()
     rough: int = 0
+    body: str = ""
 
     @property
     def fits(self) -> bool:
@@ -88,8 +90,10 @@ class Verdict:
         if not self.fits and (labels or self.kind != UNKNOWN):
             # Where no body is known, no label was given: that is no warning.
             severity = Severity.ERROR if self.kind == OTHER_BODY else Severity.WARNING
-            said = _SAID[self.kind] if self.kind != OTHER_BODY or not labels else _SAID_OF_LABELS
-            found.append(Finding("label-foreign-recording", severity, where, f"{where}: {said}.", _MEND[self.kind]))
+            # Of several bodies, the labels are those of the others.
+            said = _SAID_OF_LABELS if self.kind == OTHER_BODY and labels and not self.body else _SAID[self.kind]
+            whose = f"{where}, body {self.body}" if self.body else where
+            found.append(Finding("label-foreign-recording", severity, where, f"{whose}: {said}.", _MEND[self.kind]))
         for group in self.exchangeable:
             names = f"{', '.join(group[:-1])} and {group[-1]}"
             mend = "Compare them with the person or a picture, and correct them with `asterism review`."

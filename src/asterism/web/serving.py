@@ -12,6 +12,7 @@ import tempfile
 import threading
 import webbrowser
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -137,15 +138,15 @@ def _leading_to(address: str) -> Path | None:
     The address itself would stand in the browser's list of arguments, which every user of the machine can read, with its token.
     """
     # A browser from a snap sees other files in the folder for temporary files than we do, and no hidden ones in the home.
-    folder = Path.home() if os.path.isdir("/snap") else None
-    try:
-        handle, name = tempfile.mkstemp(".html", "asterism-page-", folder)
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            shown = html.escape(address)
-            file.write(f'<!doctype html><meta http-equiv="refresh" content="0;url={shown}"><a href="{shown}">Asterism</a>')
-    except (OSError, RuntimeError):
-        return None
-    return Path(name)
+    folders = [os.path.expanduser("~"), None] if os.path.isdir("/snap") else [None]
+    shown = html.escape(address)
+    for folder in folders:
+        with suppress(OSError):
+            handle, name = tempfile.mkstemp(".html", "asterism-page-", folder)
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(f'<!doctype html><meta http-equiv="refresh" content="0;url={shown}"><a href="{shown}">Asterism</a>')
+            return Path(name)
+    return None
 
 
 def _open(leading: Path | None, say: Callable[[str], None]) -> None:

@@ -425,10 +425,14 @@ def first_frame_of(
         if fits.get("TRIAL") and trial + frames - 1 > LIMIT:
             return trial, None
         claims.insert(0, ("TRIAL", trial, fits.get("TRIAL", False)))
+        # A program that cut the beginning away may have left both first frames, and TRIAL's last one tells it. Some count one more.
+        by_last = trial + counts.get("TRIAL", 0) - frames
+        if not fits.get("TRIAL", True) and abs(by_last - trial) > 1 and by_last > 0:
+            claims.append(("TRIAL's last frame", by_last, False))
     if not fits["the header"]:
         # One of its two numbers is wrong; most trials begin with 1.
-        by_last = ("the header's last frame", header.last_frame - frames + 1, False)
-        claims.insert(len(claims) - (by_last[1] == 1), by_last)
+        by_last = header.last_frame - frames + 1
+        claims.insert(len(claims) - (by_last == 1), ("the header's last frame", by_last, False))
     # A program that counts from 0 means the same frame.
     claims = [(who, max(first, 1), fit) for who, first, fit in claims]
     weights = {
@@ -439,6 +443,9 @@ def first_frame_of(
     if len(weights) < 2:
         return first, None
     said = ", ".join(f"{other} by {who}" for who, other, _ in claims)
-    if all(weights[first] > weight for other, weight in weights.items() if other != first):
+    others = [weight for other, weight in weights.items() if other != first]
+    # Frames that fit leave open at which end a file was cut, unless events or another number tell it.
+    told = not events or ("TRIAL's last frame", first, False) in claims or all(weights[first][1] > inside for _, inside in others)
+    if told and all(weights[first] > weight for weight in others):
         return first, header_conflict(f"the first frame is {said}; {first} was used, which fits the frames and events better")
     return first, header_doubt(f"the first frame is {said}; {first} was used, and where it is wrong events are at other frames")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asterism.errors import AsterismError, refuse_special
-from asterism.files.atomic import create_atomically
+from asterism.files.atomic import create_atomically, keep
 from asterism.recording import Clouds
 
 if TYPE_CHECKING:
@@ -210,7 +210,7 @@ class CorrectionLog:
         while data:
             data = data[os.write(self._file, data) :]
         # A person's work must survive the power being cut.
-        os.fsync(self._file)
+        keep(self._file)
 
     def _read(self) -> bytes:
         os.lseek(self._file, 0, os.SEEK_SET)
