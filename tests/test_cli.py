@@ -14,7 +14,7 @@ import pytest
 from models import SHORT, examining_briefly, training_with
 
 from asterism import MarkerModel, formats
-from asterism.cli import _console, main
+from asterism.cli import _EXAMPLES, _GROUPS, _HEADINGS, _console, main
 from asterism.cli.demo import DemoPart
 from asterism.recording import Recording
 from asterism.simulation import simulate_walks
@@ -487,3 +487,13 @@ def test_a_narrow_terminal_cuts_no_number(
     assert words.count("1024") == words.count("3000") == cameras
     assert all(f"cam{c}" in words and f"{108900 + c:,}" in words for c in range(cameras))
     assert cameras > 2 or max(map(len, shown.splitlines())) <= width
+
+
+def test_every_command_is_under_a_heading_of_the_help_and_no_sentence_is_cut(capsys: pytest.CaptureFixture[str]) -> None:
+    headings = [word for commands in _HEADINGS.values() for word in commands]
+    assert sorted(headings) == sorted([*_EXAMPLES, *_GROUPS])
+    for words in ([], *([group] for group in _GROUPS)):
+        assert main([*words, "--help"]) == 0
+        text = capsys.readouterr().out.partition("[ARGS]...")[2]
+        assert text and "..." not in text
+        assert all(f"{heading}:" in text for heading in _HEADINGS) == (not words)

@@ -149,6 +149,14 @@ def test_clouds_of_a_file_have_the_vertical_of_its_recording(tmp_path):
     np.testing.assert_array_equal(read_clouds(tmp_path / "clouds.npz", vertical="x").vertical, [1, 0, 0])
 
 
+@pytest.mark.parametrize("height", [0.01, 0.3, 0.6])
+def test_legs_that_kick_do_not_stand_somebody_up_who_lies(tmp_path, height):
+    """Names and length say that x is up, and nothing else does: in one recording of fifty somebody lies."""
+    body = lying(height) + (walk() - walk()[:1])[:, :, [2, 1, 0]] * (1, 1, 0)
+    vector, how, said = settle_vertical(tmp_path, body, GAIT, declared=np.array([0.0, 0.0, 1.0]))
+    assert (tuple(vector), how, [finding.code for finding in said]) == ((0, 0, 1), "file", ["format-vertical-conflict"])
+
+
 def test_the_vertical_that_is_given_is_taken(tmp_path):
     vector, how, said = settle_vertical(tmp_path, walk(), GAIT, given="-y", declared=np.array([0.0, 0.0, 1.0]))
     assert (tuple(vector), how, said) == ((0, -1, 0), "given", [])

@@ -321,7 +321,7 @@ def test_a_crash_outside_a_batch_is_said_with_its_place_and_ends_with_2(
         raise ZeroDivisionError("of our own")
 
     source = _written(tmp_path / "walk.c3d")
-    monkeypatch.setattr(asterism.formats, "convert", broken)
+    monkeypatch.setattr(asterism.formats, "convert_and_tell", broken)
     assert main(["convert", str(source), str(tmp_path / "out.trc")]) == 2
     error = capsys.readouterr().err
     assert "Traceback" in error and "ZeroDivisionError: of our own; this is a fault of Asterism" in error.splitlines()[-1]

@@ -151,7 +151,7 @@ def test_a_long_file_is_never_in_memory_as_positions(model: Path, walk: Recordin
 
     monkeypatch.setattr("asterism.formats.c3d._file._FRAMES_AT_ONCE", 200)
     monkeypatch.setattr(_long, "SAMPLED_FRAMES", 100)
-    monkeypatch.setattr("asterism.session.labeller._FRAMES_TO_FIND", 300)
+    monkeypatch.setattr("asterism.session.labeller.FRAMES_TO_FIND", 300)
     monkeypatch.setattr(C3DFile, "coordinates_of", counted)
     label(model, source, tmp_path / "ranges")
     assert 200 < most < FRAMES / 2, "a stretch of some 600 frames is the most"

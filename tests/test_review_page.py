@@ -114,6 +114,23 @@ def test_points_bear_the_labels_of_their_pieces(review: FakeReview, tmp_path: Pa
 
 
 @needs_node
+def test_a_piece_says_how_fast_it_is_and_what_it_is_near(review: FakeReview, tmp_path: Path) -> None:
+    clouds = review.clouds
+    tracks = clouds.tracks
+    assert tracks is not None
+    got = shown(review, "return labels.pieces.id.map((_, k) => labels.motion(k));", tmp_path)
+    place = int(np.argmax(np.bincount(tracks[tracks >= 0])))
+    own = np.nonzero(tracks == place)[0]
+    steps = np.linalg.norm(np.diff(clouds.xyz[own], axis=0), axis=1).sum()
+    seconds = (clouds.frame_of[own[-1]] - clouds.frame_of[own[0]]) / clouds.rate
+    assert got[place]["speed"] == pytest.approx(steps / seconds, rel=1e-3)
+    distances = [metres for _, metres in got[place]["near"]]
+    assert len(distances) == 3 and distances == sorted(distances) and 0 < distances[0] < 1
+    names = [name for name, _ in got[place]["near"]]
+    assert review.marker[place] < 0 or review.names[review.marker[place]] not in names
+
+
+@needs_node
 def test_incomplete_points_and_pieces_that_do_not_fit_are_refused(review: FakeReview, tmp_path: Path) -> None:
     got = shown(
         review,

@@ -27,6 +27,7 @@ from asterism.views.passes import DirectionalTracker, Starts, _best_path, joined
 from asterism.views.plain import label_stepwise, minimise_plain
 from asterism.views.posing import posed_points
 from asterism.views.result import ViewsLabelling
+from asterism.views.rig_fit import RigFit
 from asterism.views.rules import QUICK, RULES
 from asterism.views.scene import scene_of
 from asterism.views.sights import FROM_BOTH_SIDES
@@ -330,7 +331,7 @@ def test_markers_that_are_there_but_in_doubt_are_not_said_to_be_absent() -> None
     one = list(found.body.labels).index("LTIB")
     doubted = replace(found, labels=np.where(found.labels == one, -1, found.labels))
     assert (doubted.candidates == one).any()
-    none = np.empty(0, dtype=np.int64)
+    none = RigFit(RULES.noise, np.empty(0, dtype=np.int64), 0.0, {})
     assert [(each.code, each.where) for each in checks.findings(doubted, none)] == [("views-markers-in-doubt", "LTIB")]
     gone = replace(doubted, candidates=doubted.labels)
     assert [(each.code, each.where) for each in checks.findings(gone, none)] == [("views-markers-absent", "LTIB")]
@@ -431,6 +432,15 @@ def test_an_elbow_bends_backward_by_ten_degrees_beyond_the_straight_arm() -> Non
         hinge = next(hinge for hinge in body.hinges if hinge.name == f"{side} forearm flexion")
         assert np.degrees(hinge.low) == pytest.approx(-max(bend, 0.0) - 10.0, abs=0.1)
         assert np.degrees(hinge.high) == pytest.approx(150.0)
+
+
+def test_a_body_of_one_standing_trial_moves_as_the_shipped_one_and_nobody_who_walks_stands() -> None:
+    standing, walking = simulate_standing(1, 20, seed=8)[0], simulate_walks(1, 120, seed=8)[0]
+    body, shipped = fit_body([standing], markers=GAIT), load_body("gait15")
+    spreads = {hinge.name: hinge.spread for hinge in shipped.hinges}
+    assert all(hinge.spread == spreads[hinge.name] for hinge in body.hinges) and len(body.poses) == len(shipped.poses)
+    with pytest.raises(AsterismError, match="nobody stands still"):
+        fit_body([walking], markers=GAIT)
 
 
 def test_a_body_without_a_pelvis_is_refused() -> None:

@@ -66,6 +66,14 @@ _EXAMPLES = {
     "label-views": "asterism label-views 2d.csv --rig rig.toml --body gait15 -o labelled.c3d",
 }
 """Each verb, which is a function in a module of its name, and its example."""
+_HEADINGS = {
+    "Every day": ("demo", "name", "train", "label", "review", "learn", "evaluate", "info", "convert", "warm-up"),
+    "Labels and marker sets under test": ("audit", "mend", "capturability"),
+    "From your own cameras": ("detect", "calibrate", "reconstruct", "rig", "label-views", "body"),
+    "Movement": ("gait", "segment", "motion"),
+    "Garments": ("garment",),
+}
+"""The headings under which the help lists the commands."""
 _GROUPS: dict[str, tuple[str, Mapping[str, str]]] = {
     "calibrate": ("Make the rig of a set of cameras, and correct it.", calibrate.EXAMPLES),
     "body": ("Make the model of a body; learn where markers sit on it.", body.EXAMPLES),
@@ -102,7 +110,7 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
         if name == first or not named:
             group = typer.Typer(name=name, cls=PlainValuesGroup, help=help_, rich_markup_mode=None)
             _register(group, f"{__name__}.{name}", examples, second)
-            app.add_typer(group)
+            app.add_typer(group, rich_help_panel=_heading(name))
     return app
 
 
@@ -110,9 +118,13 @@ def _register(group: typer.Typer, package: str, examples: Mapping[str, str], wor
     """Add the verb of this name to a group of commands, or all verbs of a package where it has none of this name."""
     for verb in [word] if word in examples else examples:
         function = getattr(import_module(f"{package}.{_python_name(verb)}"), _python_name(verb))
-        group.command(name=verb, cls=PlainValuesCommand, help=_paragraphs(function.__doc__ or ""), epilog=f"Example: {examples[verb]}")(
-            function
-        )
+        text, example = _paragraphs(function.__doc__ or ""), f"Example: {examples[verb]}"
+        heading = _heading(verb) if package == __name__ else None
+        group.command(name=verb, cls=PlainValuesCommand, help=text, epilog=example, rich_help_panel=heading)(function)
+
+
+def _heading(word: str) -> str:
+    return next(heading for heading, commands in _HEADINGS.items() if word in commands)
 
 
 def _python_name(verb: str) -> str:

@@ -28,6 +28,21 @@ class PlainValuesGroup(TyperGroup):
         """The group's own parameters, `--help` among them."""
         return _taking_plain_values(super().get_params(ctx))
 
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """The commands by their headings (`rich_help_panel`), each with its whole first sentence: nothing is cut at the page's width."""
+        headings: dict[str, list[tuple[str, str]]] = {}
+        for name in self.list_commands(ctx):
+            command = self.get_command(ctx, name)
+            if command is not None and not command.hidden:
+                heading = getattr(command, "rich_help_panel", None)
+                rows = headings.setdefault(heading if isinstance(heading, str) else "Commands", [])
+                rows.append((name, command.get_short_help_str(10_000)))
+        # The same columns under all headings, as of one list.
+        width = max((len(name) for rows in headings.values() for name, _ in rows), default=0)
+        for heading, rows in headings.items():
+            with formatter.section(heading):
+                formatter.write_dl([(name.ljust(width), text) for name, text in rows])
+
 
 _CHECKED = ("exists", "writable", "resolve_path", "parser")
 """What a parameter may ask Typer to check or to do with its values: these are not plain."""

@@ -14,6 +14,7 @@ from asterism.files.text import cells_of, number_of, some_of
 from asterism.findings import Finding
 from asterism.formats._findings import cut_off, frame_numbers, moved_cells, rate_conflict, short_rows
 from asterism.recording import Floats
+from asterism.recording.arrays import nan_median
 
 _QUOTED = re.compile(r'"([^"\n]*)"')
 _COMMA, _POINT = re.compile(r"\d,\d"), re.compile(r"\d\.\d")
@@ -230,7 +231,7 @@ def _timed_rate(times: Floats | None, declared: float | None) -> tuple[float | N
     span, steps = float(times[-1] - times[0]), np.diff(times)
     # Printed times are rounded: their last digit is how far they may be off.
     digit = next((10.0**-d for d in range(7) if np.allclose(np.round(times, d), times, rtol=0, atol=1e-9)), 1e-6)
-    usual = float(np.median(steps))
+    usual = float(nan_median(steps, axis=0))
     # A step of several frames is one from which lines were left out.
     counts = np.maximum(np.round(steps / usual), 1.0) if np.isfinite(usual) and usual > 1e-6 else np.ones(len(steps))
     mean = span / float(counts.sum())

@@ -109,7 +109,7 @@ def _unit_by_size(size: float, raw: Floats) -> str:
         return "m" if size < 12 else "cm" if size < 300 else "mm" if size < 1000 * _LARGEST_BODY else "um"
     # A single point has no size: its distance from the origin is all there is.
     away = np.abs(raw[np.isfinite(raw)])
-    return "m" if len(away) and float(np.median(away)) < 12 else "mm"
+    return "m" if len(away) and float(nan_median(away, axis=0)) < 12 else "mm"
 
 
 def size_findings(positions: Floats, labels: Sequence[str], captured: Sequence[int], units: str) -> list[Finding]:
@@ -173,4 +173,4 @@ def _apart(positions: Floats) -> float:
             distances = np.linalg.norm(points[:, None] - points, axis=2)
             np.fill_diagonal(distances, np.inf)
             nearest.append(distances.min(axis=1))
-    return float(np.median(np.concatenate(nearest))) if nearest else 0.0
+    return float(nan_median(np.concatenate(nearest), axis=0)) if nearest else 0.0

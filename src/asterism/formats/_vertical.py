@@ -91,7 +91,7 @@ def vertical_evidence(positions: Floats, labels: Sequence[str] = ()) -> Vertical
     if not signs:
         return VerticalEvidence(np.zeros(6), np.zeros(6))
     points = np.isfinite(positions[:: max(1, len(positions) // _MOST_FRAMES), :, 0]).sum(axis=1)
-    thing = 0.5 ** (float(np.median(points[points >= 3])) / _HALVING) if (points >= 3).any() else 1.0
+    thing = 0.5 ** (float(nan_median(points[points >= 3].astype(np.float64), axis=0)) / _HALVING) if (points >= 3).any() else 1.0
     upright = chances_of(np.sum(list(signs.values()), axis=0))
     lying = chances_of(np.sum([sign for name, sign in signs.items() if name not in _OF_POSTURE], axis=0))
     total = np.log((1.0 - thing) * 6.0 * ((1.0 - _LYING) * upright + _LYING * lying) + thing)
@@ -173,7 +173,9 @@ def _along(height: Floats, rise: Floats, moving: NDArray[np.bool_], size: float)
     # A few samples say nothing of what stands still.
     if down.sum() >= 20:
         noise = 0.0003 * size
-        ratio = (np.median(np.abs(rise[known])) + noise) / (float(np.quantile(np.abs(rise[down]), 0.25)) + noise)
+        ratio = (float(nan_median(np.abs(rise[known]), axis=0)) + noise) / (
+            float(nan_quantile(np.abs(rise[down]), 0.25, axis=0)[0]) + noise
+        )
         still = float(np.clip(np.log(ratio), -2.0, 3.0) * moving.mean())
     return {
         # the lowest point of each frame stays at one height

@@ -14,6 +14,7 @@ from asterism.formats._findings import header_conflict
 from asterism.formats._physical import COMPUTED, MARKER, UNNAMED, kinds_by_name
 from asterism.formats._tables import blanked, frames_in_place, lead_of, rate_of, rows_of_numbers
 from asterism.recording import Floats, as_vertical
+from asterism.recording.arrays import nan_median
 
 _TYPES = {"marker", "rigid body", "rigid body marker", "bone", "bone marker", "skeleton", "marker set", "unlabeled marker"}
 _TWIN = 0.01
@@ -127,6 +128,6 @@ def _has_twin(positions: Floats, fitted: int, measured: list[int]) -> bool:
         apart = np.linalg.norm(positions[:, fitted] - positions[:, other], axis=1)
         both = np.isfinite(apart)
         # 10 mm: the fit moves a marker by its error, seldom by more.
-        if both.sum() > 0 and float(np.median(apart[both])) < _TWIN:
+        if both.sum() > 0 and float(nan_median(apart[both], axis=0)) < _TWIN:
             return True
     return False

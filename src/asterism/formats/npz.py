@@ -18,6 +18,7 @@ from asterism.formats._columns import Points, recording_of
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats._writing import all_points
 from asterism.recording import Clouds, Event, Evidence, Recording, as_vertical, log_as_text, log_from_text
+from asterism.recording.arrays import nan_median
 
 VERSION = 1
 
@@ -192,7 +193,7 @@ def described_clouds(path: Path, clouds: Clouds) -> dict[str, Any]:
         "vertical_from": read.metadata["vertical_from"],
         "points_per_frame": {
             "fewest": int(counts.min()) if len(counts) else 0,
-            "median": float(np.median(counts)) if len(counts) else 0.0,
+            "median": float(nan_median(np.asarray(counts, dtype=np.float64), axis=0)) if len(counts) else 0.0,
             "most": int(counts.max()) if len(counts) else 0,
         },
         "findings": read.metadata.get("findings", ()),

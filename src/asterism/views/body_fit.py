@@ -14,7 +14,8 @@ from asterism.views import anatomy
 from asterism.views._fit_kernels import fit_positions
 from asterism.views._pose_kernels import HINGES, PLACE, place_bones
 from asterism.views.arrays import Known
-from asterism.views.body import ArticulatedBody, BodyMarker, as_point
+from asterism.views.body import ArticulatedBody, BodyMarker, Hinge, as_point
+from asterism.views.body_file import load_body, shipped_bodies
 
 _ASIS_HEIGHT = 0.555
 """Height of the front of the pelvis as a share of stature, near the tables of Drillis and Contini (1966) for the hip (0.530)."""
@@ -33,6 +34,8 @@ class BodyFitRules:
     people_spread   m, of a marker's place on other people, beside what is seen, where only one person is known
     hinge_share     standard deviation of an angle as a multiple of what was seen
     least_angle     rad, smallest standard deviation of an angle
+    sway            m, most that the median marker moves while somebody stands (standard deviation): swaying is 0.01, walking 0.1 in 0.5 s
+    stand           s, for which somebody must stand
     poses           poses from which starts begin
     """
 
@@ -45,6 +48,8 @@ class BodyFitRules:
     people_spread: float = 0.012
     hinge_share: float = 1.4
     least_angle: float = 0.1
+    sway: float = 0.03
+    stand: float = 0.5
     poses: int = 5
 
 
@@ -74,7 +79,7 @@ def fit_body(
     """
     if not standing:
         raise AsterismError("a body is fitted to a standing trial; give one.")
-    posed = [_upright(recording) for recording in standing]
+    posed = [_upright(recording, rules) for recording in standing]
     wanted = None if markers is None else (markers if isinstance(markers, MarkerSet) else MarkerSet(tuple(markers)))
     names = _common_names(standing, posed, wanted)
     sizes = np.array([_asis_height(places) for places in posed])
@@ -92,15 +97,67 @@ def fit_body(
         raise AsterismError(f"{len(given)} people are named for {len(standing) + len(moving)} recordings; name one for each.")
     # One standing trial shows no movement and no second person: the person's own size and places are all that is known.
     if len(standing) == 1 and not moving:
-        spread = rules.least_spread
-        return replace(body, markers=tuple(replace(marker, spread=spread) for marker in body.markers), scale_spread=(0.03, 0.01))
+        return replace(_moving_as_usual(body, rules), scale_spread=(0.03, 0.01))
     return _learned(body, [*standing, *moving], given, bool(moving), rules)
 
 
-def _upright(recording: Recording) -> dict[str, Floats]:
-    """Mean places (3,) m of the labelled markers in the axes of a rest pose, by canonical names."""
+def _moving_as_usual(body: ArticulatedBody, rules: BodyFitRules) -> ArticulatedBody:
+    """The body with spreads, usual angles and poses of the shipped body that has most of its markers: one trial does not show them."""
+    shipped = max((load_body(name) for name in shipped_bodies()), key=lambda each: _in_common(each, body))
+    markers = {canonical(marker.name): marker.spread for marker in shipped.markers}
+    number = {hinge.name: j for j, hinge in enumerate(shipped.hinges)}
+
+    def usual(hinge: Hinge) -> Hinge:
+        if hinge.name not in number:
+            return hinge
+        known = shipped.hinges[number[hinge.name]]
+        return replace(hinge, usual=min(max(known.usual, hinge.low), hinge.high), spread=known.spread)
+
+    bones = tuple(replace(bone, hinges=tuple(usual(hinge) for hinge in bone.hinges)) for bone in body.bones)
+    hinges = [hinge for bone in bones for hinge in bone.hinges]
+    poses = {
+        name: tuple(angles[number[hinge.name]] if hinge.name in number else hinge.usual for hinge in hinges)
+        for name, angles in shipped.poses.items()
+    }
+    # Markers that no shipped body has move on the skin as those do that are known least.
+    spreads = [markers.get(canonical(marker.name), rules.people_spread) for marker in body.markers]
+    worn = tuple(replace(marker, spread=spread) for marker, spread in zip(body.markers, spreads, strict=True))
+    return replace(body, bones=bones, markers=worn, poses=poses)
+
+
+def _in_common(one: ArticulatedBody, other: ArticulatedBody) -> float:
+    """The markers that two bodies share, as a share of all that either has."""
+    mine, theirs = ({canonical(name) for name in body.labels} for body in (one, other))
+    return len(mine & theirs) / len(mine | theirs)
+
+
+def _standing(points: Floats, rate: float, rules: BodyFitRules, where: str) -> Floats:
+    """The frames (T', M, 3) around which somebody stands still in a trial (T, M, 3) m. Raises AsterismError where nobody does."""
+    count = min(max(round(rules.stand * rate), 2), len(points))
+    if count < 2:
+        return points
+    starts = range(0, len(points) - count + 1, max(count // 2, 1))
+    # The scatter of a marker within a window; the median over markers, since an arm may move.
+    with np.errstate(invalid="ignore"):
+        moved = np.array([np.nanmedian(np.sqrt(np.nansum(np.nanvar(points[s : s + count], axis=0), axis=1))) for s in starts])
+    still = moved <= rules.sway
+    if not still.any():
+        raise AsterismError(
+            f"{where}: nobody stands still in it: the markers move by {100 * np.nanmin(moved):.0f} cm or more in {rules.stand:g} s; "
+            "give a standing trial, and this one as --moving."
+        )
+    # The stillest window, and all others that are as still as a person who stands.
+    chosen = np.zeros(len(points), dtype=np.bool_)
+    for s in np.array(starts)[still]:
+        chosen[s : s + count] = True
+    return points[chosen]
+
+
+def _upright(recording: Recording, rules: BodyFitRules) -> dict[str, Floats]:
+    """Mean places (3,) m of the labelled markers in the axes of a rest pose, by canonical names. Raises as `_standing`."""
     # The body faces along x with its left at y, whichever way the person stood.
-    points = rotate_z_up(recording.positions, recording.vertical)
+    where = str(recording.metadata.get("file", "the recording"))
+    points = _standing(rotate_z_up(recording.positions, recording.vertical), recording.rate, rules, where)
     some = np.asarray(np.isfinite(points[:, :, 0]).any(axis=0))
     middle = np.full(points.shape[1:], np.nan)
     middle[some] = np.nanmedian(points[:, some], axis=0)
@@ -108,7 +165,6 @@ def _upright(recording: Recording) -> dict[str, Floats]:
     front = [places.get("lasi"), places.get("rasi")]
     backs = [places[name] for name in ("sacr", "lpsi", "rpsi") if name in places]
     if front[0] is None or front[1] is None or not backs:
-        where = recording.metadata.get("file", "the recording")
         raise AsterismError(f"{where}: a body needs the pelvis' markers (LASI, RASI, and SACR or LPSI and RPSI); label them.")
     left = (front[0] - front[1]) * np.array([1.0, 1.0, 0.0])
     left /= np.linalg.norm(left)

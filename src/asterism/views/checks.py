@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.recording import Floats, Ints, canonical
 from asterism.views.body import ArticulatedBody
+from asterism.views.lateness import late_by
 from asterism.views.result import ViewsLabelling
+from asterism.views.rig_fit import RigFit
+from asterism.views.rules import RULES
 
 _MANY_LOST = 0.05
 """Share of the frames without the body from which a person is told."""
@@ -18,8 +23,11 @@ _OTHER_BODY = 0.25
 """Share of the body's markers that are hardly seen from which the body is another."""
 _MANY_LEFT = 0.5
 """Blobs without a label per blob with one, from which a person is told. Two strays in an image of ten markers are 0.2."""
-_MISFIT = 3.0
-"""px, the median distance of a camera's blobs from where the other cameras have their markers, above which it does not fit them."""
+_MISFIT = 3.75
+"""The median distance of a camera's blobs from where the other cameras have their markers, as a multiple of the recording's noise, above
+which it does not fit them: 3 px at the usual noise. By noise alone the median is 1.2 to 1.7, by how many cameras there are."""
+_INEXACT = 1.9
+"""Noise, as a multiple of the usual one, from which a person is told: twice, but for rounding. Below, labels are as right as ever."""
 _HARDLY_SEEN = 0.4
 """A camera that shows fewer of the sightings that the body lets expect does not fit either."""
 _JUDGED_FRAMES = 60
@@ -40,44 +48,64 @@ def refuse_mirrored(body: ArticulatedBody) -> None:
 
 def is_other_body(result: ViewsLabelling) -> bool:
     """Whether so many of the body's markers are hardly seen where the cameras should show them that others are worn."""
-    return len(_absent(result, result.labels)) > _OTHER_BODY * len(result.body.markers)
+    return len(_absent(result, result.candidates)) > _OTHER_BODY * len(result.body.markers)
 
 
 def _absent(result: ViewsLabelling, labels: Ints) -> list[str]:
     """Markers with fewer blobs, by labels (P,), than `_NOT_WORN` of those that the cameras should show."""
     there = np.isfinite(result.poses[:, 0])
-    expected = result.expected[there].sum(axis=(0, 1))
+    # An image without blobs shows that its camera was off, not that a marker is not worn.
+    expected = (result.expected * (result.blobs.counts > 0)[:, :, None])[there].sum(axis=(0, 1))
     seen = np.bincount(labels[labels >= 0], minlength=len(expected))
     # Ten sightings that should be there and are not: fewer could be chance.
     return [name for name, wanted, got in zip(result.body.labels, expected, seen, strict=True) if wanted > 10 and got < _NOT_WORN * wanted]
 
 
-def misfits(result: ViewsLabelling) -> Ints:
+def _others(names: Sequence[str], c: int) -> str:
+    """The other cameras, in words."""
+    return f"camera {names[1 - c]}" if len(names) == 2 else "the others"
+
+
+def is_contradicted(result: ViewsLabelling, left_out: Ints) -> bool:
+    """Whether as many cameras show a body elsewhere as show the labelled one: then nobody knows which of them the rig is wrong about."""
+    there, counts = np.isfinite(result.poses[:, 0]), result.blobs.counts
+    expected, shown = result.expected[there].sum(axis=(0, 2)), counts[there].sum(axis=0)
+    # A camera with hardly a blob contradicts nobody: it looks elsewhere, or its lights were off.
+    against = (shown[left_out] >= RULES.least_shown * expected[left_out]).sum()
+    return bool(against > 0 and 2 * against >= (counts.sum(axis=0) > 0).sum() - (len(left_out) - against))
+
+
+def misfits(result: ViewsLabelling, fit: RigFit) -> Ints:
     """The cameras whose blobs are not where the other cameras have their markers, worst first; judged by up to 60 frames.
 
-    Where two cameras alone have blobs nothing is known. O(frames C M).
+    fit: the noise that is usual in the recording, and the cameras that were left out before. Where two cameras alone have blobs
+    nothing is known. O(frames C M).
     """
     blobs, rig = result.blobs, result.rig
-    frames = np.nonzero((result.views > 0).any(axis=1))[0]
+    frames = np.nonzero(np.isfinite(result.poses[:, 0]))[0]
     # Frames over the whole recording, so that a camera that was moved half-way shows, too.
     frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _JUDGED_FRAMES)).round().astype(np.int64))]
     count, markers = len(rig), len(result.body.markers)
     xy = np.full((len(frames), count, markers, 2), np.nan)
     row_of = np.full(len(blobs), -1, dtype=np.int64)
     row_of[frames] = np.arange(len(frames))
-    given = (result.labels >= 0) & (row_of[blobs.frame_of] >= 0)
-    xy[row_of[blobs.frame_of[given]], blobs.camera_of[given], result.labels[given]] = blobs.xy[given]
+    row = row_of[blobs.frame_of]
+    # Also labels that are not sure enough to be given: cameras that contradict each other are what makes them so.
+    named = (result.candidates >= 0) & (row >= 0)
+    xy[row[named], blobs.camera_of[named], result.candidates[named]] = blobs.xy[named]
     rays = np.stack([camera.rays(xy[:, c]) for c, camera in enumerate(rig)], axis=1)
     eyes = np.stack([camera.position for camera in rig])
-    expected, there = result.expected[frames].sum(axis=(0, 2)), np.isfinite(xy[..., 0]).sum(axis=(0, 2))
-    some = blobs.counts.sum(axis=0) > 0
+    # No image can show more markers than it has blobs.
+    expected = np.minimum(result.expected[frames].sum(axis=2), blobs.counts[frames]).sum(axis=0)
+    there = np.bincount(blobs.camera_of[named], minlength=count)
+    used = [c for c in range(count) if c not in fit.left_out]
     # A camera may look past the body altogether: it has blobs, but not those that the body lets expect.
-    out = [c for c in range(count) if some[c] and expected[c] > 20 and there[c] < _HARDLY_SEEN * expected[c]]
+    out = [c for c in used if expected[c] > 20 and there[c] < _HARDLY_SEEN * expected[c]]
     # The worst one is taken out first and the others judged again without it, because it pulls their points with it.
-    while count - len(out) > 2:
-        off = _medians(result, xy, rays, eyes, [c for c in range(count) if c not in out])
+    while len(used) - len(out) > 2:
+        off = _medians(result, xy, rays, eyes, [c for c in used if c not in out])
         worst = int(np.nanargmax(off)) if np.isfinite(off).any() else -1
-        if worst < 0 or off[worst] <= _MISFIT:
+        if worst < 0 or off[worst] <= _MISFIT * fit.noise:
             break
         out.append(worst)
     return np.array(out, dtype=np.int64)
@@ -102,8 +130,8 @@ def _medians(result: ViewsLabelling, xy: Floats, rays: Floats, eyes: Floats, use
     return off
 
 
-def findings(result: ViewsLabelling, misfitting: Ints) -> list[Finding]:
-    """What a person should know before using the labels."""
+def findings(result: ViewsLabelling, fit: RigFit) -> list[Finding]:
+    """What a person should know before using the labels; fit: how the cameras agree."""
     blobs, body = result.blobs, result.body
     counts = blobs.counts
     there = np.isfinite(result.poses[:, 0])
@@ -116,7 +144,23 @@ def findings(result: ViewsLabelling, misfitting: Ints) -> list[Finding]:
         found.append(
             Finding("views-empty-camera", Severity.WARNING, name, sentence, "Check that it recorded, and that its blobs are in the file.")
         )
-    for c in misfitting:
+    late = late_by(result, fit.noise, fit.left_out)
+    for k in np.nonzero(np.abs(np.nan_to_num(late)) > 0)[0].tolist():
+        name, frames = blobs.cameras[k], abs(float(late[k]))
+        way = "late" if late[k] > 0 else "early"
+        sentence = f"camera {name} is about {frames:.1f} frames {way} against {_others(blobs.cameras, k)}."
+        mend = "Check how the cameras are triggered, or shift the frames of this camera in the file; then label again."
+        found.append(Finding("views-camera-late", Severity.WARNING, name, sentence, mend))
+    if fit.noise >= _INEXACT * RULES.noise:
+        names = [name for c, name in enumerate(blobs.cameras) if counts[:, c].sum() and c not in fit.left_out]
+        who = " and ".join(names) if len(names) == 2 else "the cameras"
+        sentence = (
+            f"{who} contradict each other: blobs are off by {fit.noise:.1f} px from where the others have their markers, "
+            f"instead of {RULES.noise:g} px; labels are less certain for it."
+        )
+        mend = "Give the rig of this recording; find moved cameras with `asterism calibrate refine`."
+        found.append(Finding("views-rig-inexact", Severity.WARNING, "", sentence, mend))
+    for c in fit.left_out:
         name = blobs.cameras[c]
         sentence = f"camera {name} does not fit the others: its blobs are not where they have the markers; it got no labels."
         mend = "Give the rig of this recording; find moved cameras with `asterism calibrate refine`."

@@ -22,11 +22,15 @@ from asterism.views.limbs import Limb, LimbScreen, LimbSearchRules, limbs_of
 from asterism.views.posing import posed_points
 from asterism.views.rules import RULES, ViewsRules
 from asterism.views.scene import ViewsScene
-from asterism.views.start import starts
+from asterism.views.start import POSTURES, Posture, starts
 
 _UNKNOWN = np.empty(0, dtype=np.int64)
 _BETTER = 1.0
 """nats by which another way to hold an arm must be better."""
+_ANY_TILT = 2.0
+"""rad, standard deviation of the tilt of a body that may lie: lying costs an eighth of a nat, so blobs alone decide."""
+_OF_POSTURE = 2
+"""Starts of each posture that are fitted to the end: two headings that are half a turn apart look alike in an outline."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +45,7 @@ class BlobLabels:
     gain         nats, of the whole against no body at all: all blobs strays
     rival_margin (N,) nats, by how much the gain exceeds that of the best other explanation that was tried and labels the blob otherwise;
                  inf where none does
+    counts       (C,) blobs of each camera in the frame
     """
 
     labels: Ints
@@ -51,6 +56,7 @@ class BlobLabels:
     covariances: Floats
     gain: float
     rival_margin: Floats
+    counts: Ints
 
     def against(self, other: BlobLabels, by: float = 0.0) -> BlobLabels:
         """This explanation of a frame, or another one that is better by more than `by` nats; its margins know both. O(N)."""
@@ -98,6 +104,23 @@ class FrameLabeller:
         predict_visible(self.body.arrays, self.scene.cameras, self.observing, found.pose, found.rotation, shares)
         return shares
 
+    def expected_blobs(self, found: BlobLabels, *, shown: bool = False) -> float:
+        """How many blobs with a label the fitted body lets expect in the frame; shown: or how many there are, in images with more.
+
+        Of each image no more than it has blobs: one without blobs says nothing of the body, its camera was off, or looks elsewhere.
+        """
+        expected: Floats = self.expected(found).sum(axis=1)
+        if shown:
+            camera = np.repeat(np.arange(len(found.counts)), found.counts)
+            expected = np.maximum(expected, np.bincount(camera[found.labels >= 0], minlength=len(found.counts)))
+        return float(np.minimum(expected, found.counts).sum())
+
+    def explained(self, found: BlobLabels, *, shown: bool = False) -> float:
+        """The gain of an expected blob, as a share of that of one that is exactly where it is expected; shown: see `expected_blobs`."""
+        # The gain of a blob at its expected place: its normal density against the density of strays.
+        most = -np.log(2 * np.pi * self.rules.noise**2 * self.observing.strays)
+        return float(found.gain / (most * max(self.expected_blobs(found, shown=shown), 1.0)))
+
     def placed(self, found: BlobLabels) -> Floats:
         """(M, 3) m, the markers of the fitted body, wherever their blobs are."""
         return posed_points(self.body, found.pose, found.rotation)[0]
@@ -110,7 +133,7 @@ class FrameLabeller:
         """The labels of frame t from a start that may be wrong: as `from_start`; where that explains the blobs worse than is usual, also
         as `from_nothing`, and the better explanation counts. Raises as `from_nothing`."""
         found = self.from_start(t, pose, rotation)
-        return found if self._explains(found, self.rules.sure_gain) else found.against(self.from_nothing(t))
+        return found if self.explained(found) >= self.rules.sure_gain else found.against(self.from_nothing(t))
 
     def follow(self, t: int, pose: Floats, rotation: Floats, last: tuple[int, BlobLabels] | None = None) -> BlobLabels:
         """The labels of frame t, from the pose that the last frames let expect.
@@ -152,38 +175,41 @@ class FrameLabeller:
         Where the best of the starts explains the blobs worse than is usual, more starts are tried.
         """
         found = self._best_start(t)
-        if not self._explains(found, self.rules.enough_gain):
-            rules = self.rules
+        rules = self.rules
+        if self.explained(found) < rules.enough_gain:
             # A second, wider search: twice the headings, and none of the starts is left behind early.
             more = replace(rules, headings=2 * rules.headings, kept=2 * rules.kept, going_on=1.0, coarse_steps=2 * rules.coarse_steps)
             found = found.against(replace(self, rules=more)._best_start(t))
+        # Whoever lies, kneels or stands on the hands is explained badly by everybody who is upright, but for a body that hides its markers.
+        if self.explained(found, shown=True) < rules.enough_gain:
+            # Their starts lean as they do, so that nothing is to set them upright before the blobs are found.
+            leaning = replace(self, rules=replace(rules, tilt=_ANY_TILT))._best_start(t, POSTURES)
+            found = found.against(self.again(t, leaning))
         return found
 
-    def _explains(self, found: BlobLabels, share: float) -> bool:
-        """Whether the gain of an expected sighting is at least this share of that of one that is exactly where it is expected."""
-        # The gain of a sighting at its expected place: its normal density against the density of strays.
-        most = -np.log(2 * np.pi * self.rules.noise**2 * self.observing.strays)
-        return bool(found.gain >= share * most * self.expected(found).sum())
-
-    def _best_start(self, t: int) -> BlobLabels:
-        """The labels from the best of the starts of `ViewsRules.headings`."""
+    def _best_start(self, t: int, postures: tuple[Posture, ...] = ()) -> BlobLabels:
+        """The labels from the best of the starts of `ViewsRules.headings`; upright ones unless postures are given."""
         xy, offsets = self.scene.frame(t)
         rules = self.rules
-        poses, rotations = starts(self.scene, self.body, xy, offsets, rules.headings, self.size)
-        costs = self._screened(t, poses, rotations)
         # Starts have been through the coarse blurs already.
-        fine = tuple(blur for blur in rules.blur if blur < rules.coarse[-1])
-        results = [
-            self._fitted(t, self._arms_sought(t, poses[n], rotations[n], self.limb_rules.blur), rotations[n], fine, rules.steps)
-            for n in _different(costs, poses, rotations, rules.kept)
-        ]
+        fine = tuple(blur for blur in rules.blur if blur < rules.coarse[-1]) or rules.blur[-1:]
+        results = []
+        # Outlines of postures differ less than their fits do, so each posture sends its own best starts.
+        groups: list[tuple[Posture, ...]] = [(posture,) for posture in postures] or [()]
+        for group in groups:
+            poses, rotations = starts(self.scene, self.body, xy, offsets, rules.headings, self.size, group)
+            costs = self._screened(t, poses, rotations)
+            results += [
+                self._fitted(t, self._arms_sought(t, poses[n], rotations[n], self.limb_rules.blur), rotations[n], fine, rules.steps)
+                for n in _different(costs, poses, rotations, _OF_POSTURE if postures else rules.kept)
+            ]
         results.sort(key=lambda result: -result.gain)
         best = results[0]
         # Exchanged sides and limbs that hold each other's blobs are where fits get stuck; each is tried only while the whole is in doubt.
-        if not self._explains(best, rules.sure_gain):
+        if self.explained(best) < rules.sure_gain:
             best = self.exchanged(t, best)
         best = self.with_limbs_sought(t, best)
-        if not self._explains(best, rules.sure_gain):
+        if self.explained(best) < rules.sure_gain:
             best = self.with_limbs_parted(t, best)
         best = self.turned(t, best, hands=True)
         # The other heading is the one rival that no local fit reaches from here.
@@ -196,8 +222,9 @@ class FrameLabeller:
 
     def _about(self, found: BlobLabels) -> tuple[Floats, Floats]:
         """The pose and the rotation of a body in the same place that faces the other way, its joints as usual."""
-        up = self.scene.vertical
-        # Half a turn about the vertical.
+        up, axis = self.scene.vertical, found.rotation[:, 2]
+        # Half a turn about the vertical; whoever lies is taken for another by half a turn about the own length.
+        up = axis if abs(axis @ up) < np.sqrt(0.5) else up
         half = 2.0 * np.outer(up, up) - np.eye(3)
         middle = self.placed(found).mean(axis=0)
         pose = found.pose.copy()
@@ -328,7 +355,7 @@ class FrameLabeller:
         labels, margin = np.full(len(xy), -1, dtype=np.int64), np.zeros(len(xy))
         points, covariances = np.empty((len(arrays.bones), 3)), np.empty((len(arrays.bones), 3, 3))
         means, priors = np.empty_like(points), np.empty_like(covariances)
-        noise = np.array([rules.noise])
+        noise, counts = np.array([rules.noise]), np.diff(offsets)
         # Numba compiles one kernel for both cases; only what the pose is fitted to differs.
         if thought is None:
             minimise(arrays, cameras, known, observing, xy, offsets, _UNKNOWN, np.array(blur), steps, free, pose, rotation, hessian)
@@ -338,6 +365,8 @@ class FrameLabeller:
         # Labels and pose in turns until the labels stay: each is easy when the other is known.
         for turn in range(rules.turns + 1):
             predict_visible(arrays, cameras, observing, pose, rotation, shares)
+            # A camera that has no blob at all in this frame misses none.
+            shares[counts == 0] = 0.0
             place_priors(arrays, pose, rotation, hessian, free, points, priors)
             gain = label_globally(
                 *(cameras, observing, shares, points, priors, xy, offsets, rules.rounds, rules.together),
@@ -349,7 +378,7 @@ class FrameLabeller:
             minimise(arrays, cameras, known, observing, xy, offsets, labels, noise, rules.label_steps, free, pose, rotation, hessian)
         # What the cameras should have shown and did not, and how unusual the pose is, count against it.
         gain -= unseen_cost(shares) + self._pose_cost(pose, rotation)
-        return BlobLabels(labels, margin, pose, rotation, points + means, covariances, float(gain), np.full(len(labels), np.inf))
+        return BlobLabels(labels, margin, pose, rotation, points + means, covariances, float(gain), np.full(len(labels), np.inf), counts)
 
     def _pose_cost(self, pose: Floats, rotation: Floats) -> float:
         """nats, what a pose costs before any image."""

@@ -8,19 +8,22 @@ import numpy as np
 
 from asterism.cameras import Rig
 from asterism.progress import Progress
-from asterism.recording import NULL, Blobs, Ints
+from asterism.recording import NULL, Blobs, Floats
 from asterism.views import checks
 from asterism.views.body import ArticulatedBody
 from asterism.views.body_file import load_body
 from asterism.views.frame import FrameLabeller
 from asterism.views.passes import DirectionalTracker, ScoredFrame, Starts, joined
-from asterism.views.personal import personal_body
+from asterism.views.personal import PERSONAL, personal_body, spread_frames
 from asterism.views.result import ViewsLabelling
+from asterism.views.rig_fit import RigFit, fit_rig
 from asterism.views.rules import RULES, ViewsRules
 from asterism.views.scene import scene_of
 
 _DOUBTFUL = 0.3
 """The highest confidence of labels that were not given because the whole does not fit."""
+_EVERY = 3
+"""Every third of the frames by which the person is learned says how the cameras fit: eight of them, some 400 blobs of four cameras."""
 
 
 def label_views(
@@ -50,48 +53,37 @@ def label_views(
     """
     body = load_body(body)
     checks.refuse_mirrored(body)
-    scene = scene_of(blobs, rig)
-    labeller = FrameLabeller(scene, body, rules, None if height is None else height / body.height)
+    size = None if height is None else height / body.height
+    labeller = FrameLabeller(scene_of(blobs, rig), body, rules, size)
+    fit = fit_rig(labeller, spread_frames(labeller, PERSONAL.frames)[::_EVERY])
+    result = _labelled(labeller, body, fit, least_confidence, progress)
+    more = checks.misfits(result, fit)
+    # A camera that was moved half-way fits in some frames: it is left out and everything is done again.
+    if len(more):
+        fit = replace(fit, left_out=np.concatenate([fit.left_out, more]), found={})
+        result = _labelled(labeller, body, fit, least_confidence, progress)
+        # Where the remaining cameras still contradict each other nobody knows which of them is right.
+        if len(checks.misfits(result, fit)):
+            result = _withdrawn(result)
+    if checks.is_contradicted(result, fit.left_out) or checks.is_other_body(result):
+        result = _withdrawn(result)
+    return replace(result, findings=tuple(checks.findings(result, fit)))
+
+
+def _labelled(
+    labeller: FrameLabeller, body: ArticulatedBody, fit: RigFit, least_confidence: float, progress: Progress | None
+) -> ViewsLabelling:
+    """The labelling by the cameras that fit, with their noise; the blobs of the others stay without a label."""
+    blobs, rules = labeller.scene.blobs, labeller.rules.at_noise(fit.noise)
+    used = replace(labeller, scene=labeller.scene.without(fit.left_out), rules=rules)
     # The general body's places can be off by centimetres on this person, so it is learned before labels are given.
     if rules.personal and len(blobs):
-        labeller = _for_person(labeller)
-    track = _Track(labeller, body)
+        own = personal_body(used, known=fit.found)
+        used = used if own is body else replace(used, body=own, size=None)
+    track = _Track(used, body)
     track.run(progress)
-    result = track.result(least_confidence)
-    misfits = checks.misfits(result)
-    # A camera that does not fit the others would pull their points off: it is left out and everything is done again.
-    if len(misfits):
-        result = _without(blobs, rig, misfits, body, height, rules, least_confidence)
-    if checks.is_other_body(result):
-        result = _withdrawn(result)
-    return replace(result, findings=tuple(checks.findings(result, misfits)))
-
-
-def _for_person(labeller: FrameLabeller) -> FrameLabeller:
-    """The labeller with the person's own body, which has its size; as it is where nothing is learned."""
-    own = personal_body(labeller)
-    return labeller if own is labeller.body else replace(labeller, body=own, size=None)
-
-
-def _without(
-    blobs: Blobs, rig: Rig, cameras: Ints, body: ArticulatedBody, height: float | None, rules: ViewsRules, least_confidence: float
-) -> ViewsLabelling:
-    """The labelling by the other cameras; without any label where fewer than two of them, or fewer than half of all, have blobs."""
-    kept = ~np.isin(blobs.camera_of, cameras)
-    seeing = blobs.counts.sum(axis=0) > 0
-    left = int(seeing.sum()) - int(seeing[cameras].sum())
-    scene = scene_of(blobs.select(kept), rig)
-    labeller = FrameLabeller(scene, body, rules, None if height is None else height / body.height)
-    # Two cameras that are left out of five say that the rig is wrong rather than two cameras.
-    enough = left >= 2 and 2 * left >= int(seeing.sum())
-    if enough and rules.personal:
-        labeller = _for_person(labeller)
-    track = _Track(labeller, body)
-    track.run()
     few = track.result(least_confidence)
-    # Where the remaining cameras still contradict each other nobody knows which of them is right.
-    if not enough or len(checks.misfits(few)):
-        few = _withdrawn(few)
+    kept = ~np.isin(blobs.camera_of, fit.left_out)
     labels, candidates = np.full((2, len(blobs.xy)), NULL, dtype=np.int64)
     confidence = np.zeros(len(blobs.xy))
     labels[kept], candidates[kept], confidence[kept] = few.labels, few.candidates, few.confidence
@@ -136,6 +128,15 @@ class _Track:
         self.seen = joined(forward, backward) if both else [forward.seen[t] for t in range(frames)]
         self.restarts = sorted({*forward.restarts, *backward.restarts})
 
+    def _explained(self) -> Floats:
+        """(T,) the share of the gain that the blobs let expect: of each frame or of those around it, whichever is less."""
+        own = np.array([np.nan if each is None else self.labeller.explained(each.labels, shown=True) for each in self.seen])
+        there, around = np.isfinite(own), np.ones(2 * self.labeller.rules.window + 1)
+        inside = slice(self.labeller.rules.window, self.labeller.rules.window + len(own))
+        # A wrong body stays for many frames, and may explain a single one well.
+        total, of = (np.convolve(each, around)[inside] for each in (np.nan_to_num(own), there.astype(np.float64)))
+        return np.fmin(own, total / np.maximum(of, 1.0))
+
     def result(self, least_confidence: float) -> ViewsLabelling:
         """All frames together."""
         scene, body, rules = self.labeller.scene, self.labeller.body, self.labeller.rules
@@ -146,13 +147,14 @@ class _Track:
         poses, rotations = np.full((frames, 9 + len(body.hinges)), np.nan), np.full((frames, 3, 3), np.nan)
         placed, expected = np.full((frames, markers, 3), np.nan), np.zeros((frames, cameras, markers))
         views = np.zeros((frames, markers), dtype=np.int64)
+        explained = self._explained()
         for t, found in enumerate(self.seen):
             if found is None:
                 continue
             first, last = scene.blobs.offsets[t * cameras], scene.blobs.offsets[(t + 1) * cameras]
             sights = np.bincount(found.labels.labels[found.labels.labels >= 0], minlength=markers)
             # A label seen by one camera alone has no second ray to contradict it, so its confidence is judged apart.
-            sure = rules.confidence(found.labels.margin, sights[found.labels.labels] < 2, found.labels.rival_margin)
+            sure = rules.confidence(found.labels.margin, sights[found.labels.labels] < 2, found.labels.rival_margin, explained[t])
             given = (found.labels.labels >= 0) & (sure >= least_confidence)
             confidence[first:last] = np.where(found.labels.labels >= 0, sure, 0.0)
             candidates[first:last] = found.labels.labels

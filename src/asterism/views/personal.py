@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -39,16 +40,20 @@ class PersonalRules:
 PERSONAL = PersonalRules()
 
 
-def personal_body(labeller: FrameLabeller, rules: PersonalRules = PERSONAL) -> ArticulatedBody:
+def personal_body(
+    labeller: FrameLabeller, rules: PersonalRules = PERSONAL, *, known: Mapping[int, BlobLabels] | None = None
+) -> ArticulatedBody:
     """The body of the person whose blobs these are: the model where nothing is learned. O(frames) labellings.
 
     Places of the markers that two cameras show are medians over frames, in the axes of their bones. A marker that is hardly found where the
     model has it is sought in a wider surrounding first: wands and clusters sit elsewhere on other people. The person's body is taken only
     if what every second frame gives explains the other frames better than the model does, both ways round.
+
+    known: frames that were labelled without a start before, as this labeller would.
     """
     general = labeller.body
-    frames = _spread(labeller, rules.frames)
-    found = _labelled(labeller, frames)
+    frames = spread_frames(labeller, rules.frames)
+    found = _labelled(labeller, frames, known or {})
     good = [t for t, each in found.items() if quality_of(labeller, each) >= rules.quality]
     # Learned from few frames, a body would be that of the blobs' noise.
     if len(good) < 2 * rules.least_frames:
@@ -87,20 +92,20 @@ def _is_better(labeller: FrameLabeller, own: ArticulatedBody, found: list[BlobLa
 
 
 def quality_of(labeller: FrameLabeller, found: BlobLabels) -> float:
-    """nats of gain per sighting that the body lets expect; 0 where fewer of them are there than `ViewsRules.least_shown`."""
-    expected = max(float(labeller.expected(found).sum()), 1.0)
+    """nats of gain per blob that the body lets expect; 0 where fewer of them have a label than `ViewsRules.least_shown`."""
+    expected = max(labeller.expected_blobs(found), 1.0)
     shown = int((found.labels >= 0).sum())
     return found.gain / expected if shown >= labeller.rules.least_shown * expected else 0.0
 
 
-def _spread(labeller: FrameLabeller, most: int) -> Ints:
+def spread_frames(labeller: FrameLabeller, most: int) -> Ints:
     """Frames in which two cameras have blobs, evenly spread."""
     total = len(labeller.scene.blobs)
     some = [t for t in range(total) if cameras_with_blobs(labeller.scene.frame(t)[1]).sum() >= 2]
     return np.array(some, dtype=np.int64)[np.unique(np.linspace(0, len(some) - 1, min(most, len(some))).round().astype(np.int64))]
 
 
-def _labelled(labeller: FrameLabeller, frames: Ints) -> dict[int, BlobLabels]:
+def _labelled(labeller: FrameLabeller, frames: Ints, labelled: Mapping[int, BlobLabels]) -> dict[int, BlobLabels]:
     """These frames labelled, each from nothing, and then from the poses of its neighbours where those explain it better.
 
     No frame depends on one start: a wrong one is a minority, and its neighbours mend it. Where the body is in none of every third frame,
@@ -111,7 +116,7 @@ def _labelled(labeller: FrameLabeller, frames: Ints) -> dict[int, BlobLabels]:
     for part in (frames[::3], frames[1::3], frames[2::3]):
         for t in part.tolist():
             try:
-                out[t] = labeller.from_nothing(t)
+                out[t] = labelled[t] if t in labelled else labeller.from_nothing(t)
             except AsterismError:
                 continue
         if not any(quality_of(labeller, each) >= labeller.rules.lost for each in out.values()):

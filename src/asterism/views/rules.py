@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +55,8 @@ class ViewsRules:
     slope, offset  of the logistic that turns the margin of a label (nats) into its probability
     single        what is added to its offset where no other camera has a blob of the marker
     rival_slope   of the logistic that turns the margin of a frame over another explanation (nats) into a probability
+    whole_slope, whole_middle  of the logistic that turns the share of the gain that the blobs let expect (see `FrameLabeller.explained`)
+                  into the probability that the body is there as it was fitted
 
     jump, carry, drop and taken_over were chosen on simulated motion of 26 markers. The last four were the most likely ones for 91371
     labels, 185 of them wrong, of 72 simulated recordings before the labels of a frame were carried to the next: 36 people of 12 seeds, 90
@@ -104,16 +106,28 @@ class ViewsRules:
     offset: float = 1.4
     single: float = -1.04
     rival_slope: float = 0.48
+    whole_slope: float = 30.0
+    whole_middle: float = 0.5
 
-    def confidence(self, margin: Floats, single: NDArray[np.bool_], rival_margin: Floats) -> Floats:
+    def at_noise(self, noise: float) -> ViewsRules:
+        """The rules for blobs that are off by this standard deviation (px)."""
+        # The narrowest blur of a fit grows with the noise, or the fit would be lost between its blobs.
+        least = min(self.follow) * noise / self.noise
+        blur, follow = (tuple(max(each, least) for each in blurs) for blurs in (self.blur, self.follow))
+        return replace(self, noise=noise, blur=blur, follow=follow)
+
+    def confidence(self, margin: Floats, single: NDArray[np.bool_], rival_margin: Floats, explained: float = 1.0) -> Floats:
         """(N,) the probability that labels are right.
 
         margin (N,) nats beyond the best change of the label; single (N,) whether no other camera has a blob of the marker;
-        rival_margin (N,) nats beyond the best other explanation of the frame that labels the blob otherwise, inf where none does. O(N).
+        rival_margin (N,) nats beyond the best other explanation of the frame that labels the blob otherwise, inf where none does;
+        explained: share of the gain that the frame's blobs let expect. A body that explains few of them is wrong as a whole, however much
+        better it is than the others that were tried. O(N).
         """
         own = _logistic(self.slope * margin + self.offset + self.single * single)
-        whole = _logistic(self.rival_slope * np.minimum(rival_margin, 1e3))
-        share: Floats = own * whole
+        rival = _logistic(self.rival_slope * np.minimum(rival_margin, 1e3))
+        whole = _logistic(np.asarray(self.whole_slope * (explained - self.whole_middle)))
+        share: Floats = own * rival * whole
         return share
 
     def observing(self, area: float) -> Observing:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,11 @@ class ViewsScene:
         count = len(self.rig)
         offsets = self.blobs.offsets[t * count : (t + 1) * count + 1]
         return self.xy[offsets[0] : offsets[-1]], offsets - offsets[0]
+
+    def without(self, cameras: Ints) -> ViewsScene:
+        """The same scene without the blobs of some cameras, which stay in the rig."""
+        kept = ~np.isin(self.blobs.camera_of, cameras)
+        return replace(self, blobs=self.blobs.select(kept), xy=self.xy[kept])
 
 
 def scene_of(blobs: Blobs, rig: Rig) -> ViewsScene:

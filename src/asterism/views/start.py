@@ -2,15 +2,52 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
 import numpy as np
 
 from asterism.cameras import Rig
 from asterism.errors import AsterismError
-from asterism.geometry import z_up_rotation
+from asterism.geometry import rotation_from_vector, z_up_rotation
 from asterism.recording import Floats, Ints
 from asterism.views._pose_kernels import HINGES
-from asterism.views.body import ArticulatedBody
+from asterism.views.body import ArticulatedBody, Point
+from asterism.views.posing import posed_points
 from asterism.views.scene import ViewsScene, cameras_with_blobs
+
+
+@dataclass(frozen=True)
+class Posture:
+    """A way to be in a room other than upright: which way the pelvis is turned, and how the joints are bent.
+
+    turn    degrees, rotation vector in the body's axes (x ahead, y left, z up)
+    angles  hinge without its side -> degrees; other hinges, and those that the body lacks, are as usual
+    """
+
+    turn: Point = (0.0, 0.0, 0.0)
+    angles: Mapping[str, float] = field(default_factory=dict)
+
+
+POSTURES = (
+    # On the back, on the front, on either side, upside down.
+    Posture((0.0, -90.0, 0.0)),
+    Posture((0.0, 90.0, 0.0)),
+    Posture((90.0, 0.0, 0.0)),
+    Posture((-90.0, 0.0, 0.0)),
+    Posture((0.0, 180.0, 0.0)),
+    # On the back with the feet on the floor, on all fours, bent down to the feet.
+    Posture((0.0, -90.0, 0.0), {"thigh flexion": 50.0, "shank flexion": 90.0}),
+    Posture((0.0, 90.0, 0.0), {"thigh flexion": 90.0, "shank flexion": 90.0, "upper arm raising": 90.0}),
+    Posture((0.0, 70.0, 0.0), {"thigh flexion": 75.0, "upper arm raising": 80.0}),
+    # Seated on a chair, seated on the floor, kneeling, on the heels, squatting.
+    Posture(angles={"thigh flexion": 90.0, "shank flexion": 90.0}),
+    Posture(angles={"thigh flexion": 90.0}),
+    Posture(angles={"shank flexion": 90.0}),
+    Posture(angles={"thigh flexion": 70.0, "shank flexion": 140.0}),
+    Posture((0.0, 20.0, 0.0), {"thigh flexion": 110.0, "shank flexion": 120.0}),
+)
+"""Textbook postures, 90 degrees apart where they lie: a fit follows a body over half of that. Each is tried with every heading."""
 
 
 def place_by_centroids(rig: Rig, centroids: Floats, body_centroid: Floats) -> Floats:
@@ -55,34 +92,57 @@ def middle_of_rays(scene: ViewsScene, xy: Floats, offsets: Ints) -> Floats:
 
 
 def starts(
-    scene: ViewsScene, body: ArticulatedBody, xy: Floats, offsets: Ints, headings: int, size: float | None = None
+    scene: ViewsScene,
+    body: ArticulatedBody,
+    xy: Floats,
+    offsets: Ints,
+    headings: int,
+    size: float | None = None,
+    postures: tuple[Posture, ...] = (),
 ) -> tuple[Floats, Floats]:
     """Poses (N, 9 + J) and rotations (N, 3, 3) from which a frame may be fitted when nothing is known: all headings, all poses of the body.
 
-    size: the person's as a multiple of the body's, where known; else from how far blobs spread along the vertical. O(N).
+    size: the person's as a multiple of the body's, where known; else from how far blobs spread along the vertical. postures: instead of the
+    poses of an upright body. O(N). Raises as `middle_of_rays`.
     """
-    arrays = body.arrays
     middle = middle_of_rays(scene, xy, offsets)
     upright = z_up_rotation(scene.vertical).T
-    scale = _size_by_spread(scene, body, xy, offsets, middle) if size is None else size
-    angles = body.start_angles
-    centre = arrays.places.mean(axis=0) * scale
+    angles = _angles_of(body, postures) if postures else body.start_angles
+    turns = [rotation_from_vector(np.radians(posture.turn)) for posture in postures] or [np.eye(3)] * len(angles)
     poses = np.zeros((headings * len(angles), HINGES + angles.shape[1]))
     # Every heading with every usual pose: a fit finds neither by itself.
     rotations = np.empty((len(poses), 3, 3))
-    for n in range(len(poses)):
-        turn = 2 * np.pi * (n % headings) / headings
-        about = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
-        rotations[n] = upright @ about
-        poses[n, :3] = scale
-        poses[n, 3:6] = middle - rotations[n] @ centre
-        poses[n, HINGES:] = angles[n // headings]
+    for k in range(len(angles)):
+        pose = np.concatenate([np.ones(3), np.zeros(6), angles[k]])
+        places = posed_points(body, pose, turns[k])[0]
+        pose[:3] = _size_by_spread(scene, places @ np.array([0.0, 0.0, 1.0]), xy, offsets, middle) if size is None else size
+        for h in range(headings):
+            turn, n = 2 * np.pi * h / headings, k * headings + h
+            about = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+            rotations[n] = upright @ about @ turns[k]
+            poses[n] = pose
+            poses[n, 3:6] = middle - upright @ about @ (pose[0] * places.mean(axis=0))
     return poses, rotations
 
 
-def _size_by_spread(scene: ViewsScene, body: ArticulatedBody, xy: Floats, offsets: Ints, middle: Floats) -> float:
-    """The person's size as a multiple of the body's, from the middle half of the blobs along each image's vertical; within 0.6 to 1.6."""
-    own = np.diff(np.quantile(body.arrays.places[:, 2], [0.2, 0.8]))[0]
+def _angles_of(body: ArticulatedBody, postures: tuple[Posture, ...]) -> Floats:
+    """(N, J) rad, the angles of a body's hinges in each posture."""
+    arrays = body.arrays
+    plain = [name.removeprefix("left ").removeprefix("right ") for name in body.hinge_names]
+    out = np.repeat(arrays.usual[None], len(postures), axis=0)
+    for row, posture in zip(out, postures, strict=True):
+        for j, name in enumerate(plain):
+            if name in posture.angles:
+                row[j] = np.radians(posture.angles[name])
+    return np.asarray(np.clip(out, arrays.low, arrays.high), dtype=np.float64)
+
+
+def _size_by_spread(scene: ViewsScene, heights: Floats, xy: Floats, offsets: Ints, middle: Floats) -> float:
+    """The person's size as a multiple of the body's, from the middle half of the blobs along each image's vertical; within 0.6 to 1.6.
+
+    heights (M,) m: of the body's markers in a posture.
+    """
+    own = np.diff(np.quantile(heights, [0.2, 0.8]))[0]
     ratios = []
     for c, camera in enumerate(scene.rig):
         # Near blobs of one image hide how high the body reaches, so four are needed.

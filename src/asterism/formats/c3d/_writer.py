@@ -165,7 +165,7 @@ def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: st
 
 
 def _slots(seen: Sequence[str], recording: Recording, main: Sequence[int], points: int) -> list[_Slot]:
-    """The columns of the new file: in an old place by label or by the samples' origin, else behind the others."""
+    """The columns of the new file, each with the place of the old one by its label or by its samples' origin."""
     free = {place for place in recording.taken if 0 <= place < points}
     place_of: dict[int, int] = {}
     by_label: dict[str, list[int]] = {}
@@ -194,8 +194,15 @@ def _slots(seen: Sequence[str], recording: Recording, main: Sequence[int], point
         if column not in place_of and main[column] < 0 and free:
             take(column, min(free))
     column_at = {place: column for column, place in place_of.items()}
-    slots = [_Slot(p, column_at.get(p)) for p in range(points) if p in column_at or p not in set(recording.taken)]
-    return slots + [_Slot(None, column) for column in range(len(recording.labels)) if column not in place_of]
+    stay = [_Slot(p, column_at.get(p)) for p in range(points) if p in column_at or p not in set(recording.taken)]
+    new = [_Slot(None, column) for column in range(len(recording.labels)) if column not in place_of]
+    named = {column for column, label in enumerate(recording.labels) if not is_unnamed(label)}
+    if not any(is_unnamed(seen[place_of[column]]) if column in place_of else main[column] >= 0 for column in named):
+        return stay + new
+    # Where points got names: markers in the recording's order, which is that of their set, and points without a name last.
+    own = sorted((slot for slot in [*stay, *new] if slot.column is not None), key=lambda slot: (slot.column not in named, slot.column))
+    middle = [slot for slot in stay if slot.column is None]
+    return [*own[: len(named)], *middle, *own[len(named) :]]
 
 
 def _commonest(places: Ints) -> int:

@@ -111,8 +111,8 @@ class ReadRules:
     weights: tuple[float, ...] = (-2.01, 0.158, 0.047, -1.622, -1.017, 0.392, 0.856, 0.366, -4.715)
     odds: float = 5.75
     unlike: float = 5.0
-    slant: float = 0.9
-    slanted: float = 6.0
+    slant: float = 1.1
+    slanted: float = 8.0
     end: EndRules = EndRules(squares=2, slant=0.5, bump=0.2)
     corner: EndRules = EndRules(squares=1, slant=0.3, bump=0.1, rival=0.8)
     astray: float = 0.75

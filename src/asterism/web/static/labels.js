@@ -119,6 +119,21 @@
       return `${this.markerName(place)} ${pieces.person[place] ? "✓" : Asterism.percent(pieces.confidence[place] || 0)}`;
     }
 
+    // How a piece moves: its mean speed in m/s (null for one sample), and its nearest labelled markers [name, m] with their median distance.
+    motion(place) {
+      const { recording, points, from } = this, { xyz, frameOf, offsets, marker, names, rate } = recording, own = points.subarray(from[place], from[place + 1]);
+      let path = 0;
+      const apart = (p, q) => Math.hypot(xyz[3 * p] - xyz[3 * q], xyz[3 * p + 1] - xyz[3 * q + 1], xyz[3 * p + 2] - xyz[3 * q + 2]);
+      for (let i = 1; i < own.length; i++) path += apart(own[i], own[i - 1]);
+      const seconds = own.length > 1 ? (frameOf[own[own.length - 1]] - frameOf[own[0]]) / rate : 0, distances = names.map(() => []);
+      for (let i = 0; i < own.length; i += Math.ceil(own.length / 50)) {
+        const frame = frameOf[own[i]];
+        for (let p = offsets[frame]; p < offsets[frame + 1]; p++) if (marker[p] >= 0 && p !== own[i]) distances[marker[p]].push(apart(p, own[i]));
+      }
+      const near = distances.map((values, m) => [names[m], values.length ? values.sort((a, b) => a - b)[values.length >> 1] : Infinity]);
+      return { speed: seconds > 0 ? path / seconds : null, near: near.filter(([, m]) => m < Infinity).sort((a, b) => a[1] - b[1]).slice(0, 3) };
+    }
+
     // The frames in which both pieces have points, from the first to the last; null where there are none.
     overlap(one, other) {
       const first = Math.max(this.pieces.first[one], this.pieces.first[other]), last = Math.min(this.pieces.last[one], this.pieces.last[other]);

@@ -184,7 +184,9 @@
       if (this.swapping) return "Select the piece to exchange it with; Esc gives up.";
       const { labels } = this, samples = labels.from[place + 1] - labels.from[place];
       const said = labels.pieces.person[place] ? " You said so." : "", track = labels.pieces.track?.[place] ?? -1;
-      return `${labels.frames(place)}, ${samples.toLocaleString("en")} samples${track >= 0 ? `, track ${track + 1}` : ""}.${said}`;
+      const { speed, near } = labels.motion(place), moves = speed === null ? "" : ` It moves ${speed.toFixed(2)} m/s.`;
+      const beside = near.length ? ` Nearest: ${near.map(([name, m]) => `${plainText(name)} ${m.toFixed(2)} m`).join(", ")}.` : "";
+      return `${labels.frames(place)}, ${samples.toLocaleString("en")} samples${track >= 0 ? `, track ${track + 1}` : ""}.${said}${moves}${beside}`;
     }
 
     async loadOdds(keep = false) {

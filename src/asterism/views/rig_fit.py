@@ -1,0 +1,125 @@
+"""Blobs of some frames, a rig and a body in; by how much the cameras contradict each other, and which of them do not fit, out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.recording import Ints
+from asterism.views.frame import BlobLabels, FrameLabeller
+from asterism.views.scene import cameras_with_blobs
+
+_STEP = 2.0**0.5
+"""Ratio of one noise that is tried to the next. Steps of 2 lose two nats of 40 blobs; finer ones cost time and gain nothing."""
+_MOST = 24.0
+"""The most noise that is tried, as a multiple of the usual one: 19 px, 16 cm at the person before the cameras of the paper."""
+_FAR_OFF = 6.0
+"""Noise, as a multiple of the usual one, with which a body is sought that the usual one does not explain: half way up."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigFit:
+    """How well cameras agree about a body.
+
+    noise     px, standard deviation of blobs about where the body and the other cameras have their markers
+    left_out  cameras without which the others explain their blobs better than all explain all
+    gain      nats, of the frames that were looked at, against no body at all
+    found     frame -> its labels, found without a start at this noise
+    """
+
+    noise: float
+    left_out: Ints
+    gain: float
+    found: dict[int, BlobLabels]
+
+
+def fit_rig(labeller: FrameLabeller, frames: Ints) -> RigFit:
+    """How far the cameras of a labeller's rig contradict each other, by frames that are labelled without a start.
+
+    The noise is the one with which the frames are most probable: a rig that is a little off has lines of sight that miss each other, and
+    labels are then as certain as that allows. A camera is left out where the gain of the others alone, with their own noise, is greater
+    than that of all: what it contradicts costs more than it gains. At least two cameras are left. O(frames cameras) labellings where the
+    cameras disagree, else O(frames).
+    """
+    best, left_out = _noise_of(labeller, frames), list[int]()
+    if _in_doubt(labeller, best):
+        few = frames[::2]
+        all_of = _noise_of(labeller, few)
+        while len(rest := _seeing(labeller, left_out)) > 2:
+            # Each camera in turn: what it says is left out, and so is what it misses.
+            others = [_noise_of(_without(labeller, [*left_out, c]), few) for c in rest]
+            worst = int(np.argmax([other.gain for other in others]))
+            if others[worst].gain <= all_of.gain:
+                break
+            all_of = others[worst]
+            left_out.append(rest[worst])
+        best = _noise_of(_without(labeller, left_out), frames) if left_out else best
+    return replace(best, left_out=np.array(left_out, dtype=np.int64))
+
+
+def _seeing(labeller: FrameLabeller, left_out: list[int]) -> list[int]:
+    """The cameras that have blobs and are not left out."""
+    return [c for c in np.nonzero(labeller.scene.blobs.counts.sum(axis=0))[0].tolist() if c not in left_out]
+
+
+def _without(labeller: FrameLabeller, cameras: list[int]) -> FrameLabeller:
+    return replace(labeller, scene=labeller.scene.without(np.array(cameras, dtype=np.int64))) if cameras else labeller
+
+
+def _in_doubt(labeller: FrameLabeller, fit: RigFit) -> bool:
+    """Whether the cameras contradict each other, or one of them hardly shows the body that the others show."""
+    expected, shown = np.zeros(len(labeller.scene.rig)), np.zeros(len(labeller.scene.rig))
+    for t, found in fit.found.items():
+        camera = np.repeat(np.arange(len(expected)), np.diff(labeller.scene.frame(t)[1]))
+        shown += np.bincount(camera[found.labels >= 0], minlength=len(expected))
+        expected += np.where(found.counts > 0, labeller.expected(found).sum(axis=1), 0.0)
+    return bool(fit.noise > labeller.rules.noise or (shown < labeller.rules.least_shown * expected).any())
+
+
+def _noise_of(labeller: FrameLabeller, frames: Ints) -> RigFit:
+    """The noise with which the frames are most probable, and what is found with it."""
+    usual = labeller.rules.noise
+    best = _most_probable(labeller, _found(labeller, frames))
+    explained = [labeller.explained(each) for each in best.found.values()]
+    # A body that is sought with too little noise may not be found at all.
+    if best.noise > usual or not explained or np.median(explained) < labeller.rules.enough_gain:
+        wide = _at(labeller, max(best.noise, _FAR_OFF * usual))
+        other = _most_probable(labeller, _found(wide, frames))
+        best = other if other.gain > best.gain else best
+    # With its own noise the body is found best.
+    return replace(best, found=_found(_at(labeller, best.noise), frames)) if best.noise > usual else best
+
+
+def _at(labeller: FrameLabeller, noise: float) -> FrameLabeller:
+    return replace(labeller, rules=labeller.rules.at_noise(noise))
+
+
+def _found(labeller: FrameLabeller, frames: Ints) -> dict[int, BlobLabels]:
+    """The frames labelled without a start; those in which two cameras have blobs."""
+    out = dict[int, BlobLabels]()
+    for t in frames.tolist():
+        if cameras_with_blobs(labeller.scene.frame(t)[1]).sum() < 2:
+            continue
+        try:
+            out[t] = labeller.from_nothing(t)
+        except AsterismError:
+            # All cameras that have blobs here look along one line.
+            continue
+    return out
+
+
+def _most_probable(labeller: FrameLabeller, found: dict[int, BlobLabels]) -> RigFit:
+    """The noise with which labels that were found gain most."""
+    usual = labeller.rules.noise
+    best = RigFit(usual, np.empty(0, dtype=np.int64), -np.inf, found)
+    noise = usual
+    while noise <= _MOST * usual:
+        here = _at(labeller, noise)
+        # A frame that shows no body says nothing, and no body gains nothing.
+        gain = sum(max(here.again(t, each).gain, 0.0) for t, each in found.items())
+        if gain > best.gain:
+            best = replace(best, noise=noise, gain=gain)
+        noise *= _STEP
+    return best

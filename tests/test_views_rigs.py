@@ -1,0 +1,121 @@
+"""Labels in images where the rig, the cameras or the person are not as usual: right, or not given, or said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from asterism.cameras import Rig
+from asterism.recording import Blobs, Floats, Ints
+from asterism.simulation import simulate_walks
+from asterism.simulation.cameras import ImagingSettings, simulate_blobs
+from asterism.simulation.views_laboratory import ViewsSession, simulate_views
+from asterism.views import ViewsLabelling, label_views, load_body
+
+BODY = load_body("gait15")
+
+
+@cache
+def walk(cameras: int = 4) -> ViewsSession:
+    trial = simulate_walks(1, 90, seed=3)[0]
+    return simulate_views(trial, BODY.labels, rng=np.random.default_rng(0), cameras=cameras)
+
+
+def turned(rig: Rig, degrees: float, cameras: tuple[int, ...], seed: int) -> Rig:
+    """The rig with some cameras turned about axes at random."""
+    rng, made = np.random.default_rng(seed), []
+    for c, camera in enumerate(rig):
+        axis = rng.normal(size=3)
+        rotation = Rotation.from_rotvec(np.radians(degrees) * axis / np.linalg.norm(axis)).as_matrix() @ camera.rotation
+        made.append(replace(camera, rotation=rotation, translation=-rotation @ camera.position) if c in cameras else camera)
+    return Rig(tuple(made), vertical=rig.vertical)
+
+
+def right_and_sure(result: ViewsLabelling, identity: Ints) -> tuple[float, int, int]:
+    """The share of the markers' blobs with the right label; labels at 0.99 or more, and how many of them are wrong."""
+    marker = identity >= 0
+    sure = (result.labels >= 0) & (identity != -2) & (result.confidence >= 0.99)
+    return float((result.labels == identity)[marker].mean()), int(sure.sum()), int((sure & (result.labels != identity)).sum())
+
+
+def codes(result: ViewsLabelling) -> set[str]:
+    return {finding.code for finding in result.findings}
+
+
+@pytest.mark.parametrize("seeing", [(0, 1), (0, 1, 2)])
+def test_cameras_without_blobs_count_as_absent(seeing: tuple[int, ...]) -> None:
+    given = walk()
+    kept = np.isin(given.blobs.camera_of, seeing)
+    blobs, identity = given.blobs.select(kept), given.identity[kept]
+    right, sure, wrong = right_and_sure(label_views(blobs, given.rig, BODY), identity)
+    names = [given.rig.names[c] for c in seeing]
+    alone = label_views(blobs.select_cameras(names), given.rig.select(names), BODY)
+    assert right == pytest.approx(right_and_sure(alone, identity)[0], abs=0.03) and right > 0.95
+    assert wrong <= 0.005 * sure
+
+
+@pytest.mark.slow
+def test_a_rig_that_is_a_little_off_gives_fewer_labels_and_none_that_is_sure_and_wrong() -> None:
+    given = walk()
+    for degrees, share in ((0.15, 0.97), (0.3, 0.85)):
+        result = label_views(given.blobs, turned(given.rig, degrees, (0, 1, 2, 3), 7), BODY)
+        right, sure, wrong = right_and_sure(result, given.identity)
+        assert right >= share, f"{degrees} degrees: {right:.3f} right"
+        assert wrong <= 0.005 * sure, f"{degrees} degrees: {wrong} of {sure} sure labels are wrong"
+    assert "views-rig-inexact" in codes(result)
+    exact = label_views(given.blobs, given.rig, BODY)
+    assert result.confidence[result.labels >= 0].mean() < exact.confidence[exact.labels >= 0].mean()
+
+
+def test_two_cameras_of_which_one_was_moved_are_said_to_contradict_each_other() -> None:
+    given = walk(2)
+    assert not codes(label_views(given.blobs, given.rig, BODY)) & {"views-rig-inexact", "views-camera-misfit"}
+    for degrees in (1.0, 3.0):
+        result = label_views(given.blobs, turned(given.rig, degrees, (1,), 3), BODY)
+        _, sure, wrong = right_and_sure(result, given.identity)
+        assert codes(result) & {"views-rig-inexact", "views-camera-misfit"}, f"{degrees} degrees: {codes(result)}"
+        assert wrong <= 0.01 * sure, f"{degrees} degrees: {wrong} of {sure} sure labels are wrong"
+
+
+def lying(positions: Floats, turn: Floats) -> Floats:
+    """A walk turned about its middle, 10 cm above the floor at its lowest."""
+    middle = positions.mean(axis=1, keepdims=True)
+    out = (positions - middle) @ turn.T
+    out[..., 2] += 0.1 - out[..., 2].min()
+    return out
+
+
+@pytest.mark.parametrize("turn", [(0, -90, 0), (0, 90, 0), (90, 0, 0), (0, 180, 0)], ids=["back", "front", "side", "upside down"])
+def test_a_person_who_lies_is_labelled_right(turn: tuple[int, int, int]) -> None:
+    given = walk()
+    places = lying(given.recording.positions, Rotation.from_rotvec(np.radians(turn)).as_matrix())
+    settings = ImagingSettings(noise=0.5, strays=2.0)
+    blobs, identity = simulate_blobs(given.rig, places, settings, rng=np.random.default_rng(3), rate=60.0)
+    right, sure, wrong = right_and_sure(label_views(blobs, given.rig, BODY), identity)
+    assert right > 0.8 and wrong <= 0.02 * sure, f"{right:.3f} right, {wrong} of {sure} sure labels are wrong"
+
+
+def later(blobs: Blobs, identity: Ints, camera: int, frames: int) -> tuple[Blobs, Ints]:
+    """The blobs of one camera, so many frames late; frames that not all cameras have are left out."""
+    frame = blobs.frame_of + frames * (blobs.camera_of == camera)
+    kept = (frame >= frames) & (frame < len(blobs))
+    order = np.lexsort((np.arange(kept.sum()), blobs.camera_of[kept], frame[kept]))
+    pick = np.nonzero(kept)[0][order]
+    made = Blobs.from_rows(
+        frame[pick] - frames, blobs.camera_of[pick], blobs.xy[pick], blobs.cameras, rate=60.0, frames=len(blobs) - frames
+    )
+    return made, identity[pick]
+
+
+@pytest.mark.slow
+def test_a_camera_that_is_late_is_named() -> None:
+    given = walk()
+    blobs, _ = later(given.blobs, given.identity, 1, 3)
+    result = label_views(blobs, given.rig, BODY)
+    where = [finding.where for finding in result.findings if finding.code == "views-camera-late"]
+    assert where == [given.rig.names[1]], f"{[str(finding) for finding in result.findings]}"
+    assert "views-camera-late" not in codes(label_views(given.blobs, given.rig, BODY))
