@@ -26,6 +26,7 @@ from asterism.motion.clinical import (
     subject_measures,
     with_static_offsets,
 )
+from asterism.motion.clinical.angles import leg_axes
 from asterism.motion.clinical.measures import computed_by_the_file
 from asterism.simulation import simulate_walks
 
@@ -251,3 +252,12 @@ def test_clinical_angles_that_cannot_be_are_refused_by_name(walk: Path, tmp_path
     assert "few.c3d" in told and "no marker SACR" in told and "Helen Hayes" in told
     assert main(["motion", str(few), str(walk), *words, "--anatomy"]) == 1
     assert main(["motion", str(few), *words]) == 0, "not asked for, not missed"
+
+
+def test_without_the_length_of_a_leg_the_hip_stays_where_the_pelvis_puts_it() -> None:
+    """Bell's shares of the distance between the spines: how the leg is bent or its wands stand moves it not."""
+    hips = [
+        leg_axes(standing(hip, (0, 0, 0), wands), "L", LegMeasures()).hip for hip, wands in (((0, 0, 0), (0, 0)), ((40, 5, 0), (30, 0)))
+    ]
+    np.testing.assert_allclose(hips[0], hips[1], atol=1e-9)
+    np.testing.assert_allclose(hips[0][0], TO_WORLD @ (0.24 * np.array([-0.22, -0.30, -0.36])) + [0, 0, 0.9], atol=1e-9)

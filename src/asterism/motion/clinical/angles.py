@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures, subject_measures
 from asterism.motion.clinical.plug_in_gait import angles_of, lower_body, radius_by_the_file
-from asterism.motion.joints.anatomy import sacrum_markers
+from asterism.motion.joints.anatomy import AnatomicalFrames, sacrum_markers
 from asterism.recording import Floats, Recording
 
 CLINICAL = ("flexion", "adduction", "rotation")
@@ -105,6 +107,20 @@ def clinical_angles(recording: Recording, sides: Sequence[str] | None = None, me
     return ClinicalAngles(joints, {SIDES[side]: measures.of(side) for side in chosen}, measures, outputs, tuple(found))
 
 
+def leg_axes(recording: Recording, side: str, measures: LegMeasures) -> AnatomicalFrames:
+    """The frames of one leg in the axes of ISB, x ahead, y up, z to the right, z up in the room; see `lower_body` for Plug-in-Gait's own.
+
+    Raises AsterismError where a marker is missing.
+    """
+    body = lower_body(recording, SubjectMeasures().with_leg(side, measures), side)
+    leg = body.legs[side]
+
+    def isb(axes: Floats) -> Floats:
+        return np.stack([axes[:, :, 0], axes[:, :, 2], -axes[:, :, 1]], axis=2)
+
+    return AnatomicalFrames(isb(body.pelvis), isb(leg.thigh), isb(leg.shank), leg.hip, leg.knee, leg.ankle)
+
+
 def _assumed(recording: Recording, measures: SubjectMeasures, sides: Sequence[str]) -> list[Finding]:
     """A finding for each leg whose widths nobody gave: they move the joint by half of their error."""
     found = []
@@ -117,7 +133,8 @@ def _assumed(recording: Recording, measures: SubjectMeasures, sides: Sequence[st
                     "clinical-measures",
                     Severity.NOTE,
                     _file(recording),
-                    f"{_file(recording)} has no {words} of the {SIDES[side]} leg; an adult's widths and the markers' distances were taken.",
+                    f"{_file(recording)} has no {words} of the {SIDES[side]} leg; an adult's widths were taken, "
+                    "and the hip by the width of the pelvis.",
                     "Give the measures, or a standing trial that holds them.",
                 )
             )

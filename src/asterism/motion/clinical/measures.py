@@ -39,7 +39,7 @@ class LegMeasures:
     """Measures of one leg, as Plug-in-Gait has them.
 
     knee_width, ankle_width  m, between the condyles and between the malleoli. The defaults are an adult's
-    leg_length               m, from the anterior iliac spine to the medial malleolus; None: measured between the markers
+    leg_length               m, from the anterior iliac spine to the medial malleolus; None: the hip is put by the pelvis' width
     asis_trochanter          m, from the spine backwards to the trochanter; None: by the leg's length (Davis et al. 1991)
     thigh_rotation, shank_rotation  rad, by which the wand stands behind the joint's axis, about the line between the joint centres
     tibial_torsion           rad, from the ankle's axis to the knee's; negative where the ankle turns outwards

@@ -14,7 +14,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
 from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures, computed_by_the_file
-from asterism.motion.joints.anatomy import sacrum_markers
+from asterism.motion.joints.anatomy import HIP_SHARES, sacrum_markers
 from asterism.motion.rigid.rotations import unit_vectors
 from asterism.recording import Floats, Recording
 
@@ -68,7 +68,7 @@ def lower_body(recording: Recording, measures: SubjectMeasures, sides: str = "LR
     y = unit_vectors(left - right)
     z = unit_vectors(np.cross(origin - sacrum, y))
     pelvis = np.stack([np.cross(y, z), y, z], axis=2)
-    lengths = {side: _leg_length(recording, measures.of(side), side) for side in SIDES}
+    lengths = {side: measures.of(side).leg_length for side in SIDES}
     between = measures.inter_asis or median_of(np.linalg.norm(left - right, axis=1))
     legs = {}
     for side in sides:
@@ -90,30 +90,25 @@ def marker_of(recording: Recording) -> Callable[[str], Floats]:
     return marker
 
 
-def _leg_length(recording: Recording, measures: LegMeasures, side: str) -> float:
-    """m: as measured on the person, or from spine to knee to ankle between the markers."""
-    if measures.leg_length is not None:
-        return measures.leg_length
-    marker = marker_of(recording)
-    if any(side + name not in recording.labels for name in ("ASI", "KNE", "ANK")):
-        return float("nan")
-    parts = [np.linalg.norm(marker(side + a) - marker(side + b), axis=1) for a, b in (("ASI", "KNE"), ("KNE", "ANK"))]
-    return median_of(parts[0] + parts[1])
-
-
 def median_of(values: Floats) -> float:
     """Of the values that are known; NaN where none is."""
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else float("nan")
 
 
-def _hip_centre(measures: LegMeasures, side: str, lengths: Mapping[str, float], between: float, radius: float) -> Floats:
-    """(3,) m, in the pelvis' axes from its origin (Davis et al. 1991): 28.4 and 18 degrees are the angles of their regression."""
-    own = lengths[side]
-    # the median of two is their mean
-    both = median_of(np.array(list(lengths.values())))
+def _hip_centre(measures: LegMeasures, side: str, lengths: Mapping[str, float | None], between: float, radius: float) -> Floats:
+    """(3,) m, in the pelvis' axes from its origin (Davis et al. 1991): 28.6 and 18 degrees are the angles of their regression.
+
+    Without the length of a leg it is Bell's (1990), by the distance between the spines alone.
+    """
+    known = [length for length in lengths.values() if length is not None]
+    if not known:
+        ahead, up, medial = HIP_SHARES
+        out = (0.5 - medial) * between
+        return np.array([ahead * between, out if side == "L" else -out, up * between])
+    own = lengths[side] or known[0]
     trochanter = measures.asis_trochanter if measures.asis_trochanter is not None else 0.1288 * own - 0.04856
-    constant, theta, beta = 0.115 * both - 0.0153, 0.5, 0.314
+    constant, theta, beta = 0.115 * sum(known) / len(known) - 0.0153, 0.5, 0.314
     ahead = (-trochanter - radius) * np.cos(beta) + constant * np.cos(theta) * np.sin(beta)
     up = (-trochanter - radius) * np.sin(beta) - constant * np.cos(theta) * np.cos(beta)
     out = between / 2 - constant * np.sin(theta)
