@@ -28,7 +28,7 @@ from asterism.views.passes import DirectionalTracker, Starts, _best_path, joined
 from asterism.views.plain import label_stepwise, minimise_plain
 from asterism.views.posing import posed_points
 from asterism.views.result import ViewsLabelling
-from asterism.views.rig_fit import RigFit
+from asterism.views.rig_fit import CameraAgreement
 from asterism.views.rules import QUICK, RULES
 from asterism.views.scene import scene_of
 from asterism.views.sights import FROM_BOTH_SIDES
@@ -332,7 +332,7 @@ def test_markers_that_are_there_but_in_doubt_are_not_said_to_be_absent() -> None
     one = list(found.body.labels).index("LTIB")
     doubted = replace(found, labels=np.where(found.labels == one, -1, found.labels))
     assert (doubted.candidates == one).any()
-    none = RigFit(RULES.noise, np.empty(0, dtype=np.int64), 0.0, {})
+    none = CameraAgreement(RULES.noise, np.empty(0, dtype=np.int64), 0.0, {})
     assert [(each.code, each.where) for each in checks.findings(doubted, none)] == [("views-markers-in-doubt", "LTIB")]
     gone = replace(doubted, candidates=doubted.labels)
     assert [(each.code, each.where) for each in checks.findings(gone, none)] == [("views-markers-absent", "LTIB")]

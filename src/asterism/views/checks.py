@@ -12,7 +12,7 @@ from asterism.recording import Floats, Ints, canonical
 from asterism.views.body import ArticulatedBody
 from asterism.views.lateness import late_by
 from asterism.views.result import ViewsLabelling
-from asterism.views.rig_fit import RigFit
+from asterism.views.rig_fit import CameraAgreement
 from asterism.views.rules import RULES
 
 _MANY_LOST = 0.05
@@ -75,7 +75,7 @@ def is_contradicted(result: ViewsLabelling, left_out: Ints) -> bool:
     return bool(against > 0 and 2 * against >= (counts.sum(axis=0) > 0).sum() - (len(left_out) - against))
 
 
-def misfits(result: ViewsLabelling, fit: RigFit) -> Ints:
+def misfits(result: ViewsLabelling, fit: CameraAgreement) -> Ints:
     """The cameras whose blobs are not where the other cameras have their markers, worst first; judged by up to 60 frames.
 
     fit: the noise that is usual in the recording, and the cameras that were left out before. Where two cameras alone have blobs
@@ -141,7 +141,7 @@ def failed_frames(why: Mapping[int, str], first_frame: int) -> list[Finding]:
     return [Finding("views-frame-failed", Severity.WARNING, which, sentence, mend)]
 
 
-def findings(result: ViewsLabelling, fit: RigFit) -> list[Finding]:
+def findings(result: ViewsLabelling, fit: CameraAgreement) -> list[Finding]:
     """What a person should know before using the labels; fit: how the cameras agree."""
     blobs, body = result.blobs, result.body
     counts = blobs.counts

@@ -18,7 +18,7 @@ from asterism.views.frame import FrameLabeller
 from asterism.views.passes import DirectionalTracker, ScoredFrame, Starts, joined
 from asterism.views.personal import PERSONAL, personal_body, spread_frames
 from asterism.views.result import ViewsLabelling
-from asterism.views.rig_fit import RigFit, fit_rig
+from asterism.views.rig_fit import CameraAgreement, fit_rig
 from asterism.views.rules import RULES, ViewsRules
 from asterism.views.scene import scene_of
 
@@ -86,7 +86,9 @@ class _Keeping:
     failed: dict[int, str] = field(default_factory=dict)
 
 
-def _labelled(labeller: FrameLabeller, body: ArticulatedBody, fit: RigFit, least_confidence: float, keeping: _Keeping) -> ViewsLabelling:
+def _labelled(
+    labeller: FrameLabeller, body: ArticulatedBody, fit: CameraAgreement, least_confidence: float, keeping: _Keeping
+) -> ViewsLabelling:
     """The labelling by the cameras that fit, with their noise; the blobs of the others stay without a label."""
     blobs, rules = labeller.scene.blobs, labeller.rules.at_noise(fit.noise)
     used = replace(labeller, scene=labeller.scene.without(fit.left_out), rules=rules)
