@@ -8,10 +8,11 @@ as long as the gap that are left out; all blocks follow from one inverse (there,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.linalg import lapack
 
 from asterism.motion.rigid._kernels import fit_frames, local_positions
@@ -20,18 +21,22 @@ from asterism.recording import Floats, Ints
 
 @dataclass(frozen=True)
 class Kernel:
-    """A covariance of a coordinate in the mates' axes: linear and smooth in the pose, Matern 5/2 in time, and noise.
+    """A covariance of a coordinate in the mates' axes: linear and curved in the pose, Matern 5/2 in time, and noise.
 
-    linear, smooth, slow  mm, how far each of the three parts reaches
+    linear, curved, slow  mm, how far each of the three parts reaches
     length                s, over which the part in time changes
     noise                 mm of a measured coordinate
+    width                 over which the curved part changes, in typical distances between the poses of two frames
+    rough                 whether the curved part is a Matern 3/2 in place of a Gaussian
     """
 
     linear: float
-    smooth: float
+    curved: float
     slow: float
     length: float
     noise: float
+    width: float = 0.5
+    rough: bool = False
 
 
 @dataclass(frozen=True)
@@ -52,30 +57,27 @@ class GapRules:
 
     mates: tuple[int, ...] = (3, 4, 6, 10, 99)
     kernels: tuple[Kernel, ...] = (
-        Kernel(8.0, 3.0, 1.0, 0.1, 0.1),
-        Kernel(8.0, 3.0, 1.0, 0.1, 0.3),
-        Kernel(8.0, 6.0, 4.0, 0.1, 0.1),
-        Kernel(8.0, 6.0, 4.0, 0.1, 0.3),
-        Kernel(20.0, 6.0, 4.0, 0.2, 0.2),
-        Kernel(20.0, 3.0, 12.0, 0.2, 0.2),
+        Kernel(8.0, 6.0, 2.0, 0.1, 0.1, 0.3),
         Kernel(8.0, 0.0, 12.0, 0.2, 0.1),
-        Kernel(50.0, 10.0, 4.0, 0.1, 0.3),
+        Kernel(8.0, 10.0, 2.0, 0.1, 0.3, 2.5, rough=True),
+        Kernel(20.0, 10.0, 4.0, 0.2, 0.1, 1.15, rough=True),
     )
-    times: tuple[Kernel, ...] = (Kernel(0.0, 0.0, 300.0, 0.25, 0.1), Kernel(0.0, 0.0, 300.0, 0.25, 0.3))
+    times: tuple[Kernel, ...] = (Kernel(0.0, 0.0, 300.0, 0.25, 0.1),)
     pose: int = 6
-    scores: int = 12
-    frames: int = 240
+    local: float = 3.0
+    scores: int = 20
+    frames: int = 200
     near: float = 0.55
-    power: float = 4.0
+    power: float = 8.0
     worst: float = 1.6
     reach: int = 1000
 
 
 RULES = GapRules()
 _PRESENT = 0.7
-"""Share of the frames in which a marker must be seen to tell the pose: its own gaps are bridged by straight lines."""
+"""Share of the frames in which a marker must be seen to tell the pose: its own long gaps are bridged by straight lines."""
 _BRIDGE = 0.05
-"""s from a measured sample up to which a bridged mate is as good as seen: a straight line errs less than 1 mm there."""
+"""s, the longest hole of a mate over which a spline is as good as seeing it: it errs 0.5 mm there, and 1.7 mm at twice the length."""
 _EXTENT = 25.0
 """mm, second largest extent of the mates' shape: three in a line leave the turn about it open."""
 _SINGLE = 15.0
@@ -88,47 +90,59 @@ _WIDE = 1.05
 
 @dataclass(frozen=True)
 class Trial:
-    """One recording of a person: positions (T, N, 3) mm, NaN for missing; rate in frames per second."""
+    """One recording of a person.
 
-    positions: Floats
-    rate: float
-
-    def around(self, gap: Ints, reach: int) -> tuple[Trial, Ints]:
-        """The frames before and behind a gap, and the gap's numbers among them."""
-        first = max(int(gap[0]) - reach, 0)
-        return Trial(self.positions[first : int(gap[-1]) + 1 + reach], self.rate), gap - first
-
-
-@dataclass(frozen=True)
-class _Frames:
-    """The frames of all trials, one after the other.
-
-    points  (F, N, 3) mm, gaps bridged; seen (F, N); trial (F,), time (F,) s within it
+    points  (T, N, 3) mm, gaps bridged; NaN for a marker that is never seen
+    seen    (T, N) whether a sample was measured; shown: or lies so near to one that the bridge is as good
+    frames  (T,) their numbers from 0; rate in frames per second
     """
 
     points: Floats
     seen: NDArray[np.bool_]
+    shown: NDArray[np.bool_]
+    frames: Ints
+    rate: float
+
+    @classmethod
+    def of(cls, positions: Floats, rate: float) -> Trial:
+        """Of positions (T, N, 3) mm, NaN for missing: short holes are bridged by cubic splines, long ones by straight lines."""
+        points, frames = positions.copy(), np.arange(len(positions))
+        seen = np.isfinite(positions[:, :, 0])
+        shown = seen.copy()
+        for column in np.nonzero(seen.any(axis=0) & ~seen.all(axis=0))[0]:
+            there, holes = np.nonzero(seen[:, column])[0], np.nonzero(~seen[:, column])[0]
+            after = np.searchsorted(there, holes)
+            inside = (after > 0) & (after < len(there))
+            # Beyond its ends nothing holds a spline.
+            short = inside & (there[np.minimum(after, len(there) - 1)] - there[np.maximum(after - 1, 0)] <= _BRIDGE * rate + 1.0)
+            for axis in range(3):
+                points[holes, column, axis] = np.interp(holes, there, positions[there, column, axis])
+            if short.any() and len(there) >= 4:
+                points[holes[short], column] = CubicSpline(there, positions[there, column])(frames[holes[short]])
+                shown[holes[short], column] = True
+        return cls(points, seen, shown, frames, rate)
+
+    def some(self, which: Ints) -> Trial:
+        """The same of some frames."""
+        return replace(self, points=self.points[which], seen=self.seen[which], shown=self.shown[which], frames=self.frames[which])
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """The frames of all trials, one after the other: points, seen and shown as in `Trial`; trial (F,); time (F,) s within it."""
+
+    points: Floats
+    seen: NDArray[np.bool_]
+    shown: NDArray[np.bool_]
     trial: Ints
     time: Floats
 
     @classmethod
     def of(cls, trials: Sequence[Trial]) -> _Frames:
-        many = [len(trial.positions) for trial in trials]
-        time = np.concatenate([np.arange(len(trial.positions)) / trial.rate for trial in trials])
-        seen = np.concatenate([np.isfinite(trial.positions[:, :, 0]) for trial in trials])
-        return cls(np.concatenate([_bridged(t.positions) for t in trials]), seen, np.repeat(np.arange(len(trials)), many), time)
-
-    def shown(self, column: int) -> NDArray[np.bool_]:
-        """(F,) whether a marker is measured in a frame or so near to it that the bridge is as good."""
-        shown: NDArray[np.bool_] = self.seen[:, column].copy()
-        for trial in np.unique(self.trial):
-            here = np.nonzero(self.trial == trial)[0]
-            there = here[self.seen[here, column]]
-            if 0 < len(there) < len(here):
-                after = np.clip(np.searchsorted(there, here), 0, len(there) - 1)
-                near = np.minimum(*(np.abs(self.time[there[side]] - self.time[here]) for side in (after, np.maximum(after - 1, 0))))
-                shown[here] = near <= _BRIDGE
-        return shown
+        points, seen, shown = (np.concatenate([getattr(trial, name) for trial in trials]) for name in ("points", "seen", "shown"))
+        many = [len(trial.points) for trial in trials]
+        time = np.concatenate([trial.frames / trial.rate for trial in trials])
+        return cls(points, seen, shown, np.repeat(np.arange(len(trials)), many), time)
 
 
 @dataclass(frozen=True)
@@ -154,11 +168,15 @@ def predict_gap(trials: Sequence[Trial], column: int, gap: Ints, rules: GapRules
     gap     (G,) consecutive frames of the first trial in which the marker is missing
     O(kernels x frames^3).
     """
-    first, gap = trials[0].around(gap, rules.reach)
+    near = np.arange(max(gap[0] - rules.frames, 0), min(gap[-1] + rules.frames + 1, len(trials[0].seen)))
+    around = np.arange(max(gap[0] - rules.reach, 0), min(gap[-1] + rules.reach + 1, len(trials[0].seen)))
+    # What is far in time is asked for its pose, which changes little from frame to frame.
+    around = np.union1d(near, around[:: max(len(around) // rules.frames, 1)])
+    first, gap = trials[0].some(around), np.searchsorted(around, gap)
     # A trial in which the marker is hardly seen says nothing about it.
-    others = [t for t in trials[1:] if np.isfinite(t.positions[:, column, 0]).mean() > _PRESENT]
-    frames = _Frames.of([first, *(t.around(np.array([len(t.positions) // 2]), rules.reach)[0] for t in others)])
-    usable = frames.seen[gap].all(axis=0)
+    others = [t for t in trials[1:] if len(t.seen) and t.seen[:, column].mean() > _PRESENT]
+    frames = _Frames.of([first, *(t.some(t.frames[:: max(len(t.seen) // rules.frames, 1)]) for t in others)])
+    usable: NDArray[np.bool_] = np.asarray(frames.shown[gap].all(axis=0))
     for trial in range(1 + len(others)):
         usable &= frames.seen[frames.trial == trial].mean(axis=0) > _PRESENT
     usable[column] = False
@@ -168,7 +186,7 @@ def predict_gap(trials: Sequence[Trial], column: int, gap: Ints, rules: GapRules
         return None
     mates = _by_steadiness(frames, column, np.nonzero(usable)[0], observed)
     for mate in mates[: rules.pose]:
-        fewer = observed[frames.shown(mate)[observed]]
+        fewer = observed[frames.shown[observed, mate]]
         # Frames whose nearest mates are guesses teach guesses; where few others are left they have to do.
         observed = fewer if (frames.trial[fewer] == 0).sum() >= 30 else observed
     return _blended(_candidates(frames, column, gap, mates, observed, rules), rules)
@@ -225,7 +243,8 @@ class _Process:
         distances = np.maximum(squares[:, None] + squares[None] - 2.0 * self._linear, 0.0)
         # Every third row tells the median as well.
         typical = np.median(distances[: self.learned : 3, : self.learned : 3]) + 1e-9
-        self._smooth = np.exp(distances * (-2.0 / typical))
+        # Squared, in typical distances.
+        self._apart = distances / typical
 
     def covariance(self, kernel: Kernel) -> Floats:
         """(R, R) mm2 without noise."""
@@ -236,8 +255,11 @@ class _Process:
         total = kernel.slow**2 * self._slow[kernel.length] + (25.0 if kernel.linear else 1e6)
         if kernel.linear:
             total += kernel.linear**2 * self._linear
-        if kernel.smooth:
-            total += kernel.smooth**2 * self._smooth
+        if kernel.curved and kernel.rough:
+            scaled = np.sqrt(3.0 * self._apart) / kernel.width
+            total += kernel.curved**2 * (1.0 + scaled) * np.exp(-scaled)
+        elif kernel.curved:
+            total += kernel.curved**2 * np.exp(self._apart / (-2.0 * kernel.width**2))
         return total
 
     def candidates(self, kernel: Kernel, values: Floats, axes: tuple[Floats, Floats] | None) -> list[_Candidate]:
@@ -272,7 +294,7 @@ def _blended(found: Sequence[_Candidate], rules: GapRules) -> tuple[Floats, Floa
     weights = (errors.min() / errors) ** rules.power * (errors <= rules.worst * errors.min())
     weights /= weights.sum()
     chosen = [(weight, one) for weight, one in zip(weights, found, strict=True) if weight > 0.0]
-    positions: Floats = sum(weight * one.positions for weight, one in chosen)  # type: ignore[assignment]
+    positions: Floats = sum(weight * one.positions for weight, one in chosen)
     variance: Floats = sum(weight * one.variance for weight, one in chosen)
     off: Floats = sum(weight * one.off for weight, one in chosen)
     expected: Floats = sum(weight * one.expected for weight, one in chosen)
@@ -311,13 +333,15 @@ def _enough(frames: _Frames, mates: Ints, some: Ints, size: int) -> Ints:
 def _axes(points: Floats, mates: Ints, some: Ints) -> tuple[Floats, Floats]:
     """Rotations (F, 3, 3) and places (F, 3) of the mates' axes in frames (F, N, 3); some: frames whose mean shape the axes are laid on."""
     cluster, weights = np.ascontiguousarray(points[:, mates]), np.ones((1, len(mates)))
-    rotations, places, local = np.empty((len(points), 3, 3)), np.empty((len(points), 3)), np.empty_like(cluster)
-    shape = cluster[some[len(some) // 2]] - cluster[some[len(some) // 2]].mean(axis=0)
+    rotations, places = np.empty((len(points), 3, 3)), np.empty((len(points), 3))
+    few = np.ascontiguousarray(cluster[some[:: max(len(some) // 40, 1)]])
+    shape = few[len(few) // 2] - few[len(few) // 2].mean(axis=0)
     # The first round turns all frames alike, the second one takes their mean shape.
     for _ in range(2):
-        fit_frames(shape, cluster, weights, 0.02, rotations, places)
-        local_positions(cluster, rotations, places, local)
-        shape = local[some].mean(axis=0)
+        fit_frames(shape, few, weights, 0.02, rotations, places)
+        local = np.empty_like(few)
+        local_positions(few, rotations, places, local)
+        shape = local.mean(axis=0)
     fit_frames(shape, cluster, weights, 0.02, rotations, places)
     return rotations, places
 
@@ -329,7 +353,7 @@ def _pose(frames: _Frames, column: int, mates: Ints, some: Ints, rules: GapRules
         return None
     local = np.matmul(frames.points[:, mates] - places[:, None], rotations)
     marker = np.matmul((frames.points[some, column] - places[some])[:, None], rotations[some])
-    weights = 1.0 / (_SINGLE + np.linalg.norm(local[some] - marker, axis=2).std(axis=0))
+    weights = (_SINGLE + np.linalg.norm(local[some] - marker, axis=2).std(axis=0)) ** -rules.local
     flat = ((local - local[some].mean(axis=0)) * weights[:, None]).reshape(len(local), -1)
     scores = flat @ _leading(flat[some], rules.scores)
     return np.asarray(scores / max(float(scores[some].std(axis=0).max()), 1e-9))
@@ -367,10 +391,12 @@ def _blocks(frames: _Frames, rows: Ints, length: int) -> Ints:
     begins = np.arange(len(rows) - length + 1)
     last = begins + length - 1
     # Frames that were chosen by pose leave holes: a block spans at most half as many frames again.
-    whole = begins[(frames.trial[rows[begins]] == frames.trial[rows[last]]) & (rows[last] - rows[begins] <= 1.5 * length)]
-    whole = whole if len(whole) else begins[frames.trial[rows[begins]] == frames.trial[rows[last]]]
-    # So many that a long gap has 16 of them and the work stays that of a few hundred rows.
-    many = int(np.clip(1500 // length, 16, 60))
+    together = frames.trial[rows[begins]] == frames.trial[rows[last]]
+    spans = frames.time[rows[last]] - frames.time[rows[begins]]
+    shortest = spans[together].min(initial=np.inf)
+    whole = begins[together & (spans <= 1.5 * shortest)]
+    # Blocks of a long gap overlap: eight of them say what sixteen do, and cost half.
+    many = int(np.clip(1000 // length, 8, 60))
     return whole[np.unique(np.linspace(0, len(whole) - 1, many).astype(int))][:, None] + np.arange(length)
 
 
@@ -381,14 +407,3 @@ def _inverse(matrix: Floats) -> Floats:
         return np.asarray(np.linalg.pinv(matrix, hermitian=True), dtype=np.float64)
     lower = np.tril(lapack.dpotri(factor, lower=1, overwrite_c=1)[0])
     return np.asarray(lower + np.tril(lower, -1).T)
-
-
-def _bridged(positions: Floats) -> Floats:
-    """The positions with straight lines through gaps; a marker that is never seen stays NaN."""
-    bridged, frames = positions.copy(), np.arange(len(positions))
-    for column in np.nonzero(np.isnan(positions[:, :, 0]).any(axis=0))[0]:
-        seen = np.isfinite(positions[:, column, 0])
-        if seen.any():
-            for axis in range(3):
-                bridged[~seen, column, axis] = np.interp(frames[~seen], frames[seen], positions[seen, column, axis])
-    return bridged
