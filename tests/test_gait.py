@@ -32,6 +32,7 @@ from asterism.gait import (
     summarise,
 )
 from asterism.gait.events import OFF, STRIKE, GaitEvent
+from asterism.motion.clinical import exchanged_pairs
 from asterism.simulation import simulate_walks
 
 STRIDE, TIME, STANCE, WIDTH = 1.2, 1.1, 0.62, 0.16
@@ -225,3 +226,48 @@ def test_controls_become_a_band_and_others_get_scores(tmp_path: Path, capsys: py
     assert main(["gait", str(files[2]), "--band", str(band), "--report", str(page)]) == 0
     assert "Gait Profile Score, left" in capsys.readouterr().out
     assert "Scores" in page.read_text() and "controls" in page.read_text()
+
+
+def exchanged(walk: Recording, *stems: str) -> Recording:
+    other = {side + stem: twin + stem for stem in stems for side, twin in ("LR", "RL")}
+    return replace(walk, labels=tuple(other.get(label, label) for label in walk.labels))
+
+
+@pytest.mark.parametrize("stems", [("KNE",), ("HEE",), ("HEE", "TOE"), ("ASI", "THI", "KNE", "TIB", "ANK", "HEE", "TOE")])
+def test_names_of_the_other_side_are_told_before_anybody_believes_a_side(stems: tuple[str, ...]) -> None:
+    walk = simulate_walks(1, frames=300, markers="helen-hayes", seed=4)[0]
+    assert not [one for one in analyse_gait(walk).findings if one.code == "clinical-sides-exchanged"]
+    (found,) = [one for one in analyse_gait(exchanged(walk, *stems)).findings if one.code == "clinical-sides-exchanged"]
+    assert f"L{stems[0]}" in found.sentence or len(stems) > 4
+    assert set(exchanged_pairs(exchanged(walk, *stems))) == set(stems)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_mirror_image_is_told_in_gait_and_in_motion(axis: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    walk = simulate_walks(1, frames=200, markers="helen-hayes", seed=4)[0]
+    factors = np.ones(3)
+    factors[axis] = -1.0
+    asterism.write(tmp_path / "walk.c3d", replace(walk, positions=walk.positions * factors))
+    for command in ("gait", "motion"):
+        assert main([command, str(tmp_path / "walk.c3d")]) == 1
+        assert "clinical-sides-exchanged" in capsys.readouterr().err
+
+
+def test_a_walk_backwards_has_no_events_rather_than_those_of_a_treadmill() -> None:
+    walk = stepping()
+    back = replace(walk, positions=walk.positions[::-1].copy())
+    analysis = analyse_gait(back)
+    assert (analysis.walking.events, analysis.walking.treadmill, analysis.parameters) == ((), False, ())
+    assert [one.code for one in analysis.findings] == ["gait-backwards", "gait-no-angles"]
+    assert not find_events(stepping(treadmill=True)).feet.backwards
+
+
+@pytest.mark.filterwarnings("error")
+def test_markers_that_are_seen_for_half_of_the_time_or_hardly_ever() -> None:
+    walk = stepping()
+    positions = walk.positions.copy()
+    positions[len(walk) // 2 :] = np.nan
+    assert find_events(replace(walk, positions=positions)).events
+    positions[5:] = np.nan
+    with pytest.raises(AsterismError, match=r"LHEE.* in ten frames or fewer"):
+        find_events(replace(walk, positions=positions))

@@ -110,6 +110,7 @@ def motion(options: MotionOptions) -> None:
     """
     from asterism.cli._folders import recordings_of
     from asterism.motion.analysis import MotionRules, analyse_motion
+    from asterism.motion.clinical import exchanged_finding
     from asterism.motion.uncertainty import estimate_uncertainty
 
     _console.check_outputs([options.report, options.json, options.output], [*options.files, options.rig], options.overwrite)
@@ -135,7 +136,8 @@ def motion(options: MotionOptions) -> None:
                     certain = estimate_uncertainty(analysis, _sources(options, cameras, analysis), seed=options.seed, **trials)
                     legs = _clinical.certain(recording, clinical, _of_legs(options, cameras, recording, certain), options.seed, trials)
             # what is uncertain about the angles is said beside what is wrong with the points
-            for finding in [*analysis.findings, *(certain.findings if certain else ())]:
+            sides = exchanged_finding(recording) if clinical is not None else []
+            for finding in [*analysis.findings, *sides, *(certain.findings if certain else ())]:
                 batch.found(finding)
             results.append(MotionResult(path, analysis, certain, clinical, legs))
             if options.json != "-":

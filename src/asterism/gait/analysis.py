@@ -12,7 +12,7 @@ from asterism.findings import Finding, Severity
 from asterism.gait.cycles import Cycle, cycles_of, over_cycle
 from asterism.gait.events import Walking, find_events
 from asterism.gait.parameters import Parameter, parameters_of
-from asterism.motion.clinical import ClinicalAngles, SubjectMeasures, clinical_angles, complete_legs
+from asterism.motion.clinical import ClinicalAngles, SubjectMeasures, clinical_angles, complete_legs, exchanged_finding
 from asterism.recording import Floats, ForcePlate, Recording
 
 CURVES = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress", "Thorax", "Spine")
@@ -54,8 +54,12 @@ def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measur
     """
     walking = find_events(recording, plates)
     cycles = tuple(cycles_of(walking))
-    file, found = str(recording.metadata.get("file", "the recording")), []
-    if not cycles:
+    file, found = str(recording.metadata.get("file", "the recording")), exchanged_finding(recording)
+    if walking.feet.backwards:
+        sentence = f"{file}: the person goes where the heels point, so that no events are given; they are told of people who walk forwards."
+        mend = "Look whether heels and toes carry each other's names, or the time runs backwards; a walk backwards has no events here."
+        found.append(Finding("gait-backwards", Severity.WARNING, file, sentence, mend))
+    elif not cycles:
         found.append(
             Finding(
                 "gait-no-cycle",

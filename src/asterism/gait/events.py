@@ -81,7 +81,8 @@ def find_events(recording: Recording, plates: Sequence[ForcePlate] = (), rules: 
 
     A heel is farthest ahead of the pelvis just before it strikes, a toe farthest behind about when it leaves (Zeni et al. 2008). "Ahead"
     is where the feet point, so that turns and treadmills count as straight walks do. Events that break the order strike, off, strike
-    are left out, the less certain first. O(T). Raises AsterismError where the feet's or the pelvis' markers are missing.
+    are left out, the less certain first. Of a person who walks backwards there are none
+    (`Feet.backwards`). O(T). Raises AsterismError where the feet's or the pelvis' markers are missing.
 
     >>> from asterism.simulation import simulate_walks
     >>> walking = find_events(simulate_walks(1, frames=300, markers="helen-hayes", seed=0)[0])
@@ -90,6 +91,9 @@ def find_events(recording: Recording, plates: Sequence[ForcePlate] = (), rules: 
     """
     rules = rules or EventRules()
     feet = feet_of(recording)
+    if feet.backwards:
+        # a heel that goes first strikes last: none of the rules holds
+        return Walking((), feet, treadmill=False)
     found = [event for side in feet.sides for event in _by_markers(feet, side, rules)]
     last = float(feet.times[-1])
     for event in _by_plates(recording, feet, plates, rules):

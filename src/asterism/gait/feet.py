@@ -47,6 +47,15 @@ class Feet:
         return np.asarray(((points - self.pelvis)[:, :2] * self.ahead).sum(axis=1))
 
     @property
+    def backwards(self) -> bool:
+        """Whether the pelvis goes back by more than a leg's length in all, and most of its way.
+
+        A person who stands or walks on a treadmill goes less than half a leg length to and fro; a single step back is a third of it.
+        """
+        ways = (np.diff(self.pelvis[:, :2], axis=0) * self.ahead[1:]).sum(axis=1)
+        return float(-ways.sum()) > max(self.leg_length, 0.5 * float(np.linalg.norm(np.diff(self.pelvis[:, :2], axis=0), axis=1).sum()))
+
+    @property
     def sides(self) -> tuple[str, ...]:
         """Those with heel and toe."""
         return tuple(self.heels)
@@ -60,9 +69,14 @@ def feet_of(recording: Recording) -> Feet:
     positions = rotate_z_up(recording.positions, recording.vertical)
     names = [label.rpartition(":")[2].upper().replace(".", "").replace("_", "") for label in recording.labels]
 
+    hidden = list[str]()
+
     def curve(name: str) -> Floats | None:
         own = positions[:, names.index(name)] if name in names else None
-        return own if own is not None and np.isfinite(own).all(axis=1).sum() > 10 else None
+        if own is not None and np.isfinite(own).all(axis=1).sum() <= 10:
+            hidden.append(name)
+            return None
+        return own
 
     def first(side: str, choices: tuple[tuple[str, ...], ...]) -> Floats | None:
         for choice in choices:
@@ -74,14 +88,19 @@ def feet_of(recording: Recording) -> Feet:
     feet = {side: (heel, toe) for side in SIDES if (heel := first(side, HEEL)) is not None and (toe := first(side, TOE)) is not None}
     hips = [found for name in PELVIS if (found := curve(name)) is not None]
     file = recording.metadata.get("file", "the recording")
+    if hidden and not (feet and hips):
+        raise AsterismError(
+            f"{file} shows {', '.join(dict.fromkeys(hidden))} in ten frames or fewer; gait events need a longer recording of them."
+        )
     if not feet:
         raise AsterismError(f"{file} has no foot with a heel and a toe marker (such as LHEE and LTOE); gait events need them.")
     if not hips:
         raise AsterismError(f"{file} has no marker of the pelvis ({', '.join(PELVIS[:5])}); gait events need one.")
     times = np.arange(0.0, (len(recording) - 1) / recording.rate + 1e-9, 1.0 / RATE)
     smooth = {side: [_smooth(part, recording.rate, times, CUT_OFF) for part in pair] for side, pair in feet.items()}
-    with np.errstate(invalid="ignore"):
-        pelvis = _smooth(np.nanmean(hips, axis=0), recording.rate, times, 6.0)
+    middle = np.nansum(hips, axis=0) / np.maximum(np.isfinite(hips).sum(axis=0), 1)
+    middle[~np.isfinite(hips).any(axis=0)] = np.nan
+    pelvis = _smooth(middle, recording.rate, times, 6.0)
     pointing = sum(toe - heel for heel, toe in smooth.values())[:, :2]  # type: ignore[index]
     ahead = _unit(_low_pass(_unit(pointing), RATE, TURNING))
     heels, toes = ({side: pair[which] for side, pair in smooth.items()} for which in (0, 1))

@@ -1,6 +1,7 @@
 """A recording with the markers of a gait laboratory in; Plug-in-Gait's angles, and how certain they are, out."""
 
 from asterism.motion.clinical.angles import CLINICAL, ClinicalAngles, ClinicalJoint, clinical_angles, complete_legs
+from asterism.motion.clinical.exchanged import exchanged_finding, exchanged_pairs
 from asterism.motion.clinical.measures import LegMeasures, SubjectMeasures, leg_measures, subject_measures
 from asterism.motion.clinical.plug_in_gait import Leg, LowerBody, lower_body
 from asterism.motion.clinical.static import StaticRules, with_static_offsets
@@ -28,6 +29,8 @@ __all__ = [
     "clinical_angles",
     "clinical_uncertainty",
     "complete_legs",
+    "exchanged_finding",
+    "exchanged_pairs",
     "leg_measures",
     "lower_body",
     "subject_measures",
