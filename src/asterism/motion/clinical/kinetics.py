@@ -66,7 +66,10 @@ ABOUT_CENTRE = KineticRules(Segment(0.1, 0.433, 0.323), Segment(0.0465, 0.433, 0
 
 @dataclass(frozen=True)
 class PlateContact:
-    """From `begins` to `ends` (s from the first frame) a plate, by its number, is loaded; by the foot `side` alone, or None: by no one foot."""
+    """A plate, by its number, is loaded from `begins` to `ends` (s from the first frame).
+
+    side  "L" or "R", the foot that is alone on it; None where it is not one foot
+    """
 
     plate: int
     side: str | None
@@ -81,7 +84,7 @@ class Kinetics:
     moments   such as "LKneeMoment" -> (T, 3) N m/kg in the axes of the segment below: extension (of the ankle: plantar flexion) first
     powers    such as "LKneePower" -> (T,) W/kg, positive where the joint does work
     ground    such as "LGroundReactionForce" -> (T, 3) N/kg, on the foot: ahead and to the left of the way that the person walks, upwards
-    per_kg    False where nobody gave the mass: then these are N m, W and N, of the ground's forces alone
+    per_kg    False where nobody gave the mass: then these are N m, W and N, in stance, of the ground's forces alone
     findings  steps that were left out, and why
 
     NaN where it is not known what acts on the foot, or a marker is missing.
@@ -129,9 +132,8 @@ def inverse_dynamics(
     for side, leg in body.legs.items():
         if leg.foot is None:
             continue
-        grounds, left_out = _under(recording, side, at_frames, contacts, swings.get(side, ()))
+        (force, moment), left_out = _under(recording, side, at_frames, contacts, swings.get(side, ()) if measures.mass else ())
         found += [_bad_step(file, side, contact, why) for contact, why in left_out]
-        force, moment = grounds
         mass = measures.mass or 0.0
         per = measures.mass or 1.0
         for joint, (about, below, above) in _joints(recording, body, side, rules, mass, force, moment).items():
@@ -246,7 +248,8 @@ def _joints(
         weight = segment.mass * mass
         pull = weight * (second_derivative(upper + segment.centre * arm, rate) - GRAVITY) - pushed
         inertia = weight * (segment.radius * median_of(np.linalg.norm(arm, axis=1))) ** 2
-        about = _spin(axes, inertia, rate, rules) + np.cross(segment.centre * arm, pull) - np.cross((1 - segment.centre) * arm, pushed) - turned
+        levers = np.cross(segment.centre * arm, pull) - np.cross((1 - segment.centre) * arm, pushed)
+        about = _spin(axes, inertia, rate, rules) + levers - turned
         out[joint] = (about, axes, above)
         pushed, turned = -pull, -about
     return out
