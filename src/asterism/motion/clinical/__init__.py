@@ -7,7 +7,7 @@ from asterism.motion.clinical.kinetics import (
     KineticRules,
     Kinetics,
     PlateContact,
-    Segment,
+    SegmentInertia,
     inverse_dynamics,
 )
 from asterism.motion.clinical.measures import LegMeasures, SubjectMeasures, leg_measures, subject_measures
@@ -35,7 +35,7 @@ __all__ = [
     "LegMeasures",
     "LowerBody",
     "PlateContact",
-    "Segment",
+    "SegmentInertia",
     "SkinMotion",
     "StaticRules",
     "SubjectMeasures",

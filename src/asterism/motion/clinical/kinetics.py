@@ -34,7 +34,7 @@ _ORDERS = {
 
 
 @dataclass(frozen=True)
-class Segment:
+class SegmentInertia:
     """Inertia of a segment: mass, of the body's; centre, of the length from the upper joint; radius of gyration, of the length."""
 
     mass: float
@@ -54,14 +54,14 @@ class KineticRules:
                         a power's peak of 0.1 s is lower by a tenth
     """
 
-    thigh: Segment = Segment(0.1, 0.433, 0.540)
-    shank: Segment = Segment(0.0465, 0.433, 0.528)
-    foot: Segment = Segment(0.0145, 0.5, 0.690)
+    thigh: SegmentInertia = SegmentInertia(0.1, 0.433, 0.540)
+    shank: SegmentInertia = SegmentInertia(0.0465, 0.433, 0.528)
+    foot: SegmentInertia = SegmentInertia(0.0145, 0.5, 0.690)
     foot_length: float = 4.0 / 3.0
     turning: float = 0.02
 
 
-ABOUT_CENTRE = KineticRules(Segment(0.1, 0.433, 0.323), Segment(0.0465, 0.433, 0.302), Segment(0.0145, 0.5, 0.475))
+ABOUT_CENTRE = KineticRules(SegmentInertia(0.1, 0.433, 0.323), SegmentInertia(0.0465, 0.433, 0.302), SegmentInertia(0.0145, 0.5, 0.475))
 
 
 @dataclass(frozen=True)
