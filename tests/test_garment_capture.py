@@ -11,9 +11,12 @@ import pytest
 from garment_scenes import arm_rig, photos, sleeve, true_positions
 
 import asterism
+from asterism.cameras import Rig
 from asterism.errors import AsterismError
+from asterism.files.journal import Journal
 from asterism.garment.capture import Capture, capture
 from asterism.garment.dense import DenseTrajectories
+from asterism.garment.first_images import check_first_images
 from asterism.garment.footage import colour_footage
 from asterism.simulation.garment import SimulatedCircles, simulated_reading
 
@@ -49,6 +52,11 @@ def captured(change=lambda t, c, circles: circles, **options) -> Capture:
         return change(int(image[0, 0, 0]), int(image[0, 0, 1]), read(image))
 
     return capture(arm_rig(), sleeve().pattern, options.pop("moments", moments()), changed, **options)
+
+
+def rig_of_images(width: int, height: int) -> Rig:
+    """The rig, as if its images had this size."""
+    return replace(arm_rig(), cameras=tuple(replace(camera, size=(width, height)) for camera in arm_rig()))
 
 
 def codes(made: Capture) -> set[str]:
@@ -168,7 +176,7 @@ def test_images_of_cameras_are_put_in_the_rigs_order(tmp_path) -> None:
         for t in (3, 4, 6):
             if (name, t) != ("c3", 4):
                 cv2.imwrite(str(tmp_path / name / f"im{t:03d}.png"), tagged(t, c))
-    footage = colour_footage([tmp_path], arm_rig())
+    footage = colour_footage([tmp_path], rig_of_images(2, 2))
     assert footage.names == ("c1", "c2", "c3") and len(footage) == 3 and footage.sizes() == [(2, 2)] * 3
     got = [(number, [None if image is None else image[0, 0, :2].tolist() for image in images]) for number, images in footage]
     assert got == [(3, [[3, 2], [3, 0], [3, 1]]), (4, [[4, 2], [4, 0], None]), (6, [[6, 2], [6, 0], [6, 1]])]
@@ -182,7 +190,7 @@ def test_single_images_are_one_moment(tmp_path) -> None:
     for c, name in enumerate(("c1", "c2", "c3")):
         (tmp_path / name).mkdir()
         cv2.imwrite(str(tmp_path / name / f"shot{c + 7}.png"), tagged(0, c))
-    footage = colour_footage([tmp_path / "c1", tmp_path / "c2", tmp_path / "c3"], arm_rig())
+    footage = colour_footage([tmp_path / "c1", tmp_path / "c2", tmp_path / "c3"], rig_of_images(2, 2))
     assert len(footage) == 1
     (_, images) = next(iter(footage))
     assert [image[0, 0, 1] for image in images] == [0, 1, 2]
@@ -212,6 +220,119 @@ def test_a_video_is_read_in_step(tmp_path) -> None:
         for t in range(count):
             film.write(np.full((16, 32, 3), 40 * t + 10, dtype=np.uint8))
         film.release()
-    for number, images in colour_footage([tmp_path / f"c{c}.avi" for c in (1, 2, 3)], arm_rig()):
+    for number, images in colour_footage([tmp_path / f"c{c}.avi" for c in (1, 2, 3)], rig_of_images(32, 16)):
         assert [image is None for image in images] == [False, number >= 3, False]
         assert all(abs(float(image.mean()) - (40 * number + 10)) < 6 for image in images if image is not None)
+
+
+def kept_in(path, work: str = "walk") -> Journal:
+    return Journal(path, work)
+
+
+def broken_off(path, after: int) -> None:
+    """A capture that is interrupted while moment `after` is read."""
+    journal = kept_in(path)
+
+    def interrupted(image: np.ndarray) -> SimulatedCircles:
+        if image[0, 0, 0] == after:
+            raise KeyboardInterrupt
+        return read(image)
+
+    with pytest.raises(KeyboardInterrupt):
+        capture(arm_rig(), sleeve().pattern, moments(), interrupted, journal=journal)
+    journal.close()
+
+
+def test_a_capture_that_was_broken_off_goes_on_and_comes_out_the_same(tmp_path) -> None:
+    broken_off(tmp_path / "a", after=4)
+    read_again: list[tuple[int, int]] = []
+
+    def watched(t: int, c: int, circles: SimulatedCircles) -> SimulatedCircles:
+        read_again.append((t, c))
+        return circles
+
+    journal = kept_in(tmp_path / "a")
+    again, whole = captured(watched, journal=journal), captured()
+    assert journal.kept == 4 and {t for t, _ in read_again} == {4, 5, 6}
+    np.testing.assert_array_equal(again.trajectories.positions, whole.trajectories.positions)
+    np.testing.assert_array_equal(again.trajectories.covariance, whole.trajectories.covariance)
+    np.testing.assert_array_equal(again.read, whole.read)
+    journal.remove()
+    assert not (tmp_path / "a").exists()
+
+
+def test_steps_of_other_work_are_not_used_and_half_a_step_is_done_again(tmp_path) -> None:
+    broken_off(tmp_path / "a", after=3)
+    whole = (tmp_path / "a").read_bytes()
+    for end in range(len(whole) - 1, 0, -1009):
+        (tmp_path / "a").write_bytes(whole[:end])
+        journal = kept_in(tmp_path / "a")
+        assert journal.kept <= 2
+        journal.close()
+    damaged = bytearray(whole)
+    damaged[-100] ^= 1
+    (tmp_path / "a").write_bytes(damaged)
+    journal = kept_in(tmp_path / "a")
+    assert journal.kept == 2
+    with pytest.raises(AsterismError, match="another run"):
+        kept_in(tmp_path / "a")
+    journal.close()
+    journal = kept_in(tmp_path / "a", "run")
+    assert journal.kept == 0 and journal.other
+    journal.close()
+    (tmp_path / "b").write_text("a diary that has this name by chance, and is long enough for a beginning of steps")
+    with pytest.raises(AsterismError, match="move it elsewhere"):
+        kept_in(tmp_path / "b")
+    assert (tmp_path / "b").read_text().startswith("a diary")
+
+
+def test_a_journal_that_cannot_be_written_costs_no_work(tmp_path) -> None:
+    journal = kept_in(tmp_path / "none" / "a")
+    assert len(captured(journal=journal).frames) == FRAMES and journal.lost
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_image_that_fails_costs_itself(workers: int) -> None:
+    def failing(t: int, c: int, circles: SimulatedCircles) -> SimulatedCircles:
+        if (t, c) == (2, 1):
+            raise ValueError("no such shape")
+        return circles
+
+    made, whole = captured(failing, workers=workers), captured()
+    assert [(f.code, f.where) for f in made.findings] == [("garment-image-failed", "c2")]
+    assert "camera c2, frame 102" in made.findings[0].sentence and "no such shape" in made.findings[0].sentence
+    np.testing.assert_array_equal(np.delete(made.points, 2), np.delete(whole.points, 2))
+    assert 0 < made.points[2] < whole.points[2]
+
+    def broken(t: int, c: int, circles: SimulatedCircles) -> SimulatedCircles:
+        raise ValueError("no such shape")
+
+    with pytest.raises(AsterismError, match="no such shape"):
+        captured(broken)
+
+
+def test_an_image_of_another_size_or_with_a_false_header_costs_itself(tmp_path) -> None:
+    rig = rig_of_images(64, 48)
+    for name in rig.names:
+        (tmp_path / name).mkdir()
+        for t in range(3):
+            cv2.imwrite(str(tmp_path / name / f"{t}.png"), np.zeros((48, 64, 3), dtype=np.uint8))
+    cv2.imwrite(str(tmp_path / "c1" / "0.png"), np.zeros((24, 32, 3), dtype=np.uint8))
+    content = bytearray((tmp_path / "c2" / "1.png").read_bytes())
+    content[16:24] = (200_000).to_bytes(4, "big") * 2
+    (tmp_path / "c2" / "1.png").write_bytes(content)
+    footage = colour_footage([tmp_path], rig)
+    check_first_images(footage, sleeve().pattern, rig)
+    assert [[image is None for image in images] for _, images in footage] == [
+        [True, False, False],
+        [False, True, False],
+        [False, False, False],
+    ]
+    assert {(f.code, f.where) for f in footage.findings} == {
+        ("garment-image-size", str(tmp_path / "c1" / "0.png")),
+        ("garment-image-unreadable", str(tmp_path / "c2" / "1.png")),
+    }
+    # a second one is no slip
+    cv2.imwrite(str(tmp_path / "c1" / "1.png"), np.zeros((24, 32, 3), dtype=np.uint8))
+    with pytest.raises(AsterismError, match="c1 are 32 x 24, the rig was calibrated for 64 x 48"):
+        check_first_images(colour_footage([tmp_path], rig), sleeve().pattern, rig)

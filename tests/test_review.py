@@ -257,7 +257,7 @@ def test_what_the_file_says_is_kept_when_asked(folder: Path, capsys: pytest.Capt
     shares, verdict = capsys.readouterr().out.splitlines()
     assert (
         shares.endswith("100.00 % labelled, 0.00 % likely, 0.00 % unsure, 0.00 % hidden; ready")
-        and verdict == "No piece of a track needs a look."
+        and verdict == "No piece of a track stands out."
     )
 
 

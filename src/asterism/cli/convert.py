@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +14,10 @@ from asterism.cli._command import takes
 from asterism.cli._options import ForProgram, Json, Markers, Overwrite, Vertical, marker_names, vertical_axis
 from asterism.errors import AsterismError
 from asterism.findings import Finding, exit_status
+
+if TYPE_CHECKING:
+    from asterism.motion.gaps import Filled
+    from asterism.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -24,6 +29,13 @@ class ConvertOptions:
     markers: Markers = None
     vertical: Vertical = None
     program: ForProgram = None
+    fill: Annotated[
+        str,
+        typer.Option(
+            metavar="none|auto|MM",
+            help="Fill the gaps of named markers whose 95 % interval is within MM to either side; auto is 10 mm.",
+        ),
+    ] = "none"
     overwrite: Overwrite = False
     json: Json = None
 
@@ -37,6 +49,8 @@ def convert(options: ConvertOptions) -> None:
     What the other format cannot carry is named on standard error.
     --for turns the recording as the next program takes it: opensim TRC with y up, visual3d and blender C3D with z up.
     For opensim the force plates of a C3D file go beside it: OUT_grf.mot, and OUT_grf.xml with the foot on which each acts.
+    --fill fills gaps from the markers around them. In C3D a filled sample has the residual 0 or, where measured samples have that, too, its
+    standard deviation, and no camera; the processing log names all filled gaps. What is too uncertain stays missing, and is said.
     """
     from asterism import formats
     from asterism.cli._recordings import is_rig, not_carried
@@ -46,11 +60,25 @@ def convert(options: ConvertOptions) -> None:
     _console.check_new(options.json, options.overwrite)
     for beside in formats.companions(target) if options.program is not None and options.program.value == "opensim" else ():
         _console.check_new(beside, options.overwrite)
-    axis, wanted = vertical_axis(options.vertical), marker_names(options.markers)
+    axis, wanted, limit = vertical_axis(options.vertical), marker_names(options.markers), _limit(options.fill)
+    fill: Filled | None = None
     findings: list[Finding] = []
     # rigs and recordings share suffixes, so that this is asked first
     if is_rig(source):
-        findings, lost = _convert_rig(source, target, axis, wanted if options.program is None else options.program)
+        findings, lost = _convert_rig(
+            source, target, axis, next((one for one in (wanted, options.program, limit) if one is not None), None)
+        )
+    elif limit is not None:
+        recording = formats.read(source, wanted, axis)
+        fill = _filled(recording, limit)
+        findings = [*recording.warnings, *fill.findings]
+        if options.program is not None:
+            lost = formats.write_for_program(fill.recording, options.program.value, target)
+        else:
+            lost = formats.write(target, fill.recording)
+        # Tables have no place for it, and a guess that looks measured misleads.
+        if fill.gaps and target.suffix.lower() not in (".c3d", ".npz"):
+            lost = [*lost, "which samples were filled"]
     elif options.program is not None:
         recording = formats.read(source, wanted, axis)
         findings = list(recording.warnings)
@@ -65,7 +93,7 @@ def convert(options: ConvertOptions) -> None:
     for finding in findings:
         _console.report(finding)
     if options.json != "-":
-        _console.result(f"{source} -> {target}")
+        _console.result(f"{source} -> {target}{'' if fill is None else ': ' + _filled_text(fill)}")
     _console.write_json(
         options.json,
         {
@@ -73,11 +101,45 @@ def convert(options: ConvertOptions) -> None:
             "file": source,
             "output": target,
             "for": options.program,
+            "filled": None if fill is None else _as_values(fill),
             "not_carried": lost,
             "findings": [finding.to_dict() for finding in findings],
         },
     )
     raise typer.Exit(exit_status(findings))
+
+
+def _limit(fill: str) -> float | None:
+    """The limit of the 95 % interval in m, None where nothing is to be filled. Raises AsterismError where it is none of these."""
+    if fill in ("none", "auto"):
+        return None if fill == "none" else 0.010
+    try:
+        limit = float(fill) / 1000.0
+    except ValueError:
+        limit = math.nan
+    if not (math.isfinite(limit) and limit > 0.0):
+        raise AsterismError(f"--fill {fill}: give none, auto, or the largest uncertainty in mm, such as --fill 5.")
+    return limit
+
+
+def _filled(recording: Recording, limit: float) -> Filled:
+    from asterism import __version__
+    from asterism.motion.gaps import fill_gaps
+
+    with _console.progress("filling gaps") as progress:
+        return fill_gaps(recording, limit=limit, by=f"asterism {__version__}", progress=progress)
+
+
+def _filled_text(fill: Filled) -> str:
+    if not fill.gaps:
+        return "no gap filled"
+    gaps = "1 gap" if fill.gaps == 1 else f"{fill.gaps} gaps"
+    return f"{gaps} ({int(fill.filled.sum())} samples) filled, each within {1000.0 * fill.reach:.1f} mm (95 %)"
+
+
+def _as_values(fill: Filled) -> dict[str, Any]:
+    markers = [{"marker": label, "samples": many, "largest_deviation_m": most} for label, (many, most) in fill.by_marker().items()]
+    return {"gaps": fill.gaps, "markers": markers}
 
 
 def _convert_rig(source: Path, target: Path, vertical: Any, markers: Any) -> tuple[list[Finding], list[str]]:
@@ -87,7 +149,7 @@ def _convert_rig(source: Path, target: Path, vertical: Any, markers: Any) -> tup
     from asterism.recording import as_vertical
 
     if markers is not None:
-        raise AsterismError(f"{source} is a rig and has no markers; leave out --markers and --for.")
+        raise AsterismError(f"{source} is a rig and has no markers; leave out --markers, --for and --fill.")
     rig = read_rig(source)
     # a guess that is written down looks like a fact in the next program
     findings = assumptions(source, rig)

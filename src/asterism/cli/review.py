@@ -189,7 +189,7 @@ def _print(found: _Review) -> None:
         f"{counted(found.pieces, 'piece')} of tracks to look at, with {found.gain:,.1f} samples expected to be wrong or missing; "
         f"{listed:,.1f} of these are in the {counted(len(rows), 'piece')} listed."
         if found.pieces
-        else "No piece of a track needs a look."
+        else "No piece of a track stands out."
     )
 
 

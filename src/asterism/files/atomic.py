@@ -107,12 +107,12 @@ def _new_temporary(target: Path, mode: int) -> tuple[Path, int]:
         except FileExistsError:
             continue
         # Another program may have taken it for a left one before it was held.
-        if _holds(handle) in (True, None) and os.path.exists(temporary):
+        if holds(handle) in (True, None) and os.path.exists(temporary):
             return temporary, handle
         os.close(handle)
 
 
-def _holds(handle: int) -> bool | None:
+def holds(handle: int) -> bool | None:
     """Whether a file is held by this handle from now on until it is closed; None where the system does not tell."""
     if fcntl is None:
         return None
@@ -156,7 +156,7 @@ def remove_unfinished(target: Path) -> None:
         with suppress(OSError):
             handle = os.open(path, os.O_WRONLY | getattr(os, "O_NOFOLLOW", 0))
             try:
-                left = _holds(handle)
+                left = holds(handle)
                 if left:
                     path.unlink(missing_ok=True)
             finally:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from asterism.cameras import Rig
 from asterism.errors import AsterismError
+from asterism.files.journal import Journal
 from asterism.findings import Finding, Severity
 from asterism.garment.dense import DensePoints, DenseRules, DenseTrajectories, UsedCircles, dense_trajectories
 from asterism.garment.dense.points import CircleRays, circle_rays, ray_points, ray_scale
@@ -84,7 +86,7 @@ class Capture:
         }
 
 
-def capture(
+def capture(  # noqa: PLR0913 -- five are about how it runs, not about what
     rig: Rig,
     pattern: Pattern,
     moments: Iterable[Moment],
@@ -93,6 +95,7 @@ def capture(
     rate: float = 10.0,
     rules: CaptureRules | None = None,
     workers: int = 1,
+    journal: Journal | None = None,
     progress: Progress | None = None,
 ) -> Capture:
     """Read the images of each moment, and reconstruct the garment's points.
@@ -100,16 +103,19 @@ def capture(
     moments  number and images (h, w, 3) uint8 of each, one per camera in the rig's order, None where there is none
     read     what one image shows; called from several threads where there are several workers
     rate     moments per second
+    journal  what was read of each moment is kept there; moments that it holds are not read again
     progress is told the share that is done where `moments` has a length, else 0
 
-    The result does not depend on the number of workers. Points that the cloth contradicts are left out. Memory: the images of
-    `rules.together` moments, and the points of all. Raises AsterismError where there is no moment, or where no image shows an identity.
+    The result does not depend on the number of workers, nor on the journal. Points that the cloth contradicts are left out. An image that
+    `read` fails on is left out, which is a finding. Memory: the images of `rules.together` moments, and the points of all. Raises
+    AsterismError where there is no moment, or where no image shows an identity.
     """
     rules = rules or CaptureRules()
     frames: list[int] = []
     found: list[DensePoints] = []
     counts: list[list[int]] = []
     crowded = np.zeros(len(rig), dtype=np.int64)
+    failures: list[Finding] = []
     # The factor on the centres' errors comes from the first moments; these wait for it, and all later ones need not.
     first: list[Future[CircleRays]] = []
     under_way: deque[Future[DensePoints]] = deque()
@@ -125,10 +131,11 @@ def capture(
                 progress(min(1.0, len(found) / total) if total else 0.0, f"frame {frames[len(found) - 1]}: {len(found[-1])} points")
 
     with _pool(workers) as pool:
-        for number, circles in _readings(moments, read, max(1, ahead), pool):
+        for number, circles in _readings(moments, read, max(1, ahead), pool, journal):
             frames.append(number)
-            counts.append([0 if one is None else int((np.asarray(one.ids) >= 0).sum()) for one in circles])
-            crowded += [any(f.code == "garment-many-circles" for f in getattr(one, "findings", ())) for one in circles]
+            counts.append([int((one.ids >= 0).sum()) for one in circles])
+            crowded += [one.crowded for one in circles]
+            failures += [_failure(name, number, one.failed) for name, one in zip(rig.names, circles, strict=True) if one.failed]
             rays = pool.submit(_rays, rig, circles, rules)
             if scale is not None:
                 under_way.append(pool.submit(_points, rig, pattern, rays, rules, scale))
@@ -147,6 +154,8 @@ def capture(
         raise AsterismError("there is no image to read; name videos, or folders of images, one for each camera.")
     read_of = np.array(counts, dtype=np.int64)
     if not read_of.any():
+        if failures:
+            raise AsterismError(f"no circle of this garment was identified; {failures[0].sentence}")
         raise AsterismError(
             f"no circle of this garment was identified in any of {len(frames)} frames of {len(rig)} cameras; try asterism garment check on "
             "one image, which says why."
@@ -155,17 +164,56 @@ def capture(
     seen = np.array([one.seen for one in found], dtype=np.int64)
     vertical = None if rig.vertical is None else rig.vertical
     trajectories = dense_trajectories(found, rate, vertical)
-    findings = (*_crowds(rig, crowded, len(frames)), *_findings(rig, found, read_of, scale or 1.0, rules))
+    findings = (*failures, *_crowds(rig, crowded, len(frames)), *_findings(rig, found, read_of, scale or 1.0, rules))
     return Capture(trajectories, np.array(frames, dtype=np.int64), points, seen, read_of, scale or 1.0, findings)
 
 
 @dataclass(frozen=True)
-class _Nothing:
-    """An image that is not there."""
+class _Reading:
+    """What is used and kept of one image; without circles where there is no image, or where it failed."""
 
     centres: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
     covariance: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2, 2)))
     ids: NDArray[np.int32] = field(default_factory=lambda: np.empty(0, dtype=np.int32))
+    axes: NDArray[np.float64] | None = None
+    crowded: bool = False
+    failed: str = ""
+
+    @classmethod
+    def of(cls, reading: Future[UsedCircles] | None) -> _Reading:
+        """What came of reading an image."""
+        if reading is None:
+            return cls()
+        try:
+            read = reading.result()
+        # Whatever is wrong with one image must not cost the others, which took hours to film.
+        except Exception as problem:
+            return cls(failed=" ".join(str(problem).split()) or type(problem).__name__)
+        crowded = any(finding.code == "garment-many-circles" for finding in getattr(read, "findings", ()))
+        return cls(
+            np.asarray(read.centres), np.asarray(read.covariance), np.asarray(read.ids), getattr(read, "axes", None), crowded
+        )  # fmt: skip
+
+    def arrays(self) -> list[NDArray[Any]]:
+        """The same as arrays, for a journal."""
+        failed = np.frombuffer(self.failed.encode(), dtype=np.uint8)
+        axes = np.empty((0, 3)) if self.axes is None else np.asarray(self.axes)
+        return [self.centres, self.covariance, self.ids, axes, np.array([self.crowded, self.axes is not None]), failed]
+
+    @classmethod
+    def from_arrays(cls, arrays: Sequence[NDArray[Any]]) -> _Reading:
+        """What `arrays` gave."""
+        centres, covariance, ids, axes, (crowded, with_axes), failed = arrays
+        return cls(centres, covariance, ids, axes if with_axes else None, bool(crowded), failed.tobytes().decode())
+
+
+_ARRAYS = 6
+"""Arrays of a reading."""
+
+
+def _failure(camera: str, frame: int, why: str) -> Finding:
+    sentence = f"the image of camera {camera}, frame {frame}, cannot be read ({why.rstrip('.')}); it was left out."
+    return Finding("garment-image-failed", Severity.WARNING, camera, sentence, "Look at it with asterism garment check.")
 
 
 class _Here(Executor):
@@ -173,30 +221,50 @@ class _Here(Executor):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         done: Future[Any] = Future()
-        done.set_result(fn(*args, **kwargs))
+        try:
+            done.set_result(fn(*args, **kwargs))
+        except Exception as problem:
+            done.set_exception(problem)
         return done
 
 
-def _pool(workers: int) -> Executor:
-    return ThreadPoolExecutor(workers) if workers > 1 else _Here()
+@contextmanager
+def _pool(workers: int) -> Iterator[Executor]:
+    pool: Executor = ThreadPoolExecutor(workers) if workers > 1 else _Here()
+    try:
+        yield pool
+    finally:
+        # After an interruption nobody waits for images that have not begun.
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _readings(moments: Iterable[Moment], read: Reader, together: int, pool: Executor) -> Iterator[tuple[int, list[UsedCircles | None]]]:
+def _readings(
+    moments: Iterable[Moment], read: Reader, together: int, pool: Executor, journal: Journal | None
+) -> Iterator[tuple[int, list[_Reading]]]:
     """What was read of each moment, in order; the images of a few moments are with the workers at a time, so that none has to wait."""
-    coming = iter(moments)
+    coming, kept, begun = iter(moments), 0 if journal is None else journal.kept, 0
     under_way: deque[tuple[int, list[Future[UsedCircles] | None]]] = deque()
     while True:
         for number, group in islice(coming, together - len(under_way)):
-            # One image per task, so that the cameras of a moment are read side by side.
-            under_way.append((number, [None if image is None else pool.submit(read, image) for image in group]))
+            begun += 1
+            # One image per task, so that the cameras of a moment are read side by side. What is kept is not read again.
+            under_way.append((number, [None if image is None or begun <= kept else pool.submit(read, image) for image in group]))
         if not under_way:
             return
         number, reads = under_way.popleft()
-        yield number, [None if one is None else one.result() for one in reads]
+        yield number, _kept(reads, journal)
 
 
-def _rays(rig: Rig, circles: Sequence[UsedCircles | None], rules: CaptureRules) -> CircleRays:
-    return circle_rays(rig, [_Nothing() if one is None else one for one in circles], rules.dense)
+def _kept(reads: Sequence[Future[UsedCircles] | None], journal: Journal | None) -> list[_Reading]:
+    """The readings of a moment's images, from the journal where it has them."""
+    if journal is None:
+        return [_Reading.of(one) for one in reads]
+    arrays = journal.step(lambda: [array for one in reads for array in _Reading.of(one).arrays()])
+    return [_Reading.from_arrays(arrays[i : i + _ARRAYS]) for i in range(0, len(arrays), _ARRAYS)]
+
+
+def _rays(rig: Rig, circles: Sequence[_Reading], rules: CaptureRules) -> CircleRays:
+    return circle_rays(rig, circles, rules.dense)
 
 
 def _points(rig: Rig, pattern: Pattern, rays: Future[CircleRays], rules: CaptureRules, scale: float) -> DensePoints:

@@ -3,6 +3,7 @@
 from asterism.recording.arrays import Floats, Ints, as_vertical, axis_name
 from asterism.recording.blobs import Blobs
 from asterism.recording.clouds import NULL, Clouds, Evidence, Labelling
+from asterism.recording.filled import filled_samples
 from asterism.recording.force_plate import ForcePlate
 from asterism.recording.known_labels import Disagreement, check_labels, is_partly_labelled
 from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, shipped_sets, without_subject
@@ -38,6 +39,7 @@ __all__ = [
     "axis_name",
     "canonical",
     "check_labels",
+    "filled_samples",
     "is_partly_labelled",
     "is_unnamed",
     "keep_labels",

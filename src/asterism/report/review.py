@@ -92,7 +92,7 @@ def review_report(
         text = "The ringed point is in question; the list opens each of them. Drag to turn; with the picture in focus, space plays and "
         sections.append(Section("In 3D", text + "the arrow keys step.", player=pack_recordings(shown)))
     lead = f"{len(entries)} of {number:,} pieces of tracks, by the number of samples that a check corrects."
-    lead = lead if entries else "No piece of a track needs a look."
+    lead = lead if entries else "No piece of a track stands out."
     write_page(path, Page("What to look at first", lead, model_info or {}, merits, sections))
 
 

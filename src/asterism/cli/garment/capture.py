@@ -53,7 +53,8 @@ def capture(options: CaptureOptions) -> None:
 
     Writes positions (frames, circles, 3) in metres with NaN where a circle was not seen by two cameras, the covariance of each, and the
     circles' identities; `asterism info` and `asterism convert` take the file as a recording. A garment file that does not match the cloth
-    is said after the first images.
+    is said after the first images. An image that cannot be read, or is of another size, is named and left out. What was read is kept in
+    OUTPUT.unfinished until the end: the same command goes on from there after an interruption.
     """
     outputs = options.output, options.report, options.json
     _console.check_outputs(outputs, (*options.images, options.rig, options.garment), options.overwrite)
@@ -64,8 +65,6 @@ def capture(options: CaptureOptions) -> None:
     made, problems = _captured(options, rig, pattern)
     # what is wrong with the files explains what is wrong with the capture
     findings = (*problems, *made.findings)
-    # before the page: what took hours is on the disk first
-    made.trajectories.save(options.output)
     # only on demand: a surface for each frame is many times the size of the trajectories
     surfaces = _surfaces(options, made, pattern)
     summary = made.summary()
@@ -97,7 +96,8 @@ def capture(options: CaptureOptions) -> None:
 
 
 def _captured(options: CaptureOptions, rig: Rig, pattern: Pattern) -> tuple[Capture, tuple[Finding, ...]]:
-    """The capture, and what is wrong with the files."""
+    """The capture, which is on the disk, and what is wrong with the files."""
+    from asterism.cli._unfinished import continued
     from asterism.garment.capture import capture as capture_garment
     from asterism.garment.first_images import check_first_images
     from asterism.garment.footage import colour_footage
@@ -106,10 +106,15 @@ def _captured(options: CaptureOptions, rig: Rig, pattern: Pattern) -> tuple[Capt
     footage = colour_footage(options.images, rig)
     # a wrong garment file is told after seconds, not after hours
     check_first_images(footage, pattern, rig)
-    with _console.progress("reading") as progress:
-        made = capture_garment(
-            rig, pattern, footage, lambda image: read_image(image, pattern), rate=options.rate, workers=options.workers, progress=progress,
-        )  # fmt: skip
+    images = [path for camera in footage.cameras for path in (*camera.images, *([camera.video] if camera.video else []))]
+    with continued(options.output, [*images, options.rig, options.garment], "garment capture") as journal:
+        with _console.progress("reading") as progress:
+            made = capture_garment(
+                rig, pattern, footage, lambda image: read_image(image, pattern),
+                rate=options.rate, workers=options.workers, journal=journal, progress=progress,
+            )  # fmt: skip
+        # before the page: what took hours is on the disk first
+        made.trajectories.save(options.output)
     return made, footage.findings
 
 

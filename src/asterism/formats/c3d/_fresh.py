@@ -13,7 +13,7 @@ from asterism.formats.c3d._file import ranges
 from asterism.formats.c3d._layout import BLOCK, LIMIT
 from asterism.formats.c3d._numbers import PC
 from asterism.formats.c3d._parameters import CHARACTER, Record, make_group, make_parameter
-from asterism.recording import Floats, Recording
+from asterism.recording import Floats, Recording, filled_samples
 
 _POINT, _ANALOG, _FORCE_PLATFORM, _TRIAL, _EVENT, _SUBJECTS, _MANUFACTURER, _LOG = range(1, 9)
 _SCREENS = {"x": "+Y", "y": "+X", "z": "+X"}
@@ -44,6 +44,8 @@ def fresh_c3d(recording: Recording, target: str, residual: Floats | None = None,
     ending = 0 if frames >= LIMIT else -size % BLOCK  # readers take bytes behind uncounted frames for frames
     out = bytearray(len(head) + size + ending)
     out[: len(head)] = head
+    # Measured samples have the residual 0 here, so that filled ones have their standard deviation in mm.
+    filled = 1000.0 * filled_samples(recording) if residual is None and recording.log else None
     block = np.frombuffer(out, dtype=f"{PC.order}u4", count=size // 4, offset=len(head)).reshape(frames, points, 4)
     for some in ranges(frames):
         positions = recording.positions[some]
@@ -51,10 +53,17 @@ def fresh_c3d(recording: Recording, target: str, residual: Floats | None = None,
         data[:, :, :3] = positions * 1000.0
         if residual is not None and cameras is not None:
             data[:, :, 3] = _fourth_word(residual[some], cameras[some])
+        elif filled is not None:
+            data[:, :, 3] = residual_steps(filled[some])
         # The convention of the format: all zero, with a residual of -1.
         data[np.isnan(positions[:, :, 0])] = (0.0, 0.0, 0.0, -1.0)
         block[some] = PC.words_of_floats(data)
     return out
+
+
+def residual_steps(deviation: Floats) -> Floats:
+    """Residuals of filled samples in whole steps, of standard deviations in steps: at least one, at most what a byte holds; 0 for NaN."""
+    return np.where(np.isnan(deviation), 0.0, np.clip(np.round(np.nan_to_num(deviation)), 1.0, 255.0))
 
 
 def _fourth_word(residual: Floats, cameras: NDArray[np.bool_]) -> Floats:

@@ -22,12 +22,12 @@ from asterism.formats.c3d._assemble import assembled
 from asterism.formats.c3d._confidence import with_confidence
 from asterism.formats.c3d._edit import label_parameters, log_of, with_declared, with_events, with_log, with_number
 from asterism.formats.c3d._file import C3DFile, parse_c3d, ranges
-from asterism.formats.c3d._fresh import fresh_c3d
+from asterism.formats.c3d._fresh import fresh_c3d, residual_steps
 from asterism.formats.c3d._layout import LIMIT
 from asterism.formats.c3d._numbers import Words
 from asterism.formats.c3d._parameters import Parameters, Record
 from asterism.formats.c3d._reader import in_metres, scaled, unit_of
-from asterism.recording import Floats, Ints, LabelStates, Recording
+from asterism.recording import Floats, Ints, LabelStates, Recording, filled_samples
 
 COMPUTED_ENDING = b"_computed"
 """What follows the label of a computed point where a marker of the recording has the same label."""
@@ -39,9 +39,12 @@ def write_c3d(path: Path, recording: Recording, confidence: LabelConfidence | No
     The confidence of labels goes into analog channels and the group ASTERISM; states: what became of the markers.
 
     Where the recording was read from C3D, every unchanged sample (`origin`) is copied bit by bit with its residual
-    and cameras, new samples get residual 0, missing ones are written as the file writes missing points; points that the
-    recording does not replace (`taken`), analog data, parameters, byte order and number format stay. An unchanged recording gives
+    and cameras, new samples get residual 0 (filled ones below), missing ones are written as the file writes missing points; points that
+    the recording does not replace (`taken`), analog data, parameters, byte order and number format stay. An unchanged recording gives
     the file byte for byte.
+
+    Samples that the processing log calls filled have residual 0 where no measured sample of the file has; else their residual is their
+    standard deviation, at least one step, without cameras.
 
     Returns what the file cannot hold: the confidence, where it has no room for the channels.
     Raises AsterismError where the recording does not fit its source (other frames, a label twice), a coordinate does not fit the
@@ -116,9 +119,9 @@ def rewritten(file: C3DFile, recording: Recording, target: str) -> bytearray:
     points = file.layout.points
     plan = planned(file, recording, [_commonest(column[(column >= 0) & (column < points)]) for column in origin.T], target)
     data, words = assembled(file, plan.parameters, 4 * len(plan.slots) + file.layout.analog, len(plan.slots), plan.rate)
-    filling = Filling.of(file, plan.slots, recording.labels, target)
+    filling, residuals = Filling.of(file, plan.slots, recording.labels, target), _residuals(file, recording)
     for some in ranges(file.layout.frames):
-        filling.fill(words[some], some, recording.positions[some], origin[some])
+        filling.fill(words[some], some, recording.positions[some], origin[some], residuals[some])
         words[some, 4 * len(plan.slots) :] = file.words[some, 4 * points :]
     return data
 
@@ -230,11 +233,13 @@ class Filling:
         """With the unit of the file, and its words for missing points."""
         return cls(file, slots, labels, unit_of(file)[0], _missing_words(file), target)
 
-    def fill(self, out: Words, some: slice, positions: Floats, origin: Ints) -> None:
+    def fill(self, out: Words, some: slice, positions: Floats, origin: Ints, residuals: Floats | None = None) -> None:
         """Write the points of some frames of the file, (frames, width) words in the file's byte order.
 
-        positions (frames, columns, 3) m; origin (frames, columns): the file's point column that each sample came from, -1 for none.
+        positions (frames, columns, 3) m; origin (frames, columns): the file's point column that each sample came from, -1 for none;
+        residuals (frames, columns) steps of new samples, None for 0.
         """
+        residuals = np.zeros(origin.shape) if residuals is None else residuals
         file = self.file
         before = scaled(file.coordinates_of(some), self.scale)
         points, frames = file.point_words[some], np.arange(len(before))
@@ -260,7 +265,9 @@ class Filling:
             gone = ~done & np.isnan(new_positions[:, 0])
             words[gone] = self.missing
             fresh = ~done & ~gone
-            words[fresh] = _encoded(file, new_positions[fresh], self.scale, self.labels[slot.column], self.target)
+            words[fresh] = _encoded(
+                file, new_positions[fresh], residuals[fresh, slot.column], self.scale, self.labels[slot.column], self.target
+            )
             out[column] = words
 
 
@@ -275,11 +282,26 @@ def _missing_words(file: C3DFile) -> Words:
     return file.processor.words_of_integers([0, 0, 0, -1])
 
 
-def _encoded(file: C3DFile, positions: Floats, scale: float, label: str, target: str) -> Words:
-    """(N, 4) words of new samples, (N, 3) m."""
+def _residuals(file: C3DFile, recording: Recording) -> Floats:
+    """(T, M) steps of the residual with which new samples are written.
+
+    By the format's custom a sample that was interpolated has the residual 0. Where a measured sample has that, too, as after filters, a
+    filled one has its standard deviation, and no camera.
+    """
+    deviation = filled_samples(recording)
+    if not np.isfinite(deviation).any():
+        return np.zeros(deviation.shape)
+    measured = any(
+        (np.isfinite(file.coordinates_of(some)[..., 0]) & (file.residuals_of(some) == 0)).any() for some in ranges(file.layout.frames)
+    )
+    return residual_steps(deviation / (abs(file.scale) * unit_of(file)[0])) if measured else np.zeros(deviation.shape)
+
+
+def _encoded(file: C3DFile, positions: Floats, residuals: Floats, scale: float, label: str, target: str) -> Words:
+    """(N, 4) words of new samples, (N, 3) m; residuals (N,) steps."""
     raw = positions * round(1 / scale) if scale < 1 and scale == 1 / round(1 / scale) else positions / scale
     # Where all residuals are negative, a 0 would stand out as the only measured point.
-    residual = np.full((len(raw), 1), -1.0 if file.residuals_are_unused else 0.0)
+    residual = np.full((len(raw), 1), -1.0) if file.residuals_are_unused else residuals[:, None]
     if file.layout.real:
         return file.processor.words_of_floats(np.concatenate([raw, residual], axis=1))
     steps = np.rint(raw / file.scale)

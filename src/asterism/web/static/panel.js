@@ -93,7 +93,7 @@
       const { items } = labels.state, gain = items.reduce((sum, item) => sum + item.gain, 0), most = items.length ? items[0].gain : 1;
       this.heading.textContent = items.length ? `To look at: ${labels.state.verdict.look_at}` : "Nothing is left to look at";
       this.about.textContent = items.length ? `One answer corrects a whole piece. About ${amount(gain)} samples are expected to be wrong or missing.`
-        : "No piece of a track needs a look.";
+        : "No piece of a track stands out.";
       this.lines = new Map();
       this.list.replaceChildren(...items.map((item, i) => {
         const place = labels.place.get(item.piece);

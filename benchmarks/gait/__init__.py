@@ -1,0 +1,1 @@
+"""Gait analysis: clean trajectories, models, events, parameters."""
