@@ -11,6 +11,7 @@ from scipy.signal import find_peaks
 
 from asterism.gait.feet import RATE, Feet, feet_of
 from asterism.geometry import rotate_z_up
+from asterism.motion.clinical.kinetics import PlateContact
 from asterism.recording import Event, Floats, ForcePlate, Recording
 
 STRIKE, OFF = "Foot Strike", "Foot Off"
@@ -80,6 +81,11 @@ class Walking:
     def of(self, side: str, label: str) -> list[GaitEvent]:
         """Events of one foot and kind."""
         return [event for event in self.events if event.side == side and event.label == label]
+
+    def swings(self, side: str) -> list[tuple[float, float]]:
+        """From and to s, between an off and the next strike of a foot."""
+        own = [event for event in self.events if event.side == side]
+        return [(one.time, other.time) for one, other in pairwise(own) if (one.label, other.label) == (OFF, STRIKE)]
 
     def to_events(self, recording: Recording) -> tuple[Event, ...]:
         """As a recording keeps them, on its file's clock."""
@@ -163,19 +169,28 @@ def _with_rise(toe: Floats, peak: int, first: float, rules: EventRules) -> float
     return 0.5 * (first + (begin + fastest) / RATE - rules.rise_earlier)
 
 
-def _by_plates(recording: Recording, feet: Feet, plates: Sequence[ForcePlate], rules: EventRules) -> list[GaitEvent]:
+def plate_contacts(recording: Recording, feet: Feet, plates: Sequence[ForcePlate], rules: EventRules | None = None) -> list[PlateContact]:
+    """Each time that a plate is loaded for 0.2 s or more, and by which foot. O(samples)."""
     found = []
     for plate in plates:
         pressure = rotate_z_up(plate.pressure, recording.vertical)
         for begin, end in _loaded(plate):
-            side = _foot_on(pressure, plate.rate, begin, end, feet, rules)
-            if side is None:
-                continue
-            source = f"plate {plate.number}"
-            if begin > 0:
-                found.append(GaitEvent(side, STRIKE, begin / plate.rate, rules.plate_sigma, source))
-            if end < len(plate.force):
-                found.append(GaitEvent(side, OFF, end / plate.rate, rules.plate_sigma, source))
+            side = _foot_on(pressure, plate.rate, begin, end, feet, rules or EventRules())
+            found.append(PlateContact(plate.number, side, begin / plate.rate, end / plate.rate))
+    return found
+
+
+def _by_plates(recording: Recording, feet: Feet, plates: Sequence[ForcePlate], rules: EventRules) -> list[GaitEvent]:
+    found = []
+    duration = {plate.number: len(plate.force) / plate.rate for plate in plates}
+    for contact in plate_contacts(recording, feet, plates, rules):
+        if contact.side is None:
+            continue
+        source = f"plate {contact.plate}"
+        if contact.begins > 0:
+            found.append(GaitEvent(contact.side, STRIKE, contact.begins, rules.plate_sigma, source))
+        if contact.ends < duration[contact.plate]:
+            found.append(GaitEvent(contact.side, OFF, contact.ends, rules.plate_sigma, source))
     return found
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -128,6 +128,17 @@ def _medians(result: ViewsLabelling, xy: Floats, rays: Floats, eyes: Floats, use
         points = np.linalg.solve(total[enough], right[enough][..., None])[..., 0]
         off[c] = float(np.nanmedian(np.linalg.norm(result.rig.cameras[c].project(points) - xy[:, c][enough], axis=1)))
     return off
+
+
+def failed_frames(why: Mapping[int, str], first_frame: int) -> list[Finding]:
+    """The finding on frames whose labelling failed, with the reason of the first; empty where there are none."""
+    if not why:
+        return []
+    few = [str(t + first_frame) for t in sorted(why)]
+    which = f"frame {few[0]}" if len(few) == 1 else f"{len(few)} frames ({', '.join(few[:8])}{', ...' if len(few) > 8 else ''})"
+    sentence = f"{which} could not be labelled ({why[min(why)].rstrip('.')})."
+    mend = "Look at the blobs there; please report the fault with the file."
+    return [Finding("views-frame-failed", Severity.WARNING, which, sentence, mend)]
 
 
 def findings(result: ViewsLabelling, fit: CameraAgreement) -> list[Finding]:
