@@ -457,7 +457,9 @@ def test_the_commands_tell_names_of_the_only_file_and_leave_with_1(verb, walks, 
         words = [*words[:-2], file, *words[-2:]] if verb == "learn" else [file, *words]
         assert main([verb, *map(str, words), "--json", str(report)]) == 1
     assert "carry each other's names in the whole recording" in " ".join("".join(capsys.readouterr()).split())
-    assert [finding["code"] for finding in json.loads(report.read_text())["findings"]] == ["audit-names-differ"]
+    codes = [finding["code"] for finding in json.loads(report.read_text())["findings"]]
+    # Training on few people says so, too.
+    assert [code for code in codes if code != "train-few-people"] == ["audit-names-differ"]
 
 
 # --- the command

@@ -184,3 +184,14 @@ def test_convert_fills_and_says_so(walks: list[Recording], tmp_path: Path, capsy
     assert asterism.read(tmp_path / "out.trc").visible.all()
     assert main([*words[:3], "--fill", "much", "--overwrite"]) == 2
     assert "--fill much" in capsys.readouterr().err
+
+
+def test_mates_that_take_turns_to_be_missing_fill_a_gap_in_pieces(walks: list[Recording]) -> None:
+    others = [label for label in walks[0].labels if label != "LTIB"]
+    early, late = (
+        tuple((label, frames) for label in part) for part, frames in ((others[:20], slice(70, 85)), (others[20:], slice(85, 100)))
+    )
+    fill = fill_gaps(without(walks[0], ("LTIB", slice(70, 100)), *early, *late), limit=1.0)
+    column = walks[0].labels.index("LTIB")
+    apart = np.linalg.norm(fill.recording.positions - walks[0].positions, axis=2)[70:100, column]
+    assert fill.filled[70:100, column].all() and apart.max() < 0.03, f"{1000 * apart.max():.1f} mm"

@@ -172,7 +172,7 @@ def test_gait_writes_tables_and_a_page(tmp_path: Path, capsys: pytest.CaptureFix
         rows = list(csv.DictReader(lines))
     assert {row["parameter"] for row in rows} >= {"cadence", "step width", "double support"} and len(rows) == len(found["parameters"])
     with curves.open() as lines:
-        knee = [row for row in csv.DictReader(lines) if (row["side"], row["angle"], row["cycle"]) == ("L", "Knee", "1")]
+        knee = [row for row in csv.DictReader(lines) if (row["side"], row["curve"], row["cycle"]) == ("L", "Knee", "1")]
     assert [int(row["percent"]) for row in knee] == list(range(101))
     assert "knee flexion" in page.read_text() and "foot progression" in page.read_text()
 

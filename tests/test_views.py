@@ -14,6 +14,7 @@ from counting import calls
 from asterism.cameras.files import write_rig
 from asterism.cli import main
 from asterism.errors import AsterismError
+from asterism.files.journal import Journal
 from asterism.formats import read, write, write_blobs
 from asterism.recording import Blobs, MarkerSet, Recording
 from asterism.report.views import views_report
@@ -27,7 +28,7 @@ from asterism.views.passes import DirectionalTracker, Starts, _best_path, joined
 from asterism.views.plain import label_stepwise, minimise_plain
 from asterism.views.posing import posed_points
 from asterism.views.result import ViewsLabelling
-from asterism.views.rig_fit import RigFit
+from asterism.views.rig_fit import CameraAgreement
 from asterism.views.rules import QUICK, RULES
 from asterism.views.scene import scene_of
 from asterism.views.sights import FROM_BOTH_SIDES
@@ -331,7 +332,7 @@ def test_markers_that_are_there_but_in_doubt_are_not_said_to_be_absent() -> None
     one = list(found.body.labels).index("LTIB")
     doubted = replace(found, labels=np.where(found.labels == one, -1, found.labels))
     assert (doubted.candidates == one).any()
-    none = RigFit(RULES.noise, np.empty(0, dtype=np.int64), 0.0, {})
+    none = CameraAgreement(RULES.noise, np.empty(0, dtype=np.int64), 0.0, {})
     assert [(each.code, each.where) for each in checks.findings(doubted, none)] == [("views-markers-in-doubt", "LTIB")]
     gone = replace(doubted, candidates=doubted.labels)
     assert [(each.code, each.where) for each in checks.findings(gone, none)] == [("views-markers-absent", "LTIB")]
@@ -518,3 +519,55 @@ def test_the_demo_reaches_what_it_promises(tmp_path: Path, capsys: pytest.Captur
     first, second = read(tmp_path / "labelled.c3d"), read(tmp_path / "again.c3d")
     assert np.nanmedian(np.linalg.norm(first.positions - second.positions, axis=2)) < 0.001
     assert "asterism label-views" in capsys.readouterr().out
+
+
+def test_labels_that_were_broken_off_go_on_and_come_out_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given = session()
+    blobs = given.blobs.frames(slice(0, 12))
+    whole = label_views(blobs, given.rig, body_of_four(), rules=QUICK)
+    taken: list[int] = []
+    take = DirectionalTracker._take
+
+    def interrupted(self: DirectionalTracker, t: int) -> None:
+        if t == 7 and 7 not in taken:
+            taken.append(t)
+            raise KeyboardInterrupt
+        taken.append(t)
+        take(self, t)
+
+    monkeypatch.setattr(DirectionalTracker, "_take", interrupted)
+    journal = Journal(tmp_path / "a", "walk")
+    with pytest.raises(KeyboardInterrupt):
+        label_views(blobs, given.rig, body_of_four(), rules=QUICK, journal=journal)
+    journal.close()
+    journal = Journal(tmp_path / "a", "walk")
+    again = label_views(blobs, given.rig, body_of_four(), rules=QUICK, journal=journal)
+    journal.remove()
+    assert taken == [*range(8), *range(7, 12)]
+    for name in ("labels", "confidence", "positions", "covariances", "poses"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(whole, name))
+    assert again.restarts == whole.restarts and again.findings == whole.findings
+
+
+def test_a_frame_that_fails_costs_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = session()
+    blobs = given.blobs.frames(slice(0, 12))
+    whole = label_views(blobs, given.rig, body_of_four(), rules=QUICK)
+    take, broken = DirectionalTracker._take, {5}
+
+    def failing(self: DirectionalTracker, t: int) -> None:
+        if t in broken:
+            raise np.linalg.LinAlgError("singular")
+        take(self, t)
+
+    monkeypatch.setattr(DirectionalTracker, "_take", failing)
+    result = label_views(blobs, given.rig, body_of_four(), rules=QUICK)
+    [finding] = [finding for finding in result.findings if finding.code == "views-frame-failed"]
+    assert "frame 5 " in finding.sentence and "singular" in finding.sentence
+    other = blobs.frame_of != 5
+    assert (result.labels[~other] < 0).all() and not np.isfinite(result.poses[5]).any()
+    # the frames around are labelled as they were, but for few: the body is sought anew after the broken one
+    assert (result.labels[other] == whole.labels[other]).mean() > 0.97
+    broken.update(range(12))
+    with pytest.raises(AsterismError, match="no frame can be labelled"):
+        label_views(blobs, given.rig, body_of_four(), rules=QUICK)

@@ -64,10 +64,12 @@ def label_views(options: LabelViewsOptions) -> None:
 
     With two to four cameras many markers are seen by one camera only and never become 3D points. The model predicts which marker each
     camera can see. Each blob gets a marker or none; markers that one camera shows get a place from the body, with a standard deviation.
+    What was labelled is kept in OUTPUT.unfinished until the end: the same command goes on from there after an interruption.
     """
     from asterism import formats, views
     from asterism.cameras.files import read_rig
     from asterism.cli._recordings import assumptions, not_carried
+    from asterism.cli._unfinished import continued
     from asterism.findings import exit_status
     from asterism.formats import check_suffix
     from asterism.formats.blobs_2d import read_2d
@@ -83,25 +85,22 @@ def label_views(options: LabelViewsOptions) -> None:
     # in the rig's order, so that camera numbers mean the same in both
     blobs = read_2d(options.blobs, cameras=rig.names, rate=options.rate)
     model = None if options.model is None else MarkerModel.load(options.model)
-    with _console.progress("labelling") as progress:
-        result = views.label_views(
-            blobs,
-            rig,
-            body,
-            height=options.height,
-            rules=QUICK if options.quick else RULES,
-            least_confidence=options.least_confidence,
-            progress=progress,
-        )
-    # a second opinion, by the distances between markers alone
-    if model is not None:
-        from asterism.views.agreement import check_by_model
+    # what took long is in the output before anything else is made of it
+    with continued(output, [options.blobs, options.rig], options.height, options.quick, options.rate, options.vertical, body) as journal:
+        with _console.progress("labelling") as progress:
+            result = views.label_views(
+                blobs, rig, body, height=options.height, rules=QUICK if options.quick else RULES,
+                least_confidence=options.least_confidence, journal=journal, progress=progress,
+            )  # fmt: skip
+        # a second opinion, by the distances between markers alone
+        if model is not None:
+            from asterism.views.agreement import check_by_model
 
-        with _console.progress("naming the 3D points") as progress:
-            result = check_by_model(result, model, least_confidence=options.least_confidence, progress=progress)
-    # places that one camera tells are written unless a limit is given; their deviation says how far to trust them
-    limit = float("inf") if options.most_deviation is None else 1e-3 * options.most_deviation
-    lost = formats.write(output, result.recording(least_views=options.min_cameras, most_deviation=limit))
+            with _console.progress("naming the 3D points") as progress:
+                result = check_by_model(result, model, least_confidence=options.least_confidence, progress=progress)
+        # places that one camera tells are written unless a limit is given; their deviation says how far to trust them
+        limit = float("inf") if options.most_deviation is None else 1e-3 * options.most_deviation
+        lost = formats.write(output, result.recording(least_views=options.min_cameras, most_deviation=limit))
     if options.labels is not None:
         _write_labels(options.labels, result)
     if options.report is not None:

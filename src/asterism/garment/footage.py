@@ -95,7 +95,7 @@ class _Film:
             if not there:
                 # Frames after a broken one are missing, too, and are not each reported.
                 what = str(self._camera.video)
-                self._left_out(what, f"{what} cannot be read from frame {number} on; it was left out.", "Copy it again.")
+                self._left_out(what, f"{what} cannot be read from frame {number} on; it was left out.")
                 return None
         return self._of_size(_colour(image), number)
 
@@ -109,7 +109,7 @@ class _Film:
         if image is None:
             what = self._camera.image(number)
             kind = unread_kind(file) or f"cannot be read as an image{why}"
-            self._left_out(what, f"{what} {kind}; it was left out.", "Copy it again.")
+            self._left_out(what, f"{what} {kind}; it was left out.")
         return image
 
     def _of_size(self, image: Image | None, number: int) -> Image | None:
@@ -122,13 +122,16 @@ class _Film:
             return image
         what, usual = self._camera.image(number), f"{self._size[0]} x {self._size[1]}"
         sentence = f"{what} has {size[0]} x {size[1]} pixels, camera {self._camera.name} {usual}; it was left out."
-        self._left_out(what, sentence, "Give the image as the camera took it.", "garment-image-size")
+        self._add(Finding("garment-image-size", Severity.WARNING, what, sentence, "Give the image as the camera took it."))
         return None
 
-    def _left_out(self, what: str, sentence: str, mend: str, code: str = "garment-image-unreadable") -> None:
+    def _left_out(self, what: str, sentence: str) -> None:
+        self._add(Finding("garment-image-unreadable", Severity.WARNING, what, sentence, "Copy it again."))
+
+    def _add(self, finding: Finding) -> None:
         # Footage is gone through more than once, and a video that ends early would be reported for each frame that is missing.
-        if not any(finding.where == what for finding in self._camera.findings):
-            self._camera.findings.append(Finding(code, Severity.WARNING, what, sentence, mend))
+        if not any(known.where == finding.where for known in self._camera.findings):
+            self._camera.findings.append(finding)
 
 
 def _colour(image: Any) -> Image | None:

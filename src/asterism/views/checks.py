@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from asterism.recording import Floats, Ints, canonical
 from asterism.views.body import ArticulatedBody
 from asterism.views.lateness import late_by
 from asterism.views.result import ViewsLabelling
-from asterism.views.rig_fit import RigFit
+from asterism.views.rig_fit import CameraAgreement
 from asterism.views.rules import RULES
 
 _MANY_LOST = 0.05
@@ -75,7 +75,7 @@ def is_contradicted(result: ViewsLabelling, left_out: Ints) -> bool:
     return bool(against > 0 and 2 * against >= (counts.sum(axis=0) > 0).sum() - (len(left_out) - against))
 
 
-def misfits(result: ViewsLabelling, fit: RigFit) -> Ints:
+def misfits(result: ViewsLabelling, fit: CameraAgreement) -> Ints:
     """The cameras whose blobs are not where the other cameras have their markers, worst first; judged by up to 60 frames.
 
     fit: the noise that is usual in the recording, and the cameras that were left out before. Where two cameras alone have blobs
@@ -130,7 +130,18 @@ def _medians(result: ViewsLabelling, xy: Floats, rays: Floats, eyes: Floats, use
     return off
 
 
-def findings(result: ViewsLabelling, fit: RigFit) -> list[Finding]:
+def failed_frames(why: Mapping[int, str], first_frame: int) -> list[Finding]:
+    """The finding on frames whose labelling failed, with the reason of the first; empty where there are none."""
+    if not why:
+        return []
+    few = [str(t + first_frame) for t in sorted(why)]
+    which = f"frame {few[0]}" if len(few) == 1 else f"{len(few)} frames ({', '.join(few[:8])}{', ...' if len(few) > 8 else ''})"
+    sentence = f"{which} could not be labelled ({why[min(why)].rstrip('.')})."
+    mend = "Look at the blobs there; please report the fault with the file."
+    return [Finding("views-frame-failed", Severity.WARNING, which, sentence, mend)]
+
+
+def findings(result: ViewsLabelling, fit: CameraAgreement) -> list[Finding]:
     """What a person should know before using the labels; fit: how the cameras agree."""
     blobs, body = result.blobs, result.body
     counts = blobs.counts

@@ -22,7 +22,7 @@ from asterism.views.limbs import Limb, LimbScreen, LimbSearchRules, limbs_of
 from asterism.views.posing import posed_points
 from asterism.views.rules import RULES, ViewsRules
 from asterism.views.scene import ViewsScene
-from asterism.views.start import POSTURES, Posture, starts
+from asterism.views.start import POSTURES, StartPosture, starts
 
 _UNKNOWN = np.empty(0, dtype=np.int64)
 _BETTER = 1.0
@@ -187,7 +187,7 @@ class FrameLabeller:
             found = found.against(self.again(t, leaning))
         return found
 
-    def _best_start(self, t: int, postures: tuple[Posture, ...] = ()) -> BlobLabels:
+    def _best_start(self, t: int, postures: tuple[StartPosture, ...] = ()) -> BlobLabels:
         """The labels from the best of the starts of `ViewsRules.headings`; upright ones unless postures are given."""
         xy, offsets = self.scene.frame(t)
         rules = self.rules
@@ -195,7 +195,7 @@ class FrameLabeller:
         fine = tuple(blur for blur in rules.blur if blur < rules.coarse[-1]) or rules.blur[-1:]
         results = []
         # Outlines of postures differ less than their fits do, so each posture sends its own best starts.
-        groups: list[tuple[Posture, ...]] = [(posture,) for posture in postures] or [()]
+        groups: list[tuple[StartPosture, ...]] = [(posture,) for posture in postures] or [()]
         for group in groups:
             poses, rotations = starts(self.scene, self.body, xy, offsets, rules.headings, self.size, group)
             costs = self._screened(t, poses, rotations)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from asterism.cameras import Rig
+from asterism.errors import AsterismError
+from asterism.files.journal import Journal
 from asterism.progress import Progress
 from asterism.recording import NULL, Blobs, Floats
 from asterism.views import checks
@@ -16,7 +18,7 @@ from asterism.views.frame import FrameLabeller
 from asterism.views.passes import DirectionalTracker, ScoredFrame, Starts, joined
 from asterism.views.personal import PERSONAL, personal_body, spread_frames
 from asterism.views.result import ViewsLabelling
-from asterism.views.rig_fit import RigFit, fit_rig
+from asterism.views.rig_fit import CameraAgreement, fit_rig
 from asterism.views.rules import RULES, ViewsRules
 from asterism.views.scene import scene_of
 
@@ -34,6 +36,7 @@ def label_views(
     height: float | None = None,
     rules: ViewsRules = RULES,
     least_confidence: float = 0.9,
+    journal: Journal | None = None,
     progress: Progress | None = None,
 ) -> ViewsLabelling:
     """Label the blobs of a recording with a body model, frame after frame, and place every marker that a camera shows.
@@ -47,6 +50,9 @@ def label_views(
     rig     calibrated cameras with the blobs' names and a vertical
     body    a body model, the name of a shipped one, or a file
     height  m, of the person, where it is known
+    journal what was found in each frame is kept there; frames that it holds are not labelled again, and the result is the same
+
+    A frame whose labelling fails has no labels, which is a finding.
 
     Raises AsterismError where the rig lacks a camera, a pose or a vertical, and where the body's left markers are on its right.
     O(T (P M + M D^2)) for P blobs of a frame and D numbers of a pose.
@@ -56,22 +62,32 @@ def label_views(
     size = None if height is None else height / body.height
     labeller = FrameLabeller(scene_of(blobs, rig), body, rules, size)
     fit = fit_rig(labeller, spread_frames(labeller, PERSONAL.frames)[::_EVERY])
-    result = _labelled(labeller, body, fit, least_confidence, progress)
+    keeping = _Keeping(journal, progress)
+    result = _labelled(labeller, body, fit, least_confidence, keeping)
     more = checks.misfits(result, fit)
     # A camera that was moved half-way fits in some frames: it is left out and everything is done again.
     if len(more):
         fit = replace(fit, left_out=np.concatenate([fit.left_out, more]), found={})
-        result = _labelled(labeller, body, fit, least_confidence, progress)
+        result = _labelled(labeller, body, fit, least_confidence, keeping)
         # Where the remaining cameras still contradict each other nobody knows which of them is right.
         if len(checks.misfits(result, fit)):
             result = _withdrawn(result)
     if checks.is_contradicted(result, fit.left_out) or checks.is_other_body(result):
         result = _withdrawn(result)
-    return replace(result, findings=tuple(checks.findings(result, fit)))
+    return replace(result, findings=(*checks.failed_frames(keeping.failed, blobs.first_frame), *checks.findings(result, fit)))
+
+
+@dataclass
+class _Keeping:
+    """Where the frames of a labelling go as they are done, and why some of them failed."""
+
+    journal: Journal | None
+    progress: Progress | None
+    failed: dict[int, str] = field(default_factory=dict)
 
 
 def _labelled(
-    labeller: FrameLabeller, body: ArticulatedBody, fit: RigFit, least_confidence: float, progress: Progress | None
+    labeller: FrameLabeller, body: ArticulatedBody, fit: CameraAgreement, least_confidence: float, keeping: _Keeping
 ) -> ViewsLabelling:
     """The labelling by the cameras that fit, with their noise; the blobs of the others stay without a label."""
     blobs, rules = labeller.scene.blobs, labeller.rules.at_noise(fit.noise)
@@ -81,7 +97,8 @@ def _labelled(
         own = personal_body(used, known=fit.found)
         used = used if own is body else replace(used, body=own, size=None)
     track = _Track(used, body)
-    track.run(progress)
+    track.run(keeping.progress, keeping.journal)
+    keeping.failed.update(track.failed)
     few = track.result(least_confidence)
     kept = ~np.isin(blobs.camera_of, fit.left_out)
     labels, candidates = np.full((2, len(blobs.xy)), NULL, dtype=np.int64)
@@ -111,22 +128,28 @@ class _Track:
         self.labeller = labeller
         self.seen: list[ScoredFrame | None] = []
         self.restarts: list[int] = []
+        self.failed: dict[int, str] = {}
+        """Why, by frame."""
 
-    def run(self, progress: Progress | None = None) -> None:
-        """Label all frames."""
+    def run(self, progress: Progress | None = None, journal: Journal | None = None) -> None:
+        """Label all frames. Raises AsterismError where the labelling of every one fails."""
         frames, both = len(self.labeller.scene.blobs), self.labeller.rules.both_ways
         starts, total = Starts(self.labeller), frames * (2 if both else 1)
         forward, backward = DirectionalTracker(self.labeller, starts, 1), DirectionalTracker(self.labeller, starts, -1)
         for n in range(total):
             # The second direction ends where the first began, so that both have seen the whole recording.
             if n < frames:
-                forward.take(n)
+                forward.take(n, journal)
             else:
-                backward.take(2 * frames - 1 - n)
+                backward.take(2 * frames - 1 - n, journal)
             if progress is not None:
                 progress((n + 1) / total, "labelling")
         self.seen = joined(forward, backward) if both else [forward.seen[t] for t in range(frames)]
         self.restarts = sorted({*forward.restarts, *backward.restarts})
+        self.failed = {**backward.failed, **forward.failed}
+        # A fault that every frame has is none of a frame.
+        if frames and len(forward.failed) == frames:
+            raise AsterismError(f"no frame can be labelled ({forward.failed[0]}); please report this with the file of blobs.")
 
     def _explained(self) -> Floats:
         """(T,) the share of the gain that the blobs let expect: of each frame or of those around it, whichever is less."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.files.journal import Journal
 from asterism.recording import Floats, Ints
 from asterism.views.frame import BlobLabels, FrameLabeller
 from asterism.views.personal import quality_of
@@ -59,13 +61,31 @@ class DirectionalTracker:
         self.labeller = labeller
         self.seen: dict[int, ScoredFrame | None] = {}
         self.restarts: list[int] = []
+        self.failed: dict[int, str] = {}
         self._starts = starts
         self._step = step
         self._wait = 0
         self._patience = 1
 
-    def take(self, t: int) -> None:
-        """Label frame t; the frame before in the pass's direction was taken before."""
+    def take(self, t: int, journal: Journal | None = None) -> None:
+        """Label frame t; the frame before in the pass's direction was taken before. What `journal` holds of it is taken from there.
+
+        A frame that fails has no body, and why is in `failed`; the next one is sought from nothing.
+        """
+        if journal is None:
+            self._try(t)
+        else:
+            self._restore(t, journal.step(lambda: self._arrays(t)))
+
+    def _try(self, t: int) -> None:
+        try:
+            self._take(t)
+        # Whatever is wrong with one frame must not cost the others.
+        except Exception as problem:
+            self.seen[t] = None
+            self.failed[t] = " ".join(str(problem).split()) or type(problem).__name__
+
+    def _take(self, t: int) -> None:
         rules = self.labeller.rules
         found = self._followed(t)
         checked = t % rules.turn_frames == 0 or t in (0, len(self.labeller.scene.blobs) - 1)
@@ -75,6 +95,27 @@ class DirectionalTracker:
         if found is None or found.quality < rules.lost:
             found = self._reacquire(t, found)
         self.seen[t] = found
+
+    def _arrays(self, t: int) -> list[NDArray[Any]]:
+        """Frame t labelled, and where the search stands after it, as arrays for a journal."""
+        self._try(t)
+        found, restarted = self.seen[t], self.restarts[-1:] == [t]
+        failed = np.frombuffer(self.failed.get(t, "").encode(), dtype=np.uint8)
+        state: list[NDArray[Any]] = [np.array([self._wait, self._patience, restarted], dtype=np.int64), failed]
+        if found is None:
+            return state
+        return [*state, *(np.asarray(getattr(found.labels, one.name)) for one in fields(BlobLabels)), np.array(found.quality)]
+
+    def _restore(self, t: int, arrays: list[NDArray[Any]]) -> None:
+        """The tracker as `_arrays` left it."""
+        (wait, patience, restarted), failed, *labels = arrays
+        self._wait, self._patience = int(wait), int(patience)
+        if restarted and self.restarts[-1:] != [t]:
+            self.restarts.append(t)
+        if len(failed):
+            self.failed[t] = failed.tobytes().decode()
+        values: list[Any] = [array if array.ndim else float(array) for array in labels]
+        self.seen[t] = ScoredFrame(BlobLabels(*values[:-1]), values[-1]) if values else None
 
     def _followed(self, t: int) -> ScoredFrame | None:
         last, lost = self.seen.get(t - self._step), self.labeller.rules.lost

@@ -20,7 +20,7 @@ _FAR_OFF = 6.0
 
 
 @dataclass(frozen=True, eq=False)
-class RigFit:
+class CameraAgreement:
     """How well cameras agree about a body.
 
     noise     px, standard deviation of blobs about where the body and the other cameras have their markers
@@ -35,7 +35,7 @@ class RigFit:
     found: dict[int, BlobLabels]
 
 
-def fit_rig(labeller: FrameLabeller, frames: Ints) -> RigFit:
+def fit_rig(labeller: FrameLabeller, frames: Ints) -> CameraAgreement:
     """How far the cameras of a labeller's rig contradict each other, by frames that are labelled without a start.
 
     The noise is the one with which the frames are most probable: a rig that is a little off has lines of sight that miss each other, and
@@ -68,7 +68,7 @@ def _without(labeller: FrameLabeller, cameras: list[int]) -> FrameLabeller:
     return replace(labeller, scene=labeller.scene.without(np.array(cameras, dtype=np.int64))) if cameras else labeller
 
 
-def _in_doubt(labeller: FrameLabeller, fit: RigFit) -> bool:
+def _in_doubt(labeller: FrameLabeller, fit: CameraAgreement) -> bool:
     """Whether the cameras contradict each other, or one of them hardly shows the body that the others show."""
     expected, shown = np.zeros(len(labeller.scene.rig)), np.zeros(len(labeller.scene.rig))
     for t, found in fit.found.items():
@@ -78,7 +78,7 @@ def _in_doubt(labeller: FrameLabeller, fit: RigFit) -> bool:
     return bool(fit.noise > labeller.rules.noise or (shown < labeller.rules.least_shown * expected).any())
 
 
-def _noise_of(labeller: FrameLabeller, frames: Ints) -> RigFit:
+def _noise_of(labeller: FrameLabeller, frames: Ints) -> CameraAgreement:
     """The noise with which the frames are most probable, and what is found with it."""
     usual = labeller.rules.noise
     best = _most_probable(labeller, _found(labeller, frames))
@@ -110,10 +110,10 @@ def _found(labeller: FrameLabeller, frames: Ints) -> dict[int, BlobLabels]:
     return out
 
 
-def _most_probable(labeller: FrameLabeller, found: dict[int, BlobLabels]) -> RigFit:
+def _most_probable(labeller: FrameLabeller, found: dict[int, BlobLabels]) -> CameraAgreement:
     """The noise with which labels that were found gain most."""
     usual = labeller.rules.noise
-    best = RigFit(usual, np.empty(0, dtype=np.int64), -np.inf, found)
+    best = CameraAgreement(usual, np.empty(0, dtype=np.int64), -np.inf, found)
     noise = usual
     while noise <= _MOST * usual:
         here = _at(labeller, noise)

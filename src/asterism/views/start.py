@@ -18,7 +18,7 @@ from asterism.views.scene import ViewsScene, cameras_with_blobs
 
 
 @dataclass(frozen=True)
-class Posture:
+class StartPosture:
     """A way to be in a room other than upright: which way the pelvis is turned, and how the joints are bent.
 
     turn    degrees, rotation vector in the body's axes (x ahead, y left, z up)
@@ -31,21 +31,21 @@ class Posture:
 
 POSTURES = (
     # On the back, on the front, on either side, upside down.
-    Posture((0.0, -90.0, 0.0)),
-    Posture((0.0, 90.0, 0.0)),
-    Posture((90.0, 0.0, 0.0)),
-    Posture((-90.0, 0.0, 0.0)),
-    Posture((0.0, 180.0, 0.0)),
+    StartPosture((0.0, -90.0, 0.0)),
+    StartPosture((0.0, 90.0, 0.0)),
+    StartPosture((90.0, 0.0, 0.0)),
+    StartPosture((-90.0, 0.0, 0.0)),
+    StartPosture((0.0, 180.0, 0.0)),
     # On the back with the feet on the floor, on all fours, bent down to the feet.
-    Posture((0.0, -90.0, 0.0), {"thigh flexion": 50.0, "shank flexion": 90.0}),
-    Posture((0.0, 90.0, 0.0), {"thigh flexion": 90.0, "shank flexion": 90.0, "upper arm raising": 90.0}),
-    Posture((0.0, 70.0, 0.0), {"thigh flexion": 75.0, "upper arm raising": 80.0}),
+    StartPosture((0.0, -90.0, 0.0), {"thigh flexion": 50.0, "shank flexion": 90.0}),
+    StartPosture((0.0, 90.0, 0.0), {"thigh flexion": 90.0, "shank flexion": 90.0, "upper arm raising": 90.0}),
+    StartPosture((0.0, 70.0, 0.0), {"thigh flexion": 75.0, "upper arm raising": 80.0}),
     # Seated on a chair, seated on the floor, kneeling, on the heels, squatting.
-    Posture(angles={"thigh flexion": 90.0, "shank flexion": 90.0}),
-    Posture(angles={"thigh flexion": 90.0}),
-    Posture(angles={"shank flexion": 90.0}),
-    Posture(angles={"thigh flexion": 70.0, "shank flexion": 140.0}),
-    Posture((0.0, 20.0, 0.0), {"thigh flexion": 110.0, "shank flexion": 120.0}),
+    StartPosture(angles={"thigh flexion": 90.0, "shank flexion": 90.0}),
+    StartPosture(angles={"thigh flexion": 90.0}),
+    StartPosture(angles={"shank flexion": 90.0}),
+    StartPosture(angles={"thigh flexion": 70.0, "shank flexion": 140.0}),
+    StartPosture((0.0, 20.0, 0.0), {"thigh flexion": 110.0, "shank flexion": 120.0}),
 )
 """Textbook postures, 90 degrees apart where they lie: a fit follows a body over half of that. Each is tried with every heading."""
 
@@ -98,7 +98,7 @@ def starts(
     offsets: Ints,
     headings: int,
     size: float | None = None,
-    postures: tuple[Posture, ...] = (),
+    postures: tuple[StartPosture, ...] = (),
 ) -> tuple[Floats, Floats]:
     """Poses (N, 9 + J) and rotations (N, 3, 3) from which a frame may be fitted when nothing is known: all headings, all poses of the body.
 
@@ -125,7 +125,7 @@ def starts(
     return poses, rotations
 
 
-def _angles_of(body: ArticulatedBody, postures: tuple[Posture, ...]) -> Floats:
+def _angles_of(body: ArticulatedBody, postures: tuple[StartPosture, ...]) -> Floats:
     """(N, J) rad, the angles of a body's hinges in each posture."""
     arrays = body.arrays
     plain = [name.removeprefix("left ").removeprefix("right ") for name in body.hinge_names]

@@ -16,6 +16,8 @@ from asterism.recording import Floats, Ints, Recording, is_unnamed
 from asterism.recording.filled import GapFill, logged_fills
 
 _NORMAL_95 = 1.959964
+_ENOUGH = 4
+"""Markers that are there throughout a gap: three make axes, and one more tells the pose."""
 _FEW = 6
 """Gaps that a sentence names."""
 
@@ -86,7 +88,7 @@ def fill_gaps(
     trials = [_trial(one, [recording.labels[column] for column in named]) for one in (recording, *others)]
     positions, deviation = recording.positions.copy(), np.full(recording.positions.shape[:2], np.nan)
     fills, findings = list[GapFill](), list[Finding]()
-    missing = [_runs(~recording.visible[:, column]) for column in named]
+    missing = [[piece for run in _runs(~recording.visible[:, c]) for piece in _pieces(run, trials[0].shown)] for c in named]
     total, done = max(sum(map(len, missing)), 1), 0
     for place, column in enumerate(named):
         label, left = recording.labels[column], list[tuple[Ints, float]]()
@@ -121,13 +123,24 @@ def _trial(recording: Recording, labels: Sequence[str]) -> Trial:
     for place, label in enumerate(labels):
         if label in recording.labels:
             points[:, place] = 1000.0 * recording.positions[:, recording.labels.index(label)]
-    return Trial(points, recording.rate)
+    return Trial.of(points, recording.rate)
 
 
 def _runs(missing: NDArray[np.bool_]) -> list[Ints]:
     """Runs of consecutive frames in which something is missing."""
     frames = np.nonzero(missing)[0]
     return [run for run in np.split(frames, np.nonzero(np.diff(frames) > 1)[0] + 1) if len(run)]
+
+
+def _pieces(gap: Ints, shown: NDArray[np.bool_]) -> list[Ints]:
+    """A gap, halved for as long as too few markers are there throughout, and more in a half: shown (T, M)."""
+    many = shown[gap].all(axis=0).sum()
+    if many >= _ENOUGH or len(gap) < 2:
+        return [gap]
+    halves = [gap[: len(gap) // 2], gap[len(gap) // 2 :]]
+    if max(shown[half].all(axis=0).sum() for half in halves) == many:
+        return [gap]
+    return [piece for half in halves for piece in _pieces(half, shown)]
 
 
 def _never_seen(recording: Recording, label: str) -> Finding:

@@ -8,11 +8,13 @@ as long as the gap that are left out; all blocks follow from one inverse (there,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.linalg import lapack
+from scipy.special import stdtrit
 
 from asterism.motion.rigid._kernels import fit_frames, local_positions
 from asterism.recording import Floats, Ints
@@ -20,31 +22,36 @@ from asterism.recording import Floats, Ints
 
 @dataclass(frozen=True)
 class Kernel:
-    """A covariance of a coordinate in the mates' axes: linear and smooth in the pose, Matern 5/2 in time, and noise.
+    """A covariance of a coordinate in the mates' axes: linear and curved in the pose, Matern 5/2 in time, and noise.
 
-    linear, smooth, slow  mm, how far each of the three parts reaches
+    linear, curved, slow  mm, how far each of the three parts reaches
     length                s, over which the part in time changes
     noise                 mm of a measured coordinate
+    width                 over which the curved part changes, in typical distances between the poses of two frames
+    rough                 whether the curved part is a Matern 3/2 in place of a Gaussian
     """
 
     linear: float
-    smooth: float
+    curved: float
     slow: float
     length: float
     noise: float
+    width: float = 0.5
+    rough: bool = False
 
 
 @dataclass(frozen=True)
 class GapRules:
-    """What is tried for a gap. All numbers were chosen on recordings of `movement`, none on `gait`.
+    """What is tried for a gap. Chosen on eight recordings of `movement`, 64 gaps of 0.1, 0.5 and 1 s each, which tell 3 %; none on `gait`.
 
-    mates     how many of the steadiest markers make the axes: each number is a candidate
-    kernels   candidates in the mates' axes
+    mates     how many of the steadiest markers make the axes: each number is a candidate; without 3, errors grow by 6 %
+    kernels   candidates in the mates' axes: eight others erred as much, and without the curved parts errors double
     times     candidates in the laboratory's axes, of time alone: smoothing splines
-    pose      mates that make the axes in which the pose is seen
-    scores    principal components of the pose
-    frames    most frames that are learned from: time grows with the cube, 160 err 2 % more
-    near      share of these that are next to the gap in time; the others are next to it in pose
+    pose      mates that make the axes in which the pose is seen; 3, 6 and 10 err 3, 6 and 10 % more at 1 s
+    local     power by which markers that move against the filled one count less in the pose; 1 errs 9 % more, 2 and 4 up to 8 %
+    scores    principal components of the pose; 20 err 1 % more, 12 err 4 %
+    frames    most frames that are learned from: time grows with the square to the cube, 200 and 160 change errors by 3 %
+    near      share of these that are next to the gap in time, the others next to it in pose; 0.4 and 0.7 change nothing
     power     candidates count by the power of their error: 4 and 8 differ by 1 %
     worst     a candidate that errs this many times as much as the best does not count
     reach     frames before and behind the gap that are looked at, so that hours cost no more than a trial
@@ -52,83 +59,94 @@ class GapRules:
 
     mates: tuple[int, ...] = (3, 4, 6, 10, 99)
     kernels: tuple[Kernel, ...] = (
-        Kernel(8.0, 3.0, 1.0, 0.1, 0.1),
-        Kernel(8.0, 3.0, 1.0, 0.1, 0.3),
-        Kernel(8.0, 6.0, 4.0, 0.1, 0.1),
-        Kernel(8.0, 6.0, 4.0, 0.1, 0.3),
-        Kernel(20.0, 6.0, 4.0, 0.2, 0.2),
-        Kernel(20.0, 3.0, 12.0, 0.2, 0.2),
+        Kernel(8.0, 6.0, 2.0, 0.1, 0.1, 0.3),
         Kernel(8.0, 0.0, 12.0, 0.2, 0.1),
-        Kernel(50.0, 10.0, 4.0, 0.1, 0.3),
+        Kernel(8.0, 10.0, 2.0, 0.1, 0.3, 2.5, rough=True),
+        Kernel(20.0, 10.0, 4.0, 0.2, 0.1, 1.15, rough=True),
     )
-    times: tuple[Kernel, ...] = (Kernel(0.0, 0.0, 300.0, 0.25, 0.1), Kernel(0.0, 0.0, 300.0, 0.25, 0.3))
-    pose: int = 6
-    scores: int = 12
-    frames: int = 240
+    times: tuple[Kernel, ...] = (Kernel(0.0, 0.0, 300.0, 0.25, 0.1),)
+    pose: int = 4
+    local: float = 3.0
+    scores: int = 30
+    frames: int = 180
     near: float = 0.55
-    power: float = 4.0
+    power: float = 8.0
     worst: float = 1.6
     reach: int = 1000
 
 
 RULES = GapRules()
 _PRESENT = 0.7
-"""Share of the frames in which a marker must be seen to tell the pose: its own gaps are bridged by straight lines."""
+"""Share of the frames in which a marker must be seen to tell the pose: its own long gaps are bridged by straight lines."""
 _BRIDGE = 0.05
-"""s from a measured sample up to which a bridged mate is as good as seen: a straight line errs less than 1 mm there."""
+"""s, the longest hole of a mate over which a spline is as good as seeing it: it errs 0.5 mm there, and 1.7 mm at twice the length."""
 _EXTENT = 25.0
 """mm, second largest extent of the mates' shape: three in a line leave the turn about it open."""
 _SINGLE = 15.0
-"""mm by which a marker that never moves against the filled one is held to move: half or double changes no error by 2 %."""
+"""mm by which a marker that never moves against the filled one is held to move: a third and double change errors by 3 %."""
+_OFFSET = 3.0
+"""mm by which a marker may sit elsewhere in another trial: none errs 3 % more on gaps of 1 s."""
+_OTHER = 1e6
+"""s between frames of different trials, which are independent but for the pose."""
 _LEAST = 0.01
 """mm, the least standard deviation that is stated: coordinates in files are no finer."""
-_WIDE = 1.05
-"""The blocks also chose the candidates, so that their errors are a little smaller than those of a gap."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One recording of a person: positions (T, N, 3) mm, NaN for missing; rate in frames per second."""
+    """One recording of a person.
 
-    positions: Floats
-    rate: float
-
-    def around(self, gap: Ints, reach: int) -> tuple[Trial, Ints]:
-        """The frames before and behind a gap, and the gap's numbers among them."""
-        first = max(int(gap[0]) - reach, 0)
-        return Trial(self.positions[first : int(gap[-1]) + 1 + reach], self.rate), gap - first
-
-
-@dataclass(frozen=True)
-class _Frames:
-    """The frames of all trials, one after the other.
-
-    points  (F, N, 3) mm, gaps bridged; seen (F, N); trial (F,), time (F,) s within it
+    points  (T, N, 3) mm, gaps bridged; NaN for a marker that is never seen
+    seen    (T, N) whether a sample was measured; shown: or lies so near to one that the bridge is as good
+    frames  (T,) their numbers from 0; rate in frames per second
     """
 
     points: Floats
     seen: NDArray[np.bool_]
+    shown: NDArray[np.bool_]
+    frames: Ints
+    rate: float
+
+    @classmethod
+    def of(cls, positions: Floats, rate: float) -> Trial:
+        """Of positions (T, N, 3) mm, NaN for missing: short holes are bridged by cubic splines, long ones by straight lines."""
+        points, frames = positions.copy(), np.arange(len(positions))
+        seen = np.isfinite(positions[:, :, 0])
+        shown = seen.copy()
+        for column in np.nonzero(seen.any(axis=0) & ~seen.all(axis=0))[0]:
+            there, holes = np.nonzero(seen[:, column])[0], np.nonzero(~seen[:, column])[0]
+            after = np.searchsorted(there, holes)
+            inside = (after > 0) & (after < len(there))
+            # Beyond its ends nothing holds a spline.
+            short = inside & (there[np.minimum(after, len(there) - 1)] - there[np.maximum(after - 1, 0)] <= _BRIDGE * rate + 1.0)
+            for axis in range(3):
+                points[holes, column, axis] = np.interp(holes, there, positions[there, column, axis])
+            if short.any() and len(there) >= 4:
+                points[holes[short], column] = CubicSpline(there, positions[there, column])(frames[holes[short]])
+                shown[holes[short], column] = True
+        return cls(points, seen, shown, frames, rate)
+
+    def some(self, which: Ints) -> Trial:
+        """The same of some frames."""
+        return replace(self, points=self.points[which], seen=self.seen[which], shown=self.shown[which], frames=self.frames[which])
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """The frames of all trials, one after the other: points, seen and shown as in `Trial`; trial (F,); time (F,) s within it."""
+
+    points: Floats
+    seen: NDArray[np.bool_]
+    shown: NDArray[np.bool_]
     trial: Ints
     time: Floats
 
     @classmethod
     def of(cls, trials: Sequence[Trial]) -> _Frames:
-        many = [len(trial.positions) for trial in trials]
-        time = np.concatenate([np.arange(len(trial.positions)) / trial.rate for trial in trials])
-        seen = np.concatenate([np.isfinite(trial.positions[:, :, 0]) for trial in trials])
-        return cls(np.concatenate([_bridged(t.positions) for t in trials]), seen, np.repeat(np.arange(len(trials)), many), time)
-
-    def shown(self, column: int) -> NDArray[np.bool_]:
-        """(F,) whether a marker is measured in a frame or so near to it that the bridge is as good."""
-        shown: NDArray[np.bool_] = self.seen[:, column].copy()
-        for trial in np.unique(self.trial):
-            here = np.nonzero(self.trial == trial)[0]
-            there = here[self.seen[here, column]]
-            if 0 < len(there) < len(here):
-                after = np.clip(np.searchsorted(there, here), 0, len(there) - 1)
-                near = np.minimum(*(np.abs(self.time[there[side]] - self.time[here]) for side in (after, np.maximum(after - 1, 0))))
-                shown[here] = near <= _BRIDGE
-        return shown
+        points, seen, shown = (np.concatenate([getattr(trial, name) for trial in trials]) for name in ("points", "seen", "shown"))
+        many = [len(trial.points) for trial in trials]
+        time = np.concatenate([trial.frames / trial.rate for trial in trials])
+        return cls(points, seen, shown, np.repeat(np.arange(len(trials)), many), time)
 
 
 @dataclass(frozen=True)
@@ -154,11 +172,15 @@ def predict_gap(trials: Sequence[Trial], column: int, gap: Ints, rules: GapRules
     gap     (G,) consecutive frames of the first trial in which the marker is missing
     O(kernels x frames^3).
     """
-    first, gap = trials[0].around(gap, rules.reach)
+    near = np.arange(max(gap[0] - rules.frames, 0), min(gap[-1] + rules.frames + 1, len(trials[0].seen)))
+    around = np.arange(max(gap[0] - rules.reach, 0), min(gap[-1] + rules.reach + 1, len(trials[0].seen)))
+    # What is far in time is asked for its pose, which changes little from frame to frame.
+    around = np.union1d(near, around[:: max(len(around) // rules.frames, 1)])
+    first, gap = trials[0].some(around), np.searchsorted(around, gap)
     # A trial in which the marker is hardly seen says nothing about it.
-    others = [t for t in trials[1:] if np.isfinite(t.positions[:, column, 0]).mean() > _PRESENT]
-    frames = _Frames.of([first, *(t.around(np.array([len(t.positions) // 2]), rules.reach)[0] for t in others)])
-    usable = frames.seen[gap].all(axis=0)
+    others = [t for t in trials[1:] if len(t.seen) and t.seen[:, column].mean() > _PRESENT]
+    frames = _Frames.of([first, *(t.some(t.frames[:: max(len(t.seen) // rules.frames, 1)]) for t in others)])
+    usable: NDArray[np.bool_] = np.asarray(frames.shown[gap].all(axis=0))
     for trial in range(1 + len(others)):
         usable &= frames.seen[frames.trial == trial].mean(axis=0) > _PRESENT
     usable[column] = False
@@ -168,10 +190,10 @@ def predict_gap(trials: Sequence[Trial], column: int, gap: Ints, rules: GapRules
         return None
     mates = _by_steadiness(frames, column, np.nonzero(usable)[0], observed)
     for mate in mates[: rules.pose]:
-        fewer = observed[frames.shown(mate)[observed]]
+        fewer = observed[frames.shown[observed, mate]]
         # Frames whose nearest mates are guesses teach guesses; where few others are left they have to do.
         observed = fewer if (frames.trial[fewer] == 0).sum() >= 30 else observed
-    return _blended(_candidates(frames, column, gap, mates, observed, rules), rules)
+    return _blended(_candidates(frames, column, gap, mates, observed, rules), min(len(observed), rules.frames), rules)
 
 
 def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: Ints, rules: GapRules) -> list[_Candidate]:
@@ -182,8 +204,7 @@ def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: 
     learned, every = len(rows), np.concatenate([rows, gap])
     blocks = _blocks(frames, rows, len(gap))
     apart = np.abs(frames.time[every][:, None] - frames.time[every][None])
-    # Trials are independent but for the pose.
-    apart[frames.trial[every][:, None] != frames.trial[every][None]] = 1e6
+    apart[frames.trial[every][:, None] != frames.trial[every][None]] = _OTHER
     points = frames.points[every, column]
     process = _Process(apart, blocks, learned, pose=None if pose is None else pose[every])
     found = []
@@ -221,11 +242,13 @@ class _Process:
         if self.pose is None:
             return
         self._linear = self.pose @ self.pose.T
+        self._same = self.apart < _OTHER
         squares = np.diag(self._linear)
         distances = np.maximum(squares[:, None] + squares[None] - 2.0 * self._linear, 0.0)
         # Every third row tells the median as well.
         typical = np.median(distances[: self.learned : 3, : self.learned : 3]) + 1e-9
-        self._smooth = np.exp(distances * (-2.0 / typical))
+        # Squared, in typical distances.
+        self._apart = distances / typical
 
     def covariance(self, kernel: Kernel) -> Floats:
         """(R, R) mm2 without noise."""
@@ -235,9 +258,12 @@ class _Process:
         # The constant stands for a mean that is not known: 5 mm in the mates' axes, 1 m in the laboratory's.
         total = kernel.slow**2 * self._slow[kernel.length] + (25.0 if kernel.linear else 1e6)
         if kernel.linear:
-            total += kernel.linear**2 * self._linear
-        if kernel.smooth:
-            total += kernel.smooth**2 * self._smooth
+            total += kernel.linear**2 * self._linear + _OFFSET**2 * self._same
+        if kernel.curved and kernel.rough:
+            scaled = np.sqrt(3.0 * self._apart) / kernel.width
+            total += kernel.curved**2 * (1.0 + scaled) * np.exp(-scaled)
+        elif kernel.curved:
+            total += kernel.curved**2 * np.exp(self._apart / (-2.0 * kernel.width**2))
         return total
 
     def candidates(self, kernel: Kernel, values: Floats, axes: tuple[Floats, Floats] | None) -> list[_Candidate]:
@@ -266,20 +292,22 @@ class _Process:
         return found
 
 
-def _blended(found: Sequence[_Candidate], rules: GapRules) -> tuple[Floats, Floats]:
+def _blended(found: Sequence[_Candidate], learned: int, rules: GapRules) -> tuple[Floats, Floats]:
     """The mean of the candidates, weighted by how they do on the blocks, and its deviation, scaled so that it holds the blocks' errors."""
     errors = np.array([one.error for one in found]) + 1e-9
     weights = (errors.min() / errors) ** rules.power * (errors <= rules.worst * errors.min())
     weights /= weights.sum()
     chosen = [(weight, one) for weight, one in zip(weights, found, strict=True) if weight > 0.0]
-    positions: Floats = sum(weight * one.positions for weight, one in chosen)  # type: ignore[assignment]
+    positions: Floats = sum(weight * one.positions for weight, one in chosen)
     variance: Floats = sum(weight * one.variance for weight, one in chosen)
     off: Floats = sum(weight * one.off for weight, one in chosen)
     expected: Floats = sum(weight * one.expected for weight, one in chosen)
     ratios = np.abs(off) / np.sqrt(expected)[:, :, None]
     # By their mean square and by what holds 95 % of them: a few large errors speak as well as many small ones.
     scale = max(float(np.sqrt((off**2).mean() / expected.mean())), float(np.quantile(ratios, 0.95)) / 1.96)
-    return positions, np.maximum(np.sqrt(variance) * scale * _WIDE, _LEAST)
+    # Few blocks tell the scale badly: as in Student's t, with three coordinates for each block that shares no frame with another.
+    freedom = 3.0 * max(learned / expected.shape[1], 1.0)
+    return positions, np.maximum(np.sqrt(variance) * scale * float(stdtrit(freedom, 0.975)) / 1.96, _LEAST)
 
 
 def _by_steadiness(frames: _Frames, column: int, usable: Ints, observed: Ints) -> Ints:
@@ -311,13 +339,15 @@ def _enough(frames: _Frames, mates: Ints, some: Ints, size: int) -> Ints:
 def _axes(points: Floats, mates: Ints, some: Ints) -> tuple[Floats, Floats]:
     """Rotations (F, 3, 3) and places (F, 3) of the mates' axes in frames (F, N, 3); some: frames whose mean shape the axes are laid on."""
     cluster, weights = np.ascontiguousarray(points[:, mates]), np.ones((1, len(mates)))
-    rotations, places, local = np.empty((len(points), 3, 3)), np.empty((len(points), 3)), np.empty_like(cluster)
-    shape = cluster[some[len(some) // 2]] - cluster[some[len(some) // 2]].mean(axis=0)
+    rotations, places = np.empty((len(points), 3, 3)), np.empty((len(points), 3))
+    few = np.ascontiguousarray(cluster[some[:: max(len(some) // 40, 1)]])
+    shape = few[len(few) // 2] - few[len(few) // 2].mean(axis=0)
     # The first round turns all frames alike, the second one takes their mean shape.
     for _ in range(2):
-        fit_frames(shape, cluster, weights, 0.02, rotations, places)
-        local_positions(cluster, rotations, places, local)
-        shape = local[some].mean(axis=0)
+        fit_frames(shape, few, weights, 0.02, rotations, places)
+        local = np.empty_like(few)
+        local_positions(few, rotations, places, local)
+        shape = local.mean(axis=0)
     fit_frames(shape, cluster, weights, 0.02, rotations, places)
     return rotations, places
 
@@ -329,7 +359,7 @@ def _pose(frames: _Frames, column: int, mates: Ints, some: Ints, rules: GapRules
         return None
     local = np.matmul(frames.points[:, mates] - places[:, None], rotations)
     marker = np.matmul((frames.points[some, column] - places[some])[:, None], rotations[some])
-    weights = 1.0 / (_SINGLE + np.linalg.norm(local[some] - marker, axis=2).std(axis=0))
+    weights = (_SINGLE + np.linalg.norm(local[some] - marker, axis=2).std(axis=0)) ** -rules.local
     flat = ((local - local[some].mean(axis=0)) * weights[:, None]).reshape(len(local), -1)
     scores = flat @ _leading(flat[some], rules.scores)
     return np.asarray(scores / max(float(scores[some].std(axis=0).max()), 1e-9))
@@ -367,10 +397,12 @@ def _blocks(frames: _Frames, rows: Ints, length: int) -> Ints:
     begins = np.arange(len(rows) - length + 1)
     last = begins + length - 1
     # Frames that were chosen by pose leave holes: a block spans at most half as many frames again.
-    whole = begins[(frames.trial[rows[begins]] == frames.trial[rows[last]]) & (rows[last] - rows[begins] <= 1.5 * length)]
-    whole = whole if len(whole) else begins[frames.trial[rows[begins]] == frames.trial[rows[last]]]
-    # So many that a long gap has 16 of them and the work stays that of a few hundred rows.
-    many = int(np.clip(1500 // length, 16, 60))
+    together = frames.trial[rows[begins]] == frames.trial[rows[last]]
+    spans = frames.time[rows[last]] - frames.time[rows[begins]]
+    shortest = spans[together].min(initial=np.inf)
+    whole = begins[together & (spans <= 1.5 * shortest)]
+    # Blocks of a long gap overlap: eight of them say what sixteen do, and cost half.
+    many = int(np.clip(1000 // length, 8, 60))
     return whole[np.unique(np.linspace(0, len(whole) - 1, many).astype(int))][:, None] + np.arange(length)
 
 
@@ -381,14 +413,3 @@ def _inverse(matrix: Floats) -> Floats:
         return np.asarray(np.linalg.pinv(matrix, hermitian=True), dtype=np.float64)
     lower = np.tril(lapack.dpotri(factor, lower=1, overwrite_c=1)[0])
     return np.asarray(lower + np.tril(lower, -1).T)
-
-
-def _bridged(positions: Floats) -> Floats:
-    """The positions with straight lines through gaps; a marker that is never seen stays NaN."""
-    bridged, frames = positions.copy(), np.arange(len(positions))
-    for column in np.nonzero(np.isnan(positions[:, :, 0]).any(axis=0))[0]:
-        seen = np.isfinite(positions[:, column, 0])
-        if seen.any():
-            for axis in range(3):
-                bridged[~seen, column, axis] = np.interp(frames[~seen], frames[seen], positions[seen, column, axis])
-    return bridged
