@@ -186,3 +186,34 @@ def test_a_number_of_limbs_is_found_or_said_why_not(knee: Path, tmp_path: Path, 
     assert main(["segment", str(tmp_path / "chain.npz"), "--limbs", "12", "--vertical", "z", "--json", str(tmp_path / "chain.json")]) == 0
     [file] = json.loads((tmp_path / "chain.json").read_text())["files"]
     assert sorted(limb["points"] for limb in file["limbs"]) == sorted([f"P{4 * k + p}" for p in range(4)] for k in range(12))
+
+
+def test_a_run_that_is_broken_off_leaves_the_files_that_were_done(
+    knee: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from asterism.motion import analysis
+
+    files = [tmp_path / f"{name}.c3d" for name in "abc"]
+    for file in files:
+        file.write_bytes(knee.read_bytes())
+    table, told = tmp_path / "angles.csv", tmp_path / "told.json"
+    analyse = analysis.analyse_motion
+    seen: list[object] = []
+
+    def interrupted(recording: Recording, *args: object, **more: object) -> object:
+        seen.append((table.read_text(), json.loads(told.read_text())) if table.exists() else None)
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+        return analyse(recording, *args, **more)
+
+    monkeypatch.setattr(analysis, "analyse_motion", interrupted)
+    words = ["motion", *map(str, files), "--vertical", "z", "-o", str(table), "--json", str(told)]
+    assert main([*words, "--report", str(tmp_path / "page.html")]) == 130
+    # the first file was written while the second one waited: a kill there would have left it
+    before, now = seen[1], (table.read_text(), json.loads(told.read_text()))
+    assert before is not None and str(files[0]) in before[0] and not before[1]["complete"]
+    assert [one["file"] for one in now[1]["files"]] == list(map(str, files[:2])) and not now[1]["complete"]
+    assert {row.split(",")[0] for row in now[0].splitlines()[1:]} == set(map(str, files[:2]))
+    assert "2 files had been analysed and are written" in capsys.readouterr().err and (tmp_path / "page.html").exists()
+    monkeypatch.undo()
+    assert main([*words, "--overwrite"]) == 0 and json.loads(told.read_text())["complete"]

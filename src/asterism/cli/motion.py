@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -18,7 +19,7 @@ from asterism.errors import AsterismError
 if TYPE_CHECKING:
     from asterism.cameras import Rig
     from asterism.cli._clinical import MonteCarloOptions
-    from asterism.motion.analysis import MotionAnalysis
+    from asterism.motion.analysis import MotionAnalysis, MotionRules
     from asterism.motion.clinical import ClinicalAngles, ClinicalErrors, ClinicalUncertainty
     from asterism.motion.uncertainty import CalibrationErrors, ErrorSources, MeasurementNoise, UncertaintyResult
     from asterism.recording import Floats, Recording
@@ -106,12 +107,11 @@ def motion(options: MotionOptions) -> None:
     From the points' trajectories alone, or by the segments of a marker set (--markers). Angles count from the first frame in which both
     limbs are seen. With --uncertainty each angle gets nominal 65 and 95 % intervals, and a budget: what cameras and soft tissue add. They
     are those of a model of errors, tried on simulated skin only. Where the markers of Helen Hayes or Plug-in-Gait are seen, flexion,
-    adduction and rotation of hip, knee and ankle are given too, of both sides; misplaced markers count in them.
+    adduction and rotation of hip, knee and ankle are given too, of both sides; misplaced markers count in them. The CSV and the JSON file
+    are written between the files, too: a run that is broken off leaves the files that were done.
     """
     from asterism.cli._folders import recordings_of
-    from asterism.motion.analysis import MotionRules, analyse_motion
-    from asterism.motion.clinical import exchanged_finding
-    from asterism.motion.uncertainty import estimate_uncertainty
+    from asterism.motion.analysis import MotionRules
 
     _console.check_outputs([options.report, options.json, options.output], [*options.files, options.rig], options.overwrite)
     # a covariance belongs to the cameras of a rig, by their names
@@ -122,47 +122,107 @@ def motion(options: MotionOptions) -> None:
     # read once: the same cameras measured all files
     cameras = _cameras(options)
     rules = MotionRules(method=options.method.value, joint_method=options.joints.value)
-    for path in recordings_of(options.files, batch):
-        with batch.file(path):
-            # unlabelled points serve: limbs are what moves together
-            recording = read_points(path, options.vertical, batch)
-            limbs, clinical = _limbs(options, recording), _clinical.find(recording, options.anatomy)
-            with _console.progress("motion") as progress:
-                analysis = analyse_motion(recording, limbs, rules=rules, progress=progress)
-                certain, legs = None, None
-                if options.uncertainty:
-                    trials = _monte_carlo(options, progress)
-                    # only on demand: each trial finds the joints anew
-                    certain = estimate_uncertainty(analysis, _sources(options, cameras, analysis), seed=options.seed, **trials)
-                    legs = _clinical.certain(recording, clinical, _of_legs(options, cameras, recording, certain), options.seed, trials)
-            # what is uncertain about the angles is said beside what is wrong with the points
-            sides = exchanged_finding(recording) if clinical is not None else []
-            for finding in [*analysis.findings, *sides, *(certain.findings if certain else ())]:
-                batch.found(finding)
-            results.append(MotionResult(path, analysis, certain, clinical, legs))
-            if options.json != "-":
-                show(path, analysis, certain)
-                _clinical.show(path, clinical, legs)
+    saving = _Saving(options, batch, results)
+    try:
+        for path in recordings_of(options.files, batch):
+            with batch.file(path):
+                results.append(_analysed(path, options, cameras, rules, batch))
+            saving.once_in_a_while()
+    except KeyboardInterrupt:
+        # what was done is not lost with the rest
+        saving.now(complete=False)
+        raise
     if not results:
         raise typer.Exit(batch.close())
-    if options.output is not None:
-        _write_angles(options.output, results)
-    if options.report is not None:
-        from asterism.recording.display import short_names
-        from asterism.report.motion import motion_report
-
-        names = short_names([one.path for one in results])
-        shown = [(name, one.analysis, one.certain) for name, one in zip(names, results, strict=True)]
-        motion_report(options.report, shown, clinical=[(one.clinical, one.legs) for one in results])
-    content = {
-        "command": "motion",
-        "seed": options.seed,
-        "files": [{"file": one.path, **as_dict(one.analysis, one.certain), **_clinical.as_dict(one.clinical, one.legs)} for one in results],
-        "failed": batch.failed,
-        "findings": [finding.to_dict() for finding in batch.findings],
-    }
-    _console.write_json(options.json, content)
+    saving.now(complete=True)
     raise typer.Exit(batch.close())
+
+
+def _analysed(path: Path, options: MotionOptions, cameras: Cameras, rules: MotionRules, batch: _console.Batch) -> MotionResult:
+    """Analyse one file, and print what was found."""
+    from asterism.motion.analysis import analyse_motion
+    from asterism.motion.clinical import exchanged_finding
+    from asterism.motion.uncertainty import estimate_uncertainty
+
+    # unlabelled points serve: limbs are what moves together
+    recording = read_points(path, options.vertical, batch)
+    limbs, clinical = _limbs(options, recording), _clinical.find(recording, options.anatomy)
+    with _console.progress("motion") as progress:
+        analysis = analyse_motion(recording, limbs, rules=rules, progress=progress)
+        certain, legs = None, None
+        if options.uncertainty:
+            trials = _monte_carlo(options, progress)
+            # only on demand: each trial finds the joints anew
+            certain = estimate_uncertainty(analysis, _sources(options, cameras, analysis), seed=options.seed, **trials)
+            legs = _clinical.certain(recording, clinical, _of_legs(options, cameras, recording, certain), options.seed, trials)
+    # what is uncertain about the angles is said beside what is wrong with the points
+    sides = exchanged_finding(recording) if clinical is not None else []
+    for finding in [*analysis.findings, *sides, *(certain.findings if certain else ())]:
+        batch.found(finding)
+    if options.json != "-":
+        show(path, analysis, certain)
+        _clinical.show(path, clinical, legs)
+    return MotionResult(path, analysis, certain, clinical, legs)
+
+
+_SHARE_OF_TIME = 10.0
+"""Of the time that the files take, saving between them takes one part in so many at most: each saving writes all files' angles again."""
+
+
+class _Saving:
+    """Writes the angles of the files that are done, at the end and between: a run that is killed has written most of them."""
+
+    def __init__(self, options: MotionOptions, batch: _console.Batch, results: list[MotionResult]) -> None:
+        self._options, self._batch, self._results = options, batch, results
+        self._last, self._took = monotonic(), 0.0
+
+    def once_in_a_while(self) -> None:
+        """Write the CSV and the JSON of what is done, where there is time for it."""
+        if monotonic() - self._last >= _SHARE_OF_TIME * self._took:
+            begun = monotonic()
+            self._tables(complete=False)
+            self._last = monotonic()
+            self._took = self._last - begun
+
+    def now(self, *, complete: bool) -> None:
+        """Write all that was asked for."""
+        if not self._results:
+            return
+        self._tables(complete)
+        if self._options.report is not None:
+            from asterism.recording.display import short_names
+            from asterism.report.motion import motion_report
+
+            names = short_names([one.path for one in self._results])
+            shown = [(name, one.analysis, one.certain) for name, one in zip(names, self._results, strict=True)]
+            motion_report(self._options.report, shown, clinical=[(one.clinical, one.legs) for one in self._results])
+        if not complete and (self._options.json not in (None, "-") or self._options.output or self._options.report):
+            from asterism.recording.display import counted
+
+            _console.notice(
+                f"{counted(len(self._results), 'file')} had been analysed and {'is' if len(self._results) == 1 else 'are'} written."
+            )
+
+    def _tables(self, complete: bool) -> None:
+        options, results, batch = self._options, self._results, self._batch
+        if not results:
+            return
+        if options.output is not None:
+            _write_angles(options.output, results)
+        # standard output has one JSON, at the end
+        if options.json is None or (options.json == "-" and not complete):
+            return
+        content = {
+            "command": "motion",
+            "complete": complete,
+            "seed": options.seed,
+            "files": [
+                {"file": one.path, **as_dict(one.analysis, one.certain), **_clinical.as_dict(one.clinical, one.legs)} for one in results
+            ],
+            "failed": batch.failed,
+            "findings": [finding.to_dict() for finding in batch.findings],
+        }
+        _console.write_json(options.json, content)
 
 
 def _limbs(options: MotionOptions, recording: Recording) -> dict[str, list[str]] | int | None:
