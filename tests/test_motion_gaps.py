@@ -31,6 +31,7 @@ from asterism.motion.clinical import (
     clinical_angles,
     clinical_uncertainty,
     complete_legs,
+    inverse_dynamics,
     leg_measures,
     lower_body,
     subject_measures,
@@ -263,6 +264,9 @@ def test_limbs_that_are_seen_in_turn_are_joined_through_the_third() -> None:
 MARKERS = ("LASI", "RASI", "SACR", "LTHI", "LKNE", "LTIB", "LANK", "LTOE")
 
 
+HEAVY = SubjectMeasures(mass=60.0)
+
+
 @pytest.mark.parametrize("frames", ["all", "first", "last"])
 @pytest.mark.parametrize("marker", MARKERS)
 def test_clinical_angles_with_a_marker_missing(marker: str, frames: str) -> None:
@@ -276,7 +280,9 @@ def test_clinical_angles_with_a_marker_missing(marker: str, frames: str) -> None
         for side in "LR":
             attempt(lambda holed=holed, side=side: leg_frames(holed, side))
             attempt(lambda holed=holed, side=side: leg_measures(holed, side))
-            attempt(lambda holed=holed, side=side: lower_body(holed, SubjectMeasures(), side))
+            body = attempt(lambda holed=holed, side=side: lower_body(holed, SubjectMeasures(), side))
+            if body is not None:
+                attempt(lambda holed=holed, body=body, side=side: inverse_dynamics(holed, body, (), (), {side: [(-1, 1)]}, HEAVY))
         told = attempt(lambda holed=holed: with_static_offsets(holed, subject_measures(holed)))
         assert told is None or np.isfinite([told.left.shank_rotation, told.left.tibial_torsion, told.left.foot_flexion]).all()
         for sides in (complete_legs(holed), "L"):

@@ -45,7 +45,9 @@ class GaitOptions:
     ] = None
     curves: Annotated[
         Path | None,
-        typer.Option("--curves", metavar="FILE", help="Write the angles of each cycle, 0 to 100 %, as CSV.", show_default=False),
+        typer.Option(
+            "--curves", metavar="FILE", help="Write angles, moments and powers of each cycle, 0 to 100 %, as CSV.", show_default=False
+        ),
     ] = None
     band: Annotated[
         Path | None,
@@ -71,7 +73,8 @@ def gait(options: GaitOptions) -> None:
 
     Strikes and offs come from the markers of feet and pelvis, and from force plates that one foot alone stands on. Cadence, speed, lengths
     and times of steps have an uncertainty. Angles of pelvis, hip, knee, ankle and foot are those of Plug-in-Gait, from the measures of the
-    file, of --static and of --measure. Several walks of one person go into one report.
+    file, of --static and of --measure. Several walks of one person go into one report. A foot
+    that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass.
     """
     from asterism.cli._folders import recordings_of
     from asterism.formats import force_plates
@@ -110,7 +113,7 @@ def gait(options: GaitOptions) -> None:
             options.output, ["file", "side", "begins_s", "parameter", "value", "uncertainty", "unit"], _parameter_rows(results)
         )
     if options.curves is not None:
-        _console.write_csv(options.curves, ["file", "side", "cycle", "angle", "percent", "x_deg", "y_deg", "z_deg"], _curve_rows(results))
+        _console.write_csv(options.curves, _CURVE_COLUMNS, _curve_rows(results))
     if options.report is not None:
         from asterism.recording.display import short_names
         from asterism.report.gait import gait_report
@@ -188,20 +191,36 @@ def _parameter_rows(results: list[tuple[Path, GaitAnalysis]]) -> list[list[Any]]
     ]
 
 
+_CURVE_COLUMNS = ["file", "side", "cycle", "curve", "unit", "percent", "x", "y", "z"]
+
+
 def _curve_rows(results: list[tuple[Path, GaitAnalysis]]) -> list[list[Any]]:
+    """Angles, then moments, powers (x alone) and the ground's force; each over its own cycles."""
     import numpy as np
 
-    return [
-        [path, name[0], number + 1, name[1:].removesuffix("Angles"), percent, *(f"{value:.3f}" for value in np.degrees(values))]
-        for path, analysis in results
-        for name, curves in analysis.curves.items()
-        for number, curve in enumerate(curves)
-        for percent, values in enumerate(curve)
-    ]
+    rows: list[list[Any]] = []
+    for path, analysis in results:
+        per_kg = analysis.kinetics is not None and analysis.kinetics.per_kg
+        angles = {name: (np.degrees(curves), "deg") for name, curves in analysis.curves.items()}
+        loads = {name: (curves, load_unit(name, per_kg)) for name, curves in analysis.loads.items()}
+        for name, (curves, unit) in (angles | loads).items():
+            for number, curve in enumerate(curves):
+                for percent, values in enumerate(curve):
+                    cells = ["" if np.isnan(value) else f"{value:.3f}" for value in values]
+                    rows.append(
+                        [path, name[0], number + 1, name[1:].removesuffix("Angles"), unit, percent, *cells, *[""] * (3 - len(cells))]
+                    )
+    return rows
+
+
+def load_unit(name: str, per_kg: bool) -> str:
+    """The unit of a moment, power or force by Plug-in-Gait's name."""
+    unit = "N m" if name.endswith("Moment") else "W" if name.endswith("Power") else "N"
+    return f"{unit}/kg" if per_kg else unit
 
 
 def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
-    """The analysis as JSON has it: seconds from the first frame, degrees."""
+    """The analysis as JSON has it: seconds from the first frame, degrees; loads in N m/kg, W/kg and N/kg, or N m, W and N."""
     import dataclasses
 
     import numpy as np
@@ -215,5 +234,7 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
         ],
         "parameters": [dataclasses.asdict(one) for one in analysis.parameters],
         "curves_deg": {name: np.round(np.degrees(curves), 3) for name, curves in analysis.curves.items()},
+        "loads": {name: np.round(curves, 4) for name, curves in analysis.loads.items()},
+        "loads_per_kg": analysis.kinetics is not None and analysis.kinetics.per_kg,
         "measures": {} if analysis.clinical is None else dataclasses.asdict(analysis.clinical.subject),
     }

@@ -3,7 +3,7 @@
 from asterism.gait.analysis import GaitAnalysis, analyse_gait, measures_by_name
 from asterism.gait.bands import Band, ProfileScore, band_of, profile_scores
 from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
-from asterism.gait.events import EventRules, GaitEvent, Walking, find_events
+from asterism.gait.events import EventRules, GaitEvent, Walking, find_events, plate_contacts
 from asterism.gait.feet import Feet, feet_of
 from asterism.gait.parameters import PARAMETERS, Parameter, ParameterSummary, parameters_of, summarise
 
@@ -28,6 +28,7 @@ __all__ = [
     "measures_by_name",
     "over_cycle",
     "parameters_of",
+    "plate_contacts",
     "profile_scores",
     "summarise",
 ]

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.gait.cycles import Cycle, cycles_of, over_cycle
-from asterism.gait.events import Walking, find_events
+from asterism.gait.events import Walking, find_events, plate_contacts
 from asterism.gait.parameters import Parameter, parameters_of
-from asterism.motion.clinical import ClinicalAngles, SubjectMeasures, clinical_angles, complete_legs, exchanged_finding
+from asterism.motion.clinical import (
+    ClinicalAngles,
+    Kinetics,
+    SubjectMeasures,
+    clinical_angles,
+    complete_legs,
+    exchanged_finding,
+    inverse_dynamics,
+    lower_body,
+)
 from asterism.recording import Floats, ForcePlate, Recording
 
 CURVES = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress", "Thorax", "Spine")
@@ -27,6 +36,8 @@ class GaitAnalysis:
     clinical    angles over time; None where no leg has its markers
     curves      name such as "LKneeAngles" -> (cycles of that side, 101, 3) rad
     findings    what to know before using it
+    kinetics    moments and powers over time; None where no foot is alone on a plate
+    loads       name such as "LKneeMoment" or "LKneePower" -> (cycles of that side whose forces are known, 101, 3 or 1)
     """
 
     recording: Recording
@@ -36,12 +47,14 @@ class GaitAnalysis:
     clinical: ClinicalAngles | None
     curves: Mapping[str, Floats]
     findings: tuple[Finding, ...]
+    kinetics: Kinetics | None = None
+    loads: Mapping[str, Floats] = field(default_factory=dict)
 
 
 def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measures: SubjectMeasures | None = None) -> GaitAnalysis:
     """Events, cycles, parameters and clinical angles of a recording.
 
-    plates    of the recording (`asterism.formats.force_plates`): they tell events to milliseconds
+    plates    of the recording (`asterism.formats.force_plates`): they tell events to milliseconds, and moments and powers of the joints
     measures  of the person, such as `with_static_offsets` gives; by default those of the recording's file
 
     What can be computed is: without the markers of Plug-in-Gait there are parameters and no angles, without a whole cycle events alone.
@@ -88,7 +101,45 @@ def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measur
         if own and name[1:].removesuffix("Angles") in CURVES:
             # An angle near half a turn must not jump by a whole one within a cycle.
             curves[name] = np.unwrap(np.stack(own), axis=1)
-    return GaitAnalysis(recording, walking, cycles, tuple(parameters_of(walking, cycles)), clinical, curves, tuple(found))
+    kinetics = None
+    if clinical is not None and plates:
+        try:
+            kinetics = _kinetics(recording, walking, plates, clinical)
+        except AsterismError as problem:
+            found.append(
+                Finding("kinetics-plates", Severity.WARNING, file, f"{file}: no moments and powers: {problem}", "Export it again.")
+            )
+    loads = {} if kinetics is None else _loads(recording, cycles, kinetics)
+    found += () if kinetics is None else kinetics.findings
+    parameters = tuple(parameters_of(walking, cycles))
+    return GaitAnalysis(recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads)
+
+
+_KNOWN = 0.9
+"""Of a cycle, points at which moments are known. A stance is six tenths: at half, swings would count as cycles, at double none counts."""
+
+
+def _kinetics(recording: Recording, walking: Walking, plates: Sequence[ForcePlate], clinical: ClinicalAngles) -> Kinetics | None:
+    """Moments and powers of the legs that have angles; None where nobody is on a plate."""
+    contacts = plate_contacts(recording, walking.feet, plates)
+    if not contacts:
+        return None
+    sides = "".join(side[0].upper() for side in clinical.measures)
+    body = lower_body(recording, clinical.subject, sides)
+    swings = {side: walking.swings(side) for side in sides}
+    return inverse_dynamics(recording, body, plates, contacts, swings, clinical.subject)
+
+
+def _loads(recording: Recording, cycles: Sequence[Cycle], kinetics: Kinetics) -> dict[str, Floats]:
+    """Over the cycles of which stance and swing are known."""
+    loads = {}
+    powers = {name: power[:, None] for name, power in kinetics.powers.items()}
+    for name, values in {**kinetics.moments, **powers, **kinetics.ground}.items():
+        own = [over_cycle(values, recording.rate, cycle) for cycle in cycles if cycle.side == name[0]]
+        known = [curve for curve in own if np.isfinite(curve).all(axis=1).mean() >= _KNOWN]
+        if known:
+            loads[name] = np.stack(known)
+    return loads
 
 
 def measures_by_name(pairs: Sequence[str]) -> dict[str, float]:

@@ -2,6 +2,14 @@
 
 from asterism.motion.clinical.angles import CLINICAL, ClinicalAngles, ClinicalJoint, clinical_angles, complete_legs
 from asterism.motion.clinical.exchanged import exchanged_finding, exchanged_pairs
+from asterism.motion.clinical.kinetics import (
+    ABOUT_CENTRE,
+    KineticRules,
+    Kinetics,
+    PlateContact,
+    SegmentInertia,
+    inverse_dynamics,
+)
 from asterism.motion.clinical.measures import LegMeasures, SubjectMeasures, leg_measures, subject_measures
 from asterism.motion.clinical.plug_in_gait import Leg, LowerBody, lower_body
 from asterism.motion.clinical.static import StaticRules, with_static_offsets
@@ -14,15 +22,20 @@ from asterism.motion.clinical.uncertainty import (
 )
 
 __all__ = [
+    "ABOUT_CENTRE",
     "CLINICAL",
     "ClinicalAngles",
     "ClinicalErrors",
     "ClinicalJoint",
     "ClinicalUncertainty",
     "JointUncertainty",
+    "KineticRules",
+    "Kinetics",
     "Leg",
     "LegMeasures",
     "LowerBody",
+    "PlateContact",
+    "SegmentInertia",
     "SkinMotion",
     "StaticRules",
     "SubjectMeasures",
@@ -31,6 +44,7 @@ __all__ = [
     "complete_legs",
     "exchanged_finding",
     "exchanged_pairs",
+    "inverse_dynamics",
     "leg_measures",
     "lower_body",
     "subject_measures",
