@@ -18,6 +18,7 @@ from asterism.labelling import SeveralBodies, join_labellings, label_together
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.labelling.whole.bodies import Bodies, follow_bodies
 from asterism.recording import Labelling, MarkerSet, Recording
+from asterism.session import label_file
 from asterism.simulation import simulate_walks
 
 BOX = np.array([[0.0, 0.0, 0.0], [0.25, 0.0, 0.0], [0.0, 0.18, 0.0], [0.05, 0.07, 0.2], [-0.12, 0.04, 0.09]])
@@ -168,6 +169,37 @@ def test_joined_labellings_have_a_name_for_every_marker() -> None:
     assert join_labellings(parts[:2], sets[:2])[0].names == ("1:LASI", "1:RASI", "2:LASIS")
     with pytest.raises(asterism.AsterismError, match="do not fit"):
         join_labellings(parts, sets[:2])
+
+
+@pytest.mark.parametrize("first", ["Ann", "Zoe"])
+@pytest.mark.parametrize("twice", [False, True])
+def test_two_people_whom_the_file_names_are_both_labelled_under_their_own_names(
+    walks, walker, tmp_path: Path, first: str, twice: bool
+) -> None:
+    both = beside(walks[5].frames(slice(60)), walks[6].frames(slice(60)), (1.5, 0.3, 0.0))
+    labels = tuple(f"{who}:{label.rpartition(':')[2]}" for who, label in zip([first] * 15 + ["Mel"] * 15, both.labels, strict=True))
+    asterism.write(tmp_path / "walk.c3d", replace(both, labels=labels))
+    labelled = label_file(tmp_path / "walk.c3d", [walker] * (1 + twice))
+    assert "label-two-bodies" not in [finding.code for finding in labelled.findings]
+    assert (labelled.labelling.indices >= 0).mean() > 0.95
+    given = labelled.recording
+    # all that is named is named as before, whichever of the two shows more
+    for label, was in zip(labels, both.positions.swapaxes(0, 1), strict=True):
+        now = given.positions[:, given.labels.index(label)]
+        known = np.isfinite(now).all(axis=1)
+        assert known.any() and np.abs(now - was)[known].max() < 1e-5, label
+
+
+@pytest.mark.parametrize("named", [0, 1])
+def test_of_two_people_of_whom_the_file_names_one_that_one_keeps_the_names(walks, walker, tmp_path: Path, named: int) -> None:
+    both = beside(walks[5].frames(slice(60)), walks[6].frames(slice(60)), (1.5, 0.3, 0.0))
+    numbers, names = [f"*{at}" for at in range(15)], list(walks[5].labels)
+    asterism.write(tmp_path / "walk.c3d", replace(both, labels=tuple(names + numbers if named == 0 else numbers + names)))
+    labelled = label_file(tmp_path / "walk.c3d", walker)
+    codes = [finding.code for finding in labelled.findings]
+    assert "label-two-bodies" in codes and "label-names-differ" not in codes
+    given = labelled.labelling.indices
+    assert (given >= 0).mean() > 0.95 and set(np.unique(given[given >= 0] // 15)) == {named}
 
 
 def test_the_command_labels_two_walkers_and_a_box(walks, walker, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -98,7 +98,7 @@ def _opened(path: Path) -> Source:
         if len(pages) > 1 or cut:
             return Source(path, path.stem, "pages", np.arange(len(pages)), pages=pages, cut=cut)
     # FFmpeg reads all images of an animated GIF, of which OpenCV would read the first as a picture.
-    moving = path.suffix.casefold() in _ANIMATED and cv2.imcount(str(path)) > 1
+    moving = path.suffix.casefold() in _ANIMATED and _count_images(path) > 1
     if not moving and (path.suffix.casefold() in IMAGES or cv2.haveImageReader(str(path))):
         return _series(path, path.stem, [path])
     with _film(path) as capture:
@@ -248,6 +248,16 @@ def _pages(file: Path) -> tuple[tuple[int, ...], bool]:
     except struct.error:
         return tuple(found), True
     return tuple(found), at != 0
+
+
+def _count_images(path: Path) -> int:
+    """The images of an animation. Raises AsterismError where the file claims more than it has: OpenCV would first ask for the memory."""
+    import cv2
+
+    content = np.fromfile(path, dtype=np.uint8)
+    check_claimed_size(path, *claimed_size(content))
+    check_claimed_chunks(path, content)
+    return int(cv2.imcount(str(path)))
 
 
 def _next_page(content: NDArray[np.uint8], at: int, order: str, big: bool) -> int:

@@ -28,7 +28,7 @@ from asterism.labelling.virtual_model import virtual_model
 from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.labelling.whole.verdict import MIN_FRAMES
 from asterism.progress import Progress
-from asterism.recording import Clouds, Disagreement, Ints, Labelling, MarkerSet
+from asterism.recording import Clouds, Disagreement, Ints, Labelling, MarkerSet, Recording
 from asterism.recording.display import counted, significant
 from asterism.recording.verdict import OTHER_BODY
 from asterism.session.coincident import coincident_findings
@@ -36,6 +36,7 @@ from asterism.session.labelled import LabelledFile
 from asterism.session.mirror import mirror_findings
 from asterism.session.names import choose_name_policy, findings_on_names, join_disagreements, merge_file_names
 from asterism.session.options import LabellingOptions
+from asterism.session.people import in_order_of_names, people_in
 from asterism.session.sources import FrameSource, open_source
 from asterism.session.standing import StandingTrials
 from asterism.session.upright import labelled_upright, vertical_finding
@@ -99,6 +100,7 @@ class FileLabeller:
     _compiled: bool = False
     _of_sets: dict[tuple[str, ...], FileLabeller] = field(default_factory=dict)
     _of_wider_sets: dict[tuple[str, ...], FileLabeller] = field(default_factory=dict)
+    _of_named: dict[tuple[str, ...], FileLabeller] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.models and self.options.markers:
@@ -151,8 +153,13 @@ class FileLabeller:
         if not self.models:
             return self._label_worn(path, progress)
         if self.options.vertical is not None:
-            return self._label_source(path, self._open(path, self.options.vertical), progress)
+            source = self._open(path, self.options.vertical)
+            people = self._of_people(source.about)
+            return people.label(path, progress) if people is not None else self._label_source(path, source, progress)
         source = self._open(path, None)
+        people = self._of_people(source.about)
+        if people is not None:
+            return people.label(path, progress)
         recording = source.frames(_beginning(source))
         said, other = source.about.vertical, labelled_upright(self._plain, recording)
         labelled = self._label_source(path, source if other is None else self._open(path, other), progress)
@@ -164,6 +171,20 @@ class FileLabeller:
         if other is None:
             return labelled
         return replace(labelled, found=(vertical_finding(str(path), said, other), *labelled.found))
+
+    def _of_people(self, recording: Recording) -> FileLabeller | None:
+        """What labels a file whose names are of several people ("Ann:LKNE", "Bob:LKNE"): a body for each, called as the file calls them.
+
+        None where there is one person, it is labelled so already, or the models are of another number of bodies, or not alike.
+        """
+        model = self.models[0]
+        one_model = self.options.settings.in_time and all(other is model for other in self.models)
+        people = tuple(people_in(recording.labels, model.marker_set))
+        if not one_model or len(people) < 2 or len(self.models) not in (1, len(people)) or tuple(self.names or ()) == people:
+            return None
+        if people not in self._of_named:
+            self._of_named[people] = FileLabeller([model] * len(people), self.options, self.files, people, self.findings)
+        return self._of_named[people]
 
     def _open(self, path: Path, vertical: ArrayLike | str | None) -> FrameSource:
         """The recording of a file. Raises AsterismError as `label` does."""
@@ -252,7 +273,9 @@ class FileLabeller:
 
         names = tuple(one.name for one in worn)
         if names not in self._of_sets:
-            models = [virtual_model(one.marker_set, progress=progress) for one in worn]
+            # people who wear one set are told to have one model
+            of_set = {one.name: virtual_model(one.marker_set, progress=progress) for one in worn}
+            models = [of_set[name] for name in names]
             by = self.options.by or f"asterism {__version__}, virtual people, {', '.join(names)}"
             of_bodies = [Path(name).stem for name in names]
             self._of_sets[names] = FileLabeller(
@@ -289,7 +312,9 @@ class FileLabeller:
         bodies = list[LabelledBodies]()
 
         def label(clouds: Clouds, report: Progress | None) -> Labelling:
-            bodies[:] = [labeller.label_two(clouds, report) if two else labeller.label_bodies(clouds, report, keep_tracklets=keep)]
+            found = labeller.label_two(clouds, report) if two else labeller.label_bodies(clouds, report, keep_tracklets=keep)
+            # the points alone do not say which of like bodies is whose; the names of the file do
+            bodies[:] = [in_order_of_names(found, source.about.labels, clouds, labeller) if two or len(labeller.models) > 1 else found]
             return bodies[0].labelling
 
         # a source that is not in memory wants its labels small, too

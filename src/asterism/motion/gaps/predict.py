@@ -52,6 +52,7 @@ class GapRules:
     scores    principal components of the pose; 20 err 1 % more, 12 err 4 %
     frames    most frames that are learned from: time grows with the square to the cube, 200 and 160 change errors by 3 %
     near      share of these that are next to the gap in time, the others next to it in pose; 0.4 and 0.7 change nothing
+    elsewhere most frames of other trials, the nearest in pose; 30 and 120 differ by 1 %
     power     candidates count by the power of their error: 4 and 8 differ by 1 %
     worst     a candidate that errs this many times as much as the best does not count
     reach     frames before and behind the gap that are looked at, so that hours cost no more than a trial
@@ -70,6 +71,7 @@ class GapRules:
     scores: int = 30
     frames: int = 180
     near: float = 0.55
+    elsewhere: int = 60
     power: float = 8.0
     worst: float = 1.6
     reach: int = 1000
@@ -84,8 +86,8 @@ _EXTENT = 25.0
 """mm, second largest extent of the mates' shape: three in a line leave the turn about it open."""
 _SINGLE = 15.0
 """mm by which a marker that never moves against the filled one is held to move: a third and double change errors by 3 %."""
-_OFFSET = 3.0
-"""mm by which a marker may sit elsewhere in another trial: none errs 3 % more on gaps of 1 s."""
+_OFFSET = 6.0
+"""mm by which a marker may sit elsewhere in another trial: 0 errs 7 % more on gaps of 1 s, 3 and 12 the same."""
 _OTHER = 1e6
 """s between frames of different trials, which are independent but for the pose."""
 _LEAST = 0.01
@@ -377,18 +379,21 @@ def _leading(flat: Floats, many: int) -> Floats:
 
 
 def _rows(frames: _Frames, gap: Ints, observed: Ints, pose: Floats | None, rules: GapRules) -> Ints:
-    """The frames that are learned from: the nearest in time, and the nearest in pose among the others of all trials."""
-    here = observed[frames.trial[observed] == 0]
+    """The frames that are learned from: the nearest in time, and the nearest in pose among the others and of other trials."""
+    own = frames.trial[observed] == 0
+    here, elsewhere = observed[own], observed[~own]
     nearest = np.argsort(np.abs(here - (gap[0] + gap[-1]) / 2.0), kind="stable")
     near = here[nearest[: int(rules.frames * (1.0 if pose is None else rules.near))]]
-    far = np.setdiff1d(observed, near)
     if pose is None:
         return np.sort(near)
-    if len(far) > rules.frames - len(near):
-        wanted = pose[gap[:: max(len(gap) // 10, 1)]]
-        distances = ((pose[far][:, None] - wanted[None]) ** 2).sum(axis=2).min(axis=1)
-        far = far[np.argsort(distances, kind="stable")[: rules.frames - len(near)]]
-    return np.sort(np.concatenate([near, far]))
+    wanted = pose[gap[:: max(len(gap) // 10, 1)]]
+
+    def likest(rows: Ints, many: int) -> Ints:
+        distances = ((pose[rows][:, None] - wanted[None]) ** 2).sum(axis=2).min(axis=1)
+        return rows[np.argsort(distances, kind="stable")[:many]]
+
+    far = likest(np.setdiff1d(here, near), rules.frames - len(near))
+    return np.sort(np.concatenate([near, far, likest(elsewhere, rules.elsewhere)]))
 
 
 def _blocks(frames: _Frames, rows: Ints, length: int) -> Ints:

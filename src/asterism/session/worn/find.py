@@ -21,6 +21,7 @@ from asterism.geometry import rotate_z_up
 from asterism.recording import Clouds, Floats, Ints, MarkerSet, Recording, shipped_sets, worn_marker_sets
 from asterism.recording.display import significant
 from asterism.recording.marker_set import is_unnamed
+from asterism.session.people import people_in
 from asterism.session.upright import other_verticals
 from asterism.session.worn.fit import FitRules, FrameFit, fit_frame
 from asterism.session.worn.shapes import BodyShapes, body_shapes
@@ -213,7 +214,7 @@ class SetFinder:
             return self.given_sets()
         named = self._by_names(recording)
         if named is not None:
-            return (named,)
+            return (named,) * max(1, len(people_in(recording.labels, named.marker_set)))
         worn = self._by_points(path, recording)
         if worn is not None and worn.same_names < self.rules.sure:
             # frames between those may show a posture that is better known
