@@ -501,7 +501,28 @@ def test_the_page_shows_each_camera_with_its_blobs_and_the_hidden_markers(tmp_pa
     result = labelled()
     views_report(tmp_path / "views.html", result)
     page = (tmp_path / "views.html").read_text(encoding="utf-8")
-    assert all(f"Camera {name}, frame" in page for name in session().rig.names)
+    figure = json.loads(page.split('id="data">')[1].split("</script>")[0])["figures"]["figure-0"]
+    steps, layout, traces = figure["layout"]["sliders"][0]["steps"], figure["layout"], figure["data"]
+    # the slider goes from the first frame to the last, and shows one frame's traces at a time
+    assert (steps[0]["label"], steps[-1]["label"]) == ("0", str(len(result.views) - 1))
+    shown = np.array([step["args"][0]["visible"] for step in steps])
+    assert (shown.sum(axis=0) == 1).all() and [bool(one["visible"]) for one in traces] == shown[layout["sliders"][0]["active"]].tolist()
+    for step in steps:
+        there = step["args"][1]
+        names = [one for one in there["annotations"] if "ax" in one]
+        titles = [one["text"] for one in there["annotations"] if "ax" not in one]
+        assert titles == [f"Camera {name}" for name in session().rig.names]
+        for c, axis in enumerate(("x", "x2", "x3", "x4")):
+            (left, right), (bottom, top) = there[f"xaxis{axis[1:]}.range"], there[f"yaxis{axis[1:]}.range"]
+            body = next(trace for trace, on in zip(traces, step["args"][0]["visible"], strict=True) if on and trace["xaxis"] == axis)
+            y = [value for value in body["y"] if value is not None]
+            # the person fills the picture, and no two names of a column are nearer than a line
+            assert (max(y) - min(y)) / (bottom - top) > 0.75, f"camera {c}"
+            own = [one for one in names if one["xref"] == axis]
+            assert len(own) > 5 and all(left < one["ax"] < right for one in own)
+            for column in {one["ax"] for one in own}:
+                heights = np.sort([one["ay"] for one in own if one["ax"] == column])
+                assert (np.diff(heights) > 0.9 * 16 / 560 * (bottom - top)).all()
     assert "four walkers" in page and "LKNE" in page
     nobody = replace(result, poses=np.full_like(result.poses, np.nan), labels=np.full_like(result.labels, -1))
     views_report(tmp_path / "nobody.html", replace(nobody, views=np.zeros_like(result.views)))
