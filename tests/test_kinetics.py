@@ -17,6 +17,8 @@ from asterism.motion.clinical import ABOUT_CENTRE, KineticRules, Kinetics, Leg, 
 from asterism.motion.clinical.measures import computed_by_the_file
 from asterism.motion.splines import quintic_spline, second_derivative
 from asterism.recording import ForcePlate
+from asterism.report.gait import gait_report
+from asterism.simulation import simulate_walks
 
 RATE, FRAMES, MASS = 100.0, 300, 60.0
 THIGH, SHANK, FOOT = 0.45, 0.40, 0.20
@@ -156,6 +158,21 @@ def test_a_gap_stays_a_gap_and_short_pieces_too() -> None:
     assert np.isfinite(second_derivative(curve, RATE)[:, 0]).tolist() == [True] * 100 + [False] * (FRAMES - 100)
     with pytest.raises(ValueError, match="finite"):
         quintic_spline(curve)
+
+
+@pytest.mark.parametrize(("per_kg", "unit"), [(True, "(W/kg)"), (False, "(W)")])
+def test_the_page_shows_moments_and_powers_with_their_unit(tmp_path: Path, per_kg: bool, unit: str) -> None:
+    analysis = analyse_gait(simulate_walks(1, frames=300, markers="helen-hayes", seed=0)[0])
+    curve = np.sin(np.linspace(0, 6, 101))[None, :, None]
+    # the end of a cycle may be unknown
+    curve[:, -1] = np.nan
+    loads = {"LKneePower": curve, "LHipMoment": np.tile(curve, 3), "LGroundReactionForce": np.tile(curve, 3)}
+    gait_report(tmp_path / "page.html", [("walk", replace(analysis, loads=loads, kinetics=Kinetics({}, {}, {}, per_kg)))])
+    page = (tmp_path / "page.html").read_text()
+    assert f"knee power {unit}" in page and "hip extension moment" in page and "1 left and 0 right cycles" in page
+    assert ("Nobody gave the mass" in page) != per_kg
+    gait_report(tmp_path / "page.html", [("walk", analysis)])
+    assert "knee power" not in (tmp_path / "page.html").read_text()
 
 
 def test_real_walks_have_the_moments_and_powers_of_the_laboratory() -> None:

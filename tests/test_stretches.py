@@ -17,7 +17,7 @@ from asterism.recording import Clouds, Labelling, Recording
 from asterism.recording.verdict import FITS, OTHER_BODY, Verdict
 from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
 
-FRAMES = 2400
+FRAMES = 1200
 OVERLAP = 100
 NAMES = ("A", "B", "C")
 RATE = 100.0
@@ -59,7 +59,7 @@ def test_stretches_cover_all_frames_and_share_some(frames: int, length: int, ove
 
 
 @pytest.mark.parametrize(
-    ("ghosts", "length"), [(0, 600), (1, 600), (0, FRAMES - 1)], ids=["gaps", "a ghost", "one frame more than a stretch"]
+    ("ghosts", "length"), [(0, 300), (1, 300), (0, FRAMES - 1)], ids=["gaps", "a ghost", "one frame more than a stretch"]
 )
 def test_stretches_give_the_labels_of_the_whole(ensemble: MarkerModel, walk: Recording, ghosts: int, length: int) -> None:
     clouds, truth = simulate_gaps_and_ghosts(walk, 2, ghosts, seed=3)

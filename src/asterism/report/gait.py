@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,20 @@ PANELS = (
     (("Ankle", 0, "ankle dorsiflexion"), ("FootProgress", 2, "foot progression, internal"), ("Ankle", 2, "ankle rotation, internal")),
 )
 """Rows of panels: quantity, which of its angles, and its title, which says what is positive."""
+LOADS = (
+    (
+        ("HipMoment", 0, "hip extension moment", "N m"),
+        ("KneeMoment", 0, "knee extension moment", "N m"),
+        ("AnkleMoment", 0, "plantar flexion moment", "N m"),
+    ),
+    (("HipPower", 0, "hip power", "W"), ("KneePower", 0, "knee power", "W"), ("AnklePower", 0, "ankle power", "W")),
+    (
+        ("GroundReactionForce", 0, "force of the ground, ahead", "N"),
+        ("GroundReactionForce", 1, "force of the ground, inwards", "N"),
+        ("GroundReactionForce", 2, "force of the ground, upwards", "N"),
+    ),
+)
+"""Rows of panels: curve, which of its columns, title, which says what is positive, and unit."""
 _FAINT = "66"
 """Opacity of single cycles, as hexadecimal digits behind a colour."""
 
@@ -45,6 +60,7 @@ def gait_report(path: str | Path, results: Sequence[tuple[str, GaitAnalysis]], *
             table=_parameter_table(summarise(parameters)),
         ),
         *_angles(analyses, band),
+        *_loads(analyses),
         *([] if band is None else _scores(analyses, band)),
         _events(results),
     ]
@@ -89,13 +105,62 @@ def _angles(analyses: Sequence[GaitAnalysis], band: Band | None) -> list[Section
     """One section with all panels; none where no recording has angles."""
     if not any(analysis.curves for analysis in analyses):
         return []
+    panels = [[_PanelOf(f"{quantity}Angles", which, title, "°") for quantity, which, title in row] for row in PANELS]
+    curves = [{name: np.degrees(values) for name, values in analysis.curves.items()} for analysis in analyses]
+    text = (
+        "From one strike of a foot to its next. Thin lines are single cycles, thick ones their means; upright lines are where the foot "
+        "leaves the floor. Angles of Plug-in-Gait, by the measures of the file or those given."
+    )
+    return [Section("Angles over the gait cycle", text, figure=_grid(panels, curves, analyses, band))]
+
+
+def _loads(analyses: Sequence[GaitAnalysis]) -> list[Section]:
+    """Moments, powers and the ground's force; none where no cycle has them. Walks without a mass are in a section of their own."""
+    sections = []
+    for per_kg in (True, False):
+        chosen = [one for one in analyses if one.loads and one.kinetics is not None and one.kinetics.per_kg == per_kg]
+        if not chosen:
+            continue
+        per = "/kg" if per_kg else ""
+        panels = [[_PanelOf(name, which, title, unit + per) for name, which, title, unit in row] for row in LOADS]
+        curves = [dict(one.loads) for one in chosen]
+        for own in curves:
+            # inwards is to the right of the left foot, and to the left of the right one
+            own |= {name: own[name] * [1.0, -1.0, 1.0] for name in ("LGroundReactionForce",) if name in own}
+        counted = {side: sum(len(own.get(f"{side}HipMoment", ())) for own in curves) for side in "LR"}
+        text = (
+            f"Over {counted['L']} left and {counted['R']} right cycles in which one foot alone was on a plate. Moments are those that the "
+            "muscles and ligaments of the person make; a power above zero is work that they do, below zero work that they take up."
+        )
+        if not per_kg:
+            text += " Nobody gave the mass of the person, so that they are not per kg and leave out the leg's inertia."
+        sections.append(Section("Moments and powers over the gait cycle", text, figure=_grid(panels, curves, chosen, None)))
+    return sections
+
+
+@dataclass(frozen=True)
+class _PanelOf:
+    """What one panel shows: a curve's name without its side, which column of it, title and unit."""
+
+    curve: str
+    which: int
+    title: str
+    unit: str
+
+
+def _grid(
+    grid: Sequence[Sequence[_PanelOf]], curves: Sequence[Mapping[str, Floats]], analyses: Sequence[GaitAnalysis], band: Band | None
+) -> dict[str, object]:
+    """A figure of rows of panels; curves by name, (cycles, 101, columns), of each analysis."""
     percent = list(range(101))
     data: list[dict[str, object]] = []
     layout: dict[str, object] = {}
     titles: list[dict[str, object]] = []
-    columns, rows = len(PANELS[0]), len(PANELS)
-    for row, panels in enumerate(PANELS):
-        for column, (quantity, which, title) in enumerate(panels):
+    columns, rows = len(grid[0]), len(grid)
+    # in the legend a side is named once, by the first panel that has it
+    named_sides: set[str] = set()
+    for row, panels in enumerate(grid):
+        for column, panel in enumerate(panels):
             cell = row * columns + column
             left, top = column / columns, 1.0 - row / rows
             x = {"domain": [left + 0.03, left + 1.0 / columns - 0.01], "range": [0, 100], "dtick": 20}
@@ -105,7 +170,7 @@ def _angles(analyses: Sequence[GaitAnalysis], band: Band | None) -> list[Section
             # Above the panel: beside it the words of one panel would lie on the next.
             titles.append(
                 {
-                    "text": f"{title} (°)",
+                    "text": f"{panel.title} ({panel.unit})",
                     "xref": "paper",
                     "yref": "paper",
                     "x": left + 0.03,
@@ -118,16 +183,18 @@ def _angles(analyses: Sequence[GaitAnalysis], band: Band | None) -> list[Section
             )
             axes, sides = figures.cell_axes(cell, x, y)
             layout |= sides
+            quantity = panel.curve.removesuffix("Angles")
             if band is not None and quantity in band.mean:
-                usual, spread = (np.degrees(values[quantity][:, which]) for values in (band.mean, band.deviation))
+                usual, spread = (np.degrees(values[quantity][:, panel.which]) for values in (band.mean, band.deviation))
                 named = {"name": "controls, ± 1 SD", "showlegend": cell == 0, "legendgroup": "band"}
                 data += figures.band(percent, (usual - spread).round(2), (usual + spread).round(2), "#64748b40", axes, named)
             for letter, side in (("L", "left"), ("R", "right")):
-                curves = [analysis.curves[name] for analysis in analyses if (name := f"{letter}{quantity}Angles") in analysis.curves]
-                if not curves:
+                own = [some[name] for some in curves if (name := letter + panel.curve) in some]
+                if not own:
                     continue
-                drawn = np.asarray(np.degrees(np.concatenate(curves)[:, :, which]).round(2), dtype=np.float64)
-                data += _panel(percent, drawn, side, title, axes, cell == 0)
+                drawn = np.asarray(np.concatenate(own)[:, :, panel.which].round(3), dtype=np.float64)
+                data += _panel(percent, drawn, side, panel, axes, side not in named_sides)
+                named_sides.add(side)
                 off = _off_shares(analyses, letter)
                 if len(off):
                     at = round(100 * float(np.mean(off)), 1)
@@ -137,11 +204,7 @@ def _angles(analyses: Sequence[GaitAnalysis], band: Band | None) -> list[Section
                     data.append(
                         figures.line([at, at], span, "", f"{side} foot off at {at} %", line=style, showlegend=False, opacity=0.6, **axes)
                     )
-    text = (
-        "From one strike of a foot to its next. Thin lines are single cycles, thick ones their means; upright lines are where the foot "
-        "leaves the floor. Angles of Plug-in-Gait, by the measures of the file or those given."
-    )
-    return [Section("Angles over the gait cycle", text, figure=figures.figure(data, height=250 * rows, annotations=titles, **layout))]
+    return figures.figure(data, height=250 * rows, annotations=titles, **layout)
 
 
 def _scores(analyses: Sequence[GaitAnalysis], band: Band) -> list[Section]:
@@ -160,12 +223,15 @@ def _scores(analyses: Sequence[GaitAnalysis], band: Band) -> list[Section]:
     return [Section("Scores", text, table=Table(["angle", "left", "right"], rows))]
 
 
-def _panel(percent: list[int], curves: Floats, side: str, title: str, axes: dict[str, str], first: bool) -> list[dict[str, object]]:
-    style, hover = figures.SIDES[side], f"{side} {title} %{{x}} %: %{{y:.1f}}°"
+def _panel(percent: list[int], curves: Floats, side: str, panel: _PanelOf, axes: dict[str, str], first: bool) -> list[dict[str, object]]:
+    unit = panel.unit if panel.unit == "°" else f" {panel.unit}"
+    style, hover = figures.SIDES[side], f"{side} {panel.title} %{{x}} %: %{{y:.{1 if panel.unit == '°' else 2}f}}{unit}"
     group = {"legendgroup": side, **axes}
     thin = {**style, "color": style["color"] + _FAINT, "width": 1}
     lines = [figures.line(percent, curve, "", "", line=thin, showlegend=False, hoverinfo="skip", **group) for curve in curves]
-    mean = np.round(np.nanmean(curves, axis=0), 2) if np.isfinite(curves).any() else curves[0]
+    known = np.isfinite(curves)
+    # where no cycle is known the mean is not either
+    mean = np.where(known.any(axis=0), np.nansum(curves, axis=0) / np.maximum(known.sum(axis=0), 1), np.nan).round(3)
     return [*lines, figures.line(percent, mean, side, hover, line={**style, "width": 2.5}, showlegend=first, **group)]
 
 

@@ -205,8 +205,8 @@ def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: 
     rows = _rows(frames, gap, observed, pose, rules)
     learned, every = len(rows), np.concatenate([rows, gap])
     blocks = _blocks(frames, rows, len(gap))
-    apart = np.abs(frames.time[every][:, None] - frames.time[every][None])
-    apart[frames.trial[every][:, None] != frames.trial[every][None]] = _OTHER
+    apart = np.abs(frames.time[every][:, None] - frames.time[rows][None])
+    apart[frames.trial[every][:, None] != frames.trial[rows][None]] = _OTHER
     points = frames.points[every, column]
     process = _Process(apart, blocks, learned, pose=None if pose is None else pose[every])
     found = []
@@ -231,7 +231,7 @@ def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: 
 class _Process:
     """Gaussian processes over the same frames: those that are learned from, then those of the gap.
 
-    apart (R, R) s; blocks (blocks, length) rows that are left out together; learned: rows before those of the gap; pose (R, scores)
+    apart (R, learned) s; blocks (blocks, length) rows that are left out together; learned: rows before those of the gap; pose (R, scores)
     """
 
     apart: Floats
@@ -243,35 +243,38 @@ class _Process:
         self._slow: dict[float, Floats] = {}
         if self.pose is None:
             return
-        self._linear = self.pose @ self.pose.T
+        self._linear = self.pose @ self.pose[: self.learned].T
         self._same = self.apart < _OTHER
-        squares = np.diag(self._linear)
-        distances = np.maximum(squares[:, None] + squares[None] - 2.0 * self._linear, 0.0)
+        self._squares = (self.pose**2).sum(axis=1)
+        distances = np.maximum(self._squares[:, None] + self._squares[None, : self.learned] - 2.0 * self._linear, 0.0)
         # Every third row tells the median as well.
         typical = np.median(distances[: self.learned : 3, : self.learned : 3]) + 1e-9
         # Squared, in typical distances.
         self._apart = distances / typical
 
-    def covariance(self, kernel: Kernel) -> Floats:
-        """(R, R) mm2 without noise."""
+    def covariance(self, kernel: Kernel) -> tuple[Floats, Floats]:
+        """(R, learned) mm2 of all rows with those that are learned from, and (R,) variances; both without noise."""
         if kernel.length not in self._slow:
             scaled = np.sqrt(5.0) / kernel.length * self.apart
             self._slow[kernel.length] = (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)
         # The constant stands for a mean that is not known: 5 mm in the mates' axes, 1 m in the laboratory's.
-        total = kernel.slow**2 * self._slow[kernel.length] + (25.0 if kernel.linear else 1e6)
+        constant = 25.0 if kernel.linear else 1e6
+        total = kernel.slow**2 * self._slow[kernel.length] + constant
+        variances = np.full(len(total), kernel.slow**2 + kernel.curved**2 + constant)
         if kernel.linear:
             total += kernel.linear**2 * self._linear + _OFFSET**2 * self._same
+            variances += kernel.linear**2 * self._squares + _OFFSET**2
         if kernel.curved and kernel.rough:
             scaled = np.sqrt(3.0 * self._apart) / kernel.width
             total += kernel.curved**2 * (1.0 + scaled) * np.exp(-scaled)
         elif kernel.curved:
             total += kernel.curved**2 * np.exp(self._apart / (-2.0 * kernel.width**2))
-        return total
+        return total, variances
 
     def candidates(self, kernel: Kernel, values: Floats, axes: tuple[Floats, Floats] | None) -> list[_Candidate]:
         """One for each of the axes: values (axes, R, 3) mm in them; their rotations (axes, R, 3, 3) and places, None for the room."""
-        many, covariance = self.learned, self.covariance(kernel)
-        noisy = covariance[:many, :many].copy()
+        many, (covariance, own) = self.learned, self.covariance(kernel)
+        noisy = covariance[:many].copy()
         noisy.flat[:: many + 1] += kernel.noise**2
         inverse = _inverse(noisy)
         means = values[:, :many].mean(axis=1)
@@ -279,9 +282,9 @@ class _Process:
         # What a block's own rows add is taken out by the inverse of their part of the inverse.
         variances = np.linalg.inv(inverse[self.blocks[:, :, None], self.blocks[:, None]])
         off, expected = variances @ weights[self.blocks], np.einsum("bll->bl", variances)
-        across = covariance[many:, :many]
+        across = covariance[many:]
         filled = across @ weights
-        variance = np.maximum(np.diag(covariance)[many:] - ((across @ inverse) * across).sum(axis=1), 0.0) + kernel.noise**2
+        variance = np.maximum(own[many:] - ((across @ inverse) * across).sum(axis=1), 0.0) + kernel.noise**2
         found = []
         for at, mean in enumerate(means):
             three = slice(3 * at, 3 * at + 3)
