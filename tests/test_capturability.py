@@ -9,7 +9,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from asterism import AsterismError, MarkerSet, Recording
+from asterism import AsterismError, Labelling, MarkerSet, Recording
 from asterism.labelling import CapturabilityRules, capturability, evaluate
 from asterism.labelling.partial.solver_search import SearchSettings
 from asterism.simulation import simulate_walks
@@ -135,7 +135,8 @@ def test_its_figures_are_those_of_evaluate_for_the_same_solvers(monkeypatch):
         marker_set = MarkerSet(FEW)
 
         def label_frames_with_cost(self, clouds, method):
-            return label(clouds, kept["solvers"]), np.zeros(1)
+            votes = label(clouds, kept["solvers"])
+            return Labelling(votes.indices, votes.votes, FEW), votes.evaluations
 
     again = Recording(kept["frames"], FEW, 100.0)
     hidden = [entry[0] for entry in told.by_occlusions]

@@ -487,6 +487,7 @@ def capturability() -> Any:
             SimpleNamespace(action="move", marker="B", description="3 cm up", hit_rate_before=0.93, hit_rate_after=0.97),
         ],
         verdict="B is taken for A; move it.",
+        judged="Judged are single frames.",
         by_target=[TargetRates(0.99, 1, 0.02, 0.1), TargetRates(0.99, 2, 0.01, 0.2), TargetRates(0.999, 1, 0.001, 0.3)],
         first_classifiers=[ChosenClassifier("distance (A, B)", 0.6), ChosenClassifier("height difference (A, C)", 0.25)],
         solver_sizes=[SolverSize(1, 0.6, 1000.0), SolverSize(2, 0.85, 90.0)],
