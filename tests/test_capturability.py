@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
 
-from asterism import AsterismError
-from asterism.labelling import CapturabilityRules, capturability
+from asterism import AsterismError, MarkerSet, Recording
+from asterism.labelling import CapturabilityRules, capturability, evaluate
 from asterism.labelling.partial.solver_search import SearchSettings
 from asterism.simulation import simulate_walks
 
@@ -63,7 +64,7 @@ def test_progress_rises(good):
 def test_json(good):
     table = json.loads(json.dumps(good[0].to_dict()))
     assert table["markers"] == list(WALKS[0].labels)
-    own = {"by_target", "first_classifiers", "solver_sizes"}
+    own = {"by_target", "first_classifiers", "solver_sizes", "judged"}
     assert set(table) == {"markers", "hit_rates", "confusion", "by_occlusions", "changes", "verdict"} | own
 
 
@@ -108,3 +109,40 @@ def test_what_cannot_be_asked():
     gappy[::2, 0], gappy[1::2, 1] = np.nan, np.nan
     with pytest.raises(AsterismError, match="no frame shows all markers"):
         capturability([replace(WALKS[0], positions=gappy)])
+
+
+def test_its_figures_are_those_of_evaluate_for_the_same_solvers(monkeypatch):
+    """Both judge single frames by partial solvers here: shares of one definition, on other draws of what is hidden."""
+    examined = import_module("asterism.labelling.partial.capturability")
+    label, halves, kept = examined.label_by_matrix, examined._halves, {}
+
+    def labelled(clouds, solvers, **options):
+        # the last call without options is of the solvers that by_occlusions is about
+        if not options:
+            kept.setdefault("solvers", solvers)
+        return label(clouds, solvers, **options)
+
+    def halved(*given):
+        kept["frames"] = halves(*given)[1][0]
+        return halves(*given)
+
+    monkeypatch.setattr(examined, "label_by_matrix", labelled)
+    monkeypatch.setattr(examined, "_halves", halved)
+    walks = [walk.select(FEW) for walk in WALKS]
+    told = capturability(walks, seed=0, rules=QUICK)
+
+    class Solvers:
+        marker_set = MarkerSet(FEW)
+
+        def label_frames_with_cost(self, clouds, method):
+            return label(clouds, kept["solvers"]), np.zeros(1)
+
+    again = Recording(kept["frames"], FEW, 100.0)
+    hidden = [entry[0] for entry in told.by_occlusions]
+    measured = evaluate(Solvers(), [again], occlusions=hidden, rules="partial-solvers", seed=5)
+    for (count, rate, _), condition in zip(told.by_occlusions, measured.conditions, strict=True):
+        assert condition.occlusions == count
+        # draws of hidden markers differ: three standard errors of a share over the frames, whose markers are not independent
+        allowed = 3 * np.sqrt(2 * max(rate * (1 - rate), 0.01) / len(again)) if count else 1e-12
+        assert abs(condition.right - rate) <= allowed, f"{count} hidden: {condition.right:.4f}, capturability says {rate:.4f}"
+    assert "single frames" in told.judged and told.to_dict()["judged"] == told.judged

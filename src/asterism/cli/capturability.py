@@ -26,7 +26,8 @@ def capturability(
     """Tell whether a marker set can be labelled.
 
     Which markers are taken for which, how the hit rate falls when markers are hidden, and what dropping, moving or adding one
-    marker would change.
+    marker would change. Judged are single frames and partial solvers that know these people. asterism label also uses the paths of points
+    and the whole body, and finds more; asterism evaluate measures how much, on people that its model does not know.
     """
     _console.check_new(report, overwrite)
     _console.check_new(json, overwrite)
@@ -62,7 +63,7 @@ def _print(result: Capturability) -> None:
     percent = _console.percent
     _console.table(
         "Markers, nothing hidden",
-        ["marker", "taken for", "hit rate"],
+        ["marker", "could be taken for, a third of the labels known", "hit rate"],
         [[name, _taken_for(result, i), percent(float(result.hit_rates[i]))] for i, name in enumerate(result.markers)],
         left=2,
     )
@@ -87,6 +88,7 @@ def _print(result: Capturability) -> None:
             left=3,
         )
     _console.result(result.verdict)
+    _console.result(result.judged)
 
 
 def _taken_for(result: Capturability, row: int) -> str:

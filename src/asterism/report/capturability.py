@@ -26,7 +26,8 @@ def capturability_report(path: str | Path, capturability: Capturability, *, sett
     sections = [
         Section(
             "Which marker could be taken for which",
-            "The share of frames in which the point of the row's marker could also be the column's marker. White: never.",
+            "The share of frames in which the point of the row's marker could also be the column's marker when a third of the labels are "
+            "known. White: never.",
             figure=figures.matrix(names, confusion),
             table=_pairs(names, confusion),
         ),
@@ -61,7 +62,9 @@ def capturability_report(path: str | Path, capturability: Capturability, *, sett
     if capturability.by_occlusions:
         hidden, together, _ = capturability.by_occlusions[-1]
         merits.append((percent(float(together), 2), f"hit rate with {hidden} hidden", ""))
-    write_page(path, Page("Can this marker set be labelled?", capturability.verdict, settings or {}, merits, sections))
+    write_page(
+        path, Page("Can this marker set be labelled?", f"{capturability.verdict} {capturability.judged}", settings or {}, merits, sections)
+    )
 
 
 def _thesis_sections(capturability: Capturability) -> list[Section]:

@@ -25,6 +25,12 @@ from asterism.recording import NULL, Clouds, Floats, Ints, Recording
 Half = tuple[Floats, Ints]
 
 
+JUDGED = (
+    "Judged are single frames and partial solvers that know these people. `asterism label` also uses the paths of points and the whole "
+    "body, and finds more; how much is measured by `asterism evaluate`, on people that its model does not know."
+)
+"""What the figures are about, said wherever they stand."""
+
 _SEARCH = SearchSettings(screening_frames=200, evaluation_frames=800, validation_frames=2000, beam_width=60, max_markers=8, max_solvers=50)
 
 
@@ -96,6 +102,7 @@ class Capturability:
     by_target      false assignments and false occlusions by target hit rate and number of hidden markers (thesis figure 5.2)
     first_classifiers  the weak classifiers that boosting chooses first (thesis table 5.1)
     solver_sizes   what more weak classifiers gain (thesis figure 5.1)
+    judged         what the figures are about, in plain words
     """
 
     markers: tuple[str, ...]
@@ -107,10 +114,12 @@ class Capturability:
     by_target: list[TargetRates] = field(default_factory=list)
     first_classifiers: list[ChosenClassifier] = field(default_factory=list)
     solver_sizes: list[SolverSize] = field(default_factory=list)
+    judged: str = JUDGED
 
     def to_dict(self) -> dict[str, Any]:
         """Everything in lists and plain values, for JSON."""
         return {
+            "judged": self.judged,
             "markers": list(self.markers),
             "hit_rates": self.hit_rates.tolist(),
             "confusion": self.confusion.tolist(),
