@@ -13,7 +13,17 @@ import asterism
 from asterism import AsterismError, Recording
 from asterism.formats import force_plates
 from asterism.gait import analyse_gait
-from asterism.motion.clinical import ABOUT_CENTRE, KineticRules, Kinetics, Leg, LowerBody, PlateContact, SubjectMeasures, inverse_dynamics
+from asterism.motion.clinical import (
+    ABOUT_CENTRE,
+    KineticRules,
+    Kinetics,
+    Leg,
+    LowerBody,
+    PlateContact,
+    SubjectMeasures,
+    inverse_dynamics,
+    subject_measures,
+)
 from asterism.motion.clinical.measures import computed_by_the_file
 from asterism.motion.splines import quintic_spline, second_derivative
 from asterism.recording import ForcePlate
@@ -191,3 +201,7 @@ def test_real_walks_have_the_moments_and_powers_of_the_laboratory() -> None:
     for name, power in analysis.kinetics.powers.items():
         theirs = computed_by_the_file(recording, name)
         assert theirs is not None and np.sqrt(np.nanmean((power - theirs[:, 2]) ** 2)) < 0.1, name
+    # without a mass the stances are shown, and that they are not per kg is said
+    heavy = analyse_gait(recording, plates, replace(subject_measures(recording), mass=None))
+    assert heavy.kinetics is not None and not heavy.kinetics.per_kg and "kinetics-mass" in [one.code for one in heavy.findings]
+    assert np.nanmax(heavy.loads["LAnkleMoment"][:, :, 0]) > 40

@@ -9,7 +9,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.gait.cycles import Cycle, cycles_of, over_cycle
+from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
 from asterism.gait.events import Walking, find_events, plate_contacts
 from asterism.gait.parameters import Parameter, parameters_of
 from asterism.motion.clinical import (
@@ -116,7 +116,7 @@ def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measur
 
 
 _KNOWN = 0.9
-"""Of a cycle, points at which moments are known. A stance is six tenths: at half, swings would count as cycles, at double none counts."""
+"""Of a stance, points at which moments are known: strike and off are told to a hundredth. At half, half a stance passes for one."""
 
 
 def _kinetics(recording: Recording, walking: Walking, plates: Sequence[ForcePlate], clinical: ClinicalAngles) -> Kinetics | None:
@@ -131,12 +131,17 @@ def _kinetics(recording: Recording, walking: Walking, plates: Sequence[ForcePlat
 
 
 def _loads(recording: Recording, cycles: Sequence[Cycle], kinetics: Kinetics) -> dict[str, Floats]:
-    """Over the cycles of which stance and swing are known."""
+    """Over the cycles of whose stance the forces are known."""
     loads = {}
     powers = {name: power[:, None] for name, power in kinetics.powers.items()}
     for name, values in {**kinetics.moments, **powers, **kinetics.ground}.items():
-        own = [over_cycle(values, recording.rate, cycle) for cycle in cycles if cycle.side == name[0]]
-        known = [curve for curve in own if np.isfinite(curve).all(axis=1).mean() >= _KNOWN]
+        known = []
+        for cycle in cycles:
+            if cycle.side != name[0]:
+                continue
+            curve = over_cycle(values, recording.rate, cycle)
+            if np.isfinite(curve[: max(int(POINTS * cycle.off_share), 1)]).all(axis=1).mean() >= _KNOWN:
+                known.append(curve)
         if known:
             loads[name] = np.stack(known)
     return loads
