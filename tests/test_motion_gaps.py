@@ -31,12 +31,15 @@ from asterism.motion.clinical import (
     clinical_angles,
     clinical_uncertainty,
     complete_legs,
+    exchanged_finding,
+    exchanged_pairs,
     inverse_dynamics,
     leg_measures,
     lower_body,
     subject_measures,
     with_static_offsets,
 )
+from asterism.motion.gaps import fill_gaps
 from asterism.motion.joints import cardan_angles, find_skeleton, fit_joint, functional_flexion, grood_suntay, joint_rotation, leg_frames
 from asterism.motion.rigid import (
     METHODS,
@@ -283,6 +286,9 @@ def test_clinical_angles_with_a_marker_missing(marker: str, frames: str) -> None
             body = attempt(lambda holed=holed, side=side: lower_body(holed, SubjectMeasures(), side))
             if body is not None:
                 attempt(lambda holed=holed, body=body, side=side: inverse_dynamics(holed, body, (), (), {side: [(-1, 1)]}, HEAVY))
+        # one that is told names a pair
+        pairs, finding = attempt(lambda holed=holed: exchanged_pairs(holed)), attempt(lambda holed=holed: exchanged_finding(holed))
+        assert bool(pairs) == bool(finding)
         told = attempt(lambda holed=holed: with_static_offsets(holed, subject_measures(holed)))
         assert told is None or np.isfinite([told.left.shank_rotation, told.left.tibial_torsion, told.left.foot_flexion]).all()
         for sides in (complete_legs(holed), "L"):
@@ -370,6 +376,16 @@ def test_commands_on_recordings_with_gaps(gap: str, tmp_path: Path, capsys: pyte
         for joint in json.loads((tmp_path / "out.json").read_text())["files"][0]["joints"]:
             angle, sigma = (np.array(joint[name], dtype=float) for name in ("angle_deg", "angle_standard_deg"))
             assert (np.isfinite(angle) == np.isfinite(sigma)).all()
+
+
+def test_a_gap_that_cannot_be_filled_stays_and_is_said() -> None:
+    """All three points of a limb are missing at once, and a marker is never seen; the shorter gap of one point alone is filled."""
+    positions = np.repeat(walking(), 4, axis=0)
+    positions[10:30, 4:8], positions[5:7, 0], positions[:, 11] = np.nan, np.nan, np.nan
+    filled = attempt(lambda: fill_gaps(Recording(positions, tuple(f"P{i + 1}" for i in range(12)), 50.0)))
+    assert filled is not None
+    assert np.isnan(filled.recording.positions[15, 4:8]).all() or filled.filled[15, 4:8].all()
+    assert np.isnan(filled.recording.positions[:, 11]).all() and filled.findings
 
 
 def test_every_public_function_of_the_room_is_tried_here() -> None:

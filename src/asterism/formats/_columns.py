@@ -228,7 +228,9 @@ def settle_vertical(
     if chances[best] < LIKELIER and custom is not None:
         best = axis_of(custom)
     elif chances[best] < LIKELIER:
-        raise AsterismError(f"{path} does not say which way is up and its points do not show it; say it, for example with --vertical z, in Python with vertical='z'.")
+        raise AsterismError(
+            f"{path} does not say which way is up and its points do not show it; say it with --vertical z, or vertical='z' in Python."
+        )
     shown = chances_of(evidence.total)
     how = "data" if shown.argmax() == best and shown[best] >= LIKELIER else "convention"
     if np.sort(chances)[-2] < _DOUBT:

@@ -62,6 +62,7 @@ class KineticRules:
 
 
 ABOUT_CENTRE = KineticRules(SegmentInertia(0.1, 0.433, 0.323), SegmentInertia(0.0465, 0.433, 0.302), SegmentInertia(0.0145, 0.5, 0.475))
+"""Radii of gyration about the centre of mass, as Euler's equation asks for; the vendor's program takes others, see `KineticRules`."""
 
 
 @dataclass(frozen=True)

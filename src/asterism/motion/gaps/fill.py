@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.motion.gaps.predict import RULES, GapRules, Trial, predict_gap
+from asterism.motion.gaps.predict import RULES, GapRules, GapTrial, predict_gap
 from asterism.progress import Progress
 from asterism.recording import Floats, Ints, Recording, is_unnamed
 from asterism.recording.filled import GapFill, logged_fills
@@ -117,13 +117,13 @@ def fill_gaps(
     return Filled(result, filled, deviation, len(fills), tuple(findings))
 
 
-def _trial(recording: Recording, labels: Sequence[str]) -> Trial:
+def _trial(recording: Recording, labels: Sequence[str]) -> GapTrial:
     """The markers of a recording in mm, NaN for those that it has not."""
     points = np.full((len(recording), len(labels), 3), np.nan)
     for place, label in enumerate(labels):
         if label in recording.labels:
             points[:, place] = 1000.0 * recording.positions[:, recording.labels.index(label)]
-    return Trial.of(points, recording.rate)
+    return GapTrial.of(points, recording.rate)
 
 
 def _runs(missing: NDArray[np.bool_]) -> list[Ints]:

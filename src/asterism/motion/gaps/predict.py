@@ -95,7 +95,7 @@ _LEAST = 0.01
 
 
 @dataclass(frozen=True)
-class Trial:
+class GapTrial:
     """One recording of a person.
 
     points  (T, N, 3) mm, gaps bridged; NaN for a marker that is never seen
@@ -110,7 +110,7 @@ class Trial:
     rate: float
 
     @classmethod
-    def of(cls, positions: Floats, rate: float) -> Trial:
+    def of(cls, positions: Floats, rate: float) -> GapTrial:
         """Of positions (T, N, 3) mm, NaN for missing: short holes are bridged by cubic splines, long ones by straight lines."""
         points, frames = positions.copy(), np.arange(len(positions))
         seen = np.isfinite(positions[:, :, 0])
@@ -128,14 +128,14 @@ class Trial:
                 shown[holes[short], column] = True
         return cls(points, seen, shown, frames, rate)
 
-    def some(self, which: Ints) -> Trial:
+    def some(self, which: Ints) -> GapTrial:
         """The same of some frames."""
         return replace(self, points=self.points[which], seen=self.seen[which], shown=self.shown[which], frames=self.frames[which])
 
 
 @dataclass(frozen=True)
 class _Frames:
-    """The frames of all trials, one after the other: points, seen and shown as in `Trial`; trial (F,); time (F,) s within it."""
+    """The frames of all trials, one after the other: points, seen and shown as in `GapTrial`; trial (F,); time (F,) s within it."""
 
     points: Floats
     seen: NDArray[np.bool_]
@@ -144,7 +144,7 @@ class _Frames:
     time: Floats
 
     @classmethod
-    def of(cls, trials: Sequence[Trial]) -> _Frames:
+    def of(cls, trials: Sequence[GapTrial]) -> _Frames:
         points, seen, shown = (np.concatenate([getattr(trial, name) for trial in trials]) for name in ("points", "seen", "shown"))
         many = [len(trial.points) for trial in trials]
         time = np.concatenate([trial.frames / trial.rate for trial in trials])
@@ -167,7 +167,7 @@ class _Candidate:
     variance: Floats
 
 
-def predict_gap(trials: Sequence[Trial], column: int, gap: Ints, rules: GapRules = RULES) -> tuple[Floats, Floats] | None:
+def predict_gap(trials: Sequence[GapTrial], column: int, gap: Ints, rules: GapRules = RULES) -> tuple[Floats, Floats] | None:
     """The positions of a marker in a gap (G, 3) mm and the standard deviation of a coordinate (G,) mm; None where too little is seen.
 
     trials  of one person, the one with the gap first, all with the same columns
