@@ -287,3 +287,13 @@ def test_a_strike_follows_the_heels_knock_on_the_floor() -> None:
         moved[weight] = np.subtract(strikes[1], strikes[0])
     np.testing.assert_allclose(moved[0.75], 0.75 * 0.02, atol=0.003)
     np.testing.assert_allclose(moved[0.0], 0.0, atol=0.001)
+
+
+def test_a_page_of_angles_that_no_cycle_shows_has_no_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A knee's marker out of view throughout the cycles, and in view before them."""
+    walk = simulate_walks(1, frames=300, markers="helen-hayes", seed=3)[0]
+    positions = walk.positions.copy()
+    positions[20:, walk.labels.index("LKNE")] = np.nan
+    formats.write(tmp_path / "walk.c3d", replace(walk, positions=positions))
+    assert main(["gait", str(tmp_path / "walk.c3d"), "--report", str(tmp_path / "gait.html")]) == 0
+    assert "Warning" not in capsys.readouterr().err and "knee flexion" in (tmp_path / "gait.html").read_text()

@@ -196,7 +196,8 @@ def _grid(
                 data += _panel(percent, drawn, side, panel, axes, side not in named_sides)
                 named_sides.add(side)
                 off = _off_shares(analyses, letter)
-                if len(off):
+                # a curve that no cycle shows has no ends
+                if len(off) and np.isfinite(drawn).any():
                     at = round(100 * float(np.mean(off)), 1)
                     span = [float(np.nanmin(drawn)), float(np.nanmax(drawn))]
                     colour = figures.SIDES[side]["color"]
