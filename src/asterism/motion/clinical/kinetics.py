@@ -16,9 +16,10 @@ from scipy.spatial.transform import Rotation
 from asterism.findings import Finding, Severity
 from asterism.geometry import rotate_z_up
 from asterism.motion.clinical.measures import SIDES, SubjectMeasures
-from asterism.motion.clinical.plug_in_gait import LowerBody, marker_of, median_of, walking_axes
+from asterism.motion.clinical.plug_in_gait import LowerBody, marker_of, walking_axes
 from asterism.motion.splines import second_derivative
 from asterism.recording import Floats, ForcePlate, Recording
+from asterism.recording.arrays import nan_median
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 """m/s^2."""
@@ -234,7 +235,7 @@ def _joints(
     leg, rate = body.legs[side], recording.rate
     assert leg.foot is not None
     toe = marker_of(recording)(f"{side}TOE")
-    length = rules.foot_length * median_of(np.linalg.norm(toe - leg.ankle, axis=1))
+    length = rules.foot_length * float(nan_median(np.linalg.norm(toe - leg.ankle, axis=1), axis=0))
     tip = leg.ankle - length * leg.foot[:, :, 2]
     chain = (
         ("Ankle", rules.foot, leg.ankle, tip, leg.foot, leg.shank),
@@ -248,7 +249,7 @@ def _joints(
         arm = lower - upper
         weight = segment.mass * mass
         pull = weight * (second_derivative(upper + segment.centre * arm, rate) - GRAVITY) - pushed
-        inertia = weight * (segment.radius * median_of(np.linalg.norm(arm, axis=1))) ** 2
+        inertia = weight * (segment.radius * float(nan_median(np.linalg.norm(arm, axis=1), axis=0))) ** 2
         levers = np.cross(segment.centre * arm, pull) - np.cross((1 - segment.centre) * arm, pushed)
         about = _spin(axes, inertia, rate, rules) + levers - turned
         out[joint] = (about, axes, above)

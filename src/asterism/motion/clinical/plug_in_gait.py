@@ -17,6 +17,7 @@ from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasure
 from asterism.motion.joints.anatomy import HIP_SHARES, sacrum_markers
 from asterism.motion.rigid.rotations import unit_vectors
 from asterism.recording import Floats, Recording
+from asterism.recording.arrays import nan_median
 
 TURNS = 30
 """Steps in which a wand is turned to its angle, at most: each leaves a twentieth of the error, so twelve reach the last digit."""
@@ -69,7 +70,7 @@ def lower_body(recording: Recording, measures: SubjectMeasures, sides: str = "LR
     z = unit_vectors(np.cross(origin - sacrum, y))
     pelvis = np.stack([np.cross(y, z), y, z], axis=2)
     lengths = {side: measures.of(side).leg_length for side in SIDES}
-    between = measures.inter_asis or median_of(np.linalg.norm(left - right, axis=1))
+    between = measures.inter_asis or float(nan_median(np.linalg.norm(left - right, axis=1), axis=0))
     legs = {}
     for side in sides:
         own = measures.of(side)
@@ -88,12 +89,6 @@ def marker_of(recording: Recording) -> Callable[[str], Floats]:
         return positions[:, recording.labels.index(name)]
 
     return marker
-
-
-def median_of(values: Floats) -> float:
-    """Of the values that are known; NaN where none is."""
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else float("nan")
 
 
 def _hip_centre(measures: LegMeasures, side: str, lengths: Mapping[str, float | None], between: float, radius: float) -> Floats:

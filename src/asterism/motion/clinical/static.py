@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.geometry import rotate_z_up
 from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures
 from asterism.motion.clinical.plug_in_gait import Leg, along, joint_centre, lower_body, marker_of, turns
 from asterism.motion.rigid.rotations import unit_vectors
@@ -42,7 +43,7 @@ def with_static_offsets(static: Recording, measures: SubjectMeasures, rules: Sta
     Raises AsterismError where neither leg shows its markers.
     """
     rules = rules or StaticRules()
-    static = with_knee_markers(static, measures)
+    static = with_knee_markers(static)
     found = {}
     for side in SIDES:
         needed = [f"{side}{name}" for name in ("THI", "KNE", "TIB", "ANK")]
@@ -61,7 +62,7 @@ def _leg_with_offsets(static: Recording, side: str, measures: SubjectMeasures, r
     own, marker, left = measures.of(side), marker_of(static), 1.0 if side == "L" else -1.0
     radius = measures.marker_radius
     told: dict[str, float] = {}
-    hip = lower_body(static, measures, side).legs[side].hip
+    hip = _leg(static, side, measures, own).hip
     knee_marker, ankle_marker = marker(f"{side}KNE"), marker(f"{side}ANK")
     axis = _knee_axis(static, side)
     if axis is not None:
@@ -70,25 +71,24 @@ def _leg_with_offsets(static: Recording, side: str, measures: SubjectMeasures, r
         told["thigh_rotation"] = left * _angle_about(hip, knee, marker(f"{side}THI"), knee_marker)
         own = own.with_values(_known(told))
     medial = next((marker(side + name) for name in MEDIAL_ANKLE if side + name in static.labels), None)
-    thigh = _legs(static, side, measures, own).thigh
-    knee = _legs(static, side, measures, own).knee
+    leg = _leg(static, side, measures, own)
     if medial is not None and np.isfinite(medial).any():
         outwards = ankle_marker - medial
         if rules.tilted:
             ankle = ankle_marker - (own.ankle_width / 2 + radius) * unit_vectors(outwards)
-            corner = np.arccos(np.clip(_cosine(knee - ankle, ankle_marker - ankle), -1.0, 1.0))
+            corner = np.arccos(np.clip(_cosine(leg.knee - ankle, ankle_marker - ankle), -1.0, 1.0))
             told["ankle_tilt"] = _mean(corner) - np.pi / 2
         else:
-            ankle = joint_centre(knee, ankle_marker, ankle_marker + outwards, own.ankle_width / 2 + radius)
-        told["shank_rotation"] = left * _angle_about(knee, ankle, marker(f"{side}TIB"), ankle_marker)
+            ankle = joint_centre(leg.knee, ankle_marker, ankle_marker + outwards, own.ankle_width / 2 + radius)
+        told["shank_rotation"] = left * _angle_about(leg.knee, ankle, marker(f"{side}TIB"), ankle_marker)
         own = own.with_values(_known(told))
-        legs = _legs(static, side, measures, replace(own, tibial_torsion=0.0))
+        ankle_leg = _leg(static, side, measures, own)
         # from the ankle's axis to the knee's, about the shank
-        between = turns(legs.distal_shank, along(legs.knee - legs.ankle, thigh[:, :, 1]))[:, 2]
+        between = turns(ankle_leg.distal_shank, along(ankle_leg.knee - ankle_leg.ankle, leg.thigh[:, :, 1]))[:, 2]
         told["tibial_torsion"] = left * _mean(between)
     own = own.with_values(_known(told))
     if f"{side}TOE" in static.labels and f"{side}HEE" in static.labels:
-        leg = _legs(static, side, measures, replace(own, foot_flexion=0.0, foot_rotation=0.0))
+        leg = _leg(static, side, measures, replace(own, foot_flexion=0.0, foot_rotation=0.0))
         assert leg.foot is not None
         toe, heel = marker(f"{side}TOE"), marker(f"{side}HEE").copy()
         if rules.flat_foot:
@@ -109,7 +109,7 @@ def _mean(values: Floats) -> float:
     return float(known.mean()) if len(known) else float("nan")
 
 
-def _legs(static: Recording, side: str, measures: SubjectMeasures, own: LegMeasures) -> Leg:
+def _leg(static: Recording, side: str, measures: SubjectMeasures, own: LegMeasures) -> Leg:
     return lower_body(static, measures.with_leg(side, own), side).legs[side]
 
 
@@ -124,7 +124,7 @@ def _knee_axis(static: Recording, side: str) -> Floats | None:
     return None
 
 
-def with_knee_markers(static: Recording, measures: SubjectMeasures) -> Recording:
+def with_knee_markers(static: Recording) -> Recording:
     """The trial with the knee's marker where only a knee alignment device is worn: the corner from which its three markers are as far.
 
     The corner of three equal edges at right angles stands over the middle of their ends, on the side where the limb is.
@@ -144,15 +144,9 @@ def with_knee_markers(static: Recording, measures: SubjectMeasures) -> Recording
         added[f"{side}KNE"] = np.where((beside[0] < beside[1])[:, None], middle + apart, middle - apart)
     if not added:
         return static
-    positions = np.concatenate([marker_positions(static), np.stack(list(added.values()), axis=1)], axis=1)
+    positions = np.concatenate([rotate_z_up(static.positions, static.vertical), np.stack(list(added.values()), axis=1)], axis=1)
     up = np.array([0.0, 0.0, 1.0])
     return replace(static, positions=positions, labels=(*static.labels, *added), vertical=up, source=None, origin=None, taken=())
-
-
-def marker_positions(recording: Recording) -> Floats:
-    """(T, M, 3) m, z up."""
-    marker = marker_of(recording)
-    return np.stack([marker(name) for name in recording.labels], axis=1)
 
 
 def _angle_about(upper: Floats, centre: Floats, wand: Floats, marker: Floats) -> float:
