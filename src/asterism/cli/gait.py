@@ -15,7 +15,7 @@ from asterism.cli._options import Files, Json, Overwrite, Report, Vertical
 
 if TYPE_CHECKING:
     from asterism.gait import GaitAnalysis
-    from asterism.motion.clinical import SubjectMeasures
+    from asterism.motion.clinical import StaticRules, SubjectMeasures
     from asterism.recording import Recording
 
 
@@ -38,6 +38,9 @@ class GaitOptions:
     ] = field(default_factory=list)
     sloped_foot: Annotated[
         bool, typer.Option("--sloped-foot", help="With --static: heel and toe marker count as high as they are, not as equally high.")
+    ] = False
+    level_head: Annotated[
+        bool, typer.Option("--level-head", help="With --static: the person looks straight ahead; the head's tilt is taken off.")
     ] = False
     output: Annotated[
         Path | None,
@@ -72,13 +75,14 @@ def gait(options: GaitOptions) -> None:
     """Find gait events, and give parameters and angles.
 
     Strikes and offs come from the markers of feet and pelvis, and from force plates that one foot alone stands on. Cadence, speed, lengths
-    and times of steps have an uncertainty. Angles of pelvis, hip, knee, ankle and foot are those of Plug-in-Gait, from the measures of the
+    and times of steps have an uncertainty. Angles of legs, trunk, head and arms are those of Plug-in-Gait, from the measures of the
     file, of --static and of --measure. Several walks of one person go into one report. A foot
     that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass.
     """
     from asterism.cli._folders import recordings_of
     from asterism.formats import force_plates
     from asterism.gait import Band, analyse_gait, band_of, measures_by_name, profile_scores
+    from asterism.motion.clinical import StaticRules
     from asterism.recording import subject_of
 
     outputs = [options.report, options.json, options.output, options.curves, options.save_band]
@@ -87,12 +91,13 @@ def gait(options: GaitOptions) -> None:
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
     static = None if options.static is None else _read(options.static, options, batch)
+    rules = StaticRules(flat_foot=not options.sloped_foot, level_head=options.level_head)
     results: list[tuple[Path, GaitAnalysis]] = []
     for path in recordings_of(options.files, batch):
         with batch.file(path):
             recording = _read(path, options, batch)
             plates, found = force_plates(recording)
-            analysis = analyse_gait(recording, plates, _measures(recording, static, given, not options.sloped_foot))
+            analysis = analyse_gait(recording, plates, _measures(recording, static, given, rules))
             for finding in [*found, *analysis.findings]:
                 batch.found(finding)
             results.append((path, analysis))
@@ -148,15 +153,15 @@ def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:
     return recording
 
 
-def _measures(recording: Recording, static: Recording | None, given: dict[str, float], flat: bool) -> SubjectMeasures | None:
+def _measures(recording: Recording, static: Recording | None, given: dict[str, float], rules: StaticRules) -> SubjectMeasures | None:
     """Those given, over those of the standing trial, over those of the file; None where the file's alone count."""
-    from asterism.motion.clinical import StaticRules, subject_measures, with_static_offsets
+    from asterism.motion.clinical import subject_measures, with_static_offsets
 
     if static is None and not given:
         return None
     measures = subject_measures(recording if static is None else static).with_values(given)
     if static is not None:
-        measures = with_static_offsets(static, measures, StaticRules(flat_foot=flat))
+        measures = with_static_offsets(static, measures, rules)
     return measures.with_values(given)
 
 

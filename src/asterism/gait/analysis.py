@@ -24,7 +24,7 @@ from asterism.motion.clinical import (
 )
 from asterism.recording import Floats, ForcePlate, Recording
 
-CURVES = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress", "Thorax", "Spine")
+CURVES = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress", "Thorax", "Spine", "Head", "Neck", "Shoulder", "Elbow", "Wrist")
 """Quantities whose angles are drawn over the cycle, by Plug-in-Gait's names."""
 
 
