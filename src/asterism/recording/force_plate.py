@@ -88,7 +88,7 @@ class ForcePlate:
 
 def _means(values: Floats, begins: Ints, ends: Ints) -> Floats:
     """(F, 3) the means of the finite rows of values (S, 3) from each begin to before each end; NaN where there is none."""
-    known = np.isfinite(values).all(axis=1)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=1))
     # Sums over all samples before: one that is not finite would spoil each that follows.
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(np.where(known[:, None], values, 0.0), axis=0)])
     counts = np.concatenate([[0], np.cumsum(known)])
