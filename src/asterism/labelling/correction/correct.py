@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.labelling.correction.event_log import (
     REDO,
     RELABELLED,
@@ -82,11 +83,13 @@ class FirstLabels:
     labeller   what labelled: the models, perhaps narrowed to the person, and the settings
     labelling  of the recording's clouds, perhaps with names of its file
     bodies     what the models alone say; None where they said it of stretches
+    found      what was found while the file was read and labelled
     """
 
     labeller: RecordingLabeller
     labelling: Labelling
     bodies: LabelledBodies | None
+    found: Sequence[Finding] = ()
 
     @classmethod
     def of(cls, labeller: RecordingLabeller, clouds: Clouds, progress: Progress | None = None) -> FirstLabels:
@@ -134,6 +137,7 @@ class Correction:
             first = FirstLabels.of(labeller, self.clouds, progress)
         self.marker_set = first.labeller.marker_set
         self.names = self.marker_set.names
+        self._found = first.found
         self._relabelling = Relabelling(first.labeller, self.clouds, first.labelling, first.bodies)
         self._done: list[Touch] = []
         self._undone: list[Touch] = []
@@ -189,7 +193,7 @@ class Correction:
     @property
     def verdict(self) -> Readiness:
         """Whether the recording can be used."""
-        return readiness(self.labelling, self.clouds, self.items())
+        return readiness(self.labelling, self.clouds, self.items(), self._found)
 
     def candidates(self, piece: int) -> list[tuple[str, float]]:
         """All markers and the chance that the piece is each of them, the likeliest first.
