@@ -11,6 +11,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
+from asterism.cli._filling import Fill, fill_limit, filled, filled_text
 from asterism.cli._options import Files, Json, Overwrite, Report, Vertical
 
 if TYPE_CHECKING:
@@ -64,6 +65,7 @@ class GaitOptions:
             "--save-band", metavar="FILE", help="Write the band of these walks, of people without complaints.", show_default=False
         ),
     ] = None
+    fill: Fill = "none"
     vertical: Vertical = None
     overwrite: Overwrite = False
     report: Report = None
@@ -78,6 +80,8 @@ def gait(options: GaitOptions) -> None:
     and times of steps have an uncertainty. Angles of legs, trunk, head and arms are those of Plug-in-Gait, from the measures of the
     file, of --static and of --measure. Several walks of one person go into one report. A foot
     that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass.
+    --fill fills gaps of markers first, with what the other files of the same person show; events and angles that depend on filled samples
+    are as much less certain, and flagged.
     """
     from asterism.cli._folders import recordings_of
     from asterism.formats import force_plates
@@ -87,16 +91,23 @@ def gait(options: GaitOptions) -> None:
 
     outputs = [options.report, options.json, options.output, options.curves, options.save_band]
     _console.check_outputs(outputs, [*options.files, options.static, options.band], options.overwrite)
-    given = measures_by_name(options.measure)
+    given, limit = measures_by_name(options.measure), fill_limit(options.fill)
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
     static = None if options.static is None else _read(options.static, options, batch)
     rules = StaticRules(flat_foot=not options.sloped_foot, level_head=options.level_head)
     results: list[tuple[Path, GaitAnalysis]] = []
-    for path in recordings_of(options.files, batch):
+    files = recordings_of(options.files, batch)
+    trials = files if options.static is None else [*files, options.static]
+    for path in files:
         with batch.file(path):
             recording = _read(path, options, batch)
             plates, found = force_plates(recording)
+            if limit is not None:
+                fill = filled(recording, limit, [one for one in trials if one != path], options.vertical)
+                recording, found = fill.recording, (*found, *fill.findings)
+                if options.json != "-" and (fill.gaps or fill.findings):
+                    _console.result(f"{path}: {filled_text(fill)}.")
             analysis = analyse_gait(recording, plates, _measures(recording, static, given, rules))
             for finding in [*found, *analysis.findings]:
                 batch.found(finding)
@@ -230,6 +241,9 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
 
     import numpy as np
 
+    from asterism.recording import filled_samples
+
+    deviation = filled_samples(analysis.recording)
     return {
         "treadmill": analysis.walking.treadmill,
         "events": [dataclasses.asdict(event) for event in analysis.walking.events],
@@ -238,6 +252,14 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
             for cycle in analysis.cycles
         ],
         "parameters": [dataclasses.asdict(one) for one in analysis.parameters],
+        "filled": {
+            analysis.recording.labels[column]: {
+                "samples": int(np.isfinite(deviation[:, column]).sum()),
+                "largest_deviation_m": float(np.nanmax(deviation[:, column])),
+            }
+            for column in np.flatnonzero(np.isfinite(deviation).any(axis=0))
+        },
+        "fill_sigmas_deg": {name: np.round(np.degrees(sigmas), 3) for name, sigmas in analysis.fill_sigmas.items() if np.any(sigmas > 0.0)},
         "curves_deg": {name: np.round(np.degrees(curves), 3) for name, curves in analysis.curves.items()},
         "loads": {name: np.round(curves, 4) for name, curves in analysis.loads.items()},
         "loads_per_kg": analysis.kinetics is not None and analysis.kinetics.per_kg,
