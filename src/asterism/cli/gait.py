@@ -156,12 +156,12 @@ def gait(options: GaitOptions) -> None:
 
 def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:
     """A file's recording; its warnings are told."""
-    from asterism.cli._recordings import report_warnings
+    from asterism.cli._recordings import one_person, report_warnings
     from asterism.formats import read
 
     recording = read(path, vertical=options.vertical)
     report_warnings(recording, batch)
-    return recording
+    return one_person(recording, batch)
 
 
 def _measures(recording: Recording, static: Recording | None, given: dict[str, float], rules: StaticRules) -> SubjectMeasures | None:

@@ -140,12 +140,13 @@ def motion(options: MotionOptions) -> None:
 
 def _analysed(path: Path, options: MotionOptions, cameras: Cameras, rules: MotionRules, batch: _console.Batch) -> MotionResult:
     """Analyse one file, and print what was found."""
+    from asterism.cli._recordings import one_person
     from asterism.motion.analysis import analyse_motion
     from asterism.motion.clinical import exchanged_finding
     from asterism.motion.uncertainty import estimate_uncertainty
 
     # unlabelled points serve: limbs are what moves together
-    recording = read_points(path, options.vertical, batch)
+    recording = one_person(read_points(path, options.vertical, batch), batch)
     limbs, clinical = _limbs(options, recording), _clinical.find(recording, options.anatomy)
     with _console.progress("motion") as progress:
         analysis = analyse_motion(recording, limbs, rules=rules, progress=progress)
@@ -157,7 +158,7 @@ def _analysed(path: Path, options: MotionOptions, cameras: Cameras, rules: Motio
             legs = _clinical.certain(recording, clinical, _of_legs(options, cameras, recording, certain), options.seed, trials)
     # what is uncertain about the angles is said beside what is wrong with the points
     sides = exchanged_finding(recording) if clinical is not None else []
-    for finding in [*analysis.findings, *sides, *(certain.findings if certain else ())]:
+    for finding in [*analysis.findings, *sides, *(clinical.findings if clinical else ()), *(certain.findings if certain else ())]:
         batch.found(finding)
     if options.json != "-":
         show(path, analysis, certain)
