@@ -133,8 +133,8 @@ def readiness(
         # No piece stands out, so that one look at the whole is enough.
         agree = "" if look_at else "the labels agree with each other, but "
         teach = "; then teach them with `asterism learn`" if verdict.kind == OTHER_PERSON else ""
-        whose = f"of body {verdict.body}, " if verdict.body else ""
-        limit = f"none of {'its' if whose else "the model's"} labels is above {100 * verdict.max_confidence:.2f} %"
+        whose, what = (f"of body {verdict.body}, ", "its") if verdict.body else ("", "the model's")
+        limit = f"none of {what} labels is above {100 * verdict.max_confidence:.2f} %"
         return judged(LOOK, f"{whose}{agree}{verdict.limited_by}, so that {limit}{teach}")
     # What a model says that knows no more than the votes of its solvers, or was written by an earlier version.
     if verdict is None and (confidence < 1.0).any():
