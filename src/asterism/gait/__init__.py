@@ -2,6 +2,7 @@
 
 from asterism.gait.analysis import GaitAnalysis, analyse_gait, measures_by_name
 from asterism.gait.bands import Band, ProfileScore, band_of, profile_scores
+from asterism.gait.comparison import ParameterChange, compare_sessions
 from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
 from asterism.gait.events import EventRules, GaitEvent, Walking, find_events, plate_contacts
 from asterism.gait.feet import Feet, feet_of
@@ -17,11 +18,13 @@ __all__ = [
     "GaitAnalysis",
     "GaitEvent",
     "Parameter",
+    "ParameterChange",
     "ParameterSummary",
     "ProfileScore",
     "Walking",
     "analyse_gait",
     "band_of",
+    "compare_sessions",
     "cycles_of",
     "feet_of",
     "find_events",

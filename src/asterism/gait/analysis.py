@@ -38,6 +38,7 @@ class GaitAnalysis:
     findings    what to know before using it
     kinetics    moments and powers over time; None where no foot is alone on a plate
     loads       name such as "LKneeMoment" or "LKneePower" -> (cycles of that side whose forces are known, 101, 3 or 1)
+    loaded      the same names -> these cycles
     """
 
     recording: Recording
@@ -49,6 +50,7 @@ class GaitAnalysis:
     findings: tuple[Finding, ...]
     kinetics: Kinetics | None = None
     loads: Mapping[str, Floats] = field(default_factory=dict)
+    loaded: Mapping[str, tuple[Cycle, ...]] = field(default_factory=dict)
 
 
 def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measures: SubjectMeasures | None = None) -> GaitAnalysis:
@@ -109,10 +111,10 @@ def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measur
             found.append(
                 Finding("kinetics-plates", Severity.WARNING, file, f"{file}: no moments and powers: {problem}", "Export it again.")
             )
-    loads = {} if kinetics is None else _loads(recording, cycles, kinetics)
+    loads, loaded = ({}, {}) if kinetics is None else _loads(recording, cycles, kinetics)
     found += () if kinetics is None else kinetics.findings
     parameters = tuple(parameters_of(walking, cycles))
-    return GaitAnalysis(recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads)
+    return GaitAnalysis(recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads, loaded)
 
 
 _KNOWN = 0.9
@@ -130,9 +132,9 @@ def _kinetics(recording: Recording, walking: Walking, plates: Sequence[ForcePlat
     return inverse_dynamics(recording, body, plates, contacts, swings, clinical.subject)
 
 
-def _loads(recording: Recording, cycles: Sequence[Cycle], kinetics: Kinetics) -> dict[str, Floats]:
-    """Over the cycles of whose stance the forces are known."""
-    loads = {}
+def _loads(recording: Recording, cycles: Sequence[Cycle], kinetics: Kinetics) -> tuple[dict[str, Floats], dict[str, tuple[Cycle, ...]]]:
+    """Over the cycles of whose stance the forces are known, and which these are."""
+    loads, loaded = {}, {}
     powers = {name: power[:, None] for name, power in kinetics.powers.items()}
     for name, values in {**kinetics.moments, **powers, **kinetics.ground}.items():
         known = []
@@ -141,10 +143,10 @@ def _loads(recording: Recording, cycles: Sequence[Cycle], kinetics: Kinetics) ->
                 continue
             curve = over_cycle(values, recording.rate, cycle)
             if np.isfinite(curve[: max(int(POINTS * cycle.off_share), 1)]).all(axis=1).mean() >= _KNOWN:
-                known.append(curve)
+                known.append((cycle, curve))
         if known:
-            loads[name] = np.stack(known)
-    return loads
+            loads[name], loaded[name] = np.stack([curve for _, curve in known]), tuple(cycle for cycle, _ in known)
+    return loads, loaded
 
 
 def measures_by_name(pairs: Sequence[str]) -> dict[str, float]:
