@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,7 +16,7 @@ from asterism.cli._filling import Fill, fill_limit, filled, filled_text
 from asterism.cli._options import Files, Json, Overwrite, Report, Vertical
 
 if TYPE_CHECKING:
-    from asterism.gait import GaitAnalysis
+    from asterism.gait import Band, GaitAnalysis
     from asterism.motion.clinical import StaticRules, SubjectMeasures
     from asterism.recording import Recording
 
@@ -84,20 +85,31 @@ def gait(options: GaitOptions) -> None:
     are as much less certain, and flagged.
     """
     from asterism.cli._folders import recordings_of
-    from asterism.formats import force_plates
-    from asterism.gait import Band, analyse_gait, band_of, measures_by_name, profile_scores
-    from asterism.motion.clinical import StaticRules
-    from asterism.recording import subject_of
+    from asterism.gait import Band, measures_by_name
 
     outputs = [options.report, options.json, options.output, options.curves, options.save_band]
     _console.check_outputs(outputs, [*options.files, options.static, options.band], options.overwrite)
-    given, limit = measures_by_name(options.measure), fill_limit(options.fill)
+    # what is wrong with the options is told before any file is read
+    measures_by_name(options.measure)
+    fill_limit(options.fill)
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
+    results = analysed(options, recordings_of(options.files, batch), batch)
+    if results:
+        write_results(options, results, band, batch)
+    raise typer.Exit(batch.close())
+
+
+def analysed(options: GaitOptions, files: Sequence[Path], batch: _console.Batch) -> list[tuple[Path, GaitAnalysis]]:
+    """The analyses of the files that can be analysed; what is found on them goes to the batch."""
+    from asterism.formats import force_plates
+    from asterism.gait import analyse_gait, measures_by_name
+    from asterism.motion.clinical import StaticRules
+
+    given, limit = measures_by_name(options.measure), fill_limit(options.fill)
     static = None if options.static is None else _read(options.static, options, batch)
     rules = StaticRules(flat_foot=not options.sloped_foot, level_head=options.level_head)
     results: list[tuple[Path, GaitAnalysis]] = []
-    files = recordings_of(options.files, batch)
     trials = files if options.static is None else [*files, options.static]
     for path in files:
         with batch.file(path):
@@ -114,8 +126,14 @@ def gait(options: GaitOptions) -> None:
             results.append((path, analysis))
             if options.json != "-":
                 show(path, analysis)
-    if not results:
-        raise typer.Exit(batch.close())
+    return results
+
+
+def write_results(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]], band: Band | None, batch: _console.Batch) -> None:
+    """Write what the options ask for of at least one analysis."""
+    from asterism.gait import band_of, profile_scores
+    from asterism.recording import subject_of
+
     analyses = [analysis for _, analysis in results]
     scores = [] if band is None else profile_scores(analyses, band)
     for score in scores if options.json != "-" else ():
@@ -151,7 +169,6 @@ def gait(options: GaitOptions) -> None:
         "findings": [finding.to_dict() for finding in batch.findings],
     }
     _console.write_json(options.json, content)
-    raise typer.Exit(batch.close())
 
 
 def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:
