@@ -33,6 +33,7 @@ from asterism.gait import (
 )
 from asterism.gait.events import OFF, STRIKE, EventRules, GaitEvent
 from asterism.motion.clinical import exchanged_pairs
+from asterism.motion.gaps import fill_gaps
 from asterism.simulation import simulate_walks
 
 STRIDE, TIME, STANCE, WIDTH = 1.2, 1.1, 0.62, 0.16
@@ -353,3 +354,38 @@ def test_a_page_of_angles_that_no_cycle_shows_has_no_warning(tmp_path: Path, cap
     formats.write(tmp_path / "walk.c3d", replace(walk, positions=positions))
     assert main(["gait", str(tmp_path / "walk.c3d"), "--report", str(tmp_path / "gait.html")]) == 0
     assert "Warning" not in capsys.readouterr().err and "knee flexion" in (tmp_path / "gait.html").read_text()
+
+
+def test_events_and_angles_are_as_uncertain_as_the_fills_they_rest_on() -> None:
+    [walk] = simulate_walks(1, frames=300, markers="helen-hayes", seed=3)
+    whole = analyse_gait(walk)
+    strike = whole.walking.of("L", STRIKE)[1]
+    positions, frame = walk.positions.copy(), round(strike.time * walk.rate)
+    for label, reach in (("LHEE", 12), ("RTIB", 30)):
+        positions[frame - reach : frame + reach, walk.labels.index(label)] = np.nan
+    told = analyse_gait(fill_gaps(replace(walk, positions=positions), limit=1.0).recording)
+    near = min(told.walking.of("L", STRIKE), key=lambda event: abs(event.time - strike.time))
+    assert near.filled and near.sigma >= strike.sigma and abs(near.time - strike.time) < 2 * near.sigma
+    assert [event.sigma for event in told.walking.of("R", OFF)] == [event.sigma for event in whole.walking.of("R", OFF)]
+    assert not whole.fill_sigmas and not any(event.filled for event in whole.walking.events)
+    # The left knee has no filled marker of its own: a fill of the right shank leaves it alone.
+    most = {side: float(np.degrees(np.nanmax(told.fill_sigmas[f"{side}KneeAngles"]))) for side in "LR"}
+    assert most["L"] < 1e-6 < 0.05 < most["R"] < 10.0, most
+
+
+def test_gait_fills_gaps_first_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = simulate_walks(1, frames=300, markers="helen-hayes", trials=2, seed=3)
+    positions = first.positions.copy()
+    positions[100:130, first.labels.index("LKNE")] = np.nan
+    formats.write(tmp_path / "one.c3d", replace(first, positions=positions))
+    formats.write(tmp_path / "two.c3d", second)
+    words = ["gait", str(tmp_path / "one.c3d"), str(tmp_path / "two.c3d"), "--json", str(tmp_path / "out.json"), "--overwrite"]
+    told = []
+    for fill in ("none", "40"):
+        assert main([*words, "--fill", fill, "--report", str(tmp_path / "page.html")]) in (0, 1)
+        content = json.loads((tmp_path / "out.json").read_text())["files"][0]
+        told.append(np.isfinite(np.array(content["curves_deg"]["LKneeAngles"], float)).mean())
+        assert ("30 samples) filled" in capsys.readouterr().out) == (fill == "40") == bool(content["filled"])
+        assert ("Filled markers" in (tmp_path / "page.html").read_text()) == (fill == "40")
+    assert told[0] < told[1] == 1.0
+    assert np.max(content["fill_sigmas_deg"]["LKneeAngles"]) > 0.05 and main([*words, "--fill", "much"]) == 2

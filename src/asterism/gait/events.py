@@ -82,6 +82,7 @@ class GaitEvent:
     side    "L" or "R"; label `STRIKE` or `OFF`
     time    s from the recording's first frame; sigma s, its standard deviation
     source  "markers" or "plate 2"
+    filled  whether filled samples of heel, toe or pelvis tell it; sigma holds what that adds
     """
 
     side: str
@@ -89,6 +90,7 @@ class GaitEvent:
     time: float
     sigma: float
     source: str
+    filled: bool = False
 
 
 @dataclass(frozen=True)
