@@ -14,6 +14,9 @@ from asterism.cli._command import takes
 from asterism.cli._options import Files, Json, Overwrite, Report, Vertical
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from asterism.cli._folders import Trial
     from asterism.gait import GaitAnalysis
     from asterism.motion.clinical import SubjectMeasures
     from asterism.recording import Recording
@@ -49,6 +52,15 @@ class GaitOptions:
             "--curves", metavar="FILE", help="Write angles, moments and powers of each cycle, 0 to 100 %, as CSV.", show_default=False
         ),
     ] = None
+    c3d: Annotated[
+        Path | None,
+        typer.Option(
+            "--c3d",
+            metavar="FOLDER",
+            help="Write copies of the walks with angles, moments, powers, events and parameters as gait programs read them.",
+            show_default=False,
+        ),
+    ] = None
     band: Annotated[
         Path | None,
         typer.Option(
@@ -74,11 +86,12 @@ def gait(options: GaitOptions) -> None:
     Strikes and offs come from the markers of feet and pelvis, and from force plates that one foot alone stands on. Cadence, speed, lengths
     and times of steps have an uncertainty. Angles of pelvis, hip, knee, ankle and foot are those of Plug-in-Gait, from the measures of the
     file, of --static and of --measure. Several walks of one person go into one report. A foot
-    that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass.
+    that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass. --c3d writes all of it into copies of
+    the walks.
     """
-    from asterism.cli._folders import recordings_of
+    from asterism.cli._folders import check_output, trials
     from asterism.formats import force_plates
-    from asterism.gait import Band, analyse_gait, band_of, measures_by_name, profile_scores
+    from asterism.gait import Band, analyse_gait, band_of, measures_by_name, profile_scores, write_gait_c3d
     from asterism.recording import subject_of
 
     outputs = [options.report, options.json, options.output, options.curves, options.save_band]
@@ -88,13 +101,21 @@ def gait(options: GaitOptions) -> None:
     batch = _console.Batch("analysed")
     static = None if options.static is None else _read(options.static, options, batch)
     results: list[tuple[Path, GaitAnalysis]] = []
-    for path in recordings_of(options.files, batch):
+    walks = trials(options.files, batch, without=options.c3d)
+    copies: dict[Path, Path] = {} if options.c3d is None else _copies(walks, options.c3d, [options.static, options.band])
+    for path in (walk.path for walk in walks):
         with batch.file(path):
+            if path in copies:
+                check_output(path, copies[path], options.overwrite)
             recording = _read(path, options, batch)
             plates, found = force_plates(recording)
             analysis = analyse_gait(recording, plates, _measures(recording, static, given, not options.sloped_foot))
             for finding in [*found, *analysis.findings]:
                 batch.found(finding)
+            if path in copies:
+                copies[path].parent.mkdir(parents=True, exist_ok=True)
+                for told in write_gait_c3d(copies[path], analysis):
+                    _console.notice(f"{copies[path]}: {told}.")
             results.append((path, analysis))
             if options.json != "-":
                 show(path, analysis)
@@ -122,7 +143,7 @@ def gait(options: GaitOptions) -> None:
         gait_report(options.report, [(name, analysis) for name, (_, analysis) in zip(names, results, strict=True)], band=band)
     content = {
         "command": "gait",
-        "files": [{"file": path, **as_dict(analysis)} for path, analysis in results],
+        "files": [{"file": path, "c3d": copies.get(path), **as_dict(analysis)} for path, analysis in results],
         "scores": [
             {
                 "side": score.side,
@@ -136,6 +157,23 @@ def gait(options: GaitOptions) -> None:
     }
     _console.write_json(options.json, content)
     raise typer.Exit(batch.close())
+
+
+def _copies(walks: Sequence[Trial], folder: Path, others: Sequence[Path | None]) -> dict[Path, Path]:
+    """Where the copy of each walk goes. Raises AsterismError where it would be an input, or two walks would have the same."""
+    from asterism.cli._folders import outputs_of
+    from asterism.errors import AsterismError
+
+    targets = {walk.path: target.with_suffix(".c3d") for walk, target in zip(walks, outputs_of(walks, folder), strict=True)}
+    inputs = {_console.real_path(path): path for path in (*targets, *others) if path is not None}
+    taken: dict[str, Path] = {}
+    for path, target in targets.items():
+        if (one := inputs.get(_console.real_path(target))) is not None:
+            raise AsterismError(f"the copy of {path} would replace {one}, which is an input; give --c3d another folder.")
+        # walk.trc and walk.c3d have one copy between them
+        if (other := taken.setdefault(str(target).casefold(), path)) != path:
+            raise AsterismError(f"{other} and {path} would both become {target}; give them one after the other.")
+    return targets
 
 
 def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:
