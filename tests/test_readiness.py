@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,8 @@ from correcting import model, walks
 
 import asterism
 from asterism.cli import main
-from asterism.labelling.correction.readiness import DO_NOT_USE, LOOK, READY, Readiness, readiness
+from asterism.findings import Finding, Severity
+from asterism.labelling.correction.readiness import DO_NOT_USE, DOUBTS, LOOK, READY, Readiness, readiness
 from asterism.labelling.review import review
 from asterism.recording import Clouds, Labelling
 from asterism.recording.verdict import CERTAIN, FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, UNKNOWN, Verdict
@@ -23,14 +26,18 @@ def verdict(kind: str, exchangeable: tuple[tuple[str, ...], ...] = ()) -> Verdic
     return Verdict(kind, 0.07, 0.06, 1.0, 1.0, 0.0, exchangeable)
 
 
-def judged(kind: str, confidence: float, doubtful: float | None = None, bodies: int = 1, given: bool = True) -> Readiness:
+def judged(
+    kind: str | None, confidence: float, doubtful: float | None = None, bodies: int = 1, given: bool = True, found: tuple[str, ...] = ()
+) -> Readiness:
     """A walk under its true labels, with this confidence, and the last marker's if it is another one."""
     clouds: Clouds = walks()[4].frames(slice(0, FRAMES)).clouds()
     certain = np.full((FRAMES, 15), confidence)
     certain[:, -1] = confidence if doubtful is None else doubtful
     indices = np.tile(np.arange(15) if given else np.full(15, -1), (FRAMES, 1))
-    labelling = Labelling(indices, certain if given else 0.0 * certain, walks()[4].labels, verdict=verdict(kind), bodies=bodies)
-    return readiness(labelling, clouds, review(labelling, clouds))
+    labelling = Labelling(indices, certain if given else 0.0 * certain, walks()[4].labels, bodies=bodies)
+    labelling = replace(labelling, verdict=None if kind is None else verdict(kind))
+    findings = [Finding(code, Severity.WARNING, "walk.c3d", f"walk.c3d: {code}.") for code in found]
+    return readiness(labelling, clouds, review(labelling, clouds), findings)
 
 
 def test_a_stranger_whose_labels_agree_is_looked_at_once_and_taught() -> None:
@@ -75,6 +82,92 @@ def test_without_a_label_nothing_is_ready(kind: str) -> None:
     found = judged(kind, 0.0, given=False)
     assert found.kind == DO_NOT_USE and "no label was given" in found.sentence
     assert ("no body that the model knows" in found.sentence) == (kind == OTHER_BODY)
+
+
+OF_THE_VERDICT = {
+    "label-foreign-recording": "the verdict's kind",
+    "label-exchangeable": "the verdict's exchangeable markers",
+    "label-two-bodies": "the number of bodies",
+    "label-nothing": "the number of labels",
+    "label-do-not-use": "the readiness itself",
+    "model-earlier-version": "the verdict, which is not there",
+}
+"""Findings that follow from what `readiness` asks itself."""
+BESIDE_READY = {
+    "label-other-subject": "the file was labelled without the trial",
+    "label-in-stretches": "the labels are those of the whole recording",
+    "label-computed-outdated": "it is about points that another program computed",
+    "label-two-sets": "each body was labelled and judged",
+    "label-wider-set": "the labels asked for are there",
+    "model-uncovered-markers": "it is about solvers, whose labels are not judged",
+    "format-not-carried": "it is about the copy",
+    "format-cut-off": "the frames that are there are whole",
+    "format-units-assumed": "the unit fits the size of the body",
+    "format-vertical-assumed": "the likeliest vertical; the verdict tells what is no body under it",
+    "format-rate-conflict": "two of three agree on the rate",
+    "format-header-conflict": "the file's length decides",
+    "format-events-outside": "it is about events",
+    "format-short-rows": "samples are missing",
+    "format-moved-cells": "samples are missing",
+    "format-events-unread": "it is about events",
+    "format-values-left-out": "it is about columns that are no positions",
+    "format-missing-samples": "samples are missing",
+    "format-frame-numbers": "samples are missing, or the lines are as they were written",
+    "format-force-plate": "it is about forces",
+    "format-text-encoding": "it is about letters",
+    "format-point-names": "the labels are by the points",
+    "recordings-differ": "it is about training",
+    "train-standing": "it is about training",
+    "train-few-people": "it is about training",
+    "train-markers-absent": "it is about training",
+    "format-rig-assumed": "it is about cameras",
+}
+"""Findings beside which labels may be ready, and why."""
+
+
+def documented(*headings: str) -> set[str]:
+    """The codes that docs/findings.md lists under these headings."""
+    text = (Path(__file__).parents[1] / "docs" / "findings.md").read_text(encoding="utf-8")
+    sections = re.split(r"^## ", text, flags=re.MULTILINE)
+    found = {section.partition("\n")[0]: re.findall(r"^\| ([a-z0-9-]+-[a-z0-9-]+) \|", section, re.MULTILINE) for section in sections}
+    return {code for heading in headings for code in found[heading]}
+
+
+def test_of_each_finding_it_is_decided_whether_labels_are_ready_beside_it() -> None:
+    decided = [set(DOUBTS), set(OF_THE_VERDICT), set(BESIDE_READY)]
+    assert set.union(*decided) == documented("label", "train, info", "Files")
+    assert sum(map(len, decided)) == len(set.union(*decided)), "a finding has two decisions"
+
+
+@pytest.mark.parametrize("code", DOUBTS)
+def test_what_puts_all_labels_in_doubt_is_said_in_words(code: str) -> None:
+    found = judged(FITS, 0.999, found=("format-cut-off", code))
+    assert (found.kind, found.words, found.sentence) == (LOOK, "look once", f"Look once: {DOUBTS[code]}.")
+    # who has confirmed every label has looked
+    assert judged(FITS, 1.0, found=(code,)).kind == READY
+    assert judged(FITS, 0.999, doubtful=0.9, found=(code,)).words == "look at 1"
+
+
+def test_ready_stands_beside_all_other_findings() -> None:
+    assert judged(FITS, 0.999, found=tuple(BESIDE_READY)).kind == READY
+
+
+def test_labels_of_which_few_are_sure_are_not_ready() -> None:
+    """In five frames no piece gains enough samples to be worth a look, and none of the labels has the confidence that is promised."""
+    clouds = walks()[4].frames(slice(0, 5)).clouds()
+    certain = np.full((5, 15), 0.985)
+    for sure, kind in ((0, LOOK), (7, LOOK), (8, READY), (15, READY)):
+        certain[:, :sure] = 0.995
+        labelling = Labelling(np.tile(np.arange(15), (5, 1)), certain, walks()[4].labels, verdict=verdict(FITS))
+        found = readiness(labelling, clouds, review(labelling, clouds))
+        assert (found.kind, found.look_at) == (kind, 0)
+        share = {0: "no label has", 7: "47 % of the labels have"}.get(sure, "")
+        assert not share or found.sentence == f"Look once: {share} a confidence of 99 % or more; compare some with the person."
+
+
+def test_a_model_that_does_not_know_its_training_makes_nothing_ready() -> None:
+    assert judged(None, 0.999).sentence.startswith("Look once: this model does not tell whether it knows the body")
+    assert judged(None, 1.0).kind == READY
 
 
 def test_every_door_explains_the_cap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -63,6 +63,7 @@ def gait_report(path: str | Path, results: Sequence[tuple[str, GaitAnalysis]], *
         *_loads(analyses),
         *([] if band is None else _scores(analyses, band)),
         _events(results),
+        *_filled(results),
     ]
     sides = {side: sum(cycle.side == side for _, cycle in cycles) for side in "LR"}
     speed = [one.value for one in parameters if one.name == "walking speed"]
@@ -240,11 +241,34 @@ def _off_shares(analyses: Sequence[GaitAnalysis], side: str) -> list[float]:
     return [cycle.off_share for analysis in analyses for cycle in analysis.cycles if cycle.side == side]
 
 
+def _filled(results: Sequence[tuple[str, GaitAnalysis]]) -> list[Section]:
+    """Markers whose gaps were filled, and how far that makes angles uncertain; none where nothing was filled."""
+    from asterism.recording import filled_samples
+
+    rows: list[list[str | Cell]] = []
+    largest = 0.0
+    for name, analysis in results:
+        deviation = filled_samples(analysis.recording)
+        many = np.isfinite(deviation).sum(axis=0)
+        for column in np.flatnonzero(many):
+            most = 1000.0 * float(np.nanmax(deviation[:, column]))
+            rows.append([name, analysis.recording.labels[column], f"{many[column]} of {len(deviation)}", f"{most:.1f}"])
+        largest = max([largest, *(float(np.degrees(np.nanmax(one, initial=0.0))) for one in analysis.fill_sigmas.values())])
+    if not rows:
+        return []
+    text = (
+        "These markers were not seen in some frames; their places there follow from other markers. "
+        f"That makes the angles of the cycles above uncertain by up to {largest:.1f}° (standard deviation), and is part of the ± of events."
+    )
+    return [Section("Filled markers", text, table=Table(["recording", "marker", "frames", "± mm"], rows, left=2), folded=True)]
+
+
 def _events(results: Sequence[tuple[str, GaitAnalysis]]) -> Section:
     rows: list[list[str | Cell]] = []
     for name, analysis in results:
         for event in analysis.walking.events:
             side = "left" if event.side == "L" else "right"
-            rows.append([name, side, event.label, event.source, f"{event.time:.3f}", f"{1000 * event.sigma:.0f}"])
+            source = f"{event.source}, filled" if event.filled else event.source
+            rows.append([name, side, event.label, source, f"{event.time:.3f}", f"{1000 * event.sigma:.0f}"])
     text = "Seconds from the first frame of each recording. An event on a force plate is told by its load, another by heel, toe and pelvis."
     return Section("Events", text, table=Table(["recording", "side", "event", "by", "s", "± ms"], rows, left=4), folded=True)

@@ -79,7 +79,7 @@ class LabelledFile:
     @cached_property
     def readiness(self) -> Readiness:
         """Whether the labels can be used."""
-        return readiness(self.labelling, self.clouds, self.items)
+        return readiness(self.labelling, self.clouds, self.items, self.found)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -95,7 +95,7 @@ class LabelledFile:
 
     def correction(self) -> Correction:
         """The labels, to be corrected by a person; of a recording that is in memory."""
-        return Correction(self.models, self.about, first=FirstLabels(self.labeller, self.labelling, self.bodies))
+        return Correction(self.models, self.about, first=FirstLabels(self.labeller, self.labelling, self.bodies, self.found))
 
     def corrected(self, correction: Correction) -> LabelledFile:
         """The same file under the labels that a person has corrected."""

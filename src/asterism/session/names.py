@@ -69,13 +69,13 @@ def findings_on_names(
     findings = list[Finding]()
     if against and policy != IGNORE:
         findings += exchanged_sides(str(path), marker_set, against)
-        findings.append(_disagreement(path, recording, against, Severity.WARNING if policy == CHECK else Severity.NOTE))
+        findings.append(_disagreement(path, recording, against))
     if against:
         findings += _out_of_date(path, recording)
     return findings
 
 
-def _disagreement(path: Path, recording: Recording, against: Sequence[Disagreement], severity: Severity) -> Finding:
+def _disagreement(path: Path, recording: Recording, against: Sequence[Disagreement]) -> Finding:
     def in_words(each: Disagreement) -> str:
         first, last = each.first_frame + recording.first_frame, each.last_frame + recording.first_frame
         where = f"frame {first}" if each.frames == 1 else f"{each.frames} frames from {first} to {last}"
@@ -85,7 +85,7 @@ def _disagreement(path: Path, recording: Recording, against: Sequence[Disagreeme
     listed += f"; and {len(against) - _PAIRS_SHOWN} more" if len(against) > _PAIRS_SHOWN else ""
     sentence = f"{path}: names of the file contradict the labels given, which were written: {listed}."
     mend = "Look at them with `asterism review`; --known-labels keep leaves the file's names."
-    return Finding("label-names-differ", severity, str(path), sentence, mend)
+    return Finding("label-names-differ", Severity.WARNING, str(path), sentence, mend)
 
 
 def _out_of_date(path: Path, recording: Recording) -> list[Finding]:

@@ -7,12 +7,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asterism.findings import Finding
 from asterism.labelling.review import ReviewItem
 from asterism.recording import Clouds, Labelling
 from asterism.recording.shares import SURE
 from asterism.recording.verdict import OTHER_BODY, OTHER_PERSON
 
 READY, LOOK, DO_NOT_USE = "ready", "look", "do-not-use"
+
+DOUBTS = {
+    "label-mirrored": "left and right may be exchanged; look which side a picture shows",
+    "label-vertical": "the file says another vertical than its points; look which way is up",
+    "format-vertical-conflict": "the file says another vertical than its points; look which way is up",
+    "format-units-doubtful": "the unit of length is in doubt; compare a length that you know",
+    "format-header-doubt": "parts of the file contradict each other; look at the recording",
+    "label-set-unsure": "another marker set may be worn; name it with --markers",
+    "label-few-markers": "fewer than half of the set's markers have a label; name the set that is worn with --markers",
+    "label-coincident": "markers are there twice; export each once",
+    "label-rough": "not all ways to name the pieces of tracks were compared; compare some names with the person",
+    "label-names-differ": "names of the file contradict the labels; compare them with the person",
+    "label-few-frames": "the posture alone gave the labels; compare them with the person, or label the whole recording",
+}
+"""Findings that put all labels of a recording in doubt, in the order in which one is said: why, and what to do. What `Verdict` holds is
+not among them. No label need be doubtful by itself: the labels agree with each other under a wrong axis, set or side, too."""
 
 
 @dataclass(frozen=True)
@@ -23,11 +40,15 @@ class ReadinessRules:
     least_error    and mean chance that a label of it is wrong or missing; a model of few people gives no confidence above 0.99
     max_error      share of wrong or missing labels to be expected from which a recording should not be used. By hand: above it, naming the
                    tracks one by one is as quick as looking for the errors
+    least_sure     share of the labels that have a confidence of 99 % or more in what is ready: most. In a short recording, pieces with
+                   less gain too few samples to be worth a look each. At half of it, a recording of two tracks is ready by one of them; at
+                   twice, no recording with a doubtful label is ready
     """
 
     least_gain: float = 1.0
     least_error: float = 0.02
     max_error: float = 0.3
+    least_sure: float = 0.5
 
 
 _RULES = ReadinessRules()
@@ -69,9 +90,12 @@ def to_look_at(items: Sequence[ReviewItem], rules: ReadinessRules = _RULES) -> l
     return [item for item in items if item.gain >= rules.least_gain and item.gain >= rules.least_error * item.samples]
 
 
-def readiness(labelling: Labelling, clouds: Clouds, items: Sequence[ReviewItem], rules: ReadinessRules = _RULES) -> Readiness:
-    """Whether a labelling can be used; items: what `review` lists in it, without what a person has answered.
+def readiness(
+    labelling: Labelling, clouds: Clouds, items: Sequence[ReviewItem], found: Sequence[Finding] = (), rules: ReadinessRules = _RULES
+) -> Readiness:
+    """Whether a labelling can be used.
 
+    items: what `review` lists in it, without what a person has answered; found: what was found while the file was read and labelled.
     Where a recording does not fit its model, every point that could be a marker and has no label counts as missing.
     """
     # No frame can show more markers than the set has, nor more than its points.
@@ -100,10 +124,22 @@ def readiness(labelling: Labelling, clouds: Clouds, items: Sequence[ReviewItem],
         names = "; ".join(f"{', '.join(group[:-1])} and {group[-1]}" for group in verdict.exchangeable)
         return judged(LOOK, f"{names} may be exchanged throughout")
     # What a person has confirmed is sure, whatever the model knows.
-    if verdict is not None and not verdict.fits and (labelling.confidence[labelling.indices >= 0] < SURE).any():
+    confidence = labelling.confidence[labelling.indices >= 0]
+    doubts = {finding.code for finding in found} & DOUBTS.keys()
+    if doubts and (confidence < 1.0).any():
+        return judged(LOOK, next(why for code, why in DOUBTS.items() if code in doubts))
+    if verdict is not None and not verdict.fits and (confidence < SURE).any():
         # No piece stands out, so that one look at the whole is enough.
         agree = "" if look_at else "the labels agree with each other, but "
         teach = "; then teach them with `asterism learn`" if verdict.kind == OTHER_PERSON else ""
         limit = f"none of the model's labels is above {100 * verdict.max_confidence:.2f} %"
         return judged(LOOK, f"{agree}{verdict.limited_by}, so that {limit}{teach}")
+    # What a model says that knows no more than the votes of its solvers, or was written by an earlier version.
+    if verdict is None and (confidence < 1.0).any():
+        return judged(LOOK, "this model does not tell whether it knows the body; compare some names with the person")
+    # A name of the file that was kept has no confidence, and no doubt.
+    sure = 1.0 - float((confidence < SURE).mean())
+    if sure < rules.least_sure:
+        few = f"{100 * sure:.0f} % of the labels have" if sure else "no label has"
+        return judged(LOOK, f"{few} a confidence of 99 % or more; compare some with the person")
     return judged(LOOK if look_at else READY)

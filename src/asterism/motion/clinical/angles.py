@@ -1,4 +1,4 @@
-"""A recording with the markers of a gait laboratory in; clinical angles of pelvis, hip, knee, ankle, foot and trunk out."""
+"""A recording with the markers of a gait laboratory in; clinical angles of legs, trunk, head and arms out."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures, subject_measures
-from asterism.motion.clinical.plug_in_gait import angles_of, lower_body, radius_by_the_file
+from asterism.motion.clinical.plug_in_gait import angles_of, lower_body, radius_by_the_file, walking_axes
+from asterism.motion.clinical.upper_body import arm_measures_needed, upper_body_angles
 from asterism.motion.joints.anatomy import AnatomicalFrames, sacrum_markers
 from asterism.recording import Floats, Recording
 
@@ -44,7 +45,7 @@ class ClinicalAngles:
 
     joints    of the legs, left before right
     measures  by side, "left" and "right", with which they were computed; `subject` all of them
-    outputs   (T, 3) rad by Plug-in-Gait's names, such as LPelvisAngles: the joints', and those of pelvis, feet and trunk
+    outputs   (T, 3) rad by Plug-in-Gait's names, such as LPelvisAngles: the joints', and those of pelvis, feet, trunk, head and arms
     findings  what was assumed or left out
     """
 
@@ -64,7 +65,7 @@ def complete_legs(recording: Recording) -> tuple[str, ...]:
 
 
 def clinical_angles(recording: Recording, sides: Sequence[str] | None = None, measures: SubjectMeasures | None = None) -> ClinicalAngles:
-    """Flexion, adduction and internal rotation of hip, knee and ankle, and the angles of pelvis, feet and trunk, by Plug-in-Gait.
+    """Flexion, adduction and internal rotation of hip, knee and ankle; angles of pelvis, feet, trunk, head and arms: Plug-in-Gait's.
 
     sides     "L", "R" or both; by default those with all markers
     measures  of the person; by default those of the recording's file (`subject_measures`), and where its own program computed angles, too,
@@ -92,12 +93,13 @@ def clinical_angles(recording: Recording, sides: Sequence[str] | None = None, me
     found = []
     if measures is None:
         measures = subject_measures(recording)
-        found += _assumed(recording, measures, chosen)
         fitted = radius_by_the_file(recording, measures)
         if fitted is not None and abs(fitted - measures.marker_radius) > 1e-4:
             found.append(_another_radius(recording, measures, fitted))
         measures = measures if fitted is None else replace(measures, marker_radius=fitted)
-    outputs = angles_of(recording, lower_body(recording, measures, "".join(chosen)))
+    body = lower_body(recording, measures, "".join(chosen))
+    outputs = angles_of(recording, body) | upper_body_angles(recording, measures, walking_axes(body))
+    found[:0] = [*_assumed(recording, measures, chosen), *_assumed_arms(recording, measures, outputs)]
     joints = tuple(
         ClinicalJoint(SIDES[side], joint, outputs[name])
         for side in chosen
@@ -135,6 +137,25 @@ def _assumed(recording: Recording, measures: SubjectMeasures, sides: Sequence[st
                     _file(recording),
                     f"{_file(recording)} has no {words} of the {SIDES[side]} leg; an adult's widths were taken, "
                     "and the hip by the width of the pelvis.",
+                    "Give the measures, or a standing trial that holds them.",
+                )
+            )
+    return found
+
+
+def _assumed_arms(recording: Recording, measures: SubjectMeasures, outputs: Mapping[str, Floats]) -> list[Finding]:
+    """A finding for each arm whose measures nobody gave: a centimetre turns the upper arm by two to three degrees."""
+    found = []
+    for side in SIDES:
+        lacking = [name for name in arm_measures_needed(outputs, side) if name not in measures.arm(side).from_file]
+        if lacking:
+            words = ", ".join(name.replace("_", " ") for name in lacking)
+            found.append(
+                Finding(
+                    "clinical-measures",
+                    Severity.NOTE,
+                    _file(recording),
+                    f"{_file(recording)} has no {words} of the {SIDES[side]} arm; an adult's were taken.",
                     "Give the measures, or a standing trial that holds them.",
                 )
             )

@@ -190,19 +190,27 @@ def _about_z(angle: float) -> Floats:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def turns(parent: Floats, child: Floats) -> Floats:
+def turns(parent: Floats, child: Floats, first: str = "y") -> Floats:
     """(T, 3) rad: turns of the child in the parent's axes, about y, then x, then z; NaN where axes are missing.
+
+    first  "y"; or "x", for turns about x, then y, then z, which come in this order
 
     Two triples of turns make one rotation. The one nearer to the frame before is given, so that a foot that turns by more than a right
     angle goes on.
     """
     r = np.einsum("tji,tjk->tik", parent, child)
-    found = np.stack(
-        [np.arctan2(r[:, 0, 2], r[:, 2, 2]), np.arcsin(np.clip(-r[:, 1, 2], -1.0, 1.0)), np.arctan2(r[:, 1, 0], r[:, 1, 1])], axis=1
-    )
+    if first == "y":
+        found = [np.arctan2(r[:, 0, 2], r[:, 2, 2]), np.arcsin(np.clip(-r[:, 1, 2], -1.0, 1.0)), np.arctan2(r[:, 1, 0], r[:, 1, 1])]
+    else:
+        found = [np.arctan2(-r[:, 1, 2], r[:, 2, 2]), np.arcsin(np.clip(r[:, 0, 2], -1.0, 1.0)), np.arctan2(-r[:, 0, 1], r[:, 0, 0])]
+    return _steady(np.stack(found, axis=1), raised=first == "x")
+
+
+def _steady(found: Floats, raised: bool) -> Floats:
+    """The turns, each frame's triple near that before; `raised`: the first frame may be past a right angle, as of a raised arm."""
     known = np.nonzero(np.isfinite(found).all(axis=1))[0]
     # Only one that comes near a right angle can have gone past it.
-    if len(known) and np.abs(found[known, 1]).max() > _NEAR_RIGHT:
+    if len(known) and (raised or np.abs(found[known, 1]).max() > _NEAR_RIGHT):
         other = found * [1.0, -1.0, 1.0] + np.pi
         # No foot is upside down: of the first frame's two triples, that with less of the other turns.
         first = min((found[known[0]], (other[known[0]] + np.pi) % (2 * np.pi) - np.pi), key=lambda turn: np.abs(turn[[0, 2]]).sum())
