@@ -287,8 +287,10 @@ def radius_by_the_file(recording: Recording, measures: SubjectMeasures) -> float
     try:
         coarse = int(np.argmin([off(radius) for radius in _RADII[::4]])) * 4
         near = range(max(0, coarse - 3), min(len(_RADII), coarse + 4))
-        errors = {place: off(_RADII[place]) for place in near}
+        # The stated one may lie between those that are tried, and explain the angles best.
+        stated = measures.marker_radius
+        errors = {radius: off(radius) for radius in (stated, *(one for one in _RADII[list(near)].tolist() if abs(one - stated) > 1e-6))}
     except AsterismError:
         return None
     best = min(errors, key=errors.__getitem__)
-    return float(_RADII[best]) if errors[best] < _FITS else None
+    return float(best) if errors[best] < _FITS else None
