@@ -35,7 +35,7 @@ class EventRules:
     knock_weight, slap_weight  of a clear knock and slap, beside 1 for the moment when the heel is farthest ahead
     fallen, fallen_later       m above where it stands, and s from the moment when a heel has fallen so low to the strike: what tells flat
                                feet, which neither knock nor slap; in place of the heel farthest ahead, whose time differs by 23 ms between
-                               two people who shuffle, this one's by 7
+                               two people who shuffle, this one's by 11
     belt_later, halt_later     s, on a treadmill: from the heel farthest ahead, and from the peak of the jerk with which it halts, to the
                                strike; they count alike
     rise_earlier               s, from the fastest rise of the toe back to the off; counts as much as the first estimate
