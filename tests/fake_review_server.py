@@ -31,6 +31,7 @@ class FakeReview:
         self.last = np.array([frame_of[tracks == k].max(initial=0) for k in range(len(self.marker))])
         self.revision, self.asked = 1, list[dict[str, Any]]()
         self.failures = 0
+        self.models, self.left, self.changed, self.before = ["gait.model"], 0, 0, 0
 
     def state(self) -> dict[str, Any]:
         doubt = np.where(self.marker >= 0, 1 - self.confidence, 0.4) * (self.last - self.first + 1)
@@ -65,6 +66,7 @@ class FakeReview:
             "can_redo": False,
             "touches": self.revision - 1,
             "saved": False,
+            "relabelled": len(self.models) > 1,
         }
 
     def trials(self) -> dict[str, Any]:
@@ -79,7 +81,7 @@ class FakeReview:
             "saved": False,
         }
         failed = {"id": "t2", "name": "broken.c3d", "path": "broken.c3d", "state": "failed", "error": "broken.c3d is no C3D file."}
-        return {"trials": [row, failed | {"notes": [], "saved": False}], "markers_of_model": list(self.names), "out": "out"}
+        return {"trials": [row, failed | {"notes": [], "saved": False}], "models": self.models, "out": "out"}
 
     def touch(self, event: dict[str, Any]) -> list[dict[str, Any]]:
         k = event["piece"] - 100
@@ -94,9 +96,36 @@ class FakeReview:
             {"piece": 100 + k, "first": int(self.first[k]), "last": int(self.last[k]), "before": before, "after": after, "by_person": True}
         ]
 
+    def relabel(self, given: dict[str, Any]) -> dict[str, Any]:
+        """Begin to label again; the first track of those that nobody named gets another marker."""
+        self.asked.append(given)
+        self.left = 3
+        k = int(np.nonzero(~self.person & (self.marker > 0))[0][0])
+        self.changed, self.before, self.marker[k] = k, int(self.marker[k]), 0
+        return self.relabelling()
+
+    def relabelling(self) -> dict[str, Any]:
+        """How far it is; it is done when it has been asked for so often."""
+        self.left -= 1
+        if self.left:
+            return {"running": True, "trial": self.trial, "model": self.models[-1], "done": 0, "of": 1, "share": 0.5, "failed": 0}
+        self.revision += 1
+        self.models.append("later.model")
+        return {"running": False, "failed": 0, "sentence": "1 recording labelled again: 1 sample changed."}
+
+    def what_changed(self) -> dict[str, Any]:
+        k = self.changed
+        part = {"piece": 100 + k, "first": int(self.first[k]), "last": int(self.last[k]), "by_person": False}
+        part |= {"before": self.names[self.before], "after": self.names[0]}
+        return {"revision": self.revision, "about": "Labelled again with <b>.model: 1 sample changed.", "changed": [part]}
+
     def get(self, path: str, query: dict[str, list[str]]) -> tuple[bytes | Any, str]:
         if path == "/api/trials":
             return self.trials(), "application/json"
+        if path == "/api/relabel":
+            return self.relabelling(), "application/json"
+        if path.endswith("/changed"):
+            return self.what_changed(), "application/json"
         if path.endswith("/state"):
             return self.state(), "application/json"
         if path.endswith("/candidates"):
@@ -151,11 +180,15 @@ def serve(review: FakeReview, driver: str = "") -> http.server.ThreadingHTTPServ
 
         def do_POST(self) -> None:
             given = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+            if self.path == "/api/relabel":
+                self.answer(200, review.relabel(given))
+                return
             if given["revision"] != review.revision:
                 self.answer(409, {"error": "the labels were changed in another window."})
                 return
             review.asked.append(given)
-            self.answer(200, {"changed": review.touch(given["event"]), "revision": review.revision, "state": review.state()})
+            changed = review.touch(given.get("event", {"kind": "refuse", "piece": given.get("pieces", [0])[0]}))
+            self.answer(200, {"changed": changed, "revision": review.revision, "state": review.state()})
 
         def log_message(self, *words: object) -> None:
             pass

@@ -323,15 +323,21 @@ def test_a_torn_last_line_is_dropped_and_told(tmp_path: Path) -> None:
         assert log.path.read_bytes().startswith(whole + b'{"kind":"undo","at"')
 
 
-def test_a_log_of_another_recording_or_model_is_refused(tmp_path: Path) -> None:
+def test_a_log_of_another_recording_is_refused_and_of_another_model_goes_on(tmp_path: Path) -> None:
     correction, log = logged(tmp_path)
     log.append({"kind": "saved"})
     correction.close()
     points, label_model = correction.identity
     with pytest.raises(AsterismError, match="another recording"):
         CorrectionLog(log.path, "0" * 64, label_model)
-    with pytest.raises(AsterismError, match="another model"):
-        CorrectionLog(log.path, points, "0" * 64)
+    same = CorrectionLog(log.path, points, label_model)
+    same.close()
+    other = CorrectionLog(log.path, points, "0" * 64)
+    assert not same.other_model and other.other_model and len(other.entries) == 1, "what was said names points, and holds for other labels"
+    other.append({"kind": "undo"})
+    other.close()
+    again = CorrectionLog(log.path, points, "0" * 64)
+    assert not again.other_model and [entry["kind"] for entry in again.entries] == ["saved", "relabelled", "undo"]
 
 
 @pytest.mark.parametrize(

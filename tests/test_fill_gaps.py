@@ -18,7 +18,7 @@ import asterism
 from asterism import formats
 from asterism.cli import main
 from asterism.errors import AsterismError
-from asterism.motion.gaps import Filled, fill_gaps
+from asterism.motion.gaps import Filled, fill_gaps, trials_of_person
 from asterism.recording import Recording, filled_samples
 from asterism.simulation import simulate_walks
 
@@ -108,6 +108,51 @@ def test_other_trials_show_poses_that_the_recording_does_not() -> None:
     assert both < 0.7 * alone, f"{1000 * alone:.1f} mm alone, {1000 * both:.1f} mm with another trial"
 
 
+@pytest.fixture(scope="module")
+def people() -> list[Recording]:
+    """Two people, three trials each."""
+    return simulate_walks(subjects=2, frames=160, markers="plug-in-gait", trials=3, seed=11)
+
+
+def test_other_people_and_copies_tell_nothing(people: list[Recording]) -> None:
+    first, second, third, stranger = people[:4]
+    guessed = replace(first, positions=first.positions + 1e-5)
+    assert [one is second or one is third for one in trials_of_person(first, [second, guessed, stranger, third])] == [True, True]
+    # Markers that were placed anew are other places on the skin.
+    moved = replace(second, positions=second.positions + np.random.default_rng(0).normal(0.0, 0.02, (1, len(second.labels), 3)))
+    few = second.select(second.labels[:3])
+    assert trials_of_person(first, [moved, few]) == []
+
+
+def test_a_marker_that_only_other_trials_show_is_predicted_and_said(people: list[Recording]) -> None:
+    first, others = people[0], people[1:3]
+    labels = ("LKNE", "RTIB", "LASI", "RELB")
+    errors, inside = [], []
+    for label in labels:
+        fill = fill_gaps(without(first, (label, slice(None))), limit=1.0, others=[*others, people[3]])
+        [finding] = fill.findings
+        assert (finding.code, fill.trials, fill.filled.sum()) == ("gap-predicted", 2, len(first))
+        column = first.labels.index(label)
+        errors.append(off(fill, first).mean())
+        apart = np.abs(fill.recording.positions - first.positions)[:, column]
+        inside.append((apart < 1.96 * fill.deviation[:, [column]]).mean())
+    assert np.max(errors) < 0.02 and 0.9 < np.mean(inside) < 0.995, (np.round(1000 * np.array(errors), 1), inside)
+    # The pose alone tells: without other trials nothing does.
+    assert not fill_gaps(without(first, ("LKNE", slice(None))), others=[people[3]]).gaps
+
+
+def test_what_another_file_had_filled_is_not_taken_for_measured(people: list[Recording]) -> None:
+    first, second = people[:2]
+    guess = without(second, ("LKNE", slice(0, 150)))
+    guess = fill_gaps(guess, limit=9.0).recording
+    wrong = guess.positions + np.where(np.isfinite(filled_samples(guess)), 0.3, 0.0)[:, :, None]
+    holed = without(first, ("LKNE", slice(40, 90)))
+    clean = fill_gaps(holed, others=[guess], limit=9.0).recording
+    np.testing.assert_array_equal(
+        fill_gaps(holed, others=[replace(guess, positions=wrong)], limit=9.0).recording.positions, clean.positions
+    )
+
+
 @pytest.mark.parametrize("many", [1, 2, 3])
 def test_few_markers_leave_time_alone(many: int) -> None:
     times = np.arange(200) / 100.0
@@ -184,6 +229,19 @@ def test_convert_fills_and_says_so(walks: list[Recording], tmp_path: Path, capsy
     assert asterism.read(tmp_path / "out.trc").visible.all()
     assert main([*words[:3], "--fill", "much", "--overwrite"]) == 2
     assert "--fill much" in capsys.readouterr().err
+
+
+def test_convert_asks_the_trials_beside_and_names_them(people: list[Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    holed, source = without(people[0], ("LKNE", slice(None))), tmp_path / "walk2.c3d"
+    for name, trial in (("walk1", people[1]), ("walk2", holed), ("walk3", people[3])):
+        formats.write(tmp_path / f"{name}.c3d", trial)
+    (tmp_path / "walk0.c3d").write_bytes(b"damaged")
+    words = ["convert", str(source), str(tmp_path / "out.c3d"), "--fill", "60", "--json", str(tmp_path / "out.json"), "--overwrite"]
+    for choice, told in (([], ["walk1.c3d"]), (["none"], []), ([str(tmp_path / "walk3.c3d")], [])):
+        assert main([*words, *(word for name in choice for word in ("--trials", name))]) == 1, "a marker that is never seen"
+        assert json.loads((tmp_path / "out.json").read_text())["filled"]["trials"] == told
+    assert main([*words, "--trials", "nowhere.c3d"]) == 2
+    assert "nowhere.c3d" in capsys.readouterr().err
 
 
 def test_mates_that_take_turns_to_be_missing_fill_a_gap_in_pieces(walks: list[Recording]) -> None:

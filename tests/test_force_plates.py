@@ -110,6 +110,20 @@ def test_samples_are_brought_to_the_frames(tmp_path: Path) -> None:
     np.testing.assert_allclose(at.pressure[20], AT, atol=1e-4)
 
 
+def test_a_sample_that_is_no_number_spoils_its_frame_alone(tmp_path: Path) -> None:
+    file = ezc3d.c3d(str(written(tmp_path / "plate.c3d", 2)))
+    # One sample of a frame whose other nine are there, all of another, and one of those that tell the baseline.
+    for samples in (205, slice(245, 255), 3):
+        file["data"]["analogs"][0, :, samples] = np.nan
+    file.write(str(tmp_path / "holes.c3d"))
+    recording = asterism.read(tmp_path / "holes.c3d")
+    [plate], found = force_plates(recording)
+    at = plate.at(recording.rate, len(recording))
+    assert not found
+    np.testing.assert_array_equal(np.isnan(at.force).any(axis=1), np.arange(40) == 25)
+    np.testing.assert_allclose(at.pressure[[20, 21, 28]], [AT] * 3, atol=1e-4)
+
+
 def test_feet_stand_on_real_plates(data: Path) -> None:
     """The centre of pressure is between heel and toe, within 25 mm, and the force is that of a person's weight."""
     recording = asterism.read(data / "gait-events/plates/NP1003/walk_1003a09.c3d")

@@ -267,6 +267,36 @@ def test_keys_say_what_a_person_means(review: FakeReview, tmp_path: Path) -> Non
     assert [given["revision"] for given in asked.asked[-4:]] == [1, 2, 3, 4]
 
 
+RELABEL = """(async () => {
+  const { page } = Asterism, at = id => document.getElementById(id), said = [];
+  const until = met => new Promise(ok => { const timer = setInterval(() => { if (met()) { clearInterval(timer); ok(); } }, 20); });
+  await until(() => document.querySelector("#list .current"));
+  page.models = ["gait.model", "gait-2.model"];
+  at("relabel").click();
+  at("relabel-form").querySelector("button[value=relabel]").click();
+  await until(() => !at("relabelling").hidden && at("relabelling").textContent);
+  said.push(at("relabelling").textContent.trim());
+  await until(() => at("relabelling").hidden && page.labels.state.revision === 2 && at("changes").textContent.includes("Labelled again"));
+  at("changes").querySelector("li .small").click();
+  await until(() => page.labels.state.revision === 3);
+  document.body.append(Asterism.make("p", { textContent: `driven ${said} driven` }));
+})();"""
+
+
+@needs_chromium
+def test_a_recording_is_labelled_again_and_a_change_is_refused(review: FakeReview, tmp_path: Path) -> None:
+    asked = FakeReview(review.clouds, review.marker, review.confidence, review.names)
+    server = serve(asked, RELABEL)
+    try:
+        elements = opened(f"http://127.0.0.1:{server.server_port}/?token={TOKEN}", tmp_path, "driven .* driven")
+    finally:
+        server.shutdown()
+        server.server_close()
+    assert "walk.c3d is being labelled again with gait.model" in elements and "1 recording labelled again: 1 sample changed." in elements
+    begun, refused = asked.asked
+    assert begun == {"trials": ["t1"], "model": 1} and refused == {"revision": 2, "pieces": [100 + asked.changed]}
+
+
 @pytest.mark.slow
 @needs_chromium
 def test_a_wrong_token_is_said(review: FakeReview, tmp_path: Path) -> None:

@@ -240,7 +240,7 @@ def test_a_body_comes_after_a_prop() -> None:
 
 def test_a_single_file_that_should_not_be_used_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A cloud of another kind of body under a set that is named: nothing may look as if all were well."""
-    whole = person("plug-in-gait").frames(slice(0, 40))
+    whole = person("plug-in-gait").frames(slice(0, 12))
     upper = [m for m, name in enumerate(whole.labels) if name[1:4] not in ("ASI", "PSI", "THI", "KNE", "TIB", "ANK", "HEE", "TOE")]
     asterism.write(tmp_path / "upper.c3d", anonymous(whole, upper))
     status = main(["label", str(tmp_path / "upper.c3d"), "--markers", "helen-hayes-medial", "-o", str(tmp_path / "out")])
@@ -277,7 +277,7 @@ def test_points_that_coincide_are_told(apart: float, told: bool) -> None:
 
 
 def test_a_file_with_each_point_twice_says_why_it_has_no_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (walk,) = simulate_walks(1, frames=30, seed=5)
+    (walk,) = simulate_walks(1, frames=10, seed=5)
     twice = np.concatenate([walk.positions, walk.positions], axis=1)
     asterism.write(tmp_path / "twice.c3d", anonymous(replace(walk, positions=twice, labels=("",) * 30)))
     assert run("label", tmp_path / "twice.c3d", "-o", tmp_path / "out", "--markers", "helen-hayes") == 1

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,13 +10,13 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
+from asterism.cli._filling import Fill, as_values, fill_limit, filled, filled_text, trials_beside
 from asterism.cli._options import ForProgram, Json, Markers, Overwrite, Vertical, marker_names, vertical_axis
 from asterism.errors import AsterismError
 from asterism.findings import Finding, exit_status
 
 if TYPE_CHECKING:
     from asterism.motion.gaps import Filled
-    from asterism.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -29,13 +28,15 @@ class ConvertOptions:
     markers: Markers = None
     vertical: Vertical = None
     program: ForProgram = None
-    fill: Annotated[
-        str,
+    fill: Fill = "none"
+    trials: Annotated[
+        list[str],
         typer.Option(
-            metavar="none|auto|MM",
-            help="Fill the gaps of named markers whose 95 % interval is within MM to either side; auto is 10 mm.",
+            "--trials",
+            metavar="auto|none|FILE",
+            help="Other recordings of the person that tell --fill; auto takes those beside IN that show the same person.",
         ),
-    ] = "none"
+    ] = field(default_factory=lambda: ["auto"])
     overwrite: Overwrite = False
     json: Json = None
 
@@ -49,8 +50,9 @@ def convert(options: ConvertOptions) -> None:
     What the other format cannot carry is named on standard error.
     --for turns the recording as the next program takes it: opensim TRC with y up, visual3d and blender C3D with z up.
     For opensim the force plates of a C3D file go beside it: OUT_grf.mot, and OUT_grf.xml with the foot on which each acts.
-    --fill fills gaps from the markers around them. In C3D a filled sample has the residual 0 or, where measured samples have that, too, its
-    standard deviation, and no camera; the processing log names all filled gaps. What is too uncertain stays missing, and is said.
+    --fill fills gaps from the markers around them, and from other trials of the person, which --trials names. In C3D a filled sample has
+    the residual 0 or, where measured samples have that, too, its standard deviation, and no camera; the processing log names all filled
+    gaps. What is too uncertain stays missing, and is said.
     """
     from asterism import formats
     from asterism.cli._recordings import is_rig, not_carried
@@ -60,7 +62,7 @@ def convert(options: ConvertOptions) -> None:
     _console.check_new(options.json, options.overwrite)
     for beside in formats.companions(target) if options.program is not None and options.program.value == "opensim" else ():
         _console.check_new(beside, options.overwrite)
-    axis, wanted, limit = vertical_axis(options.vertical), marker_names(options.markers), _limit(options.fill)
+    axis, wanted, limit = vertical_axis(options.vertical), marker_names(options.markers), fill_limit(options.fill)
     fill: Filled | None = None
     findings: list[Finding] = []
     # rigs and recordings share suffixes, so that this is asked first
@@ -70,7 +72,7 @@ def convert(options: ConvertOptions) -> None:
         )
     elif limit is not None:
         recording = formats.read(source, wanted, axis)
-        fill = _filled(recording, limit)
+        fill = filled(recording, limit, _trials(options), axis)
         findings = [*recording.warnings, *fill.findings]
         if options.program is not None:
             lost = formats.write_for_program(fill.recording, options.program.value, target)
@@ -93,7 +95,7 @@ def convert(options: ConvertOptions) -> None:
     for finding in findings:
         _console.report(finding)
     if options.json != "-":
-        _console.result(f"{source} -> {target}{'' if fill is None else ': ' + _filled_text(fill)}")
+        _console.result(f"{source} -> {target}{'' if fill is None else ': ' + filled_text(fill)}")
     _console.write_json(
         options.json,
         {
@@ -101,7 +103,7 @@ def convert(options: ConvertOptions) -> None:
             "file": source,
             "output": target,
             "for": options.program,
-            "filled": None if fill is None else _as_values(fill),
+            "filled": None if fill is None else as_values(fill),
             "not_carried": lost,
             "findings": [finding.to_dict() for finding in findings],
         },
@@ -109,37 +111,17 @@ def convert(options: ConvertOptions) -> None:
     raise typer.Exit(exit_status(findings))
 
 
-def _limit(fill: str) -> float | None:
-    """The limit of the 95 % interval in m, None where nothing is to be filled. Raises AsterismError where it is none of these."""
-    if fill in ("none", "auto"):
-        return None if fill == "none" else 0.010
-    try:
-        limit = float(fill) / 1000.0
-    except ValueError:
-        limit = math.nan
-    if not (math.isfinite(limit) and limit > 0.0):
-        raise AsterismError(f"--fill {fill}: give none, auto, or the largest uncertainty in mm, such as --fill 5.")
-    return limit
-
-
-def _filled(recording: Recording, limit: float) -> Filled:
-    from asterism import __version__
-    from asterism.motion.gaps import fill_gaps
-
-    with _console.progress("filling gaps") as progress:
-        return fill_gaps(recording, limit=limit, by=f"asterism {__version__}", progress=progress)
-
-
-def _filled_text(fill: Filled) -> str:
-    if not fill.gaps:
-        return "no gap filled"
-    gaps = "1 gap" if fill.gaps == 1 else f"{fill.gaps} gaps"
-    return f"{gaps} ({int(fill.filled.sum())} samples) filled, each within {1000.0 * fill.reach:.1f} mm (95 %)"
-
-
-def _as_values(fill: Filled) -> dict[str, Any]:
-    markers = [{"marker": label, "samples": many, "largest_deviation_m": most} for label, (many, most) in fill.by_marker().items()]
-    return {"gaps": fill.gaps, "markers": markers}
+def _trials(options: ConvertOptions) -> list[Path]:
+    """The other recordings that --trials names, without the one that is written. Raises AsterismError where one is not there."""
+    if options.trials == ["none"]:
+        return []
+    if options.trials == ["auto"]:
+        beside = trials_beside(options.source)
+        return [path for path in beside if not (options.target.exists() and path.samefile(options.target))]
+    missing = [name for name in options.trials if not Path(name).is_file()]
+    if missing:
+        raise AsterismError(f"--trials {missing[0]}: there is no such file; give auto, none, or recordings of the same person.")
+    return [Path(name) for name in options.trials]
 
 
 def _convert_rig(source: Path, target: Path, vertical: Any, markers: Any) -> tuple[list[Finding], list[str]]:

@@ -11,6 +11,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
 from asterism.gait.events import Walking, find_events, plate_contacts
+from asterism.gait.fills import angles_with_fills, drawn_fills, events_with_fills
 from asterism.gait.parameters import Parameter, parameters_of
 from asterism.motion.clinical import (
     ClinicalAngles,
@@ -22,9 +23,10 @@ from asterism.motion.clinical import (
     inverse_dynamics,
     lower_body,
 )
-from asterism.recording import Floats, ForcePlate, Recording
+from asterism.motion.clinical.plug_in_gait import angles_of
+from asterism.recording import Floats, ForcePlate, Recording, filled_samples
 
-CURVES = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress", "Thorax", "Spine")
+CURVES = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress", "Thorax", "Spine", "Head", "Neck", "Shoulder", "Elbow", "Wrist")
 """Quantities whose angles are drawn over the cycle, by Plug-in-Gait's names."""
 
 
@@ -39,6 +41,7 @@ class GaitAnalysis:
     kinetics    moments and powers over time; None where no foot is alone on a plate
     loads       name such as "LKneeMoment" or "LKneePower" -> (cycles of that side whose forces are known, 101, 3 or 1)
     loaded      the same names -> these cycles
+    fill_sigmas as `curves`, rad: the standard deviation that filled samples add; 0 where none takes part, empty where nothing was filled
     """
 
     recording: Recording
@@ -51,6 +54,7 @@ class GaitAnalysis:
     kinetics: Kinetics | None = None
     loads: Mapping[str, Floats] = field(default_factory=dict)
     loaded: Mapping[str, tuple[Cycle, ...]] = field(default_factory=dict)
+    fill_sigmas: Mapping[str, Floats] = field(default_factory=dict)
 
 
 def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measures: SubjectMeasures | None = None) -> GaitAnalysis:
@@ -59,6 +63,7 @@ def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measur
     plates    of the recording (`asterism.formats.force_plates`): they tell events to milliseconds, and moments and powers of the joints
     measures  of the person, such as `with_static_offsets` gives; by default those of the recording's file
 
+    Samples that the recording's log calls filled make events and angles less certain, as far as these depend on them.
     What can be computed is: without the markers of Plug-in-Gait there are parameters and no angles, without a whole cycle events alone.
     Raises AsterismError where feet or pelvis have no markers. O(T).
 
@@ -68,6 +73,10 @@ def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measur
     (101, 3)
     """
     walking = find_events(recording, plates)
+    deviation = filled_samples(recording)
+    draws = list(drawn_fills(recording, deviation)) if np.isfinite(deviation).any() else []
+    if draws:
+        walking = events_with_fills(walking, draws, lambda draw: find_events(draw, plates))
     cycles = tuple(cycles_of(walking))
     file, found = str(recording.metadata.get("file", "the recording")), exchanged_finding(recording)
     if walking.feet.backwards:
@@ -97,12 +106,15 @@ def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measur
         )
     else:
         found += clinical.findings
-    curves: dict[str, Floats] = {}
-    for name, angles in ({} if clinical is None else clinical.outputs).items():
-        own = [over_cycle(angles, recording.rate, cycle) for cycle in cycles if cycle.side == name[0]]
-        if own and name[1:].removesuffix("Angles") in CURVES:
-            # An angle near half a turn must not jump by a whole one within a cycle.
-            curves[name] = np.unwrap(np.stack(own), axis=1)
+    outputs = {} if clinical is None else clinical.outputs
+    # An angle near half a turn must not jump by a whole one within a cycle.
+    curves = {name: np.unwrap(curve, axis=1) for name, curve in _curves(outputs, recording.rate, cycles).items()}
+    fill_sigmas: dict[str, Floats] = {}
+    if clinical is not None and draws:
+        legs = "".join(side[0].upper() for side in clinical.measures)
+        subject = clinical.subject
+        spread = angles_with_fills(outputs, draws, lambda draw: angles_of(draw, lower_body(draw, subject, legs)))
+        fill_sigmas = _curves(spread, recording.rate, cycles)
     kinetics = None
     if clinical is not None and plates:
         try:
@@ -114,7 +126,17 @@ def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measur
     loads, loaded = ({}, {}) if kinetics is None else _loads(recording, cycles, kinetics)
     found += () if kinetics is None else kinetics.findings
     parameters = tuple(parameters_of(walking, cycles))
-    return GaitAnalysis(recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads, loaded)
+    return GaitAnalysis(recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads, loaded, fill_sigmas)
+
+
+def _curves(values: Mapping[str, Floats], rate: float, cycles: Sequence[Cycle]) -> dict[str, Floats]:
+    """Of what is drawn over the cycle: (cycles of that side, 101, 3)."""
+    found = {}
+    for name, angles in values.items():
+        own = [over_cycle(angles, rate, cycle) for cycle in cycles if cycle.side == name[0]]
+        if own and name[1:].removesuffix("Angles") in CURVES:
+            found[name] = np.stack(own)
+    return found
 
 
 _KNOWN = 0.9
@@ -147,19 +169,3 @@ def _loads(recording: Recording, cycles: Sequence[Cycle], kinetics: Kinetics) ->
         if known:
             loads[name], loaded[name] = np.stack([curve for _, curve in known]), tuple(cycle for cycle, _ in known)
     return loads, loaded
-
-
-def measures_by_name(pairs: Sequence[str]) -> dict[str, float]:
-    """Measures from words such as "LKneeWidth=102". Raises AsterismError where a word is none.
-
-    >>> measures_by_name(["LKneeWidth=102", "BodyMass=50.5"])
-    {'LKneeWidth': 102.0, 'BodyMass': 50.5}
-    """
-    found = {}
-    for pair in pairs:
-        name, _, value = pair.partition("=")
-        try:
-            found[name.strip()] = float(value.replace(",", "."))
-        except ValueError:
-            raise AsterismError(f"--measure {pair} is no name and number; write for example LKneeWidth=102, in mm and degrees.") from None
-    return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import PurePath
 
 import numpy as np
 
@@ -29,15 +30,16 @@ class GapFill:
     deviation: float
 
 
-def logged_fills(recording: Recording, fills: Sequence[GapFill], by: str, limit: float) -> Recording:
+def logged_fills(recording: Recording, fills: Sequence[GapFill], by: str, limit: float, trials: Sequence[str] = ()) -> Recording:
     """The recording with a step in its log that names the filled gaps: by marker [first s, last s, standard deviation in mm].
 
-    Times and not frame numbers: these change where frames are left out. limit: m, that of `fill_gaps`.
+    Times and not frame numbers: these change where frames are left out. limit: m, that of `fill_gaps`; trials: files that told, too.
     """
     gaps: dict[str, list[list[float]]] = {}
     for fill in fills:
         gaps.setdefault(fill.label, []).append([round(fill.begin, 5), round(fill.end, 5), round(1000.0 * fill.deviation, 2)])
-    return recording.logged(_ACTION, by, limit_mm=round(1000.0 * limit, 6), gaps=gaps)
+    told = {"trials": [PurePath(trial).name for trial in trials]} if trials else {}
+    return recording.logged(_ACTION, by, limit_mm=round(1000.0 * limit, 6), gaps=gaps, **told)
 
 
 def filled_samples(recording: Recording) -> Floats:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.recording.arrays import Floats
+from asterism.recording.arrays import Floats, Ints
 
 LOADED = 20.0
 """N of vertical force from which a plate counts as loaded, as gait laboratories take it. Amplifiers drift by a few N; at half, drift is a
@@ -72,15 +72,25 @@ class ForcePlate:
     def at(self, rate: float, frames: int) -> ForcePlate:
         """With as many samples as the recording has frames, each the mean of the samples of half a frame before and behind it.
 
+        Samples that are not finite do not count; a frame without any other is NaN.
+
         Raises AsterismError where the plate has fewer samples than frames.
         """
         step = self.rate / rate
         if step < 0.999 or len(self.force) < frames * step - step:
             raise AsterismError(f"plate {self.number} has {len(self.force)} samples at {self.rate:g} Hz, too few for {frames} frames.")
-        edges = np.clip(np.round((np.arange(frames + 1) - 0.5) * step).astype(int), 0, len(self.force) - 1)
-        edges[1:] = np.maximum(edges[1:], edges[:-1] + 1)
-        edges = np.minimum(edges, len(self.force))
-        sums = [np.concatenate([np.zeros((1, 3)), np.cumsum(values, axis=0)]) for values in (self.force, self.moment)]
-        width = np.maximum(edges[1:] - edges[:-1], 1)[:, None]
-        force, moment = ((total[edges[1:]] - total[edges[:-1]]) / width for total in sums)
+        edges = np.round((np.arange(frames + 1) - 0.5) * step).astype(int)
+        begins = np.clip(edges[:-1], 0, len(self.force) - 1)
+        ends = np.clip(edges[1:], begins + 1, len(self.force))
+        force, moment = (_means(values, begins, ends) for values in (self.force, self.moment))
         return replace(self, force=force, moment=moment, rate=rate)
+
+
+def _means(values: Floats, begins: Ints, ends: Ints) -> Floats:
+    """(F, 3) the means of the finite rows of values (S, 3) from each begin to before each end; NaN where there is none."""
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=1))
+    # Sums over all samples before: one that is not finite would spoil each that follows.
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(np.where(known[:, None], values, 0.0), axis=0)])
+    counts = np.concatenate([[0], np.cumsum(known)])
+    many = (counts[ends] - counts[begins])[:, None]
+    return np.where(many > 0, (sums[ends] - sums[begins]) / np.maximum(many, 1), np.nan)

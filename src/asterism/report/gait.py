@@ -51,6 +51,7 @@ def gait_report(
         *score_sections(both, band),
         _quality(both),
         *_findings(both),
+        *_filled(both),
         *([] if not any(one.cycles for one in both) else [cycle_section(both)]),
         *_events(both),
         _player(both),
@@ -122,6 +123,32 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
     return Section("Quality", text, table=Table(head, rows))
 
 
+def _filled(sessions: Sequence[GaitSession]) -> list[Section]:
+    """Markers whose gaps were filled, and how far that makes angles uncertain; none where nothing was filled."""
+    from asterism.recording import filled_samples
+
+    rows: list[list[str | Cell]] = []
+    largest = 0.0
+    for session in sessions:
+        for number, (name, analysis) in enumerate(session.results):
+            deviation = filled_samples(analysis.recording)
+            filled = np.isfinite(deviation)
+            for column in np.flatnonzero(filled.any(axis=0)):
+                most = 1000.0 * float(np.nanmax(deviation[:, column]))
+                frames = np.flatnonzero(filled[:, column])
+                place = (session.offset + number, int(frames[0]), int(frames[-1]))
+                label = analysis.recording.labels[column]
+                rows.append([name, label, Cell(f"{len(frames)} of {len(deviation)}", place=place), f"{most:.1f}"])
+            largest = max([largest, *(float(np.degrees(np.nanmax(one, initial=0.0))) for one in analysis.fill_sigmas.values())])
+    if not rows:
+        return []
+    text = (
+        "These markers were not seen in some frames; their places there follow from other markers. "
+        f"That makes the angles of the cycles above uncertain by up to {largest:.1f}° (standard deviation), and is part of the ± of events."
+    )
+    return [Section("Filled markers", text, table=Table(["recording", "marker", "frames", "± mm"], rows, left=2), folded=True)]
+
+
 def _findings(sessions: Sequence[GaitSession]) -> list[Section]:
     """What was found out, once for all recordings that it is true of."""
     of: dict[tuple[str, str], list[str]] = {}
@@ -154,7 +181,8 @@ def _events(sessions: Sequence[GaitSession]) -> list[Section]:
                 side = "left" if event.side == "L" else "right"
                 frame = min(max(round(event.time * rate), 0), last)
                 shown = Cell(str(frame + analysis.recording.first_frame), place=(session.offset + number, frame, frame))
-                rows.append([name, side, event.label, event.source, shown, f"{1000 * event.sigma:.0f}"])
+                source = f"{event.source}, filled" if event.filled else event.source
+                rows.append([name, side, event.label, source, shown, f"{1000 * event.sigma:.0f}"])
     text = "An event on a force plate is told by its load, another by heel, toe and pelvis. ± is one standard uncertainty."
     return [Section("Events", text, table=Table(["recording", "side", "event", "by", "frame", "± ms"], rows, left=4), folded=True)]
 

@@ -19,7 +19,7 @@ from asterism.errors import AsterismError
 from asterism.labelling.correction import Correction, CorrectionChange, request_of
 from asterism.recording.display import counted
 from asterism.report import player_script, player_style
-from asterism.web.plain import packed_pieces, packed_points, plain_change, plain_state, plain_trials
+from asterism.web.plain import packed_pieces, packed_points, plain_change, plain_relabelling, plain_state, plain_trials
 from asterism.web.session import CorrectionSession, CorrectionTrial, StaleRevision
 
 MAX_BODY = 1 << 16
@@ -50,7 +50,11 @@ def make_app(session: CorrectionSession) -> Starlette:
         Route(f"{trial}/candidates", api.answering(api.candidates)),
         *(Route(f"{trial}/{verb}", api.answering(api.changing(verb)), methods=["POST"]) for verb in ("touch", "refuse", "undo", "redo")),
         Route(f"{trial}/save", api.answering(api.save), methods=["POST"]),
+        Route(f"{trial}/changed", api.answering(api.changed)),
         Route("/api/teach", api.answering(api.teach), methods=["POST"]),
+        Route("/api/relabel", api.answering(api.relabelling)),
+        Route("/api/relabel", api.answering(api.relabel), methods=["POST"]),
+        Route("/api/relabel/stop", api.answering(api.stop_relabelling), methods=["POST"]),
         WebSocketRoute("/ws", api.tell),
     ]
     return Starlette(routes=routes)
@@ -126,16 +130,40 @@ class _Api:
         sentence = trial.save()
         return {"path": str(trial.target), "sentence": sentence or f"Saved as {trial.target}."}
 
+    def changed(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
+        """What labelling the trial again changed; empty where something was said since."""
+        trial = self._trial(request)
+        with trial.opened() as correction:
+            again, change = trial.relabelled, correction.last_change
+            if again is None or again.revision != correction.revision or change is None:
+                return {"revision": correction.revision, "changed": []}
+            about = f"Labelled again with {again.model}: {counted(again.samples, 'sample')} of {len(correction.clouds.xyz):,} changed."
+            return {"revision": correction.revision, "about": about, "changed": plain_change(change)}
+
+    def relabelling(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
+        return plain_relabelling(self.session.relabelling)
+
+    def relabel(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
+        model = given.get("model")
+        if isinstance(model, bool) or not isinstance(model, int):
+            raise _Refused(400, "the request needs the number of a model in the field model.")
+        return plain_relabelling(self.session.relabel(self._chosen(given), model))
+
+    def stop_relabelling(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
+        if self.session.relabelling is not None:
+            self.session.relabelling.stop()
+        return plain_relabelling(self.session.relabelling)
+
     def teach(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
-        trials, name = given.get("trials"), given.get("model_out")
-        # Ids from the page are checked: they name files.
-        known = {trial.id for trial in self.session.trials}
-        if not isinstance(trials, list) or not all(isinstance(trial, str) and trial in known for trial in trials):
-            raise _Refused(400, "the request needs the ids of trials in the field trials.")
+        trials, name = self._chosen(given), given.get("model_out")
         if name is not None and not isinstance(name, str):
             raise _Refused(400, "the field model_out is no text; give the name of a file, or null.")
         path = self.session.teach(trials, name)
-        return {"path": str(path), "sentence": f"The model has learned {counted(len(trials), 'trial')}; it was written as {path}."}
+        return {
+            "path": str(path),
+            "model": len(self.session.models) - 1,
+            "sentence": f"The model has learned {counted(len(trials), 'trial')}; it was written as {path}.",
+        }
 
     async def tell(self, socket: WebSocket) -> None:
         """Tell a page whatever changes, for as long as it is open."""
@@ -157,6 +185,13 @@ class _Api:
         finally:
             self.session.listeners.remove(listener)
             sender.cancel()
+
+    def _chosen(self, given: dict[str, Any]) -> list[str]:
+        """The ids of trials that a request names, which are checked: they name files."""
+        trials, known = given.get("trials"), {trial.id for trial in self.session.trials}
+        if not isinstance(trials, list) or not all(isinstance(trial, str) and trial in known for trial in trials):
+            raise _Refused(400, "the request needs the ids of trials in the field trials.")
+        return trials
 
     def _trial(self, request: Request) -> CorrectionTrial:
         try:

@@ -12,6 +12,7 @@ from asterism.recording import label_shares, label_states
 from asterism.recording.display import short_names
 from asterism.recording.sides import marker_sides
 from asterism.report import marker_bones
+from asterism.web.relabelling import RelabelRun
 from asterism.web.session import CORRECTED, READY, CorrectionSession, CorrectionTrial
 
 ITEMS = 500
@@ -25,7 +26,8 @@ def plain_trials(session: CorrectionSession) -> dict[str, Any]:
     out, names = session.options.output, short_names([trial.path for trial in session.trials])
     return {
         "trials": [_plain_trial(trial, name) for trial, name in zip(session.trials, names, strict=True)],
-        "markers_of_model": [] if session.labeller.marker_set is None else list(session.labeller.marker_set.names),
+        "models": [model.name for model in session.models],
+        "relabelling": plain_relabelling(session.relabelling),
         "out": CORRECTED if out is None else str(out),
     }
 
@@ -55,6 +57,22 @@ def _plain_trial(trial: CorrectionTrial, name: str) -> dict[str, Any]:
             "touches": len(correction.touches),
             "saved": trial.is_saved,
         }
+
+
+def plain_relabelling(run: RelabelRun | None) -> dict[str, Any]:
+    """How far labelling again is, or what has become of it."""
+    if run is None:
+        return {"running": False, "sentence": ""}
+    return {
+        "running": run.running,
+        "model": run.model.name,
+        "trial": run.present,
+        "share": round(run.share, 3),
+        "done": run.done + len(run.failed),
+        "of": len(run.trials),
+        "failed": len(run.failed),
+        "sentence": "" if run.running else run.sentence,
+    }
 
 
 def plain_verdict(verdict: Readiness) -> dict[str, Any]:
@@ -98,6 +116,7 @@ def plain_state(trial: CorrectionTrial, correction: Correction) -> dict[str, Any
         "can_redo": correction.can_redo,
         "touches": len(correction.touches),
         "saved": trial.is_saved,
+        "relabelled": trial.relabelled is not None and trial.relabelled.revision == correction.revision,
     }
 
 

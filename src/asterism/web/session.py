@@ -17,11 +17,14 @@ from asterism.files.atomic import write_atomically
 from asterism.findings import Finding
 from asterism.labelling.correction import Correction, CorrectionLog, log_path
 from asterism.labelling.correction.event_log import SAVED
+from asterism.labelling.review import labels_of_points
 from asterism.session import FileLabeller, LabelledFile, LabellingOptions, body_names
+from asterism.web.relabelling import RelabelRun, SittingModel
 
 if TYPE_CHECKING:
     from asterism.labelling import MarkerModel
     from asterism.labelling.correction import CorrectionChange
+    from asterism.progress import Progress
 
 WAITING, LABELLING, READY, FAILED = "waiting", "labelling", "ready", "failed"
 
@@ -52,6 +55,20 @@ class SessionOptions:
     labelling: LabellingOptions = field(default_factory=LabellingOptions)
 
 
+@dataclass(frozen=True)
+class Relabelled:
+    """What labelling a trial again has changed.
+
+    model     the model's name
+    revision  of the labels that it gave
+    samples   points that have another label
+    """
+
+    model: str
+    revision: int
+    samples: int
+
+
 @dataclass
 class CorrectionTrial:
     """One recording of a sitting. Its methods may be called from any thread.
@@ -78,6 +95,8 @@ class CorrectionTrial:
     _labelled: LabelledFile | None = None
     _correction: Correction | None = None
     _log: CorrectionLog | None = None
+    relabelled: Relabelled | None = None
+    """What labelling it again has changed."""
     _saved: int = -1
     _ours: set[str] = field(default_factory=set)
     _on_disk: tuple[int, int] = (0, 0)
@@ -93,6 +112,28 @@ class CorrectionTrial:
             self.error = _sentence(problem, self.path)
             self.state = FAILED
         self.changed(self.id, 0)
+
+    def relabel(self, model: SittingModel, progress: Progress) -> None:
+        """Label the file again with another model, and hold what was said. A file that is not labelled yet is labelled.
+
+        Raises AsterismError where the file has changed on the disk, or an answer would be lost; whatever is raised, nothing changes then.
+        """
+        if self.state == WAITING:
+            self.label(model.labeller)
+            if self.state == READY:
+                return
+        if self.state != READY:
+            raise AsterismError(self.error)
+        self._check_unchanged()
+        labelled = model.labeller.label(self.path, progress)
+        fresh = labelled.correction()
+        # Answers go on while the file is labelled: what was said until now is held.
+        with self.opened() as earlier:
+            fresh.follow(earlier)
+            before, after = (labels_of_points(labels, fresh.clouds)[0] for labels in (earlier.labelling, fresh.labelling))
+            self._labelled, self._correction, self.findings = labelled, fresh, labelled.findings
+            self.relabelled = Relabelled(model.name, fresh.revision, int((before != after).sum()))
+        self.changed(self.id, fresh.revision)
 
     @contextmanager
     def opened(self) -> Iterator[Correction]:
@@ -135,9 +176,7 @@ class CorrectionTrial:
         Raises AsterismError where the recording's file has changed on the disk, or the target is there and not ours.
         """
         with self.opened() as correction:
-            # Labels by row numbers of a file that was written anew would be of other points.
-            if _stamp(self.path) != self._on_disk:
-                raise AsterismError(f"{self.path} has changed on the disk since it was opened; start again to correct the new one.")
+            self._check_unchanged()
             self._check_target()
             self.target.parent.mkdir(parents=True, exist_ok=True)
             assert self._labelled is not None
@@ -179,12 +218,19 @@ class CorrectionTrial:
             raise
         if log.dropped:
             self.notes.append(f"{log.path.name}: its end was not whole and is dropped; one correction may be missing.")
+        if log.other_model and correction.touches:
+            self.notes.append(f"{log.path.name}: its answers were given with another model, and hold.")
         # A file that an earlier sitting saved is ours if its content still is; the last one may have been noted, and not written.
         saves = [entry for entry in log.entries if entry["kind"] == SAVED and entry.get("file") == str(self.target)]
         self._ours = {str(entry.get("sha256")) for entry in saves}
-        if saves and log.entries[-1] is saves[-1] and self._is_ours({str(saves[-1].get("sha256"))}):
+        if saves and log.entries[-1] is saves[-1] and not log.other_model and self._is_ours({str(saves[-1].get("sha256"))}):
             self._saved = correction.revision
         self._labelled, self._correction, self._log, self._on_disk = labelled, correction, log, stamp
+
+    def _check_unchanged(self) -> None:
+        # Labels by row numbers of a file that was written anew would be of other points.
+        if _stamp(self.path) != self._on_disk:
+            raise AsterismError(f"{self.path} has changed on the disk since it was opened; start again to correct the new one.")
 
     def _is_ours(self, hashes: set[str]) -> bool:
         """Whether the target is a file that was saved, by the hashes of such."""
@@ -227,8 +273,16 @@ class CorrectionSession:
             CorrectionTrial(str(number), path, target, options, self._changed)
             for number, (path, target) in enumerate(zip(files, targets, strict=True))
         ]
+        name = ", ".join(path.name for path in options.models) or "virtual people"
+        self.models = [SittingModel(name, self.labeller)]
+        """What can label: what the sitting began with, and then each model that it has taught."""
+        self.relabelling: RelabelRun | None = None
+        """The trials that are labelled again, or were last."""
         self._stopped = threading.Event()
         self._teaching = threading.Lock()
+        # One at a time: labelling takes all of the machine.
+        self._busy = threading.Lock()
+        self._virtual: Sequence[MarkerModel] = ()
 
     def start(self) -> threading.Thread:
         """Label the trials in a thread of its own."""
@@ -249,18 +303,43 @@ class CorrectionSession:
         recordings = [self._taught(number) for number in trials]
         if not recordings:
             raise AsterismError("no trial was chosen; save one, and teach it.")
-        models = self.labeller.models or self.trial(trials[0]).models
+        models = self.labeller.models or self._virtual or self.trial(trials[0]).models
         if len(models) > 1:
             raise AsterismError("a sitting with several models teaches none of them; start again with the one to teach.")
         target = self._model_target(name, self.trial(trials[0]))
         # One at a time: two lessons from one model would each forget the other.
         with self._teaching:
-            models[0].learn(recordings).save(target)
+            taught = models[0].learn(recordings)
+            taught.save(target)
+            # What models of virtual people have learned once, they learn anew with more trials.
+            self._virtual = models
+            by = self.options.labelling.by or f"asterism {__version__}, {target.name}"
+            how = replace(self.labeller.options, by=by, markers=())
+            self.models.append(SittingModel(target.name, FileLabeller((taught,), how, self.labeller.files)))
         return target
+
+    def relabel(self, trials: Sequence[str], model: int) -> RelabelRun:
+        """Label trials again in a thread of its own; model: the place among `models`.
+
+        Raises AsterismError where no trial is ready, there is no such model, or trials are being labelled again already.
+        """
+        if not 0 <= model < len(self.models):
+            raise AsterismError("there is no such model; teach one first.")
+        chosen = [self.trial(number) for number in trials]
+        if not chosen:
+            raise AsterismError("no trial was chosen; choose one to label again.")
+        with self._teaching:
+            if self.relabelling is not None and self.relabelling.running:
+                raise AsterismError("trials are being labelled again already; wait for them, or stop that first.")
+            run = self.relabelling = RelabelRun(self.models[model], chosen, self._busy)
+        threading.Thread(target=run.run, name="labelling again", daemon=True).start()
+        return run
 
     def close(self) -> None:
         """Close the logs; labelling stops after the present file. Raises AsterismError where a log is gone and cannot be written again."""
         self._stopped.set()
+        if self.relabelling is not None:
+            self.relabelling.stop()
         problems = []
         for trial in self.trials:
             try:
@@ -272,9 +351,12 @@ class CorrectionSession:
 
     def _label_all(self) -> None:
         for trial in self.trials:
-            if self._stopped.is_set():
-                return
-            trial.label(self.labeller)
+            with self._busy:
+                if self._stopped.is_set():
+                    return
+                # A taught model may have labelled it meanwhile.
+                if trial.state == WAITING:
+                    trial.label(self.labeller)
 
     def _changed(self, trial: str, revision: int) -> None:
         for listener in list(self.listeners):

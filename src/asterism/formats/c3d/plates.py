@@ -149,10 +149,14 @@ def _without_baseline(file: C3DFile, values: Floats, kind: int) -> Floats:
     if len(zero) < 2 or not 0 <= zero[0] < zero[1] < file.layout.frames:
         return values.copy()
     each = len(values) // file.layout.frames
-    level = values[zero[0] * each : (zero[1] + 1) * each].mean(axis=0)
+    unloaded = values[zero[0] * each : (zero[1] + 1) * each]
+    unloaded = unloaded[np.isfinite(unloaded).all(axis=1)]
+    if not len(unloaded):
+        return values.copy()
+    level = unloaded.mean(axis=0)
     upwards = level[4:8].sum() if kind == 3 else level[2]
     # What a matrix has still to calibrate has no unit: there the largest of all samples is the measure.
-    most = 0.1 * np.abs(values[:, 2]).max() if kind == 4 else _SOMEBODY
+    most = 0.1 * np.nanmax(np.abs(values[:, 2])) if kind == 4 else _SOMEBODY
     return values.copy() if abs(upwards) > most else np.asarray(values - level)
 
 

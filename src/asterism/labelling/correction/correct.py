@@ -11,7 +11,16 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding
-from asterism.labelling.correction.event_log import REDO, SAVED, UNDO, CorrectionLog, damaged_line, hash_of_models, hash_of_points
+from asterism.labelling.correction.event_log import (
+    REDO,
+    RELABELLED,
+    SAVED,
+    UNDO,
+    CorrectionLog,
+    damaged_line,
+    hash_of_models,
+    hash_of_points,
+)
 from asterism.labelling.correction.pieces import (
     Pieces,
     cut_before,
@@ -282,9 +291,28 @@ class Correction:
         try:
             solved = self._solve(done)
         except AsterismError as problem:
-            raise AsterismError(f"{log.path}: {problem}") from problem
+            why = " The answers were given with another model: give that one, or move the log away." if log.other_model else ""
+            raise AsterismError(f"{log.path}: {problem}{why}") from problem
         self._done, self._undone, self._log = done, undone, log
         self._become(solved, ())
+
+    def follow(self, earlier: Correction) -> CorrectionChange:
+        """Go on from another labelling of the same recording: hold all that was said of it, and write its log from now on.
+
+        Returns what changed. Raises AsterismError where the markers or points are others, an answer does not hold under these labels, or
+        the log cannot be written; both corrections stay as they are then.
+        """
+        if earlier.names != self.names or earlier.identity[0] != self.identity[0]:
+            raise AsterismError("the labels are of other markers or other points; start again to correct them.")
+        solved = self._solve(earlier._done)
+        if earlier._said_of_points(earlier._solved) != self._said_of_points(solved):
+            raise AsterismError("an answer would be lost, since the models cut the tracks differently; keep the present labels.")
+        # Written before anything is taken over: what is not in the log did not happen.
+        if earlier._log is not None:
+            earlier._log.relabelled(self.identity[1])
+        self._done, self._undone, self._log, earlier._log = earlier._done, earlier._undone, earlier._log, None
+        self._solved, self.revision = earlier._solved, earlier.revision
+        return self._become(solved, ())
 
     def close(self) -> None:
         """Close the log."""
@@ -329,6 +357,11 @@ class Correction:
         labelling = self._relabelling.label(tracklets, said) if touches else self._relabelling.first
         pieces = table_of_pieces(tracklets, self.clouds, labelling, said == NULL, said != FREE)
         return _Solved(tracklets, said, labelling, pieces)
+
+    def _said_of_points(self, solved: _Solved) -> list[str | None]:
+        """(P) what a person said of each point: a marker, "ghost", or None for nothing."""
+        said = {FREE: None, NULL: GHOST} | dict(enumerate(self.names))
+        return [said[number] for number in solved.said[solved.tracklets.of_point].tolist()]
 
     def _say(self, said: Ints, tracklets: Tracklets, piece: int, marker: str | None) -> None:
         """Put what was said of a tracklet into `said` (J,); what was said of others before that contradicts it is forgotten."""
@@ -464,8 +497,8 @@ def _labels_of(pieces: Pieces) -> Ints:
 
 def _replay(entry: Mapping[str, Any], done: list[Touch], undone: list[Touch]) -> None:
     """Take one entry of a log."""
-    # Saving is kept in the log for the record; it changes no label.
-    if entry["kind"] == SAVED:
+    # Saving, and which model labels, are kept in the log for the record: neither is an answer.
+    if entry["kind"] in (SAVED, RELABELLED):
         return
     if entry["kind"] == UNDO:
         undone.append(done.pop())

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 FORMAT, VERSION = "asterism-corrections", 1
 SUFFIX = ".asterism-log.jsonl"
-UNDO, REDO, SAVED = "undo", "redo", "saved"
+UNDO, REDO, SAVED, RELABELLED = "undo", "redo", "saved", "relabelled"
 
 _ATTEMPTS = 5
 """How often an entry is written again because the file was moved away meanwhile: once is rare, five times is no accident."""
@@ -65,12 +65,13 @@ class CorrectionLog:
     """A log that is open: entries are on the disk, in the file of its name, when `append` returns. One program at a time writes it."""
 
     def __init__(self, path: Path, points: str, model: str) -> None:
-        """Open the log of a recording and a model, given by their hashes; where there is none, the first entry begins it.
+        """Open the log of a recording, labelled by a model, given by their hashes; where there is none, the first entry begins it.
 
-        `entries` are what it holds. Nothing is written before the first `append`.
+        `entries` are what it holds. Nothing is written before the first `append`. What was said may have been said of another model's
+        labels, see `other_model`: it names points and markers, and holds whatever labels the others.
 
-        Raises AsterismError where it cannot be read or written, is damaged, belongs to another recording or model, is of a later version,
-        or is open in another program.
+        Raises AsterismError where it cannot be read or written, is damaged, belongs to another recording, is of a later version, or is open
+        in another program.
         """
         self.path = path
         self.entries: list[dict[str, Any]] = []
@@ -78,6 +79,7 @@ class CorrectionLog:
         """The line of the file that each of them is."""
         self.dropped = False
         """Whether the end of the file was not whole, as of a program that was killed, and is dropped."""
+        self._model = self._noted_model = model
         self._header = {"format": FORMAT, "version": VERSION, "points": points, "model": model}
         # what the file must hold, all of it: a log that is deleted under a running program is written again
         self._content = _line(self._header)
@@ -90,6 +92,7 @@ class CorrectionLog:
             self._open()
             try:
                 self._content, self.entries, self.lines, self.dropped = _parsed(path, self._found, self._header)
+                self._noted_model = self._last_model()
             except BaseException:
                 self._release()
                 raise
@@ -102,15 +105,34 @@ class CorrectionLog:
         Raises AsterismError where they cannot be written, or another program has changed or replaced the file; none of them stays then.
         """
         now = datetime.now(UTC).isoformat(timespec="seconds")
-        lines = b"".join(_line({**entry, "at": now}) for entry in entries)
+        # What is said is said of the labels of a model: which one, the log knows.
+        noted = ({"kind": RELABELLED, "model": self._model},) if self.other_model else ()
+        lines = b"".join(_line({**entry, "at": now}) for entry in (*noted, *entries))
         # The file may be moved away between the check and the write: then once more, into a new one.
         for _ in range(_ATTEMPTS):
             self._secure()
             self._write(lines)
             if self._is_in_place():
                 self._content += lines
+                self._noted_model = self._model
                 return
         raise AsterismError(f"{self.path} is moved away again and again, and the correction was not taken; find out what moves it.")
+
+    @property
+    def other_model(self) -> bool:
+        """Whether what it holds was said last of the labels of another model."""
+        return self._noted_model != self._model
+
+    def relabelled(self, model: str) -> None:
+        """Note that a model, given by its hash, has labelled the recording again. Raises AsterismError as `append` does."""
+        before, self._model = self._model, model
+        try:
+            # A model that the log names already needs no line.
+            if self.other_model:
+                self.append()
+        except BaseException:
+            self._model = before
+            raise
 
     def close(self) -> None:
         """Close the file, which frees it for other programs.
@@ -122,6 +144,12 @@ class CorrectionLog:
                 self._secure()
         finally:
             self._release()
+
+    def _last_model(self) -> str:
+        """The hash of the model of whose labels something was said last."""
+        header = _value(self._content[: self._content.index(b"\n")]) or {}
+        models = [entry.get("model") for entry in self.entries if entry["kind"] == RELABELLED]
+        return str([header.get("model"), *models][-1])
 
     def _release(self) -> None:
         if self._file >= 0:
@@ -308,11 +336,10 @@ def _check_header(path: Path, line: bytes, expected: Mapping[str, Any]) -> None:
         raise AsterismError(f"{path} is no log of corrections, or its first line is damaged; move it away, and correct anew.")
     if found.get("version") != VERSION:
         raise AsterismError(f"{path} was written by a later Asterism; update Asterism.")
-    for what, name in (("points", "recording"), ("model", "model")):
-        if found.get(what) != expected[what]:
-            raise AsterismError(
-                f"{path}: these corrections were made of another {name}; give that {name}, or move the log away and correct anew."
-            )
+    if found.get("points") != expected["points"]:
+        raise AsterismError(
+            f"{path}: these corrections were made of another recording; give that recording, or move the log away and correct anew."
+        )
 
 
 def _set_aside(path: Path, content: bytes) -> Path | None:

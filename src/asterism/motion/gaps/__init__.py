@@ -2,5 +2,6 @@
 
 from asterism.motion.gaps.fill import Filled, fill_gaps
 from asterism.motion.gaps.predict import GapRules
+from asterism.motion.gaps.trials import marker_difference, trials_of_person
 
-__all__ = ["Filled", "GapRules", "fill_gaps"]
+__all__ = ["Filled", "GapRules", "fill_gaps", "marker_difference", "trials_of_person"]

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.motion.gaps.predict import RULES, GapRules, GapTrial, predict_gap
+from asterism.motion.gaps.trials import trials_of_person
 from asterism.progress import Progress
 from asterism.recording import Floats, Ints, Recording, is_unnamed
-from asterism.recording.filled import GapFill, logged_fills
+from asterism.recording.filled import GapFill, filled_samples, logged_fills
 
 _NORMAL_95 = 1.959964
 _ENOUGH = 4
@@ -30,7 +31,8 @@ class Filled:
     filled     (T, M) whether a sample was filled
     deviation  (T, M) m, the standard deviation of each coordinate of a filled sample; NaN for others
     gaps       how many were filled
-    findings   gaps that were not filled, and markers that are never seen
+    findings   gaps that were not filled, and markers that are never seen, predicted from other trials or not
+    trials     how many other trials of the person told of them
     """
 
     recording: Recording
@@ -38,6 +40,7 @@ class Filled:
     deviation: Floats
     gaps: int
     findings: tuple[Finding, ...]
+    trials: int = 0
 
     @property
     def reach(self) -> float:
@@ -63,7 +66,8 @@ def fill_gaps(
     """Fill the gaps of named markers from the markers around them and from the path before and behind.
 
     limit   m: a gap is left where the 95 % interval of a coordinate reaches further than this to either side in one of its frames
-    others  further recordings of the same person with the same markers, which show poses that the recording does not
+    others  further recordings of the same person with the same markers, which show poses that the recording does not. A marker that the
+            recording never shows is predicted from them. Those of other people are not asked (`trials_of_person`)
     by      what goes into the processing log, such as the program and its version
 
     Only measured samples tell others. Columns without a name (*1, *2) are neither filled nor used. A gap at either end is filled where
@@ -85,14 +89,16 @@ def fill_gaps(
     if not named:
         file = recording.metadata.get("file", "the recording")
         raise AsterismError(f"{file} has no named markers, whose gaps could be filled; label it first with `asterism label`.")
-    trials = [_trial(one, [recording.labels[column] for column in named]) for one in (recording, *others)]
+    told = trials_of_person(recording, others)
+    trials = [_trial(one, [recording.labels[column] for column in named]) for one in (recording, *told)]
     positions, deviation = recording.positions.copy(), np.full(recording.positions.shape[:2], np.nan)
     fills, findings = list[GapFill](), list[Finding]()
     missing = [[piece for run in _runs(~recording.visible[:, c]) for piece in _pieces(run, trials[0].shown)] for c in named]
     total, done = max(sum(map(len, missing)), 1), 0
     for place, column in enumerate(named):
         label, left = recording.labels[column], list[tuple[Ints, float]]()
-        if not recording.visible[:, column].any():
+        unseen = not recording.visible[:, column].any()
+        if unseen and not any(trial.seen[:, place].any() for trial in trials):
             findings += [_never_seen(recording, label)] if len(recording) else []
             continue
         for gap in missing[place]:
@@ -107,22 +113,25 @@ def fill_gaps(
             positions[gap, column], deviation[gap, column] = answer[0] / 1000.0, answer[1] / 1000.0
             times = recording.times[gap[[0, -1]]]
             fills.append(GapFill(label, float(times[0]), float(times[1]), float(answer[1].max()) / 1000.0))
+        if unseen and np.isfinite(deviation[:, column]).any():
+            findings.append(_predicted(recording, label, deviation[:, column], len(told)))
         if left:
             findings.append(_not_filled(recording, label, left, limit))
     filled = np.isfinite(deviation)
     result = replace(recording, positions=positions, origin=None if recording.origin is None else np.where(filled, -1, recording.origin))
     # Nothing was done to a recording without gaps.
     if fills:
-        result = logged_fills(result, fills, by, limit)
-    return Filled(result, filled, deviation, len(fills), tuple(findings))
+        result = logged_fills(result, fills, by, limit, [str(one.metadata.get("file", "")) for one in told])
+    return Filled(result, filled, deviation, len(fills), tuple(findings), len(told))
 
 
 def _trial(recording: Recording, labels: Sequence[str]) -> GapTrial:
-    """The markers of a recording in mm, NaN for those that it has not."""
-    points = np.full((len(recording), len(labels), 3), np.nan)
+    """The measured samples of a recording in mm; NaN for others, also for what the processing log calls filled."""
+    points, guessed = np.full((len(recording), len(labels), 3), np.nan), np.isfinite(filled_samples(recording))
     for place, label in enumerate(labels):
         if label in recording.labels:
-            points[:, place] = 1000.0 * recording.positions[:, recording.labels.index(label)]
+            column = recording.labels.index(label)
+            points[:, place] = np.where(guessed[:, [column]], np.nan, 1000.0 * recording.positions[:, column])
     return GapTrial.of(points, recording.rate)
 
 
@@ -151,6 +160,19 @@ def _never_seen(recording: Recording, label: str) -> Finding:
         label,
         f"{where}: {label} is never seen, so that nothing shows where it sits; it was not filled.",
         "Look whether it was worn and labelled.",
+    )
+
+
+def _predicted(recording: Recording, label: str, deviation: Floats, trials: int) -> Finding:
+    where, reach = recording.metadata.get("file", "the recording"), _NORMAL_95 * 1000.0 * float(np.nanmax(deviation))
+    told = "one other trial" if trials == 1 else f"{trials} other trials"
+    return Finding(
+        "gap-predicted",
+        Severity.WARNING,
+        label,
+        f"{where}: {label} is never seen; {int(np.isfinite(deviation).sum())} samples were predicted from {told} of the person, "
+        f"within {reach:.0f} mm (95 %).",
+        "Look whether it was worn in the same place; use its samples where nothing better is there.",
     )
 
 

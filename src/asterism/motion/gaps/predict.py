@@ -88,6 +88,8 @@ _SINGLE = 15.0
 """mm by which a marker that never moves against the filled one is held to move: a third and double change errors by 3 %."""
 _OFFSET = 6.0
 """mm by which a marker may sit elsewhere in another trial: 0 errs 7 % more on gaps of 1 s, 3 and 12 the same."""
+_FEW_FRAMES = 20
+"""Frames of a trial from which it is worth as much as others where a marker is known from other trials alone."""
 _OTHER = 1e6
 """s between frames of different trials, which are independent but for the pose."""
 _LEAST = 0.01
@@ -170,7 +172,8 @@ class _Candidate:
 def predict_gap(trials: Sequence[GapTrial], column: int, gap: Ints, rules: GapRules = RULES) -> tuple[Floats, Floats] | None:
     """The positions of a marker in a gap (G, 3) mm and the standard deviation of a coordinate (G,) mm; None where too little is seen.
 
-    trials  of one person, the one with the gap first, all with the same columns
+    trials  of one person, the one with the gap first, all with the same columns. A marker that the first one never shows is predicted from
+            the others, by the pose alone
     gap     (G,) consecutive frames of the first trial in which the marker is missing
     O(kernels x frames^3).
     """
@@ -187,30 +190,35 @@ def predict_gap(trials: Sequence[GapTrial], column: int, gap: Ints, rules: GapRu
         usable &= frames.seen[frames.trial == trial].mean(axis=0) > _PRESENT
     usable[column] = False
     observed = np.nonzero(frames.seen[:, column])[0]
+    own = (frames.trial[observed] == 0).sum()
     # Two samples make a line, of which nothing can be left out.
-    if (frames.trial[observed] == 0).sum() < 4:
+    if 0 < own < 4 or len(observed) < 4:
         return None
     mates = _by_steadiness(frames, column, np.nonzero(usable)[0], observed)
     for mate in mates[: rules.pose]:
         fewer = observed[frames.shown[observed, mate]]
         # Frames whose nearest mates are guesses teach guesses; where few others are left they have to do.
-        observed = fewer if (frames.trial[fewer] == 0).sum() >= 30 else observed
-    return _blended(_candidates(frames, column, gap, mates, observed, rules), min(len(observed), rules.frames), rules)
+        observed = fewer if (frames.trial[fewer] == 0).sum() >= 30 or (own == 0 and len(fewer) >= 30) else observed
+    found = _candidates(frames, column, gap, mates, observed, rules)
+    return _blended(found, min(len(observed), rules.frames), rules) if found else None
 
 
 def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: Ints, rules: GapRules) -> list[_Candidate]:
     """All candidates for a gap; mates: columns, the steadiest first; observed: frames in which the marker is seen."""
     some = observed[:: max(len(observed) // 200, 1)]
     pose = _pose(frames, column, mates, some, rules) if len(mates) >= 3 else None
-    rows = _rows(frames, gap, observed, pose, rules)
+    absent = not (frames.trial[observed] == 0).any()
+    if absent and pose is None:
+        return []
+    rows = _elsewhere(frames, gap, observed, pose, rules) if absent and pose is not None else _rows(frames, gap, observed, pose, rules)
     learned, every = len(rows), np.concatenate([rows, gap])
-    blocks = _blocks(frames, rows, len(gap))
+    blocks = _whole_trials(frames, rows) if absent else _blocks(frames, rows, len(gap))
     apart = np.abs(frames.time[every][:, None] - frames.time[rows][None])
     apart[frames.trial[every][:, None] != frames.trial[rows][None]] = _OTHER
     points = frames.points[every, column]
     process = _Process(apart, blocks, learned, pose=None if pose is None else pose[every])
     found = []
-    for kernel in rules.times:
+    for kernel in () if absent else rules.times:
         found += process.candidates(kernel, points[None], None)
     if pose is None:
         return found
@@ -397,6 +405,27 @@ def _rows(frames: _Frames, gap: Ints, observed: Ints, pose: Floats | None, rules
 
     far = likest(np.setdiff1d(here, near), rules.frames - len(near))
     return np.sort(np.concatenate([near, far, likest(elsewhere, rules.elsewhere)]))
+
+
+def _elsewhere(frames: _Frames, gap: Ints, observed: Ints, pose: Floats, rules: GapRules) -> Ints:
+    """For a marker that the first trial never shows: as many frames of each other trial, those nearest in pose."""
+    trials = [observed[frames.trial[observed] == trial] for trial in np.unique(frames.trial[observed])]
+    # A trial of a few frames would leave as few of the others.
+    trials = [rows for rows in trials if len(rows) >= _FEW_FRAMES] or trials
+    many = min(*(len(rows) for rows in trials), max(rules.frames // len(trials), 1))
+    wanted = pose[gap[:: max(len(gap) // 40, 1)]]
+    chosen = []
+    for rows in trials:
+        distances = ((pose[rows][:, None] - wanted[None]) ** 2).sum(axis=2).min(axis=1)
+        chosen.append(np.sort(rows[np.argsort(distances, kind="stable")[:many]]))
+    return np.concatenate(chosen)
+
+
+def _whole_trials(frames: _Frames, rows: Ints) -> Ints:
+    """Blocks of one trial each, as `_elsewhere` gives them; of a single trial, its thirds."""
+    trials = len(np.unique(frames.trial[rows]))
+    parts = trials if trials > 1 else min(3, len(rows))
+    return np.arange(len(rows) // parts * parts).reshape(parts, -1)
 
 
 def _blocks(frames: _Frames, rows: Ints, length: int) -> Ints:

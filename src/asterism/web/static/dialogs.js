@@ -35,5 +35,27 @@
     }
   }
 
-  Object.assign(Asterism, { showHelp, TeachForm });
+  class RelabelForm {
+    // relabel([ids], model) is called when the form is sent; model: its place among the models
+    constructor(dialog, relabel) {
+      Object.assign(this, { dialog, list: dialog.querySelector(".trials"), models: dialog.querySelector("select") });
+      dialog.addEventListener("close", () => {
+        if (dialog.returnValue === "relabel") relabel(this.list.querySelector("input:checked").value.split(" "), +this.models.value);
+      });
+    }
+
+    // The open recording, or all whose answers are not finished: those that are not saved as they are.
+    ask(models, trials, open) {
+      const present = trials.find(trial => trial.id === open && trial.state === "ready"), left = trials.filter(trial => trial.state !== "failed" && !trial.saved);
+      const choices = [...(present ? [[[present], `this recording, ${plainText(present.name)}`]] : []), ...(left.length ? [[left, `all that are not saved as they are: ${left.length}`]] : [])];
+      if (!choices.length) return false;
+      this.models.replaceChildren(...models.map((name, place) => make("option", { value: place, textContent: plainText(name), selected: place === models.length - 1 })));
+      this.list.replaceChildren(...choices.map(([chosen, text], i) => make("label", {}, make("input", { type: "radio", name: "which", value: chosen.map(trial => trial.id).join(" "), checked: !i }), ` ${text}`)));
+      this.dialog.returnValue = "";
+      this.dialog.showModal();
+      return true;
+    }
+  }
+
+  Object.assign(Asterism, { showHelp, TeachForm, RelabelForm });
 })(globalThis.Asterism = globalThis.Asterism || {});

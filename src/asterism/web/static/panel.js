@@ -5,6 +5,7 @@
   const { make, percent, plainText } = Asterism;
   const SHOWN = 8;             // candidates before anything is typed
   const SAID_SECONDS = 9;
+  const LISTED = 200;          // lines of what changed; more are counted, not shown
 
   const amount = value => value < 10 ? value.toFixed(1) : Math.round(value).toLocaleString("en");
 
@@ -60,20 +61,22 @@
   class Changes {
     // go(id) shows a piece, refuse([ids]) takes back what followed
     constructor(section, { go, refuse }) {
-      Object.assign(this, { section, go, refuse, list: section.querySelector("ul"), all: section.querySelector("button"), changed: [] });
+      Object.assign(this, { section, go, refuse, list: section.querySelector("ul"), about: section.querySelector(".about"), all: section.querySelector("button"), changed: [] });
       this.all.addEventListener("click", () => refuse(this.followed().map(part => part.piece)));
     }
 
     followed() { return this.changed.filter(part => !part.by_person); }
 
-    // refusable: whether it followed from what a person said, not from an undo
-    set(changed, number, refusable = true) {
+    // refusable: whether it followed from what a person said or from another model, not from an undo
+    set(changed, number, refusable = true, about = "") {
       this.changed = changed;
-      this.section.hidden = !changed.length;
+      this.section.hidden = !changed.length && !about;
+      const more = changed.length > LISTED ? ` The first ${LISTED} of ${changed.length.toLocaleString("en")} pieces are listed.` : "";
+      this.about.textContent = plainText(about, 200) + more;
       this.all.hidden = !refusable || !this.followed().length;
       const said = name => name === null || name === undefined ? "no label" : plainText(name);
       const order = [...changed.filter(part => part.by_person), ...this.followed()];
-      this.list.replaceChildren(...order.map(part => {
+      this.list.replaceChildren(...order.slice(0, LISTED).map(part => {
         const frames = part.first === part.last ? `frame ${number(part.first)}` : `frames ${number(part.first)} to ${number(part.last)}`;
         const line = make("button", { type: "button", className: "line", onclick: () => this.go(part.piece, part.first) },
           make("span", { className: "change" }, make("s", { textContent: said(part.before) }), " → ", make("b", { textContent: said(part.after) })),

@@ -5,6 +5,7 @@
   const { make, plainText } = Asterism;
   const at = id => document.getElementById(id);
   const POLL = 1500;  // milliseconds between questions while recordings are being labelled
+  const FOLLOW = 300;  // milliseconds between questions while recordings are labelled again
   const VERDICTS = { ready: "ready", look: "look", "do-not-use": "do not use" };
   class Page {
     constructor() {
@@ -15,6 +16,7 @@
       this.names = new Asterism.NameBox(at("name"), at("candidates"), name => this.nameIt(name));
       this.changes = new Asterism.Changes(at("changes"), { go: (id, frame) => this.select(id, frame), refuse: ids => this.refuse(ids) });
       this.teaching = new Asterism.TeachForm(at("teach-form"), (trials, name) => this.teach(trials, name));
+      this.again = new Asterism.RelabelForm(at("relabel-form"), (trials, model) => this.relabel(trials, model));
       this.list = new Asterism.List(at("list"), i => this.goToItem(i));
       this.timeline = new Asterism.Timeline(at("timeline"), { seek: frame => this.seek(frame), pick: under => this.pickBar(under) });
       this.listen();
@@ -63,7 +65,9 @@
         const before = this.trials.find(one => one.id === trial.id);
         for (const note of trial.notes || []) if (!before || !(before.notes || []).includes(note)) this.messages.say(`${trial.name}: ${note}`);
       }
-      this.trials = answer.trials;
+      Object.assign(this, { trials: answer.trials, models: answer.models || [] });
+      at("relabel").hidden = this.models.length < 2;
+      if (answer.relabelling?.running) this.follow(answer.relabelling);
       this.showTrials();
       const current = this.trials.find(trial => trial.id === this.trial), wanted = current || this.trials.find(trial => trial.id === location.hash.slice(1));
       if (this.labels && current) return;
@@ -117,6 +121,7 @@
       this.changes.set([], frame => frame);
       this.unselect();
       this.show(false);
+      if (loaded.state.relabelled) await this.showRelabelled();
       if (loaded.state.items.length) this.goToItem(0);
       this.player.canvas.focus({ preventScroll: true });
     }
@@ -270,7 +275,16 @@
     async reload() {
       if (!this.labels) return;
       const { trial } = this, state = await this.connection.ask(`/api/trials/${encodeURIComponent(trial)}/state`);
-      if (this.trial === trial && this.labels && state.revision !== this.labels.state.revision) await this.take(state, []);
+      if (this.trial !== trial || !this.labels || state.revision === this.labels.state.revision) return;
+      await this.take(state, []);
+      if (state.relabelled) await this.showRelabelled();
+    }
+
+    // What labelling the open recording again has changed.
+    async showRelabelled() {
+      const { trial } = this, answer = await this.connection.ask(`/api/trials/${encodeURIComponent(trial)}/changed`);
+      if (this.trial !== trial || !this.labels || answer.revision !== this.labels.state.revision) return;
+      this.changes.set(answer.changed, frame => this.labels.recording.number(frame), true, answer.about);
     }
 
     // What another page or the labelling changed.
@@ -334,8 +348,38 @@
       this.messages.say("The model learns; this can take a minute.");
       this.trying(async () => {
         const answer = await this.connection.ask("/api/teach", { body: { trials, model_out: name } });
-        this.messages.say(answer.sentence || `The model was written as ${answer.path}.`);
+        await this.loadTrials();
+        this.messages.say(answer.sentence || `The model was written as ${answer.path}.`, { action: "Label again with it", act: () => this.askAgain() });
       });
+    }
+
+    askAgain() {
+      if (!this.again.ask(this.models, this.trials, this.trial)) this.messages.say("There is no recording to label again: all are saved as they are.");
+    }
+
+    relabel(trials, model) {
+      this.trying(async () => this.follow(await this.connection.ask("/api/relabel", { body: { trials, model } })));
+    }
+
+    stopRelabelling() { this.trying(() => this.connection.ask("/api/relabel/stop", { body: {} })); }
+
+    // Shows how far labelling again is, until it is done; then says what has become of it.
+    async follow(state) {
+      if (this.following) return;
+      this.following = true;
+      at("relabelling").hidden = false;
+      while (state?.running) {
+        const many = state.of > 1 ? `, ${Math.min(state.done + 1, state.of)} of ${state.of}` : "";
+        at("relabelling").querySelector("span").textContent = `${plainText(state.trial)} is being labelled again with ${plainText(state.model)}${many}. You can go on meanwhile.`;
+        at("relabelling").querySelector("progress").value = (state.done + state.share) / state.of;
+        await new Promise(ok => setTimeout(ok, FOLLOW));
+        state = await this.trying(() => this.connection.ask("/api/relabel"));
+      }
+      at("relabelling").hidden = true;
+      this.following = false;
+      if (!state) return;
+      this.messages.say(state.sentence, { problem: state.failed > 0 });
+      this.heard({ trial: null, revision: 0 });
     }
 
     // Keys and buttons
@@ -376,11 +420,12 @@
       document.addEventListener("keydown", event => this.keys(event));
       at("trial").addEventListener("change", () => { const id = at("trial").value; this.open(id); });
       const buttons = {
-        undo: () => this.undo(), redo: () => this.redo(), save: () => this.save(), teach: () => this.teaching.ask(this.trials), help: () => Asterism.showHelp(at("help-text")),
+        undo: () => this.undo(), redo: () => this.redo(), save: () => this.save(), teach: () => this.teaching.ask(this.trials), relabel: () => this.askAgain(), help: () => Asterism.showHelp(at("help-text")),
         right: () => this.touch({ kind: "right", piece: this.selected }, "Right"), ghost: () => this.touch({ kind: "ghost", piece: this.selected }, "The ghost"),
         cut: () => this.cut(), swap: () => this.swap(),
         narrower: () => this.labels && this.timeline.zoom(0.5, this.player.frame), wider: () => this.labels && this.timeline.zoom(2, this.player.frame), whole: () => this.labels && this.timeline.zoom(1e9, 0),
       };
+      at("relabelling").querySelector("button").addEventListener("click", () => this.stopRelabelling());
       for (const [id, act] of Object.entries(buttons)) at(id).addEventListener("click", act);
     }
   }

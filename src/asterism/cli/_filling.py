@@ -1,0 +1,93 @@
+"""Shared by `convert` and `gait`: what --fill asks for and a recording in; the filled recording, and what is to be said, out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from asterism.cli import _console
+from asterism.errors import AsterismError
+
+if TYPE_CHECKING:
+    from asterism.motion.gaps import Filled
+    from asterism.recording import Recording
+
+Fill = Annotated[
+    str,
+    typer.Option(
+        metavar="none|auto|MM",
+        help="Fill the gaps of named markers whose 95 % interval is within MM to either side; auto is 10 mm.",
+    ),
+]
+_AUTO = 0.010
+"""m. Soft tissue moves markers by as much; half leaves a fifth of gaps of 1 s, double lets elbows and hands through."""
+_TRIALS = 12
+"""Files of a folder that are asked whether they show the same person: a folder of a study would take minutes."""
+
+
+def fill_limit(fill: str) -> float | None:
+    """The limit of the 95 % interval in m, None where nothing is to be filled. Raises AsterismError where it is none of these."""
+    if fill in ("none", "auto"):
+        return None if fill == "none" else _AUTO
+    try:
+        limit = float(fill) / 1000.0
+    except ValueError:
+        limit = math.nan
+    if not (math.isfinite(limit) and limit > 0.0):
+        raise AsterismError(f"--fill {fill}: give none, auto, or the largest uncertainty in mm, such as --fill 5.")
+    return limit
+
+
+def filled(recording: Recording, limit: float, trials: Iterable[Path], vertical: Any = None) -> Filled:
+    """The recording with its gaps filled, also from those of the trials that show the same person; files that cannot be read do not count.
+
+    Nothing is read where a recording has no gap.
+    """
+    from asterism import __version__
+    from asterism.motion.gaps import fill_gaps
+
+    others = [] if recording.visible.all() else [one for path in trials if (one := _read(path, vertical)) is not None]
+    with _console.progress("filling gaps") as progress:
+        return fill_gaps(recording, limit=limit, others=others, by=f"asterism {__version__}", progress=progress)
+
+
+def _read(path: Path, vertical: Any) -> Recording | None:
+    from asterism import formats
+
+    try:
+        return formats.read(path, vertical=vertical)
+    except (AsterismError, OSError):
+        return None
+
+
+def trials_beside(path: Path) -> list[Path]:
+    """The recordings of the same format in the folder of a file, the nearest by name first, at most 12."""
+    beside = sorted(one for one in path.parent.iterdir() if one.suffix.lower() == path.suffix.lower() and one.is_file())
+    names = [one.name for one in beside]
+    place = names.index(path.name) if path.name in names else 0
+    beside = [one for one in sorted(beside, key=lambda one: abs(names.index(one.name) - place)) if not one.samefile(path)]
+    return beside[:_TRIALS]
+
+
+def filled_text(fill: Filled) -> str:
+    """One sentence for a person."""
+    if not fill.gaps:
+        return "no gap filled"
+    gaps = "1 gap" if fill.gaps == 1 else f"{fill.gaps} gaps"
+    told = f", with {', '.join(trial_names(fill))} of the same person" if fill.trials else ""
+    return f"{gaps} ({int(fill.filled.sum())} samples) filled, each within {1000.0 * fill.reach:.1f} mm (95 %){told}"
+
+
+def trial_names(fill: Filled) -> list[str]:
+    """The other trials that told, as the processing log names them."""
+    return list(fill.recording.log[-1].settings.get("trials", ())) if fill.gaps and fill.recording.log else []
+
+
+def as_values(fill: Filled) -> dict[str, Any]:
+    """As JSON has it."""
+    markers = [{"marker": label, "samples": many, "largest_deviation_m": most} for label, (many, most) in fill.by_marker().items()]
+    return {"gaps": fill.gaps, "markers": markers, "trials": trial_names(fill)}

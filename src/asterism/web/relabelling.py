@@ -1,0 +1,94 @@
+"""A model and trials of a sitting in; each labelled again by it, what a person said held, and how far that is, out."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from asterism.errors import AsterismError
+from asterism.recording.display import counted
+
+if TYPE_CHECKING:
+    from asterism.session import FileLabeller
+    from asterism.web.session import CorrectionTrial
+
+
+@dataclass(frozen=True)
+class SittingModel:
+    """What can label the trials of a sitting: its name, and the labeller."""
+
+    name: str
+    labeller: FileLabeller
+
+
+class _Stopped(Exception):
+    """A person has stopped the run."""
+
+
+@dataclass
+class RelabelRun:
+    """Trials that are labelled again, one after the other. A trial is changed when it is labelled whole, or not at all.
+
+    busy     held while a trial is labelled
+    done     trials that are labelled again
+    present  the name of the trial that is being labelled; empty where none is
+    share    of that trial, 0 to 1
+    failed   a sentence for each trial that could not be
+    samples  points that have another label
+    """
+
+    model: SittingModel
+    trials: Sequence[CorrectionTrial]
+    busy: threading.Lock
+    running: bool = True
+    done: int = 0
+    present: str = ""
+    share: float = 0.0
+    failed: list[str] = field(default_factory=list)
+    samples: int = 0
+    _stop: threading.Event = field(default_factory=threading.Event)
+
+    def run(self) -> None:
+        """Label them."""
+        try:
+            for trial in self.trials:
+                with self.busy:
+                    if self._stop.is_set():
+                        break
+                    self.present, self.share = trial.path.name, 0.0
+                    self._label(trial)
+        finally:
+            self.running, self.present = False, ""
+
+    def stop(self) -> None:
+        """Leave out what is not labelled again yet, at the next step of the work."""
+        self._stop.set()
+
+    @property
+    def sentence(self) -> str:
+        """What has become of it."""
+        kept = len(self.trials) - self.done - len(self.failed)
+        parts = [f"{counted(self.done, 'recording')} labelled again with {self.model.name}: {counted(self.samples, 'sample')} changed."]
+        if self._stop.is_set() and kept:
+            parts.append(f"Stopped: {counted(kept, 'recording')} kept as {'it was' if kept == 1 else 'they were'}.")
+        return " ".join([*parts, *self.failed])
+
+    def _label(self, trial: CorrectionTrial) -> None:
+        try:
+            trial.relabel(self.model, self._report)
+        except _Stopped:
+            return
+        except Exception as problem:  # whatever a file raises costs that file only
+            known = isinstance(problem, AsterismError | OSError)
+            text = str(problem) if known else f"{type(problem).__name__}: {problem}"
+            self.failed.append(text if trial.path.name in text else f"{trial.path.name}: {text}")
+            return
+        self.done += 1
+        self.samples += trial.relabelled.samples if trial.relabelled is not None else 0
+
+    def _report(self, share: float, what: str) -> None:
+        if self._stop.is_set():
+            raise _Stopped
+        self.share = share
