@@ -1,6 +1,6 @@
 """Labelled markers, and forces where plates are, in; gait events, cycles and parameters out."""
 
-from asterism.gait.analysis import GaitAnalysis, analyse_gait, measures_by_name
+from asterism.gait.analysis import GaitAnalysis, analyse_gait
 from asterism.gait.bands import Band, ProfileScore, band_of, profile_scores
 from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
 from asterism.gait.events import EventRules, GaitEvent, Walking, find_events, plate_contacts
@@ -27,7 +27,6 @@ __all__ = [
     "cycles_of",
     "feet_of",
     "find_events",
-    "measures_by_name",
     "model_points",
     "over_cycle",
     "parameters_of",

@@ -167,19 +167,3 @@ def _loads(recording: Recording, cycles: Sequence[Cycle], kinetics: Kinetics) ->
         if known:
             loads[name] = np.stack(known)
     return loads
-
-
-def measures_by_name(pairs: Sequence[str]) -> dict[str, float]:
-    """Measures from words such as "LKneeWidth=102". Raises AsterismError where a word is none.
-
-    >>> measures_by_name(["LKneeWidth=102", "BodyMass=50.5"])
-    {'LKneeWidth': 102.0, 'BodyMass': 50.5}
-    """
-    found = {}
-    for pair in pairs:
-        name, _, value = pair.partition("=")
-        try:
-            found[name.strip()] = float(value.replace(",", "."))
-        except ValueError:
-            raise AsterismError(f"--measure {pair} is no name and number; write for example LKneeWidth=102, in mm and degrees.") from None
-    return found
