@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -249,11 +249,19 @@ def computed_by_the_file(recording: Recording, name: str) -> Floats | None:
 
     None where the file has no such column, and for a recording that shows other frames than its file.
     """
+    return all_computed_by_the_file(recording, (name,)).get(name)
+
+
+def all_computed_by_the_file(recording: Recording, names: Sequence[str]) -> dict[str, Floats]:
+    """Those of several quantities that the file has, as `computed_by_the_file` gives one; its points are read once."""
     labels = [str(label).rpartition(":")[2] for label in getattr(recording.source, "labels", ())]
-    if name not in labels:
-        return None
-    values = np.array(recording.source.coordinates[:, labels.index(name)], dtype=np.float64)
-    if len(values) != len(recording):
-        return None
-    values[(values == 0.0).all(axis=1)] = np.nan
-    return values
+    columns = {name: labels.index(name) for name in names if name in labels}
+    if not columns:
+        return {}
+    coordinates = recording.source.coordinates
+    if len(coordinates) != len(recording):
+        return {}
+    found = {name: np.array(coordinates[:, column], dtype=np.float64) for name, column in columns.items()}
+    for values in found.values():
+        values[(values == 0.0).all(axis=1)] = np.nan
+    return found
