@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from asterism import formats
 from asterism.cli import _console
 from asterism.errors import AsterismError
 
@@ -57,6 +56,8 @@ def filled(recording: Recording, limit: float, trials: Iterable[Path], vertical:
 
 
 def _read(path: Path, vertical: Any) -> Recording | None:
+    from asterism import formats
+
     try:
         return formats.read(path, vertical=vertical)
     except (AsterismError, OSError):
