@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from asterism.formats._programs import PROGRAMS, for_program, write_for_program
     from asterism.formats._units import unlike_a_person
     from asterism.formats._vertical import vertical_from_positions
+    from asterism.formats.c3d.outputs import AnalysisValue, ModelPoint, write_model_outputs
     from asterism.formats.c3d.plates import force_plates
     from asterism.formats.csv_blobs import read_blobs, write_blobs
     from asterism.formats.opensim_forces import companions
@@ -33,7 +34,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "PROGRAMS",
+    "AnalysisValue",
     "LabelConfidence",
+    "ModelPoint",
     "TimeSeriesTable",
     "check_suffix",
     "companions",
@@ -57,12 +60,14 @@ __all__ = [
     "write",
     "write_blobs",
     "write_for_program",
+    "write_model_outputs",
     "write_points",
     "write_table",
 ]
 
 _MODULE_OF = {
     "force_plates": "c3d.plates",
+    **dict.fromkeys(("AnalysisValue", "ModelPoint", "write_model_outputs"), "c3d.outputs"),
     "unlike_a_person": "_units",
     "vertical_from_positions": "_vertical",
     "wanted_columns": "_columns",

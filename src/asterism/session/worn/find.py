@@ -35,6 +35,10 @@ GIVEN, BY_NAMES, BY_POINTS = "given", "names", "points"
 """Why a marker set was taken: a person said so; the file's names are its; the points lie as its markers do."""
 
 
+class NoSetWorn(AsterismError):
+    """Points that are like no shipped marker set."""
+
+
 @dataclass(frozen=True)
 class FindRules:
     """Which points and frames are looked at.
@@ -208,7 +212,7 @@ class SetFinder:
     def of(self, path: Path, recording: Recording) -> tuple[WornMarkers, ...]:
         """The set worn in a file, one for each body that was named. recording: the file, or some frames with all its columns.
 
-        Raises AsterismError where no shipped set is like it.
+        Raises NoSetWorn where no shipped set is like it.
         """
         if self.given:
             return self.given_sets()
@@ -302,7 +306,7 @@ class SetFinder:
                 best = other
         return best
 
-    def _refusal(self, path: Path, recording: Recording) -> AsterismError:
+    def _refusal(self, path: Path, recording: Recording) -> NoSetWorn:
         """That no shipped set is worn, which are the nearest, and whether nobody is of that size."""
         from asterism.formats import unlike_a_person
 
@@ -313,7 +317,7 @@ class SetFinder:
         few = ", ".join(f"{names[at]} ({(fit.given[at] >= 0).sum()} of {len(placed_sets()[names[at]])} markers)" for at in nearest.tolist())
         size = unlike_a_person(recording.positions)
         size = f"{size}; " if size else ""
-        return AsterismError(
+        return NoSetWorn(
             f"{path}: its {fit.given.shape[1]} points are like no shipped marker set; {size}the nearest are {few}. Name one of them with "
             "--markers, write one of your own (`asterism body place` makes it from a labelled trial), or train on labelled files."
         )
