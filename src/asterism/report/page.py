@@ -26,11 +26,12 @@ NOTHING = "–"
 
 @dataclass(frozen=True)
 class Cell:
-    """A table's cell: its text, the strength of its tint (0 to 1), and which of the page's tints it is ("warn", "bad")."""
+    """A table's cell: its text, the strength of its tint (0 to 1), which tint of the page it is ("warn", "bad"), the page it leads to."""
 
     text: str
     tint: float = 0.0
     kind: str = "warn"
+    href: str = ""
 
 
 @dataclass(frozen=True)
