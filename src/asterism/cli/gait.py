@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +16,7 @@ from asterism.cli._filling import Fill, fill_limit, filled, filled_text
 from asterism.cli._options import Files, Json, Overwrite, Report, Vertical
 
 if TYPE_CHECKING:
+    from asterism.cli._folders import Trial
     from asterism.gait import Band, GaitAnalysis
     from asterism.motion.clinical import StaticRules, SubjectMeasures
     from asterism.recording import Recording
@@ -54,6 +55,15 @@ class GaitOptions:
             "--curves", metavar="FILE", help="Write angles, moments and powers of each cycle, 0 to 100 %, as CSV.", show_default=False
         ),
     ] = None
+    c3d: Annotated[
+        Path | None,
+        typer.Option(
+            "--c3d",
+            metavar="FOLDER",
+            help="Write copies of the walks with angles, moments, powers, events and parameters as gait programs read them.",
+            show_default=False,
+        ),
+    ] = None
     band: Annotated[
         Path | None,
         typer.Option(
@@ -80,11 +90,12 @@ def gait(options: GaitOptions) -> None:
     Strikes and offs come from the markers of feet and pelvis, and from force plates that one foot alone stands on. Cadence, speed, lengths
     and times of steps have an uncertainty. Angles of legs, trunk, head and arms are those of Plug-in-Gait, from the measures of the
     file, of --static and of --measure. Several walks of one person go into one report. A foot
-    that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass.
+    that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass. --c3d writes all of it into copies of
+    the walks.
     --fill fills gaps of markers first, with what the other files of the same person show; events and angles that depend on filled samples
     are as much less certain, and flagged.
     """
-    from asterism.cli._folders import recordings_of
+    from asterism.cli._folders import trials
     from asterism.gait import Band, measures_by_name
 
     outputs = [options.report, options.json, options.output, options.curves, options.save_band]
@@ -94,16 +105,21 @@ def gait(options: GaitOptions) -> None:
     fill_limit(options.fill)
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
-    results = analysed(options, recordings_of(options.files, batch), batch)
+    walks = trials(options.files, batch, without=options.c3d)
+    copies = {} if options.c3d is None else _copies(walks, options.c3d, [options.static, options.band])
+    results = analysed(options, [walk.path for walk in walks], batch, copies)
     if results:
-        write_results(options, results, band, batch)
+        write_results(options, results, band, batch, copies)
     raise typer.Exit(batch.close())
 
 
-def analysed(options: GaitOptions, files: Sequence[Path], batch: _console.Batch) -> list[tuple[Path, GaitAnalysis]]:
-    """The analyses of the files that can be analysed; what is found on them goes to the batch."""
+def analysed(
+    options: GaitOptions, files: Sequence[Path], batch: _console.Batch, copies: Mapping[Path, Path]
+) -> list[tuple[Path, GaitAnalysis]]:
+    """The analyses of the files that can be analysed, whose copies are written; what is found on them goes to the batch."""
+    from asterism.cli._folders import check_output
     from asterism.formats import force_plates
-    from asterism.gait import analyse_gait, measures_by_name
+    from asterism.gait import analyse_gait, measures_by_name, write_gait_c3d
     from asterism.motion.clinical import StaticRules
 
     given, limit = measures_by_name(options.measure), fill_limit(options.fill)
@@ -113,6 +129,8 @@ def analysed(options: GaitOptions, files: Sequence[Path], batch: _console.Batch)
     trials = files if options.static is None else [*files, options.static]
     for path in files:
         with batch.file(path):
+            if path in copies:
+                check_output(path, copies[path], options.overwrite)
             recording = _read(path, options, batch)
             plates, found = force_plates(recording)
             if limit is not None:
@@ -123,13 +141,23 @@ def analysed(options: GaitOptions, files: Sequence[Path], batch: _console.Batch)
             analysis = analyse_gait(recording, plates, _measures(recording, static, given, rules))
             for finding in [*found, *analysis.findings]:
                 batch.found(finding)
+            if path in copies:
+                copies[path].parent.mkdir(parents=True, exist_ok=True)
+                for told in write_gait_c3d(copies[path], analysis):
+                    _console.notice(f"{copies[path]}: {told}.")
             results.append((path, analysis))
             if options.json != "-":
                 show(path, analysis)
     return results
 
 
-def write_results(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]], band: Band | None, batch: _console.Batch) -> None:
+def write_results(
+    options: GaitOptions,
+    results: list[tuple[Path, GaitAnalysis]],
+    band: Band | None,
+    batch: _console.Batch,
+    copies: Mapping[Path, Path],
+) -> None:
     """Write what the options ask for of at least one analysis."""
     from asterism.gait import band_of, profile_scores
     from asterism.recording import subject_of
@@ -156,7 +184,7 @@ def write_results(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]]
         gait_report(options.report, [(name, analysis) for name, (_, analysis) in zip(names, results, strict=True)], band=band)
     content = {
         "command": "gait",
-        "files": [{"file": path, **as_dict(analysis)} for path, analysis in results],
+        "files": [{"file": path, "c3d": copies.get(path), **as_dict(analysis)} for path, analysis in results],
         "scores": [
             {
                 "side": score.side,
@@ -169,6 +197,23 @@ def write_results(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]]
         "findings": [finding.to_dict() for finding in batch.findings],
     }
     _console.write_json(options.json, content)
+
+
+def _copies(walks: Sequence[Trial], folder: Path, others: Sequence[Path | None]) -> dict[Path, Path]:
+    """Where the copy of each walk goes. Raises AsterismError where it would be an input, or two walks would have the same."""
+    from asterism.cli._folders import outputs_of
+    from asterism.errors import AsterismError
+
+    targets = {walk.path: target.with_suffix(".c3d") for walk, target in zip(walks, outputs_of(walks, folder), strict=True)}
+    inputs = {_console.real_path(path): path for path in (*targets, *others) if path is not None}
+    taken: dict[str, Path] = {}
+    for path, target in targets.items():
+        if (one := inputs.get(_console.real_path(target))) is not None:
+            raise AsterismError(f"the copy of {path} would replace {one}, which is an input; give --c3d another folder.")
+        # walk.trc and walk.c3d have one copy between them
+        if (other := taken.setdefault(str(target).casefold(), path)) != path:
+            raise AsterismError(f"{other} and {path} would both become {target}; give them one after the other.")
+    return targets
 
 
 def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:

@@ -5,6 +5,7 @@ from asterism.gait.bands import Band, ProfileScore, band_of, profile_scores
 from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
 from asterism.gait.events import EventRules, GaitEvent, Walking, find_events, plate_contacts
 from asterism.gait.feet import Feet, feet_of
+from asterism.gait.outputs import analysis_values, model_points, write_gait_c3d
 from asterism.gait.parameters import PARAMETERS, Parameter, ParameterSummary, parameters_of, summarise
 
 __all__ = [
@@ -21,14 +22,17 @@ __all__ = [
     "ProfileScore",
     "Walking",
     "analyse_gait",
+    "analysis_values",
     "band_of",
     "cycles_of",
     "feet_of",
     "find_events",
     "measures_by_name",
+    "model_points",
     "over_cycle",
     "parameters_of",
     "plate_contacts",
     "profile_scores",
     "summarise",
+    "write_gait_c3d",
 ]
