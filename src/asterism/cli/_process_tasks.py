@@ -207,7 +207,9 @@ def _analysis(
             overwrite=True,
             json="-",
         )
-        results = analysed(options, own.walks, batch)
+        copies = {path: person.out / OUTPUTS / of_place[path].with_suffix(".c3d") for path in own.walks}
+        results = analysed(options, own.walks, batch, copies)
+        outputs += [_below(person.out, copies[path]) for path, _ in results]
         parameters += results
         pages = [(report, results)] + [(person.out / REPORTS / of_place[path].with_suffix(".html"), [(path, one)]) for path, one in results]
         # one walk is a page already
@@ -225,7 +227,7 @@ def _analysis(
 
     def write() -> None:
         table.parent.mkdir(parents=True, exist_ok=True)
-        write_results(GaitOptions(files=[], output=table, overwrite=True), parameters, None, _Kept())
+        write_results(GaitOptions(files=[], output=table, overwrite=True), parameters, None, _Kept(), {})
         for one in writers:
             one()
 
@@ -235,7 +237,7 @@ def _analysis(
 def _write_page(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]], band: Band | None) -> None:
     assert options.report is not None
     options.report.parent.mkdir(parents=True, exist_ok=True)
-    write_results(options, results, band, _Kept())
+    write_results(options, results, band, _Kept(), {})
 
 
 def _below(folder: Path, path: Path) -> str:

@@ -15,7 +15,7 @@ from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._filling import Fill, fill_limit
 from asterism.cli._folders import check_folder, trials
-from asterism.cli._options import Json, Vertical
+from asterism.cli._options import Json, KnownLabels, KnownLabelsOption, Vertical
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def _persons(options: ProcessOptions, batch: _console.Batch) -> list[tuple[Plann
 
     found = trials(options.sessions, batch, without=options.output)
     planned = plan_session([(trial.path, trial.place) for trial in found], options.sessions)
-    persons = list[tuple[PlannedPerson, PersonOptions]]()
+    persons: list[tuple[PlannedPerson, PersonOptions]] = []
     for person in planned:
         settings = person.settings
         fill_limit(settings.fill or options.fill)
