@@ -196,6 +196,7 @@ def _analysis(
     batch, rows, writers, outputs = _Kept(), list[dict[str, Any]](), list[Callable[[], None]](), [_below(person.out, table)]
     parameters: list[tuple[Path, GaitAnalysis]] = []
     of_place = {path: place for place, path in labelled}
+    originals = {place: str(path) for path, place in person.trials}
     subjects = _subjects(person, labelled, batch)
     for own in subjects:
         report = person.out / REPORTS / f"{file_name(own.name)}.html"
@@ -220,7 +221,9 @@ def _analysis(
         for place, path in labelled:
             if path in (own.standing, *own.walks):
                 kind = "standing" if path == own.standing else "walk" if path in analyses else "not analysed"
-                rows.append({"place": place.as_posix(), "person": own.name, "kind": kind, **_summary(analyses.get(path))})
+                rows.append(
+                    {"place": place.as_posix(), "file": originals[place], "person": own.name, "kind": kind, **_summary(analyses.get(path))}
+                )
                 rows[-1]["report"] = _below(person.out, report) if path in analyses else None
     # a recording that shows no gait is none that failed
     findings = [*batch.findings, *(_not_gait(path, sentence) for path, sentence in batch.problems.items())]

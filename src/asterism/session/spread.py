@@ -86,8 +86,12 @@ class _Worker(Generic[Task]):
 
     @classmethod
     def begin(cls, function: Callable[[Any], Any]) -> _Worker[Task]:
-        # a fork would share locks that compiled kernels and threads of linear algebra hold
-        context = multiprocessing.get_context("spawn")
+        # a fork of this process would share locks that compiled kernels and threads of linear algebra hold
+        servers = "forkserver" in multiprocessing.get_all_start_methods()
+        context = multiprocessing.get_context("forkserver") if servers else multiprocessing.get_context("spawn")
+        if servers:
+            # what each process begins with is imported once
+            context.set_forkserver_preload([__name__, function.__module__])
         here, there = context.Pipe()
         process = context.Process(target=_serve, args=(there, function), daemon=True)
         process.start()
@@ -168,6 +172,7 @@ def _alone(function: Callable[[Task], Value], task: Task) -> Outcome[Value]:
 
 
 def _on_cluster(function: Callable[[Task], Value], tasks: Sequence[Task], address: str) -> Iterator[tuple[int, Outcome[Value]]]:
+    number = _number(address) if address.startswith("local:") else 0
     try:
         from distributed import Client, LocalCluster, as_completed  # type: ignore[import-not-found, unused-ignore]
         from distributed.scheduler import KilledWorker  # type: ignore[import-not-found, unused-ignore]
@@ -176,12 +181,12 @@ def _on_cluster(function: Callable[[Task], Value], tasks: Sequence[Task], addres
     left, killed = dict(enumerate(tasks)), list[int]()
     cluster = None
     try:
-        if address.startswith("local:"):
-            cluster = LocalCluster(n_workers=_number(address), threads_per_worker=1, dashboard_address=None)
+        if number:
+            cluster = LocalCluster(n_workers=number, threads_per_worker=1, dashboard_address=None)
         lost = time.monotonic()
         while left:
             try:
-                with Client(cluster or address, timeout=_PATIENCE / 6, set_as_default=False) as client:
+                with Client(cluster or address, timeout=_PATIENCE / 6) as client:
                     for place, outcome in _through(client, as_completed, KilledWorker, function, left, killed):
                         lost = time.monotonic()
                         yield place, outcome
