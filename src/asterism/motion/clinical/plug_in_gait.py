@@ -13,6 +13,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
+from asterism.motion.clinical._kernels import joint_centres
 from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures, computed_by_the_file
 from asterism.motion.joints.anatomy import HIP_SHARES, sacrum_markers
 from asterism.motion.rigid.rotations import unit_vectors
@@ -139,29 +140,10 @@ def joint_centre(upper: Floats, marker: Floats, wand: Floats, offset: float, tur
     The chord function of Davis et al. (1991). The turn counts about the line between the centres, of which one is sought, so the plane
     is turned until it does.
     """
-    length = np.linalg.norm(marker - upper, axis=1, keepdims=True)
-    axis = unit_vectors(marker - upper)
-    corner = np.pi / 2 + tilt
-    # A joint nearer than its own half width would have no such triangle.
-    across = np.sqrt(np.maximum(length**2 - (offset * np.sin(corner)) ** 2, 0.0))
-    sine = np.clip((offset**2 + length**2 - (offset * np.cos(corner) + across) ** 2) / (2 * length * offset), -0.9, 0.9)
-    arm = wand - upper
-    first = unit_vectors(arm - _dot(arm, axis) * axis)
-    second = np.cross(axis, first)
-    angle = np.zeros_like(length)
-    for _ in range(TURNS):
-        centre: Floats = marker - offset * (sine * axis + np.sqrt(1 - sine**2) * (np.cos(angle) * first + np.sin(angle) * second))
-        if not turn:
-            break
-        line = unit_vectors(centre - upper)
-        to_marker, to_wand = (vector - _dot(vector, line) * line for vector in (marker - centre, wand - centre))
-        step = turn - np.arctan2(_dot(np.cross(to_wand, to_marker), line), _dot(to_wand, to_marker))
-        # the shorter way round: a wand behind the limb stands half a turn away
-        step = (step + np.pi) % (2 * np.pi) - np.pi
-        angle = angle + step
-        if not np.nanmax(np.abs(step), initial=0.0) > 1e-12:
-            break
-    return centre
+    centres = np.empty((len(marker), 3))
+    parts = (np.ascontiguousarray(part, dtype=np.float64) for part in (upper, marker, wand))
+    joint_centres(*parts, float(offset), float(turn), float(tilt), TURNS, centres)
+    return centres
 
 
 def along(z: Floats, left: Floats) -> Floats:
@@ -169,10 +151,6 @@ def along(z: Floats, left: Floats) -> Floats:
     up = unit_vectors(z)
     ahead = unit_vectors(np.cross(left, up))
     return np.stack([ahead, np.cross(up, ahead), up], axis=2)
-
-
-def _dot(one: Floats, other: Floats) -> Floats:
-    return np.asarray(np.einsum("ti,ti->t", one, other)[:, None])
 
 
 def _about_x(angle: float) -> Floats:
