@@ -29,19 +29,25 @@ PARAMETERS = {
     "limp index": "",
 }
 """Names, with their units. Shares are of the cycle; the limp index is how long this foot stands for each second that the other does."""
+SIDED = ("step time", "step length", "stance", "swing", "single support")
+"""Parameters that can differ between the sides of one stride."""
 TOE_SIGMA = 0.003
 """m, standard deviation of a toe marker's place on the foot that stands, beside what an event that is off adds: shoe and skin."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One value of one cycle of the side "L" or "R", with its standard uncertainty in the same unit; `begins` s, the cycle's strike."""
+    """One value of one cycle of the side "L" or "R", with its standard uncertainty in the same unit.
+
+    begins, ends  s from the first frame, the cycle's strikes: the frames that the value comes from
+    """
 
     name: str
     side: str
     value: float
     sigma: float
     begins: float
+    ends: float
 
 
 @dataclass(frozen=True)
@@ -75,7 +81,7 @@ def _of_cycle(walking: Walking, cycle: Cycle) -> list[Parameter]:
 
     def add(name: str, value: float, sigma: float) -> None:
         if np.isfinite(value):
-            found.append(Parameter(name, cycle.side, float(value), float(sigma), cycle.strike.time))
+            found.append(Parameter(name, cycle.side, float(value), float(sigma), cycle.strike.time, cycle.next_strike.time))
 
     duration, spread = cycle.duration, _hypot(cycle.strike, cycle.next_strike)
     belt, belt_sigma = _belt(walking, cycle)
@@ -86,7 +92,7 @@ def _of_cycle(walking: Walking, cycle: Cycle) -> list[Parameter]:
     add("stride time", duration, spread)
     add("cadence", 120.0 / duration, 120.0 / duration**2 * spread)
     add("stride length", length, length_sigma)
-    add("walking speed", length / duration, np.hypot(length_sigma, length / duration * spread) / duration)
+    add("walking speed", length / duration, float(np.hypot(length_sigma, length / duration * spread)) / duration)
     add("stance", 100 * cycle.off_share, 100 / duration * _hypot(cycle.strike, cycle.off))
     add("swing", 100 * (1 - cycle.off_share), 100 / duration * _hypot(cycle.strike, cycle.off))
     if cycle.other_strike is not None:
@@ -95,8 +101,8 @@ def _of_cycle(walking: Walking, cycle: Cycle) -> list[Parameter]:
         add("step time", time, _hypot(cycle.next_strike, cycle.other_strike))
         theirs = _stood(walking.feet, "R" if cycle.side == "L" else "L", cycle.other_strike, belt)
         apart, across = end.place - theirs.place, np.array([-way[1], way[0]])
-        add("step length", apart @ way, np.hypot(_spread(way, theirs, end), belt_sigma * time))
-        add("step width", abs(apart @ across), _spread(across, theirs, end))
+        add("step length", float(apart @ way), np.hypot(_spread(way, theirs, end), belt_sigma * time))
+        add("step width", abs(float(apart @ across)), _spread(across, theirs, end))
         if cycle.other_off is not None and cycle.other_off.time < cycle.other_strike.time:
             off, contact = ((event.time - cycle.strike.time) / duration for event in (cycle.other_off, cycle.other_strike))
             add("opposite foot off", 100 * off, 100 / duration * _hypot(cycle.strike, cycle.other_off))
@@ -163,4 +169,30 @@ def summarise(parameters: Sequence[Parameter]) -> list[ParameterSummary]:
                 spread = float(values.std(ddof=1)) if len(own) > 1 else float("nan")
                 sigma = float(np.sqrt(np.mean([one.sigma**2 for one in own]) / len(own)))
                 found.append(ParameterSummary(name, side, float(values.mean()), spread, sigma, len(own)))
+    return found
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """How much more the left side's mean of a parameter is than the right's, % of the mean of both, with its standard uncertainty."""
+
+    name: str
+    value: float
+    sigma: float
+
+
+def symmetries(parameters: Sequence[Parameter]) -> list[Symmetry]:
+    """The symmetry index (Robinson et al. 1987) of what each foot has of its own, where both sides are known; 0 is symmetric.
+
+    >>> times = [Parameter("step time", "L", 0.6, 0.01, 0.0, 1.0), Parameter("step time", "R", 0.4, 0.01, 0.0, 1.0)]
+    >>> [round(one.value) for one in symmetries(times)]
+    [40]
+    """
+    means = {(one.name, one.side): one for one in summarise(parameters)}
+    found = []
+    for name in SIDED:
+        left, right = (means.get((name, side)) for side in ("L", "R"))
+        if left is not None and right is not None and (both := (left.mean + right.mean) / 2) > 0:
+            sigma = np.hypot(left.sigma * right.mean, right.sigma * left.mean) / both**2
+            found.append(Symmetry(name, 100 * (left.mean - right.mean) / both, 100 * float(sigma)))
     return found
