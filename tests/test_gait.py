@@ -25,7 +25,6 @@ from asterism.gait import (
     band_of,
     cycles_of,
     find_events,
-    measures_by_name,
     midstances,
     over_cycle,
     parameters_of,
@@ -35,6 +34,7 @@ from asterism.gait import (
 )
 from asterism.gait.events import OFF, STRIKE, EventRules, GaitEvent
 from asterism.motion.clinical import exchanged_pairs
+from asterism.motion.clinical.measure_files import measures_by_name
 from asterism.motion.gaps import fill_gaps
 from asterism.simulation import simulate_walks
 
@@ -205,7 +205,13 @@ def test_gait_writes_tables_and_a_page(tmp_path: Path, capsys: pytest.CaptureFix
 def test_a_measure_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     walk = tmp_path / "walk.c3d"
     formats.write(walk, simulate_walks(1, frames=60, markers="helen-hayes", seed=3)[0])
-    for word, said in (("LKneeWidth", "no name and number"), ("LKneeWidth=0.1", "give it in mm"), ("Knee=100", "no measure")):
+    refused = {
+        "LKneeWidth=": "no name and number",
+        "LKneeWidth": "neither a name",
+        "LKneeWidth=0.1": "give it in mm",
+        "Knee=100": "no measure",
+    }
+    for word, said in refused.items():
         assert main(["gait", str(walk), "--measure", word]) == 2
         assert said in capsys.readouterr().err
     assert measures_by_name(["LKneeWidth=101,5"]) == {"LKneeWidth": 101.5}

@@ -1,7 +1,8 @@
 """Labelled markers, and forces where plates are, in; gait events, cycles and parameters out."""
 
-from asterism.gait.analysis import GaitAnalysis, analyse_gait, measures_by_name
+from asterism.gait.analysis import GaitAnalysis, analyse_gait
 from asterism.gait.bands import Band, ProfileScore, band_of, profile_scores
+from asterism.gait.comparison import ParameterChange, compare_sessions
 from asterism.gait.cycles import POINTS, Cycle, cycles_of, midstances, over_cycle
 from asterism.gait.events import EventRules, GaitEvent, Walking, find_events, plate_contacts
 from asterism.gait.feet import Feet, feet_of
@@ -18,6 +19,7 @@ __all__ = [
     "GaitAnalysis",
     "GaitEvent",
     "Parameter",
+    "ParameterChange",
     "ParameterSummary",
     "ProfileScore",
     "Symmetry",
@@ -25,10 +27,10 @@ __all__ = [
     "analyse_gait",
     "analysis_values",
     "band_of",
+    "compare_sessions",
     "cycles_of",
     "feet_of",
     "find_events",
-    "measures_by_name",
     "midstances",
     "model_points",
     "over_cycle",
