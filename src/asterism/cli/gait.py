@@ -209,12 +209,12 @@ def _copies(walks: Sequence[Trial], folder: Path, others: Sequence[Path | None])
 
 def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:
     """A file's recording; its warnings are told."""
-    from asterism.cli._recordings import report_warnings
+    from asterism.cli._recordings import one_person, report_warnings
     from asterism.formats import read
 
     recording = read(path, vertical=options.vertical)
     report_warnings(recording, batch)
-    return recording
+    return one_person(recording, batch)
 
 
 def show(path: Path, analysis: GaitAnalysis) -> None:
