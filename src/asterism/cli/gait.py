@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from asterism.cli import _console
+from asterism.cli import _clinical, _console
 from asterism.cli._command import takes
 from asterism.cli._filling import Fill, fill_limit, filled, filled_text
-from asterism.cli._options import Files, Json, Overwrite, Report, Vertical
+from asterism.cli._options import Files, Json, Measure, Overwrite, Report, Static, Vertical
 
 if TYPE_CHECKING:
     from asterism.cli._folders import Trial
     from asterism.gait import Band, GaitAnalysis
-    from asterism.motion.clinical import StaticRules, SubjectMeasures
     from asterism.recording import Recording
 
 
@@ -27,18 +26,8 @@ class GaitOptions:
     """What `asterism gait` is asked to do."""
 
     files: Files
-    static: Annotated[
-        Path | None,
-        typer.Option(
-            "--static", metavar="FILE", help="A standing trial of the person: offsets of wands, tibia and feet.", show_default=False
-        ),
-    ] = None
-    measure: Annotated[
-        list[str],
-        typer.Option(
-            "--measure", metavar="NAME=VALUE", help="A measure of the person by Plug-in-Gait's name, mm, degrees or kg: LKneeWidth=102."
-        ),
-    ] = field(default_factory=list)
+    static: Static = None
+    measure: Measure = field(default_factory=list)
     sloped_foot: Annotated[
         bool, typer.Option("--sloped-foot", help="With --static: heel and toe marker count as high as they are, not as equally high.")
     ] = False
@@ -96,12 +85,12 @@ def gait(options: GaitOptions) -> None:
     are as much less certain, and flagged.
     """
     from asterism.cli._folders import trials
-    from asterism.gait import Band, measures_by_name
+    from asterism.gait import Band
 
     outputs = [options.report, options.json, options.output, options.curves, options.save_band]
     _console.check_outputs(outputs, [*options.files, options.static, options.band], options.overwrite)
     # what is wrong with the options is told before any file is read
-    measures_by_name(options.measure)
+    _clinical.given_measures(options.measure)
     fill_limit(options.fill)
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
@@ -119,10 +108,10 @@ def analysed(
     """The analyses of the files that can be analysed, whose copies are written; what is found on them goes to the batch."""
     from asterism.cli._folders import check_output
     from asterism.formats import force_plates
-    from asterism.gait import analyse_gait, measures_by_name, write_gait_c3d
+    from asterism.gait import analyse_gait, write_gait_c3d
     from asterism.motion.clinical import StaticRules
 
-    given, limit = measures_by_name(options.measure), fill_limit(options.fill)
+    limit = fill_limit(options.fill)
     static = None if options.static is None else _read(options.static, options, batch)
     rules = StaticRules(flat_foot=not options.sloped_foot, level_head=options.level_head)
     results: list[tuple[Path, GaitAnalysis]] = []
@@ -138,7 +127,9 @@ def analysed(
                 recording, found = fill.recording, (*found, *fill.findings)
                 if options.json != "-" and (fill.gaps or fill.findings):
                     _console.result(f"{path}: {filled_text(fill)}.")
-            analysis = analyse_gait(recording, plates, _measures(recording, static, given, rules))
+            measures, doubtful = _clinical.measures_of(recording, static, options.measure, rules)
+            found = (*found, *doubtful)
+            analysis = analyse_gait(recording, plates, measures)
             for finding in [*found, *analysis.findings]:
                 batch.found(finding)
             if path in copies:
@@ -218,36 +209,27 @@ def _copies(walks: Sequence[Trial], folder: Path, others: Sequence[Path | None])
 
 def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:
     """A file's recording; its warnings are told."""
-    from asterism.cli._recordings import report_warnings
+    from asterism.cli._recordings import one_person, report_warnings
     from asterism.formats import read
 
     recording = read(path, vertical=options.vertical)
     report_warnings(recording, batch)
-    return recording
-
-
-def _measures(recording: Recording, static: Recording | None, given: dict[str, float], rules: StaticRules) -> SubjectMeasures | None:
-    """Those given, over those of the standing trial, over those of the file; None where the file's alone count."""
-    from asterism.motion.clinical import subject_measures, with_static_offsets
-
-    if static is None and not given:
-        return None
-    measures = subject_measures(recording if static is None else static).with_values(given)
-    if static is not None:
-        measures = with_static_offsets(static, measures, rules)
-    return measures.with_values(given)
+    return one_person(recording, batch)
 
 
 def show(path: Path, analysis: GaitAnalysis) -> None:
     """Print the parameters of one recording: mean, uncertainty and standard deviation of each side."""
-    from asterism.gait import PARAMETERS, summarise
+    from asterism.gait import PARAMETERS, summarise, symmetries
 
+    differ = {one.name: f"{one.value:+.1f} ± {one.sigma:.1f}" for one in symmetries(analysis.parameters)}
     summaries = {(one.name, one.side): one for one in summarise(analysis.parameters)}
     rows = []
     for name, unit in PARAMETERS.items():
         own = [summaries.get((name, side)) for side in "LR"]
         if any(own):
-            rows.append([name, unit, *(f"{one.mean:.3f} ± {one.sigma:.3f} ({one.count})" if one else "–" for one in own)])
+            rows.append(
+                [name, unit, *(f"{one.mean:.3f} ± {one.sigma:.3f} ({one.count})" if one else "–" for one in own), differ.get(name, "")]
+            )
     where = "treadmill" if analysis.walking.treadmill else "floor"
     sides = [sum(cycle.side == side for cycle in analysis.cycles) for side in "LR"]
     plates = sum(event.source != "markers" for event in analysis.walking.events)
@@ -256,7 +238,7 @@ def show(path: Path, analysis: GaitAnalysis) -> None:
         f"{plates} of them by force plates."
     )
     if rows:
-        _console.table(f"{path}: gait parameters (cycles)", ["parameter", "unit", "left", "right"], rows)
+        _console.table(f"{path}: gait parameters (cycles)", ["parameter", "unit", "left", "right", "left more, %"], rows)
 
 
 def _parameter_rows(results: list[tuple[Path, GaitAnalysis]]) -> list[list[Any]]:
@@ -303,6 +285,7 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
 
     import numpy as np
 
+    from asterism.gait import midstances, symmetries
     from asterism.recording import filled_samples
 
     deviation = filled_samples(analysis.recording)
@@ -313,7 +296,9 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
             {"side": cycle.side, "strike": cycle.strike.time, "off": cycle.off.time, "next_strike": cycle.next_strike.time}
             for cycle in analysis.cycles
         ],
+        "midstances": [dataclasses.asdict(event) for event in midstances(analysis.walking)],
         "parameters": [dataclasses.asdict(one) for one in analysis.parameters],
+        "symmetry_percent": [dataclasses.asdict(one) for one in symmetries(analysis.parameters)],
         "filled": {
             analysis.recording.labels[column]: {
                 "samples": int(np.isfinite(deviation[:, column]).sum()),

@@ -2,6 +2,7 @@
 
 from asterism.motion.clinical.angles import CLINICAL, ClinicalAngles, ClinicalJoint, clinical_angles, complete_legs
 from asterism.motion.clinical.exchanged import exchanged_finding, exchanged_pairs
+from asterism.motion.clinical.gathered import gathered_measures
 from asterism.motion.clinical.kinetics import (
     ABOUT_CENTRE,
     KineticRules,
@@ -45,6 +46,7 @@ __all__ = [
     "complete_legs",
     "exchanged_finding",
     "exchanged_pairs",
+    "gathered_measures",
     "inverse_dynamics",
     "leg_measures",
     "lower_body",

@@ -1,4 +1,4 @@
-"""Markers of a joint, frame by frame, on flat arrays. Twin: tests/test_clinical.py."""
+"""Joint centres and turns, frame by frame, on flat arrays. Twin: tests/test_clinical.py."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def joint_centres(upper, marker, wand, offset, turn, tilt, steps, centres):
             first[k] = arm[k] - along * axis[k]
         _unit(first)
         _cross(axis, first, second)
-        angle = 0.0
-        for _ in range(steps):
+        angle, change, before = 0.0, 0.0, 0.0
+        for done in range(steps):
             for k in range(3):
                 out = math.cos(angle) * first[k] + math.sin(angle) * second[k]
                 centres[frame, k] = marker[frame, k] - offset * (sine * axis[k] + cosine * out)
@@ -56,9 +56,33 @@ def joint_centres(upper, marker, wand, offset, turn, tilt, steps, centres):
             step = turn - math.atan2(_dot(arm, line), _dot(to_wand, to_marker))
             # the shorter way round: a wand behind the limb stands half a turn away
             step = (step + math.pi) % (2 * math.pi) - math.pi
-            angle += step
+            # What the last change did tells how far to go (the secant method): a whole step leaves a twentieth.
+            moved = before - step
+            change = step * (change / moved if done > 0 and 0.5 < moved / change < 2.0 else 1.0)
+            before = step
+            angle += change
             if not abs(step) > 1e-12:
                 break
+
+
+@kernel
+def steady_turns(known, other, first, found):
+    """Of two triples of turns of each frame that nearer to the frame before, by the sum of the three differences.
+
+    IN  known (K,) frames; other (T, 3) rad, the second triples; first (3,) rad, what comes before the first of the frames
+    OUT found (T, 3) rad, holds the first triples
+    O(K), no allocation. Bounds: none.
+    """
+    before = first.copy()
+    for frame in known:
+        here, there = 0.0, 0.0
+        for k in range(3):
+            here += abs((found[frame, k] - before[k] + math.pi) % (2 * math.pi) - math.pi)
+            there += abs((other[frame, k] - before[k] + math.pi) % (2 * math.pi) - math.pi)
+        for k in range(3):
+            if there < here:
+                found[frame, k] = other[frame, k]
+            before[k] = found[frame, k]
 
 
 @kernel(inline=True)

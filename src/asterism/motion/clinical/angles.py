@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures, subject_measures
-from asterism.motion.clinical.plug_in_gait import angles_of, lower_body, radius_by_the_file, walking_axes
+from asterism.motion.clinical.gathered import gathered_measures
+from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures
+from asterism.motion.clinical.plug_in_gait import angles_of, lower_body, walking_axes
 from asterism.motion.clinical.upper_body import arm_measures_needed, upper_body_angles
 from asterism.motion.joints.anatomy import AnatomicalFrames, sacrum_markers
 from asterism.recording import Floats, Recording
@@ -68,8 +69,7 @@ def clinical_angles(recording: Recording, sides: Sequence[str] | None = None, me
     """Flexion, adduction and internal rotation of hip, knee and ankle; angles of pelvis, feet, trunk, head and arms: Plug-in-Gait's.
 
     sides     "L", "R" or both; by default those with all markers
-    measures  of the person; by default those of the recording's file (`subject_measures`), and where its own program computed angles, too,
-              the marker radius with which it did
+    measures  of the person; by default those of the recording's file (`gathered_measures`)
 
     With the measures of the file, angles are those that Plug-in-Gait computes, to the digits that a file holds: hip centres by Davis et
     al. (1991), wand angles about the line between the joint centres, the tibia's torsion, the foot's offsets. `with_static_offsets`
@@ -90,16 +90,12 @@ def clinical_angles(recording: Recording, sides: Sequence[str] | None = None, me
         missing = min((_missing(recording, side) for side in SIDES), key=len)
         said = f"has no marker {', '.join(missing)}" if missing else "never shows all markers of a leg in one frame"
         raise AsterismError(f"{_file(recording)} {said}; clinical angles need the markers of Helen Hayes or Plug-in-Gait.")
-    found = []
+    found: Sequence[Finding] = ()
     if measures is None:
-        measures = subject_measures(recording)
-        fitted = radius_by_the_file(recording, measures)
-        if fitted is not None and abs(fitted - measures.marker_radius) > 1e-4:
-            found.append(_another_radius(recording, measures, fitted))
-        measures = measures if fitted is None else replace(measures, marker_radius=fitted)
+        measures, found = gathered_measures(recording)
     body = lower_body(recording, measures, "".join(chosen))
     outputs = angles_of(recording, body) | upper_body_angles(recording, measures, walking_axes(body))
-    found[:0] = [*_assumed(recording, measures, chosen), *_assumed_arms(recording, measures, outputs)]
+    found = [*_assumed(recording, measures, chosen), *_assumed_arms(recording, measures, outputs), *found]
     joints = tuple(
         ClinicalJoint(SIDES[side], joint, outputs[name])
         for side in chosen
@@ -160,17 +156,6 @@ def _assumed_arms(recording: Recording, measures: SubjectMeasures, outputs: Mapp
                 )
             )
     return found
-
-
-def _another_radius(recording: Recording, measures: SubjectMeasures, fitted: float) -> Finding:
-    said = f"{2000 * measures.marker_radius:g} mm"
-    return Finding(
-        "clinical-marker-diameter",
-        Severity.NOTE,
-        _file(recording),
-        f"{_file(recording)}: its own angles were computed with markers of {2000 * fitted:g} mm, not {said}; so are these.",
-        "Give MarkerDiameter if another one is right.",
-    )
 
 
 def _file(recording: Recording) -> str:

@@ -13,8 +13,8 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
-from asterism.motion.clinical._kernels import joint_centres
-from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures, computed_by_the_file
+from asterism.motion.clinical._kernels import joint_centres, steady_turns
+from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures, all_computed_by_the_file
 from asterism.motion.joints.anatomy import HIP_SHARES, sacrum_markers
 from asterism.motion.rigid.rotations import unit_vectors
 from asterism.recording import Floats, Recording
@@ -192,12 +192,7 @@ def _steady(found: Floats, raised: bool) -> Floats:
         other = found * [1.0, -1.0, 1.0] + np.pi
         # No foot is upside down: of the first frame's two triples, that with less of the other turns.
         first = min((found[known[0]], (other[known[0]] + np.pi) % (2 * np.pi) - np.pi), key=lambda turn: np.abs(turn[[0, 2]]).sum())
-        before = first.copy()
-        for frame in known:
-            apart = [np.abs((choice[frame] - before + np.pi) % (2 * np.pi) - np.pi).sum() for choice in (found, other)]
-            if apart[1] < apart[0]:
-                found[frame] = other[frame]
-            before = found[frame]
+        steady_turns(known, other, first, found)
     return found
 
 
@@ -271,7 +266,7 @@ def radius_by_the_file(recording: Recording, measures: SubjectMeasures) -> float
     The diameter that a file names need not be the one that its angles were computed with. O(1).
     """
     names = [f"{side}{joint}Angles" for side in SIDES for joint in ("Hip", "Knee")]
-    given = {name: values for name in names if (values := computed_by_the_file(recording, name)) is not None}
+    given = all_computed_by_the_file(recording, names)
     if not given or any(name not in recording.labels for name in ("LASI", "RASI")):
         return None
     known = np.nonzero(np.isfinite(np.concatenate(list(given.values()), axis=1)).any(axis=1))[0]
@@ -284,13 +279,22 @@ def radius_by_the_file(recording: Recording, measures: SubjectMeasures) -> float
         apart = np.concatenate([(found[name] - np.radians(values[rows]) + np.pi) % (2 * np.pi) - np.pi for name, values in given.items()])
         return float(np.sqrt(np.nanmean(apart**2))) if np.isfinite(apart).any() else float("inf")
 
+    errors: dict[float, float] = {}
+
+    def best_of(radii: Floats) -> float:
+        errors.update({radius: off(radius) for radius in radii.tolist() if radius not in errors})
+        return min(errors, key=errors.__getitem__)
+
     try:
-        coarse = int(np.argmin([off(radius) for radius in _RADII[::4]])) * 4
-        near = range(max(0, coarse - 3), min(len(_RADII), coarse + 4))
+        # The angles follow the radius evenly, so that the square of what is left is a parabola: three radii tell where it is lowest.
+        three = _RADII[[0, len(_RADII) // 2, -1]]
+        best = best_of(three)
+        bend, slope, _ = np.polyfit(three, [errors[radius] ** 2 for radius in three.tolist()], 2)
+        place = int(np.argmin(np.abs(_RADII - (-slope / (2 * bend) if bend > 0 else best))))
+        while (best := best_of(_RADII[max(place - 1, 0) : place + 2])) != _RADII[place]:
+            place = int(np.argmin(np.abs(_RADII - best)))
         # The stated one may lie between those that are tried, and explain the angles best.
-        stated = measures.marker_radius
-        errors = {radius: off(radius) for radius in (stated, *(one for one in _RADII[list(near)].tolist() if abs(one - stated) > 1e-6))}
+        best = best_of(np.array([measures.marker_radius]))
     except AsterismError:
         return None
-    best = min(errors, key=errors.__getitem__)
     return float(best) if errors[best] < _FITS else None
