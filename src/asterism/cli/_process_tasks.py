@@ -88,18 +88,20 @@ class TaskResult:
 
 
 class _Kept(_console.Batch):
-    """A batch that says nothing: what is found and what fails is kept for whoever gave the task."""
+    """A batch that says nothing: what is found, what cannot be analysed and what fails is kept for whoever gave the task."""
 
     def __init__(self) -> None:
         super().__init__("done")
         self.problems: dict[str, str] = {}
+        self.faults: dict[str, str] = {}
 
     @contextmanager
     def file(self, path: Path) -> Iterator[None]:
         try:
             yield
         except Exception as problem:
-            self.problems[str(path)] = _console.reason(problem)
+            kept = self.problems if isinstance(problem, AsterismError) else self.faults
+            kept[str(path)] = _console.reason(problem)
             self.failed.append(path)
         else:
             self.done.append(path)
@@ -234,7 +236,7 @@ def _analysis(
         for one in writers:
             one()
 
-    return TaskResult(rows, [finding.to_dict() for finding in findings]), outputs, findings, write
+    return TaskResult(rows, [finding.to_dict() for finding in findings], batch.faults), outputs, findings, write
 
 
 def _write_page(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]], band: Band | None) -> None:

@@ -225,9 +225,13 @@ class _Run:
 
         outcomes = spread(analyse_person, self.persons, workers=self.options.workers, dask=self.options.dask)
         for done, (person, outcome) in enumerate(zip(self.persons, in_order(outcomes), strict=True)):
-            with self._person(person.name):
-                for row in self._result(outcome).rows:
+            with self._failing(person.name):
+                result = self._result(outcome)
+                for row in result.rows:
                     self.rows.setdefault(row["place"], {}).update({name: value for name, value in row.items() if name != "place"})
+                for path, sentence in result.failed.items():
+                    with self._failing(path):
+                        raise AsterismError(sentence)
             if progress is not None:
                 progress(0.9 + 0.1 * (done + 1) / len(self.persons), person.name)
 
@@ -242,12 +246,12 @@ class _Run:
         return outcome.value
 
     @contextmanager
-    def _person(self, name: str) -> Iterator[None]:
-        """A person who cannot be analysed is named; the recordings count by themselves."""
+    def _failing(self, name: str) -> Iterator[None]:
+        """A person or recording that cannot be analysed is named; the recordings that were labelled count by themselves."""
         try:
             yield
         except AsterismError as problem:
-            _console.error(f"{name}: {problem}")
+            _console.error(str(problem) if name in str(problem) else f"{name}: {problem}")
             self.batch.failed.append(Path(name))
 
     def close(self) -> None:
