@@ -333,24 +333,27 @@ def _copies(walks: Sequence[Trial], folder: Path, others: Sequence[Path | None])
 
 def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:
     """A file's recording; its warnings are told."""
-    from asterism.cli._recordings import report_warnings
+    from asterism.cli._recordings import one_person, report_warnings
     from asterism.formats import read
 
     recording = read(path, vertical=options.vertical)
     report_warnings(recording, batch)
-    return recording
+    return one_person(recording, batch)
 
 
 def show(path: Path, analysis: GaitAnalysis) -> None:
     """Print the parameters of one recording: mean, uncertainty and standard deviation of each side."""
-    from asterism.gait import PARAMETERS, summarise
+    from asterism.gait import PARAMETERS, summarise, symmetries
 
+    differ = {one.name: f"{one.value:+.1f} ± {one.sigma:.1f}" for one in symmetries(analysis.parameters)}
     summaries = {(one.name, one.side): one for one in summarise(analysis.parameters)}
     rows = []
     for name, unit in PARAMETERS.items():
         own = [summaries.get((name, side)) for side in "LR"]
         if any(own):
-            rows.append([name, unit, *(f"{one.mean:.3f} ± {one.sigma:.3f} ({one.count})" if one else "–" for one in own)])
+            rows.append(
+                [name, unit, *(f"{one.mean:.3f} ± {one.sigma:.3f} ({one.count})" if one else "–" for one in own), differ.get(name, "")]
+            )
     where = "treadmill" if analysis.walking.treadmill else "floor"
     sides = [sum(cycle.side == side for cycle in analysis.cycles) for side in "LR"]
     plates = sum(event.source != "markers" for event in analysis.walking.events)
@@ -359,7 +362,7 @@ def show(path: Path, analysis: GaitAnalysis) -> None:
         f"{plates} of them by force plates."
     )
     if rows:
-        _console.table(f"{path}: gait parameters (cycles)", ["parameter", "unit", "left", "right"], rows)
+        _console.table(f"{path}: gait parameters (cycles)", ["parameter", "unit", "left", "right", "left more, %"], rows)
 
 
 def _parameter_rows(results: list[tuple[Path, GaitAnalysis]]) -> list[list[Any]]:
@@ -406,6 +409,7 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
 
     import numpy as np
 
+    from asterism.gait import midstances, symmetries
     from asterism.recording import filled_samples
 
     deviation = filled_samples(analysis.recording)
@@ -416,7 +420,9 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
             {"side": cycle.side, "strike": cycle.strike.time, "off": cycle.off.time, "next_strike": cycle.next_strike.time}
             for cycle in analysis.cycles
         ],
+        "midstances": [dataclasses.asdict(event) for event in midstances(analysis.walking)],
         "parameters": [dataclasses.asdict(one) for one in analysis.parameters],
+        "symmetry_percent": [dataclasses.asdict(one) for one in symmetries(analysis.parameters)],
         "filled": {
             analysis.recording.labels[column]: {
                 "samples": int(np.isfinite(deviation[:, column]).sum()),
