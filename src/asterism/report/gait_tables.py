@@ -59,9 +59,10 @@ def _person(session: GaitSession) -> dict[str, str | Cell]:
 
 def parameter_section(session: GaitSession, band: Band | None) -> Section:
     """Means of both sides, beside those of controls where a band has them."""
-    from asterism.gait import PARAMETERS, summarise
+    from asterism.gait import PARAMETERS, summarise, symmetries
 
     of = {(one.name, one.side): one for one in summarise(session.parameters)}
+    apart = {one.name: one for one in symmetries(session.parameters)}
     controls = {} if band is None else band.parameters
     rows: list[list[str | Cell]] = []
     for name, unit in PARAMETERS.items():
@@ -72,6 +73,8 @@ def parameter_section(session: GaitSession, band: Band | None) -> Section:
         row: list[str | Cell] = [f"{name}, {unit}" if unit else name]
         for side, one in own.items():
             row += [_mean(session, one, name, side, controls), decimal(one.deviation, digits) if one else NOTHING]
+        more = apart.get(name)
+        row.append("" if more is None else f"{round(more.value, 1) + 0.0:+.1f} ± {more.sigma:.1f}")
         if controls:
             usual = controls.get(name)
             row.append(NOTHING if usual is None else f"{usual[0]:.{digits}f} ± {usual[1]:.{digits}f}")
@@ -81,7 +84,7 @@ def parameter_section(session: GaitSession, band: Band | None) -> Section:
         "Means over the cycles. ± is how exactly strikes and offs tell the mean, one standard uncertainty; SD is the spread of the cycles. "
     )
     text += "A number leads to the cycle that is nearest to it."
-    head = ["parameter", "left", "SD", "right", "SD"]
+    head = ["parameter", "left", "SD", "right", "SD", "left more than right, %"]
     if controls and band is not None:
         head += [f"{band.people} controls, mean ± SD", "against the controls"]
         text += f" Marked: farther than {_FAR:g} SD from the controls' mean; the grey strip is that wide."
