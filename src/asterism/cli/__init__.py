@@ -28,6 +28,8 @@ _RENAMED = {
 }
 """Renamed options: the old name, which is accepted and no longer shown, and the new one."""
 _LISTS = ("--occlusions", "--ghosts", "--wand")
+_FILE_LISTS = ("--compare",)
+"""Options to which all files belong that follow them, as a shell spells out `after/*.c3d`."""
 
 
 def _show_version(wanted: bool) -> None:
@@ -222,10 +224,17 @@ def _globbed(args: Sequence[str]) -> list[str]:
 
 
 def _lists_joined(args: Sequence[str]) -> list[str]:
-    """`--occlusions 0 1 2` becomes `--occlusions 0,1,2`: all numbers that follow such an option belong to it."""
+    """`--occlusions 0 1 2` becomes `--occlusions 0,1,2`: all numbers that follow such an option belong to it.
+
+    All files that follow `--compare` belong to it: it is repeated before each.
+    """
     joined: list[str] = []
-    of_a_list = False
+    of_a_list, of_files = False, ""
     for arg in args:
+        of_files = arg if arg in _FILE_LISTS else "" if arg.startswith("-") else of_files
+        if of_files and arg not in _FILE_LISTS:
+            joined += [arg] if joined[-1] == of_files else [of_files, arg]
+            continue
         number = re.fullmatch(r"\d*\.?\d+", arg) is not None
         if of_a_list and number and joined[-1] not in _LISTS:
             joined[-1] += f",{arg}"
