@@ -379,7 +379,7 @@ _CURVE_COLUMNS = ["file", "side", "cycle", "curve", "unit", "percent", "x", "y",
 
 
 def _curve_rows(results: list[tuple[Path, GaitAnalysis]]) -> list[list[Any]]:
-    """Angles, then moments, powers (x alone) and the ground's force; each over its own cycles."""
+    """Angles, then moments, powers (x alone), the ground's force, and muscles (x alone); each over its own cycles."""
     import numpy as np
 
     rows: list[list[Any]] = []
@@ -387,10 +387,16 @@ def _curve_rows(results: list[tuple[Path, GaitAnalysis]]) -> list[list[Any]]:
         per_kg = analysis.kinetics is not None and analysis.kinetics.per_kg
         angles = {name: (np.degrees(curves), "deg") for name, curves in analysis.curves.items()}
         loads = {name: (curves, load_unit(name, per_kg)) for name, curves in analysis.loads.items()}
-        for name, (curves, unit) in (angles | loads).items():
+        muscles = {
+            f"{side}{channel.name}EMG": (curves[:, :, None], channel.unit)
+            for channel in analysis.emg
+            for side, curves in channel.cycles.items()
+        }
+        for name, (curves, unit) in (angles | loads | muscles).items():
             for number, curve in enumerate(curves):
                 for percent, values in enumerate(curve):
-                    cells = ["" if np.isnan(value) else f"{value:.3f}" for value in values]
+                    # volts of muscles are small
+                    cells = ["" if np.isnan(value) else f"{value:.3g}" if name in muscles else f"{value:.3f}" for value in values]
                     rows.append(
                         [path, name[0], number + 1, name[1:].removesuffix("Angles"), unit, percent, *cells, *[""] * (3 - len(cells))]
                     )
@@ -434,5 +440,14 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
         "curves_deg": {name: np.round(np.degrees(curves), 3) for name, curves in analysis.curves.items()},
         "loads": {name: np.round(curves, 4) for name, curves in analysis.loads.items()},
         "loads_per_kg": analysis.kinetics is not None and analysis.kinetics.per_kg,
+        "emg": [
+            {
+                **dataclasses.asdict(channel),
+                "cycles": {
+                    side: [[float(f"{value:.4g}") for value in curve] for curve in curves] for side, curves in channel.cycles.items()
+                },
+            }
+            for channel in analysis.emg
+        ],
         "measures": {} if analysis.clinical is None else dataclasses.asdict(analysis.clinical.subject),
     }
