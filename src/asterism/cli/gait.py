@@ -11,7 +11,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
-from asterism.cli._filling import Fill, fill_limit, filled, filled_text
+from asterism.cli._filling import Fill, Filter, cleaned, fill_limit, filled, filled_text, filter_choice, filter_values
 from asterism.cli._options import Files, Json, Overwrite, Report, Vertical
 
 if TYPE_CHECKING:
@@ -63,6 +63,7 @@ class GaitOptions:
         ),
     ] = None
     fill: Fill = "none"
+    filter: Filter = "none"
     vertical: Vertical = None
     overwrite: Overwrite = False
     report: Report = None
@@ -78,7 +79,7 @@ def gait(options: GaitOptions) -> None:
     file, of --static and of --measure. Several walks of one person go into one report. A foot
     that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass.
     --fill fills gaps of markers first, with what the other files of the same person show; events and angles that depend on filled samples
-    are as much less certain, and flagged.
+    are as much less certain, and flagged. --filter smooths markers; by default nothing is filtered, because angles and events need it not.
     """
     from asterism.cli._folders import recordings_of
     from asterism.formats import force_plates
@@ -87,7 +88,7 @@ def gait(options: GaitOptions) -> None:
 
     outputs = [options.report, options.json, options.output, options.curves, options.save_band]
     _console.check_outputs(outputs, [*options.files, options.static, options.band], options.overwrite)
-    given, limit = measures_by_name(options.measure), fill_limit(options.fill)
+    given, limit, choice = measures_by_name(options.measure), fill_limit(options.fill), filter_choice(options.filter)
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
     static = None if options.static is None else _read(options.static, options, batch)
@@ -103,6 +104,8 @@ def gait(options: GaitOptions) -> None:
                 recording, found = fill.recording, (*found, *fill.findings)
                 if options.json != "-" and (fill.gaps or fill.findings):
                     _console.result(f"{path}: {filled_text(fill)}.")
+            clean = cleaned(recording, choice)
+            recording, found = clean.recording, (*found, *clean.findings)
             analysis = analyse_gait(recording, plates, _measures(recording, static, given, not options.sloped_foot))
             for finding in [*found, *analysis.findings]:
                 batch.found(finding)
@@ -174,6 +177,7 @@ def _measures(recording: Recording, static: Recording | None, given: dict[str, f
 def show(path: Path, analysis: GaitAnalysis) -> None:
     """Print the parameters of one recording: mean, uncertainty and standard deviation of each side."""
     from asterism.gait import PARAMETERS, summarise
+    from asterism.motion.filters import last_filter
 
     summaries = {(one.name, one.side): one for one in summarise(analysis.parameters)}
     rows = []
@@ -186,7 +190,7 @@ def show(path: Path, analysis: GaitAnalysis) -> None:
     plates = sum(event.source != "markers" for event in analysis.walking.events)
     _console.result(
         f"{path}: {sides[0]} left and {sides[1]} right cycles, on a {where}; {len(analysis.walking.events)} events, "
-        f"{plates} of them by force plates."
+        f"{plates} of them by force plates; {last_filter(analysis.recording)}."
     )
     if rows:
         _console.table(f"{path}: gait parameters (cycles)", ["parameter", "unit", "left", "right"], rows)
@@ -236,6 +240,7 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
 
     import numpy as np
 
+    from asterism.motion.filters import last_filter
     from asterism.recording import filled_samples
 
     deviation = filled_samples(analysis.recording)
@@ -247,6 +252,7 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
             for cycle in analysis.cycles
         ],
         "parameters": [dataclasses.asdict(one) for one in analysis.parameters],
+        "filter": filter_values(last_filter(analysis.recording)),
         "filled": {
             analysis.recording.labels[column]: {
                 "samples": int(np.isfinite(deviation[:, column]).sum()),
