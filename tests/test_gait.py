@@ -25,7 +25,6 @@ from asterism.gait import (
     band_of,
     cycles_of,
     find_events,
-    measures_by_name,
     over_cycle,
     parameters_of,
     profile_scores,
@@ -33,6 +32,7 @@ from asterism.gait import (
 )
 from asterism.gait.events import OFF, STRIKE, EventRules, GaitEvent
 from asterism.motion.clinical import exchanged_pairs
+from asterism.motion.clinical.measure_files import measures_by_name
 from asterism.motion.gaps import fill_gaps
 from asterism.simulation import simulate_walks
 
@@ -181,7 +181,13 @@ def test_gait_writes_tables_and_a_page(tmp_path: Path, capsys: pytest.CaptureFix
 def test_a_measure_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     walk = tmp_path / "walk.c3d"
     formats.write(walk, simulate_walks(1, frames=60, markers="helen-hayes", seed=3)[0])
-    for word, said in (("LKneeWidth", "no name and number"), ("LKneeWidth=0.1", "give it in mm"), ("Knee=100", "no measure")):
+    refused = {
+        "LKneeWidth=": "no name and number",
+        "LKneeWidth": "neither a name",
+        "LKneeWidth=0.1": "give it in mm",
+        "Knee=100": "no measure",
+    }
+    for word, said in refused.items():
         assert main(["gait", str(walk), "--measure", word]) == 2
         assert said in capsys.readouterr().err
     assert measures_by_name(["LKneeWidth=101,5"]) == {"LKneeWidth": 101.5}
@@ -274,20 +280,76 @@ def test_markers_that_are_seen_for_half_of_the_time_or_hardly_ever() -> None:
         find_events(replace(walk, positions=positions))
 
 
+def left_strikes(walk: Recording, rules: EventRules | None = None) -> np.ndarray:
+    return np.array([one.time for one in find_events(walk, rules=rules).of("L", STRIKE)])
+
+
 def test_a_strike_follows_the_heels_knock_on_the_floor() -> None:
-    """Heels that come down 20 ms later, ahead of the pelvis as before, strike later by most of that; without the knock, by nothing."""
+    """Feet that come down 20 ms later, ahead of the pelvis as before, strike later by the knock's share; without the knock, by nothing."""
     walk = stepping(rate=200.0)
     later = walk.positions.copy()
     later[4:, :, 2] = walk.positions[:-4, :, 2]
-    moved = {}
-    for weight in (0.75, 0.0):
-        rules = EventRules(knock_weight=weight)
-        strikes = [
-            [one.time for one in find_events(one_walk, rules=rules).of("L", STRIKE)] for one_walk in (walk, replace(walk, positions=later))
-        ]
-        moved[weight] = np.subtract(strikes[1], strikes[0])
-    np.testing.assert_allclose(moved[0.75], 0.75 * 0.02, atol=0.003)
-    np.testing.assert_allclose(moved[0.0], 0.0, atol=0.001)
+    for weight in (2.0, 0.0):
+        moved = [left_strikes(one, EventRules(knock_weight=weight)) for one in (walk, replace(walk, positions=later))]
+        np.testing.assert_allclose(moved[1] - moved[0], 0.02 * weight / (1 + weight), atol=0.003)
+
+
+def test_a_strike_follows_the_slap_of_the_toe() -> None:
+    """A toe that falls 60 ms behind the heel, or 80 ms: strikes are later by the share of the slap."""
+    walk = stepping(rate=200.0)
+    toe, heel = walk.labels.index("LTOE"), walk.labels.index("LHEE")
+
+    def slapping(behind: int) -> Recording:
+        positions = walk.positions.copy()
+        height = positions[:, heel, 2] - 0.05
+        positions[behind:, toe, 2] = 0.04 + 3 * height[:-behind]
+        return replace(walk, positions=positions)
+
+    for weight in (4.0, 0.0):
+        moved = [left_strikes(slapping(behind), EventRules(slap_weight=weight, knock_weight=0.0)) for behind in (12, 16)]
+        np.testing.assert_allclose(moved[1] - moved[0], 0.02 * weight / (1 + weight), atol=0.003)
+
+
+def test_flat_feet_strike_by_the_height_of_their_heels_and_less_certainly() -> None:
+    """Feet that sink without knock or slap: 20 ms later in height is 20 ms later in the strike, ahead of the pelvis as before."""
+    walk = stepping(rate=200.0)
+    slow = walk.positions.copy()
+    feet = [walk.labels.index(name) for name in ("LHEE", "LTOE", "RHEE", "RTOE")]
+    lift = slow[:, feet, 2] - slow[:, feet, 2].min(axis=0)
+    slow[:, feet, 2] -= lift - lift**3 / 0.08**2
+    later = slow.copy()
+    later[4:, :, 2] = slow[:-4, :, 2]
+    moved = [left_strikes(replace(walk, positions=positions)) for positions in (slow, later)]
+    np.testing.assert_allclose(moved[1] - moved[0], 0.02, atol=0.003)
+    rules = EventRules()
+    sigmas = {one.sigma for one in find_events(replace(walk, positions=slow)).of("L", STRIKE)}
+    assert min(sigmas) > 0.8 * rules.flat_sigma > rules.strike_sigma
+
+
+@pytest.mark.parametrize("treadmill", [False, True])
+def test_events_of_a_part_are_those_of_the_whole_up_to_its_ends(treadmill: bool) -> None:
+    """All that lie 40 ms or more within the part, wherever it begins and ends, and no other."""
+    walk = stepping(treadmill=treadmill)
+    whole = find_events(walk).events
+    for begin in range(0, 120, 9):
+        end = len(walk) - begin
+        part = find_events(replace(walk, positions=walk.positions[begin:end])).events
+        found = {(one.side, one.label, round(one.time + begin / 100, 1)) for one in part}
+        inside = {(one.side, one.label, round(one.time, 1)) for one in whole if begin + 4 <= 100 * one.time <= end - 5}
+        around = {(one.side, one.label, round(one.time, 1)) for one in whole if begin <= 100 * one.time <= end}
+        assert inside <= found <= around
+
+
+def test_the_last_steps_before_a_halt_are_steps() -> None:
+    """Steps grow shorter, to an eighth of the first; each counts, and a foot that sways by 2 cm afterwards does not."""
+    walk = stepping()
+    halting, sway = walk.positions.copy(), stepping().positions[:200] * [0.0, 0.0, 1.0]
+    halting[:, :, 0] = 4.0 * (1 - np.exp(-walk.positions[:, :, 0] / 4.0))
+    sway[:] = halting[-1]
+    sway[:, 0, 0] += 0.02 * np.sin(np.linspace(0, 12, 200)) ** 2
+    steps = find_events(walk).events
+    found = find_events(replace(walk, positions=np.concatenate([halting, sway]))).events
+    assert [(one.side, one.label) for one in found] == [(one.side, one.label) for one in steps]
 
 
 def test_a_page_of_angles_that_no_cycle_shows_has_no_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,6 +15,8 @@ from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import ImagingSettings, simulate_blobs
 from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.views import ViewsLabelling, label_views, load_body
+from asterism.views.detection import detection_shares
+from asterism.views.rules import RULES
 
 BODY = load_body("gait15")
 
@@ -79,6 +81,31 @@ def test_two_cameras_of_which_one_was_moved_are_said_to_contradict_each_other() 
         _, sure, wrong = right_and_sure(result, given.identity)
         assert codes(result) & {"views-rig-inexact", "views-camera-misfit"}, f"{degrees} degrees: {codes(result)}"
         assert wrong <= 0.01 * sure, f"{degrees} degrees: {wrong} of {sure} sure labels are wrong"
+
+
+@pytest.mark.parametrize("kept", [1.0, 0.75, 0.6])
+def test_how_many_blobs_a_camera_loses_is_told_without_labels(kept: float) -> None:
+    rng, (frames, markers) = np.random.default_rng(4), (160, 12)
+    start, speed = rng.uniform(100, 500, (2, markers, 2)), rng.uniform(-2, 2, (2, markers, 2))
+    xy = start[None] + np.arange(frames)[:, None, None, None] * speed
+    there = rng.random((frames, 2, markers)) < np.array([1.0, kept])[:, None]
+    # Hidden for a second, as behind the other leg, is not lost; a light that stays where it is tells nothing.
+    there[40:100, :, :4] = False
+    xy[:, :, -1], there[:, :, -1] = (600.0, 20.0), True
+    frame, camera, _ = np.nonzero(there)
+    blobs = Blobs.from_rows(frame, camera, (xy + rng.normal(0, 0.5, xy.shape))[there], ("a", "b"), rate=60.0, frames=frames)
+    shares = detection_shares(blobs, [(656.0, 491.0)] * 2, RULES.shown)
+    assert shares == pytest.approx([1.0, kept], abs=0.04), f"{shares}"
+    assert detection_shares(blobs.frames(slice(0, 2)), [(656.0, 491.0)] * 2, RULES.shown) == pytest.approx([RULES.shown] * 2)
+
+
+def test_blobs_that_are_lost_at_random_cost_few_labels_and_are_said() -> None:
+    given = walk(2)
+    kept = np.random.default_rng(8).random(len(given.identity)) < 0.75
+    result = label_views(given.blobs.select(kept), given.rig, BODY)
+    right, sure, wrong = right_and_sure(result, given.identity[kept])
+    assert right > 0.85 and wrong <= 0.01 * sure, f"{right:.3f} right, {wrong} of {sure} sure labels are wrong"
+    assert "views-blobs-missing" in codes(result) and result.detected == pytest.approx([0.77, 0.77], abs=0.1)
 
 
 def lying(positions: Floats, turn: Floats) -> Floats:

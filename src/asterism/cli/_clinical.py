@@ -6,14 +6,58 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from asterism.cli import _console
+from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
-    from asterism.motion.clinical import ClinicalAngles, ClinicalErrors, ClinicalJoint, ClinicalUncertainty, JointUncertainty
+    from asterism.findings import Finding
+    from asterism.motion.clinical import (
+        ClinicalAngles,
+        ClinicalErrors,
+        ClinicalJoint,
+        ClinicalUncertainty,
+        JointUncertainty,
+        StaticRules,
+        SubjectMeasures,
+    )
     from asterism.motion.uncertainty import MonteCarloRules
     from asterism.recording import Floats, Recording
 
 
-def find(recording: Recording, wanted: bool | None) -> ClinicalAngles | None:
+def given_measures(words: list[str]) -> tuple[dict[str, float], list[Path]]:
+    """The measures that --measure names, and the files of measures that it gives.
+
+    Raises AsterismError where a word is neither, or a file holds none.
+    """
+    from asterism.motion.clinical import SubjectMeasures
+    from asterism.motion.clinical.measure_files import measures_by_name, read_measures
+
+    files = [Path(word) for word in words if "=" not in word or Path(word).is_file()]
+    for file in files:
+        if not file.suffix:
+            raise AsterismError(f"--measure {file} is neither a name with its value, such as LKneeWidth=102, nor a file of measures.")
+        read_measures(file)
+    named = measures_by_name([word for word in words if Path(word) not in files])
+    SubjectMeasures().with_values(named)
+    return named, files
+
+
+def measures_of(
+    recording: Recording, static: Recording | None, words: list[str], rules: StaticRules | None = None
+) -> tuple[SubjectMeasures | None, tuple[Finding, ...]]:
+    """The measures of the recording's person, by the words of --measure and the standing trial; None where neither is given."""
+    from asterism.motion.clinical import gathered_measures
+    from asterism.motion.clinical.measure_files import measures_of_person
+
+    if static is None and not words:
+        return None, ()
+    named, files = given_measures(words)
+    given: dict[str, float] = {}
+    for file in files:
+        given |= measures_of_person(file, recording)
+    return gathered_measures(recording, static, given | named, rules)
+
+
+def find(recording: Recording, wanted: bool | None, measures: SubjectMeasures | None = None) -> ClinicalAngles | None:
     """The clinical angles; where they are not asked for (None), only those of legs with all markers.
 
     Raises AsterismError where they are asked for and neither leg has all markers.
@@ -23,7 +67,7 @@ def find(recording: Recording, wanted: bool | None) -> ClinicalAngles | None:
     # asked for, a missing marker is an error; not asked for, it is no leg
     if wanted is False or (wanted is None and not complete_legs(recording)):
         return None
-    return clinical_angles(recording)
+    return clinical_angles(recording, measures=measures)
 
 
 class MonteCarloOptions(TypedDict):

@@ -48,6 +48,18 @@ Files = Annotated[
     list[Path],
     typer.Argument(metavar="FILES", help="Recordings, or folders of them: C3D, TRC, CSV, TSV, MAT or NPZ.", show_default=False),
 ]
+Static = Annotated[
+    Path | None,
+    typer.Option("--static", metavar="FILE", help="A standing trial of the person: offsets of wands, tibia and feet.", show_default=False),
+]
+Measure = Annotated[
+    list[str],
+    typer.Option(
+        "--measure",
+        metavar="NAME=VALUE",
+        help="A measure of the person by Plug-in-Gait's name, mm, degrees or kg: LKneeWidth=102; or a file of them: .mp, .vsk, a table.",
+    ),
+]
 Model = Annotated[Path, typer.Option("--model", "-m", metavar="FILE", help="The model that `asterism train` wrote.", show_default=False)]
 Models = Annotated[
     list[Path] | None,

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from asterism.cli import _console
+from asterism.cli import _clinical, _console
 from asterism.cli._command import takes
 from asterism.cli._filling import Fill, Filter, cleaned, fill_limit, filled, filled_text, filter_choice, filter_values
-from asterism.cli._options import Files, Json, Overwrite, Report, Vertical
+from asterism.cli._options import Files, Json, Measure, Overwrite, Report, Static, Vertical
 
 if TYPE_CHECKING:
-    from asterism.gait import GaitAnalysis
-    from asterism.motion.clinical import SubjectMeasures
+    from asterism.cli._folders import Trial
+    from asterism.gait import Band, GaitAnalysis
     from asterism.recording import Recording
 
 
@@ -25,20 +26,13 @@ class GaitOptions:
     """What `asterism gait` is asked to do."""
 
     files: Files
-    static: Annotated[
-        Path | None,
-        typer.Option(
-            "--static", metavar="FILE", help="A standing trial of the person: offsets of wands, tibia and feet.", show_default=False
-        ),
-    ] = None
-    measure: Annotated[
-        list[str],
-        typer.Option(
-            "--measure", metavar="NAME=VALUE", help="A measure of the person by Plug-in-Gait's name, mm, degrees or kg: LKneeWidth=102."
-        ),
-    ] = field(default_factory=list)
+    static: Static = None
+    measure: Measure = field(default_factory=list)
     sloped_foot: Annotated[
         bool, typer.Option("--sloped-foot", help="With --static: heel and toe marker count as high as they are, not as equally high.")
+    ] = False
+    level_head: Annotated[
+        bool, typer.Option("--level-head", help="With --static: the person looks straight ahead; the head's tilt is taken off.")
     ] = False
     output: Annotated[
         Path | None,
@@ -48,6 +42,15 @@ class GaitOptions:
         Path | None,
         typer.Option(
             "--curves", metavar="FILE", help="Write angles, moments and powers of each cycle, 0 to 100 %, as CSV.", show_default=False
+        ),
+    ] = None
+    c3d: Annotated[
+        Path | None,
+        typer.Option(
+            "--c3d",
+            metavar="FOLDER",
+            help="Write copies of the walks with angles, moments, powers, events and parameters as gait programs read them.",
+            show_default=False,
         ),
     ] = None
     band: Annotated[
@@ -75,28 +78,50 @@ def gait(options: GaitOptions) -> None:
     """Find gait events, and give parameters and angles.
 
     Strikes and offs come from the markers of feet and pelvis, and from force plates that one foot alone stands on. Cadence, speed, lengths
-    and times of steps have an uncertainty. Angles of pelvis, hip, knee, ankle and foot are those of Plug-in-Gait, from the measures of the
+    and times of steps have an uncertainty. Angles of legs, trunk, head and arms are those of Plug-in-Gait, from the measures of the
     file, of --static and of --measure. Several walks of one person go into one report. A foot
-    that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass.
+    that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass. --c3d writes all of it into copies of
+    the walks.
     --fill fills gaps of markers first, with what the other files of the same person show; events and angles that depend on filled samples
     are as much less certain, and flagged. --filter smooths markers; by default nothing is filtered, because angles and events need it not.
     """
-    from asterism.cli._folders import recordings_of
-    from asterism.formats import force_plates
-    from asterism.gait import Band, analyse_gait, band_of, measures_by_name, profile_scores
-    from asterism.recording import subject_of
+    from asterism.cli._folders import trials
+    from asterism.gait import Band
 
     outputs = [options.report, options.json, options.output, options.curves, options.save_band]
     _console.check_outputs(outputs, [*options.files, options.static, options.band], options.overwrite)
-    given, limit, choice = measures_by_name(options.measure), fill_limit(options.fill), filter_choice(options.filter)
+    # what is wrong with the options is told before any file is read
+    _clinical.given_measures(options.measure)
+    fill_limit(options.fill)
+    filter_choice(options.filter)
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
+    walks = trials(options.files, batch, without=options.c3d)
+    copies = {} if options.c3d is None else _copies(walks, options.c3d, [options.static, options.band])
+    results = analysed(options, [walk.path for walk in walks], batch, copies)
+    if results:
+        write_results(options, results, band, batch, copies)
+    raise typer.Exit(batch.close())
+
+
+def analysed(
+    options: GaitOptions, files: Sequence[Path], batch: _console.Batch, copies: Mapping[Path, Path]
+) -> list[tuple[Path, GaitAnalysis]]:
+    """The analyses of the files that can be analysed, whose copies are written; what is found on them goes to the batch."""
+    from asterism.cli._folders import check_output
+    from asterism.formats import force_plates
+    from asterism.gait import analyse_gait, write_gait_c3d
+    from asterism.motion.clinical import StaticRules
+
+    limit, choice = fill_limit(options.fill), filter_choice(options.filter)
     static = None if options.static is None else _read(options.static, options, batch)
+    rules = StaticRules(flat_foot=not options.sloped_foot, level_head=options.level_head)
     results: list[tuple[Path, GaitAnalysis]] = []
-    files = recordings_of(options.files, batch)
     trials = files if options.static is None else [*files, options.static]
     for path in files:
         with batch.file(path):
+            if path in copies:
+                check_output(path, copies[path], options.overwrite)
             recording = _read(path, options, batch)
             plates, found = force_plates(recording)
             if limit is not None:
@@ -106,14 +131,32 @@ def gait(options: GaitOptions) -> None:
                     _console.result(f"{path}: {filled_text(fill)}.")
             clean = cleaned(recording, choice)
             recording, found = clean.recording, (*found, *clean.findings)
-            analysis = analyse_gait(recording, plates, _measures(recording, static, given, not options.sloped_foot))
+            measures, doubtful = _clinical.measures_of(recording, static, options.measure, rules)
+            found = (*found, *doubtful)
+            analysis = analyse_gait(recording, plates, measures)
             for finding in [*found, *analysis.findings]:
                 batch.found(finding)
+            if path in copies:
+                copies[path].parent.mkdir(parents=True, exist_ok=True)
+                for told in write_gait_c3d(copies[path], analysis):
+                    _console.notice(f"{copies[path]}: {told}.")
             results.append((path, analysis))
             if options.json != "-":
                 show(path, analysis)
-    if not results:
-        raise typer.Exit(batch.close())
+    return results
+
+
+def write_results(
+    options: GaitOptions,
+    results: list[tuple[Path, GaitAnalysis]],
+    band: Band | None,
+    batch: _console.Batch,
+    copies: Mapping[Path, Path],
+) -> None:
+    """Write what the options ask for of at least one analysis."""
+    from asterism.gait import band_of, profile_scores
+    from asterism.recording import subject_of
+
     analyses = [analysis for _, analysis in results]
     scores = [] if band is None else profile_scores(analyses, band)
     for score in scores if options.json != "-" else ():
@@ -136,7 +179,7 @@ def gait(options: GaitOptions) -> None:
         gait_report(options.report, [(name, analysis) for name, (_, analysis) in zip(names, results, strict=True)], band=band)
     content = {
         "command": "gait",
-        "files": [{"file": path, **as_dict(analysis)} for path, analysis in results],
+        "files": [{"file": path, "c3d": copies.get(path), **as_dict(analysis)} for path, analysis in results],
         "scores": [
             {
                 "side": score.side,
@@ -149,7 +192,23 @@ def gait(options: GaitOptions) -> None:
         "findings": [finding.to_dict() for finding in batch.findings],
     }
     _console.write_json(options.json, content)
-    raise typer.Exit(batch.close())
+
+
+def _copies(walks: Sequence[Trial], folder: Path, others: Sequence[Path | None]) -> dict[Path, Path]:
+    """Where the copy of each walk goes. Raises AsterismError where it would be an input, or two walks would have the same."""
+    from asterism.cli._folders import outputs_of
+    from asterism.errors import AsterismError
+
+    targets = {walk.path: target.with_suffix(".c3d") for walk, target in zip(walks, outputs_of(walks, folder), strict=True)}
+    inputs = {_console.real_path(path): path for path in (*targets, *others) if path is not None}
+    taken: dict[str, Path] = {}
+    for path, target in targets.items():
+        if (one := inputs.get(_console.real_path(target))) is not None:
+            raise AsterismError(f"the copy of {path} would replace {one}, which is an input; give --c3d another folder.")
+        # walk.trc and walk.c3d have one copy between them
+        if (other := taken.setdefault(str(target).casefold(), path)) != path:
+            raise AsterismError(f"{other} and {path} would both become {target}; give them one after the other.")
+    return targets
 
 
 def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:
@@ -160,18 +219,6 @@ def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:
     recording = read(path, vertical=options.vertical)
     report_warnings(recording, batch)
     return recording
-
-
-def _measures(recording: Recording, static: Recording | None, given: dict[str, float], flat: bool) -> SubjectMeasures | None:
-    """Those given, over those of the standing trial, over those of the file; None where the file's alone count."""
-    from asterism.motion.clinical import StaticRules, subject_measures, with_static_offsets
-
-    if static is None and not given:
-        return None
-    measures = subject_measures(recording if static is None else static).with_values(given)
-    if static is not None:
-        measures = with_static_offsets(static, measures, StaticRules(flat_foot=flat))
-    return measures.with_values(given)
 
 
 def show(path: Path, analysis: GaitAnalysis) -> None:

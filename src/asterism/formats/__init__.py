@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from asterism.formats._computed import computed_labels, without_computed
     from asterism.formats._programs import PROGRAMS, for_program, write_for_program
     from asterism.formats._vertical import vertical_from_positions
+    from asterism.formats.c3d.outputs import AnalysisValue, ModelPoint, write_model_outputs
     from asterism.formats.c3d.plates import force_plates
     from asterism.formats.csv_blobs import read_blobs, write_blobs
     from asterism.formats.opensim_forces import companions
@@ -32,7 +33,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "PROGRAMS",
+    "AnalysisValue",
     "LabelConfidence",
+    "ModelPoint",
     "TimeSeriesTable",
     "check_suffix",
     "companions",
@@ -55,12 +58,14 @@ __all__ = [
     "write",
     "write_blobs",
     "write_for_program",
+    "write_model_outputs",
     "write_points",
     "write_table",
 ]
 
 _MODULE_OF = {
     "force_plates": "c3d.plates",
+    **dict.fromkeys(("AnalysisValue", "ModelPoint", "write_model_outputs"), "c3d.outputs"),
     "vertical_from_positions": "_vertical",
     "wanted_columns": "_columns",
     **dict.fromkeys(("computed_labels", "without_computed"), "_computed"),

@@ -1,10 +1,12 @@
 """Labelled markers, and forces where plates are, in; gait events, cycles and parameters out."""
 
-from asterism.gait.analysis import GaitAnalysis, analyse_gait, measures_by_name
+from asterism.gait.analysis import GaitAnalysis, analyse_gait
 from asterism.gait.bands import Band, ProfileScore, band_of, profile_scores
+from asterism.gait.comparison import ParameterChange, compare_sessions
 from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
 from asterism.gait.events import EventRules, GaitEvent, Walking, find_events, plate_contacts
 from asterism.gait.feet import Feet, feet_of
+from asterism.gait.outputs import analysis_values, model_points, write_gait_c3d
 from asterism.gait.parameters import PARAMETERS, Parameter, ParameterSummary, parameters_of, summarise
 
 __all__ = [
@@ -17,18 +19,22 @@ __all__ = [
     "GaitAnalysis",
     "GaitEvent",
     "Parameter",
+    "ParameterChange",
     "ParameterSummary",
     "ProfileScore",
     "Walking",
     "analyse_gait",
+    "analysis_values",
     "band_of",
+    "compare_sessions",
     "cycles_of",
     "feet_of",
     "find_events",
-    "measures_by_name",
+    "model_points",
     "over_cycle",
     "parameters_of",
     "plate_contacts",
     "profile_scores",
     "summarise",
+    "write_gait_c3d",
 ]

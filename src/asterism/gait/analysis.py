@@ -26,7 +26,7 @@ from asterism.motion.clinical import (
 from asterism.motion.clinical.plug_in_gait import angles_of
 from asterism.recording import Floats, ForcePlate, Recording, filled_samples
 
-CURVES = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress", "Thorax", "Spine")
+CURVES = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress", "Thorax", "Spine", "Head", "Neck", "Shoulder", "Elbow", "Wrist")
 """Quantities whose angles are drawn over the cycle, by Plug-in-Gait's names."""
 
 
@@ -40,6 +40,7 @@ class GaitAnalysis:
     findings    what to know before using it
     kinetics    moments and powers over time; None where no foot is alone on a plate
     loads       name such as "LKneeMoment" or "LKneePower" -> (cycles of that side whose forces are known, 101, 3 or 1)
+    loaded      the same names -> these cycles
     fill_sigmas as `curves`, rad: the standard deviation that filled samples add; 0 where none takes part, empty where nothing was filled
     """
 
@@ -52,6 +53,7 @@ class GaitAnalysis:
     findings: tuple[Finding, ...]
     kinetics: Kinetics | None = None
     loads: Mapping[str, Floats] = field(default_factory=dict)
+    loaded: Mapping[str, tuple[Cycle, ...]] = field(default_factory=dict)
     fill_sigmas: Mapping[str, Floats] = field(default_factory=dict)
 
 
@@ -121,10 +123,10 @@ def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measur
             found.append(
                 Finding("kinetics-plates", Severity.WARNING, file, f"{file}: no moments and powers: {problem}", "Export it again.")
             )
-    loads = {} if kinetics is None else _loads(recording, cycles, kinetics)
+    loads, loaded = ({}, {}) if kinetics is None else _loads(recording, cycles, kinetics)
     found += () if kinetics is None else kinetics.findings
     parameters = tuple(parameters_of(walking, cycles))
-    return GaitAnalysis(recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads, fill_sigmas)
+    return GaitAnalysis(recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads, loaded, fill_sigmas)
 
 
 def _curves(values: Mapping[str, Floats], rate: float, cycles: Sequence[Cycle]) -> dict[str, Floats]:
@@ -152,9 +154,9 @@ def _kinetics(recording: Recording, walking: Walking, plates: Sequence[ForcePlat
     return inverse_dynamics(recording, body, plates, contacts, swings, clinical.subject)
 
 
-def _loads(recording: Recording, cycles: Sequence[Cycle], kinetics: Kinetics) -> dict[str, Floats]:
-    """Over the cycles of whose stance the forces are known."""
-    loads = {}
+def _loads(recording: Recording, cycles: Sequence[Cycle], kinetics: Kinetics) -> tuple[dict[str, Floats], dict[str, tuple[Cycle, ...]]]:
+    """Over the cycles of whose stance the forces are known, and which these are."""
+    loads, loaded = {}, {}
     powers = {name: power[:, None] for name, power in kinetics.powers.items()}
     for name, values in {**kinetics.moments, **powers, **kinetics.ground}.items():
         known = []
@@ -163,23 +165,7 @@ def _loads(recording: Recording, cycles: Sequence[Cycle], kinetics: Kinetics) ->
                 continue
             curve = over_cycle(values, recording.rate, cycle)
             if np.isfinite(curve[: max(int(POINTS * cycle.off_share), 1)]).all(axis=1).mean() >= _KNOWN:
-                known.append(curve)
+                known.append((cycle, curve))
         if known:
-            loads[name] = np.stack(known)
-    return loads
-
-
-def measures_by_name(pairs: Sequence[str]) -> dict[str, float]:
-    """Measures from words such as "LKneeWidth=102". Raises AsterismError where a word is none.
-
-    >>> measures_by_name(["LKneeWidth=102", "BodyMass=50.5"])
-    {'LKneeWidth': 102.0, 'BodyMass': 50.5}
-    """
-    found = {}
-    for pair in pairs:
-        name, _, value = pair.partition("=")
-        try:
-            found[name.strip()] = float(value.replace(",", "."))
-        except ValueError:
-            raise AsterismError(f"--measure {pair} is no name and number; write for example LKneeWidth=102, in mm and degrees.") from None
-    return found
+            loads[name], loaded[name] = np.stack([curve for _, curve in known]), tuple(cycle for cycle, _ in known)
+    return loads, loaded

@@ -22,8 +22,12 @@ PARAMETERS = {
     "stance": "%",
     "swing": "%",
     "double support": "%",
+    "single support": "%",
+    "opposite foot off": "%",
+    "opposite foot contact": "%",
+    "limp index": "",
 }
-"""Names, with their units. Shares are of the cycle."""
+"""Names, with their units. Shares are of the cycle; the limp index is how long this foot stands for each second that the other does."""
 HEEL_SIGMA = 0.003
 """m, standard deviation of a heel marker's place along the floor from step to step, beside what an event that is off adds."""
 
@@ -85,6 +89,16 @@ def _of_cycle(walking: Walking, cycle: Cycle) -> list[Parameter]:
         ahead, aside = _step(walking, cycle, speed)
         add("step length", ahead, np.hypot(HEEL_SIGMA, speed * _hypot(cycle.next_strike, cycle.other_strike) if walking.treadmill else 0.0))
         add("step width", abs(aside), HEEL_SIGMA)
+        if cycle.other_off is not None and cycle.other_off.time < cycle.other_strike.time:
+            off, contact = ((event.time - cycle.strike.time) / duration for event in (cycle.other_off, cycle.other_strike))
+            add("opposite foot off", 100 * off, 100 / duration * _hypot(cycle.strike, cycle.other_off))
+            add("opposite foot contact", 100 * contact, 100 / duration * _hypot(cycle.strike, cycle.other_strike))
+            # The other foot stands for all of the cycle but this foot's single support.
+            alone, its = contact - off, 1 - contact + off
+            add("single support", 100 * alone, 100 / duration * _hypot(cycle.other_off, cycle.other_strike))
+            limp = cycle.off_share / its
+            spreads = (_hypot(cycle.strike, cycle.off), limp * _hypot(cycle.other_off, cycle.other_strike))
+            add("limp index", limp, float(np.hypot(*spreads)) / (its * duration))
         if cycle.other_off is not None and cycle.other_off.time < cycle.other_strike.time < cycle.off.time:
             both = cycle.other_off.time - cycle.strike.time + cycle.off.time - cycle.other_strike.time
             spread = np.hypot(_hypot(cycle.strike, cycle.other_off), _hypot(cycle.off, cycle.other_strike))

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.fft import dct
 from scipy.signal import butter, sosfiltfilt
 from scipy.stats import chi
 
@@ -174,16 +175,25 @@ def residual_cut_off(path: Floats, rate: float) -> float:
 
     path  (T, 3) without gaps
     """
-    highest = min(_HIGHEST * rate, _WINTER)
+    highest, count = min(_HIGHEST * rate, _WINTER), len(path)
     tried = np.linspace(highest / 40.0, highest, 40)
-    taken = np.array([np.sqrt(((path - zero_lag_butterworth(path, rate, hz / _TWO_PASSES)) ** 2).sum(axis=1).mean()) for hz in tried])
+    # The cosine transform is that of a path that goes on as its own mirror image: without a slope at its ends it has no kink there.
+    first, last = path[_END] - path[0], path[-1] - path[-1 - _END]
+    frames = np.arange(count)[:, None]
+    level = path - (first * frames + (last - first) * frames**2 / (2.0 * (count - 1))) / _END
+    power = (dct(level, axis=0, norm="ortho") ** 2).sum(axis=1)[1:] / count
+    hertz = 0.5 * rate * np.arange(1, count) / count
+    # What two passes take off of each frequency.
+    off = 1.0 - 1.0 / (1.0 + (hertz[None] / (tried[:, None] / _TWO_PASSES)) ** 4)
+    taken = np.sqrt((off**2) @ power)
     # The upper half holds noise alone, of which a filter takes off the more, the lower its cut-off: a straight line.
-    slope, noise = np.polyfit(tried[20:], taken[20:], 1)
-    del slope
+    noise = np.polyfit(tried[20:], taken[20:], 1)[1]
     enough = np.flatnonzero(taken <= noise)
     return float(tried[enough[0]]) if len(enough) else float(highest)
 
 
+_END = 4
+"""Frames that tell the slope of a path at its ends."""
 _WINTER = 20.0
 """Hz, the highest cut-off of the residual analysis: walking and running hold less than a hundredth above 10 Hz. At half, runs lose heel
 strikes; at double, cut-offs of noise that is not white grow by a third."""
@@ -201,7 +211,8 @@ def _filtered(path: Floats, rate: float, choice: FilterChoice) -> tuple[Floats, 
 def _pieces(path: Floats) -> Iterator[tuple[int, int]]:
     """First frame and the one behind the last of each run without gaps."""
     seen = np.concatenate([[False], np.isfinite(path[:, 0]), [False]])
-    yield from np.flatnonzero(np.diff(seen.astype(int))).reshape(-1, 2).tolist()
+    for begin, end in np.flatnonzero(np.diff(seen.astype(int))).reshape(-1, 2):
+        yield int(begin), int(end)
 
 
 _WIDEST = 3

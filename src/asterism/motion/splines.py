@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy import sparse
 from scipy.interpolate import BSpline
@@ -35,9 +37,7 @@ def quintic_spline_and_power(curve: Floats) -> tuple[BSpline, float]:
     count = len(curve)
     if count < LEAST or not np.isfinite(curve).all():
         raise ValueError(f"a spline needs {LEAST} finite samples or more")
-    knots = np.arange(-_DEGREE, count + _DEGREE, dtype=np.float64)
-    basis = BSpline.design_matrix(np.arange(count, dtype=np.float64), knots, _DEGREE)
-    fit, rough = _bands(basis.T @ basis), _bands(_roughness(count))
+    knots, basis, fit, rough = _basis(count)
     target = basis.T @ curve
     # What is left of a wave of each frequency; the trace of the smoothing is their sum.
     waves = np.pi * np.arange(count) / count
@@ -80,6 +80,14 @@ def second_derivative(curve: Floats, rate: float) -> Floats:
         if end - begin >= LEAST:
             out[begin:end] = quintic_spline(curve[begin:end]).derivative(2)(np.arange(end - begin, dtype=np.float64)) * rate**2
     return out
+
+
+@lru_cache(maxsize=8)
+def _basis(count: int) -> tuple[Floats, sparse.csr_matrix, Floats, Floats]:
+    """Knots, the basis at the samples, and the lower bands of its products and of `_roughness`: all curves of a recording share them."""
+    knots = np.arange(-_DEGREE, count + _DEGREE, dtype=np.float64)
+    basis = BSpline.design_matrix(np.arange(count, dtype=np.float64), knots, _DEGREE)
+    return knots, basis, _bands(basis.T @ basis), _bands(_roughness(count))
 
 
 def _roughness(count: int) -> sparse.csc_matrix:

@@ -171,7 +171,7 @@ def _picture(result: ViewsLabelling, c: int, frame: int) -> tuple[list[dict[str,
         links = [(seen[m], blob) for blob, m in zip(xy, labels, strict=True) if m >= 0]
         traces.append(_lines(links))
         # Expected to be hidden, and without a blob.
-        hidden = (result.expected[frame, c] < 0.5) & ~np.isin(np.arange(len(points)), labels[labels >= 0])
+        hidden = (result.in_view[frame, c] < 0.5) & ~np.isin(np.arange(len(points)), labels[labels >= 0])
         traces.append(_dots(seen[hidden], names[hidden], _LABEL, "circle-open", "hidden by the body"))
         named += [(place, str(name), _HIDDEN) for place, name in zip(seen[hidden], names[hidden], strict=True) if np.isfinite(place[0])]
     labelled, alone = labels >= 0, np.zeros(len(labels), dtype=np.bool_)

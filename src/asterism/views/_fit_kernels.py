@@ -55,7 +55,7 @@ def predict_visible(body, cameras, observing, pose, rotation, shares):
     """The probability that each camera has a blob of each marker of a posed body.
 
     IN  body, cameras, observing: see `arrays`; pose (D,), rotation (3, 3)
-    OUT shares (C, M): `observing.hidden` also outside the image
+    OUT shares (C, M): `observing.hidden` also outside the image, each times `cameras.detected`
     O(B + C M K); allocates the bones.
     """
     bones, hinges, markers, capsules = len(body.parents), len(body.axes), len(body.bones), len(body.radii)
@@ -93,6 +93,8 @@ def predict_visible(body, cameras, observing, pose, rotation, shares):
             # Not 0: the pose may be wrong, and then a blob of the marker may be there.
             if not inside:
                 shares[c, m] = min(shares[c, m], observing.hidden)
+            # A camera that loses many blobs anyway says little by what it does not show.
+            shares[c, m] *= cameras.detected[c]
 
 
 @kernel

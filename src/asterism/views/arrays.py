@@ -39,7 +39,7 @@ class PinholeArrays(NamedTuple):
     """Pinholes without lenses: blobs are undistorted before. Pixels are of the undistorted image around the principal point.
 
     rotations (C, 3, 3), translations (C, 3) m: camera from world; focals (C, 2) px; eyes (C, 3) m; limits (C, 4) px: left, right, top,
-    bottom
+    bottom; detected (C,): how often a camera has a blob of what it sees, as a share of what is usual
     """
 
     rotations: Floats
@@ -47,6 +47,7 @@ class PinholeArrays(NamedTuple):
     focals: Floats
     eyes: Floats
     limits: Floats
+    detected: Floats
 
 
 class Known(NamedTuple):

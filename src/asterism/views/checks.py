@@ -28,6 +28,9 @@ _MISFIT = 3.75
 which it does not fit them: 3 px at the usual noise. By noise alone the median is 1.2 to 1.7, by how many cameras there are."""
 _INEXACT = 1.9
 """Noise, as a multiple of the usual one, from which a person is told: twice, but for rounding. Below, labels are as right as ever."""
+_LOSES = 0.85
+"""Share of what is usual below which a camera loses so many blobs that a person is told. At 0.9 labels are as right as ever, before two
+cameras at 0.75 five of a hundred are lost; chance of some hundred sightings is 0.03."""
 _HARDLY_SEEN = 0.4
 """A camera that shows fewer of the sightings that the body lets expect does not fit either."""
 _JUDGED_FRAMES = 60
@@ -162,6 +165,12 @@ def findings(result: ViewsLabelling, fit: CameraAgreement) -> list[Finding]:
         sentence = f"camera {name} is about {frames:.1f} frames {way} against {_others(blobs.cameras, k)}."
         mend = "Check how the cameras are triggered, or shift the frames of this camera in the file; then label again."
         found.append(Finding("views-camera-late", Severity.WARNING, name, sentence, mend))
+    losing = [c for c in np.nonzero(result.detected < _LOSES)[0].tolist() if c not in fit.left_out]
+    if losing:
+        some = ", ".join(f"{blobs.cameras[c]} {100 * (1.0 - result.detected[c]):.0f} %" for c in losing)
+        sentence = f"cameras lose blobs of markers in their view for single frames: {some}; labels are less certain for it."
+        mend = "Lower the threshold of detection, or give more light or a longer exposure."
+        found.append(Finding("views-blobs-missing", Severity.WARNING, ", ".join(blobs.cameras[c] for c in losing), sentence, mend))
     if fit.noise >= _INEXACT * RULES.noise:
         names = [name for c, name in enumerate(blobs.cameras) if counts[:, c].sum() and c not in fit.left_out]
         who = " and ".join(names) if len(names) == 2 else "the cameras"

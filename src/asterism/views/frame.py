@@ -109,17 +109,24 @@ class FrameLabeller:
 
         Of each image no more than it has blobs: one without blobs says nothing of the body, its camera was off, or looks elsewhere.
         """
+        return float(self._expected_of_cameras(found, shown).sum())
+
+    def _expected_of_cameras(self, found: BlobLabels, shown: bool) -> Floats:
+        """(C,) of each image, see `expected_blobs`."""
         expected: Floats = self.expected(found).sum(axis=1)
         if shown:
             camera = np.repeat(np.arange(len(found.counts)), found.counts)
             expected = np.maximum(expected, np.bincount(camera[found.labels >= 0], minlength=len(found.counts)))
-        return float(np.minimum(expected, found.counts).sum())
+        return np.minimum(expected, found.counts)
 
     def explained(self, found: BlobLabels, *, shown: bool = False) -> float:
         """The gain of an expected blob, as a share of that of one that is exactly where it is expected; shown: see `expected_blobs`."""
         # The gain of a blob at its expected place: its normal density against the density of strays.
         most = -np.log(2 * np.pi * self.rules.noise**2 * self.observing.strays)
-        return float(found.gain / (most * max(self.expected_blobs(found, shown=shown), 1.0)))
+        expected = self._expected_of_cameras(found, shown)
+        # Where a camera loses blobs, a right body gains less of each that is there, and pays for those that are not.
+        lost = _surprise(self.rules.shown * self.scene.cameras.detected) - _surprise(np.array(self.rules.shown))
+        return float(found.gain / max(float((most - lost) @ expected), most))
 
     def placed(self, found: BlobLabels) -> Floats:
         """(M, 3) m, the markers of the fitted body, wherever their blobs are."""
@@ -392,6 +399,12 @@ class FrameLabeller:
     @cached_property
     def _kit(self) -> tuple[ArticulatedBodyArrays, PinholeArrays, Known, Observing, Ints, ViewsRules]:
         return self.body.arrays, self.scene.cameras, self.known, self.observing, self.free, self.rules
+
+
+def _surprise(share: Floats) -> Floats:
+    """nats per blob that it costs not to know which markers a camera has a blob of, for the share of those that it has."""
+    entropy: Floats = -(share * np.log(share) + (1.0 - share) * np.log(1.0 - share)) / share
+    return entropy
 
 
 def _reordered(labels: Ints, group: Ints) -> list[Ints]:

@@ -60,7 +60,7 @@ def label_views(
     body = load_body(body)
     checks.refuse_mirrored(body)
     size = None if height is None else height / body.height
-    labeller = FrameLabeller(scene_of(blobs, rig), body, rules, size)
+    labeller = FrameLabeller(scene_of(blobs, rig, usual=rules.shown), body, rules, size)
     fit = fit_rig(labeller, spread_frames(labeller, PERSONAL.frames)[::_EVERY])
     keeping = _Keeping(journal, progress)
     result = _labelled(labeller, body, fit, least_confidence, keeping)
@@ -209,6 +209,7 @@ class _Track:
             rotations,
             placed,
             expected,
+            scene.cameras.detected,
             tuple(self.restarts),
         )
         return made

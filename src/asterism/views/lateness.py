@@ -74,12 +74,12 @@ def _delay_of(off: Floats, moved: Floats, frames: int) -> tuple[float, float]:
 
 def _shift_of(result: ViewsLabelling, c: int, uv: Floats, noise: float) -> float:
     """Frames by which the blobs of camera c must be shifted to lie where the body is, NaN where no shift lays most of them there."""
-    shares = []
+    shares, in_view = [], result.in_view
     for k in range(-_SHIFTS, _SHIFTS + 1):
         near = of = 0
         for t in range(max(k, 0), len(uv) + min(k, 0)):
             # A camera that is k frames late shows in frame t what was in frame t - k.
-            expected = uv[t - k][(result.expected[t - k, c] > 0.5) & np.isfinite(uv[t - k, :, 0])]
+            expected = uv[t - k][(in_view[t - k, c] > 0.5) & np.isfinite(uv[t - k, :, 0])]
             cell = t * len(result.rig) + c
             xy = result.blobs.xy[result.blobs.offsets[cell] : result.blobs.offsets[cell + 1]]
             if len(expected) and len(xy):

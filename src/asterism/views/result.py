@@ -29,6 +29,7 @@ class ViewsLabelling:
     poses        (T, 9 + J), rotations (T, 3, 3): the body; NaN where it was not found
     placed       (T, M, 3) m: all markers of the body as posed, also those that no camera shows
     expected     (T, C, M) the probability that a camera has a blob of a marker, by the body
+    detected     (C,) how often a camera has a blob of what it sees, as a share of what is usual: see `detection_shares`
     restarts     frames in which the body was sought anew
     findings     what a person should know
     """
@@ -47,6 +48,7 @@ class ViewsLabelling:
     rotations: Floats
     placed: Floats
     expected: Floats
+    detected: Floats
     restarts: tuple[int, ...] = ()
     findings: tuple[Finding, ...] = field(default=())
 
@@ -74,12 +76,17 @@ class ViewsLabelling:
         out[self.blobs.frame_of[given], self.blobs.camera_of[given], self.labels[given]] = True
         return out
 
+    @property
+    def in_view(self) -> Floats:
+        """(T, C, M) the probability that nothing hides a marker from a camera, by the body: its blob may still be lost."""
+        return self.expected / self.detected[:, None]
+
     def predict_visibility(self, rules: SightRules = FROM_PREVIOUS) -> Floats:
         """(T, C, M) the probability that a marker is in view of a camera, by the body, and by the labels of the frames beside.
 
         By default that of the frame before alone; see `predict_visibility` in `sights`. O(T C M).
         """
-        return predict_visibility(self.expected, self.shown, np.isfinite(self.poses[:, 0]), rules)
+        return predict_visibility(self.in_view, self.shown, np.isfinite(self.poses[:, 0]), rules)
 
     @property
     def clouds(self) -> Clouds:

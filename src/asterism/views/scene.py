@@ -11,6 +11,8 @@ from asterism.cameras import Camera, Rig
 from asterism.errors import AsterismError
 from asterism.recording import Blobs, Floats, Ints
 from asterism.views.arrays import PinholeArrays
+from asterism.views.detection import detection_shares
+from asterism.views.rules import RULES
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +46,10 @@ class ViewsScene:
         return replace(self, blobs=self.blobs.select(kept), xy=self.xy[kept])
 
 
-def scene_of(blobs: Blobs, rig: Rig) -> ViewsScene:
+def scene_of(blobs: Blobs, rig: Rig, *, usual: float = RULES.shown) -> ViewsScene:
     """Blobs and a rig whose cameras have the same names, in the order of the blobs.
+
+    usual: the share of the markers in its view of which a camera has a blob, where it is as good as any.
 
     Raises AsterismError where a camera is not in the rig, has no pose or no image size, or the rig does not say what is up.
     """
@@ -67,9 +71,9 @@ def scene_of(blobs: Blobs, rig: Rig) -> ViewsScene:
         own = blobs.camera_of == c
         # A pixel without a ray is put far outside, where no marker is expected.
         xy[own] = np.nan_to_num(camera.undistort(blobs.xy[own]), nan=1e3) * np.array(camera.focal)
-    return ViewsScene(
-        rig, blobs, xy, camera_arrays(rig, sizes), float(np.mean([width * height for width, height in sizes])), np.asarray(rig.vertical)
-    )
+    detected = np.minimum(detection_shares(blobs, sizes, usual) / usual, 1.0)
+    cameras = camera_arrays(rig, sizes)._replace(detected=detected)
+    return ViewsScene(rig, blobs, xy, cameras, float(np.mean([width * height for width, height in sizes])), np.asarray(rig.vertical))
 
 
 def _size(camera: Camera, xy: Floats) -> tuple[float, float]:
@@ -97,6 +101,7 @@ def camera_arrays(rig: Rig, sizes: list[tuple[float, float]]) -> PinholeArrays:
         np.array([camera.focal for camera in rig], dtype=np.float64),
         np.ascontiguousarray([camera.position for camera in rig]),
         np.array(limits, dtype=np.float64),
+        np.ones(len(rig)),
     )
 
 

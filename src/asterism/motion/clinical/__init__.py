@@ -1,7 +1,8 @@
-"""A recording with the markers of a gait laboratory in; Plug-in-Gait's angles, and how certain they are, out."""
+"""A recording with the markers of a gait laboratory in; clinical angles, and how certain they are, out."""
 
 from asterism.motion.clinical.angles import CLINICAL, ClinicalAngles, ClinicalJoint, clinical_angles, complete_legs
 from asterism.motion.clinical.exchanged import exchanged_finding, exchanged_pairs
+from asterism.motion.clinical.gathered import gathered_measures
 from asterism.motion.clinical.kinetics import (
     ABOUT_CENTRE,
     KineticRules,
@@ -10,7 +11,7 @@ from asterism.motion.clinical.kinetics import (
     SegmentInertia,
     inverse_dynamics,
 )
-from asterism.motion.clinical.measures import LegMeasures, SubjectMeasures, leg_measures, subject_measures
+from asterism.motion.clinical.measures import ArmMeasures, LegMeasures, SubjectMeasures, leg_measures, subject_measures
 from asterism.motion.clinical.plug_in_gait import Leg, LowerBody, lower_body
 from asterism.motion.clinical.static import StaticRules, with_static_offsets
 from asterism.motion.clinical.uncertainty import (
@@ -24,6 +25,7 @@ from asterism.motion.clinical.uncertainty import (
 __all__ = [
     "ABOUT_CENTRE",
     "CLINICAL",
+    "ArmMeasures",
     "ClinicalAngles",
     "ClinicalErrors",
     "ClinicalJoint",
@@ -44,6 +46,7 @@ __all__ = [
     "complete_legs",
     "exchanged_finding",
     "exchanged_pairs",
+    "gathered_measures",
     "inverse_dynamics",
     "leg_measures",
     "lower_body",

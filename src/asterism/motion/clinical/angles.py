@@ -1,16 +1,18 @@
-"""A recording with the markers of a gait laboratory in; clinical angles of pelvis, hip, knee, ankle, foot and trunk out."""
+"""A recording with the markers of a gait laboratory in; clinical angles of legs, trunk, head and arms out."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures, subject_measures
-from asterism.motion.clinical.plug_in_gait import angles_of, lower_body, radius_by_the_file
+from asterism.motion.clinical.gathered import gathered_measures
+from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures
+from asterism.motion.clinical.plug_in_gait import angles_of, lower_body, walking_axes
+from asterism.motion.clinical.upper_body import arm_measures_needed, upper_body_angles
 from asterism.motion.joints.anatomy import AnatomicalFrames, sacrum_markers
 from asterism.recording import Floats, Recording
 
@@ -44,7 +46,7 @@ class ClinicalAngles:
 
     joints    of the legs, left before right
     measures  by side, "left" and "right", with which they were computed; `subject` all of them
-    outputs   (T, 3) rad by Plug-in-Gait's names, such as LPelvisAngles: the joints', and those of pelvis, feet and trunk
+    outputs   (T, 3) rad by Plug-in-Gait's names, such as LPelvisAngles: the joints', and those of pelvis, feet, trunk, head and arms
     findings  what was assumed or left out
     """
 
@@ -64,11 +66,10 @@ def complete_legs(recording: Recording) -> tuple[str, ...]:
 
 
 def clinical_angles(recording: Recording, sides: Sequence[str] | None = None, measures: SubjectMeasures | None = None) -> ClinicalAngles:
-    """Flexion, adduction and internal rotation of hip, knee and ankle, and the angles of pelvis, feet and trunk, by Plug-in-Gait.
+    """Flexion, adduction and internal rotation of hip, knee and ankle; angles of pelvis, feet, trunk, head and arms: Plug-in-Gait's.
 
     sides     "L", "R" or both; by default those with all markers
-    measures  of the person; by default those of the recording's file (`subject_measures`), and where its own program computed angles, too,
-              the marker radius with which it did
+    measures  of the person; by default those of the recording's file (`gathered_measures`)
 
     With the measures of the file, angles are those that Plug-in-Gait computes, to the digits that a file holds: hip centres by Davis et
     al. (1991), wand angles about the line between the joint centres, the tibia's torsion, the foot's offsets. `with_static_offsets`
@@ -89,15 +90,12 @@ def clinical_angles(recording: Recording, sides: Sequence[str] | None = None, me
         missing = min((_missing(recording, side) for side in SIDES), key=len)
         said = f"has no marker {', '.join(missing)}" if missing else "never shows all markers of a leg in one frame"
         raise AsterismError(f"{_file(recording)} {said}; clinical angles need the markers of Helen Hayes or Plug-in-Gait.")
-    found = []
+    found: Sequence[Finding] = ()
     if measures is None:
-        measures = subject_measures(recording)
-        found += _assumed(recording, measures, chosen)
-        fitted = radius_by_the_file(recording, measures)
-        if fitted is not None and abs(fitted - measures.marker_radius) > 1e-4:
-            found.append(_another_radius(recording, measures, fitted))
-        measures = measures if fitted is None else replace(measures, marker_radius=fitted)
-    outputs = angles_of(recording, lower_body(recording, measures, "".join(chosen)))
+        measures, found = gathered_measures(recording)
+    body = lower_body(recording, measures, "".join(chosen))
+    outputs = angles_of(recording, body) | upper_body_angles(recording, measures, walking_axes(body))
+    found = [*_assumed(recording, measures, chosen), *_assumed_arms(recording, measures, outputs), *found]
     joints = tuple(
         ClinicalJoint(SIDES[side], joint, outputs[name])
         for side in chosen
@@ -141,15 +139,23 @@ def _assumed(recording: Recording, measures: SubjectMeasures, sides: Sequence[st
     return found
 
 
-def _another_radius(recording: Recording, measures: SubjectMeasures, fitted: float) -> Finding:
-    said = f"{2000 * measures.marker_radius:g} mm"
-    return Finding(
-        "clinical-marker-diameter",
-        Severity.NOTE,
-        _file(recording),
-        f"{_file(recording)}: its own angles were computed with markers of {2000 * fitted:g} mm, not {said}; so are these.",
-        "Give MarkerDiameter if another one is right.",
-    )
+def _assumed_arms(recording: Recording, measures: SubjectMeasures, outputs: Mapping[str, Floats]) -> list[Finding]:
+    """A finding for each arm whose measures nobody gave: a centimetre turns the upper arm by two to three degrees."""
+    found = []
+    for side in SIDES:
+        lacking = [name for name in arm_measures_needed(outputs, side) if name not in measures.arm(side).from_file]
+        if lacking:
+            words = ", ".join(name.replace("_", " ") for name in lacking)
+            found.append(
+                Finding(
+                    "clinical-measures",
+                    Severity.NOTE,
+                    _file(recording),
+                    f"{_file(recording)} has no {words} of the {SIDES[side]} arm; an adult's were taken.",
+                    "Give the measures, or a standing trial that holds them.",
+                )
+            )
+    return found
 
 
 def _file(recording: Recording) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -22,6 +22,13 @@ _LENGTHS = {
     "asis_trochanter": ("ASISTROCANTERDISTANCE", 0.01, 0.25),
 }
 """The parameter of a length, and in which range (m) it is believed: another value may be in another unit."""
+_ARM_LENGTHS = {
+    "shoulder_offset": ("SHOULDEROFFSET", 0.005, 0.15),
+    "elbow_width": ("ELBOWWIDTH", 0.02, 0.2),
+    "wrist_width": ("WRISTWIDTH", 0.0, 0.12),
+    "hand_thickness": ("HANDTHICKNESS", 0.005, 0.08),
+}
+"""The same of an arm. A wrist of no width is one whose markers stand beside the bones."""
 _TURNS = {
     "thigh_rotation": "THIGHROTATION",
     "shank_rotation": "SHANKROTATION",
@@ -30,6 +37,13 @@ _TURNS = {
     "foot_flexion": "STATICPLANTFLEX",
     "foot_rotation": "STATICROTOFF",
 }
+_WHOLE = {
+    "INTERASISDISTANCE": ("inter_asis", 0.001),
+    "MARKERDIAMETER": ("marker_radius", 0.0005),
+    "BODYMASS": ("mass", 1.0),
+    "HEADOFFSET": ("head_offset", float(np.pi / 180)),
+}
+"""Of the whole person: the field, and its unit by that of `SubjectMeasures.with_values`."""
 _RIGHT_ANGLE = np.pi / 2 + 1e-3
 """rad: a wand may stand in front of a limb, so up to a right angle; what lies beyond is in degrees, or no such angle."""
 
@@ -67,13 +81,37 @@ class LegMeasures:
 
 
 @dataclass(frozen=True)
-class SubjectMeasures:
-    """Measures of both legs.
+class ArmMeasures:
+    """Measures of one arm, m, as Plug-in-Gait has them. The defaults are an adult's.
 
-    left, right    see `LegMeasures`
-    inter_asis     m, between the anterior iliac spines; None: measured between their markers
-    marker_radius  m, from the skin to a marker's centre
-    mass           kg, None where it is not known
+    shoulder_offset  from the acromion down to the joint's centre
+    elbow_width      between the epicondyles
+    wrist_width      from front to back, where the bar or the markers of the wrist are; nothing where these stand beside the bones
+    hand_thickness   from the palm to the back of the hand, below the knuckle's marker
+    from_file        which of these the recording's file holds, or were given
+    """
+
+    shoulder_offset: float = 0.045
+    elbow_width: float = 0.070
+    wrist_width: float = 0.040
+    hand_thickness: float = 0.028
+    from_file: tuple[str, ...] = ()
+
+    def with_values(self, values: Mapping[str, float]) -> ArmMeasures:
+        """With these measures, m, which count as given."""
+        return replace(self, **values, from_file=tuple(dict.fromkeys((*self.from_file, *values))))
+
+
+@dataclass(frozen=True)
+class SubjectMeasures:
+    """Measures of a person.
+
+    left, right          see `LegMeasures`
+    inter_asis           m, between the anterior iliac spines; None: measured between their markers
+    marker_radius        m, from the skin to a marker's centre
+    mass                 kg, None where it is not known
+    left_arm, right_arm  see `ArmMeasures`
+    head_offset          rad, by which the markers of the head look up where the head looks straight ahead
     """
 
     left: LegMeasures = field(default_factory=LegMeasures)
@@ -81,10 +119,21 @@ class SubjectMeasures:
     inter_asis: float | None = None
     marker_radius: float = MARKER_RADIUS
     mass: float | None = None
+    left_arm: ArmMeasures = field(default_factory=ArmMeasures)
+    right_arm: ArmMeasures = field(default_factory=ArmMeasures)
+    head_offset: float = 0.0
 
     def of(self, side: str) -> LegMeasures:
         """The leg of side "L" or "R"."""
         return self.left if side == "L" else self.right
+
+    def arm(self, side: str) -> ArmMeasures:
+        """The arm of side "L" or "R"."""
+        return self.left_arm if side == "L" else self.right_arm
+
+    def with_arm(self, side: str, arm: ArmMeasures) -> SubjectMeasures:
+        """With another arm on side "L" or "R"."""
+        return replace(self, left_arm=arm) if side == "L" else replace(self, right_arm=arm)
 
     def with_leg(self, side: str, leg: LegMeasures) -> SubjectMeasures:
         """With another leg on side "L" or "R"."""
@@ -105,26 +154,34 @@ class SubjectMeasures:
 
     def _with_value(self, name: str, value: float) -> SubjectMeasures:
         key = name.upper()
-        whole = {"INTERASISDISTANCE": ("inter_asis", 0.001), "MARKERDIAMETER": ("marker_radius", 0.0005), "BODYMASS": ("mass", 1.0)}
-        if key in whole:
-            return replace(self, **{whole[key][0]: value * whole[key][1]})  # type: ignore[arg-type]
+        if key in _WHOLE:
+            return replace(self, **{_WHOLE[key][0]: value * _WHOLE[key][1]})  # type: ignore[arg-type]
         side, parameter = key[:1], key[1:]
-        measure = next((one for one, (own, _, _) in _LENGTHS.items() if own == parameter), None)
+        lengths = _LENGTHS | _ARM_LENGTHS
+        measure = next((one for one, (own, _, _) in lengths.items() if own == parameter), None)
         turn = next((one for one, own in _TURNS.items() if own == parameter), None)
         if side not in SIDES or (measure is None and turn is None):
-            known = [f"{letter}{own.title()}" for letter in SIDES for own, _, _ in _LENGTHS.values()]
+            known = [f"{letter}{own.title()}" for letter in SIDES for own, _, _ in lengths.values()]
             raise AsterismError(
                 f"{name} is no measure of a person; measures are {', '.join(known)}, InterAsisDistance, MarkerDiameter, BodyMass "
                 "and the turns of Plug-in-Gait, such as LTibialTorsion."
             )
         if measure is not None:
-            _, least, most = _LENGTHS[measure]
+            _, least, most = lengths[measure]
             if not least <= value * 0.001 <= most:
                 raise AsterismError(f"{name} is {value:g}; give it in mm, from {1000 * least:g} to {1000 * most:g}.")
+            if measure in _ARM_LENGTHS:
+                return self.with_arm(side, self.arm(side).with_values({measure: value * 0.001}))
             return self.with_leg(side, self.of(side).with_values({measure: value * 0.001}))
         if abs(value) > 90.0:
             raise AsterismError(f"{name} is {value:g}; give it in degrees, from -90 to 90.")
         return self.with_leg(side, self.of(side).with_values({str(turn): float(np.radians(value))}))
+
+
+def measure_names() -> set[str]:
+    """Names of `SubjectMeasures.with_values`, in capitals."""
+    sided = [own for own, _, _ in (_LENGTHS | _ARM_LENGTHS).values()] + list(_TURNS.values())
+    return {*_WHOLE, *(side + own for side in SIDES for own in sided)}
 
 
 def subject_measures(recording: Recording) -> SubjectMeasures:
@@ -138,7 +195,18 @@ def subject_measures(recording: Recording) -> SubjectMeasures:
     mass = read("BODYMASS")
     diameter = _length(read("MARKERDIAMETER"), recording, 0.002, 0.05)
     radius = MARKER_RADIUS if diameter is None else diameter / 2
-    return SubjectMeasures(left, right, inter, radius, mass if mass is not None and 2.0 < mass < 400.0 else None)
+    left_arm, right_arm = (_arm(recording, side, read) for side in SIDES)
+    head = read("HEADOFFSET")
+    return SubjectMeasures(
+        left,
+        right,
+        inter,
+        radius,
+        mass if mass is not None and 2.0 < mass < 400.0 else None,
+        left_arm,
+        right_arm,
+        float(head) if head is not None and abs(head) < _RIGHT_ANGLE else 0.0,
+    )
 
 
 def leg_measures(recording: Recording, side: str) -> LegMeasures:
@@ -151,12 +219,17 @@ def _reader_of(recording: Recording) -> Any:
     return (lambda name: None) if number is None else (lambda name: number("PROCESSING", name))
 
 
+def _lengths(recording: Recording, side: str, read: Any, known: Mapping[str, tuple[str, float, float]]) -> dict[str, float]:
+    lengths = {name: _length(read(side + parameter), recording, least, most) for name, (parameter, least, most) in known.items()}
+    return {name: length for name, length in lengths.items() if length is not None}
+
+
+def _arm(recording: Recording, side: str, read: Any) -> ArmMeasures:
+    return ArmMeasures().with_values(_lengths(recording, side, read, _ARM_LENGTHS))
+
+
 def _leg(recording: Recording, side: str, read: Any) -> LegMeasures:
-    measures: dict[str, float] = {}
-    for measure, (parameter, least, most) in _LENGTHS.items():
-        length = _length(read(side + parameter), recording, least, most)
-        if length is not None:
-            measures[measure] = length
+    measures = _lengths(recording, side, read, _LENGTHS)
     for measure, parameter in _TURNS.items():
         value = read(side + parameter)
         if value is not None and 0.0 < abs(value) <= _RIGHT_ANGLE:
@@ -176,11 +249,19 @@ def computed_by_the_file(recording: Recording, name: str) -> Floats | None:
 
     None where the file has no such column, and for a recording that shows other frames than its file.
     """
+    return all_computed_by_the_file(recording, (name,)).get(name)
+
+
+def all_computed_by_the_file(recording: Recording, names: Sequence[str]) -> dict[str, Floats]:
+    """Those of several quantities that the file has, as `computed_by_the_file` gives one; its points are read once."""
     labels = [str(label).rpartition(":")[2] for label in getattr(recording.source, "labels", ())]
-    if name not in labels:
-        return None
-    values = np.array(recording.source.coordinates[:, labels.index(name)], dtype=np.float64)
-    if len(values) != len(recording):
-        return None
-    values[(values == 0.0).all(axis=1)] = np.nan
-    return values
+    columns = {name: labels.index(name) for name in names if name in labels}
+    if not columns:
+        return {}
+    coordinates = recording.source.coordinates
+    if len(coordinates) != len(recording):
+        return {}
+    found = {name: np.array(coordinates[:, column], dtype=np.float64) for name, column in columns.items()}
+    for values in found.values():
+        values[(values == 0.0).all(axis=1)] = np.nan
+    return found

@@ -11,6 +11,7 @@ from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
 from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures
 from asterism.motion.clinical.plug_in_gait import Leg, along, joint_centre, lower_body, marker_of, turns
+from asterism.motion.clinical.upper_body import head_axes
 from asterism.motion.rigid.rotations import unit_vectors
 from asterism.recording import Floats, Recording
 
@@ -26,12 +27,14 @@ DEVICE = ("KAX", "KD1", "KD2")
 class StaticRules:
     """How a standing trial is read.
 
-    flat_foot  the sole stands flat: heel and toe marker count as equally high. Without, their heights count
-    tilted     the angle between the ankle's axis and the shank is taken from the malleoli; without, it is a right one
+    flat_foot   the sole stands flat: heel and toe marker count as equally high. Without, their heights count
+    tilted      the angle between the ankle's axis and the shank is taken from the malleoli; without, it is a right one
+    level_head  the head looks straight ahead: its tilt is taken off. Without, the offset stays that of the measures
     """
 
     flat_foot: bool = True
     tilted: bool = False
+    level_head: bool = False
 
 
 def with_static_offsets(static: Recording, measures: SubjectMeasures, rules: StaticRules | None = None) -> SubjectMeasures:
@@ -55,6 +58,12 @@ def with_static_offsets(static: Recording, measures: SubjectMeasures, rules: Sta
         )
     for side, leg in found.items():
         measures = measures.with_leg(side, leg)
+    head = head_axes(static) if rules.level_head else None
+    if head is not None:
+        # up is positive; the mean of the directions, not of their angles
+        ahead = head[np.isfinite(head).all(axis=(1, 2)), :, 0].sum(axis=0)
+        if np.any(ahead):
+            measures = replace(measures, head_offset=float(np.arctan2(ahead[2], np.hypot(ahead[0], ahead[1]))))
     return measures
 
 

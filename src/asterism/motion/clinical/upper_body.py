@@ -1,0 +1,96 @@
+"""Markers of Plug-in-Gait's full body and measures of the person in; angles of head, neck, shoulders, elbows and wrists out.
+
+Sources: the vendor's documentation of the upper body, and Davis et al. (1991) for the chord by which joint centres are found. What these
+leave open was settled by the segments that recordings of three laboratories hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from asterism.motion.clinical.measures import SIDES, SubjectMeasures
+from asterism.motion.clinical.plug_in_gait import along, joint_centre, marker_of, thorax_axes, turns
+from asterism.motion.rigid.rotations import unit_vectors
+from asterism.recording import Floats, Recording
+
+HEAD = ("LFHD", "RFHD", "LBHD", "RBHD")
+THORAX = ("CLAV", "C7", "STRN", "T10")
+
+
+def head_axes(recording: Recording, offset: float = 0.0) -> Floats | None:
+    """(T, 3, 3) of the head, x ahead, y to the left, z up; None where one of its four markers is not worn.
+
+    offset  rad by which the line from the back markers to the front ones is turned down, about y, to look straight ahead
+    """
+    if any(name not in recording.labels for name in HEAD):
+        return None
+    marker = marker_of(recording)
+    left_front, right_front, left_back, right_back = (marker(name) for name in HEAD)
+    x = unit_vectors(left_front + right_front - left_back - right_back)
+    z = unit_vectors(np.cross(x, left_front + left_back - right_front - right_back))
+    sine, cosine = np.sin(offset), np.cos(offset)
+    return np.stack([x, np.cross(z, x), z], axis=2) @ np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
+
+
+def upper_body_angles(recording: Recording, measures: SubjectMeasures, room: Floats) -> dict[str, Floats]:
+    """Angles (T, 3) rad by Plug-in-Gait's names of what has its markers: LHeadAngles, LNeckAngles, LShoulderAngles, ..., both sides.
+
+    room  (3, 3), see `walking_axes`: the head's angles are in these axes
+
+    Head and neck: tilt, lateral bend, rotation. Shoulder: flexion, abduction, internal rotation. Elbow: flexion; the forearm turns about
+    one axis alone in this model. Wrist: flexion, ulnar bend, rotation. A joint whose markers are not all worn is left out. O(T).
+    """
+    found: dict[str, Floats] = {}
+    thorax, head = thorax_axes(recording), head_axes(recording, measures.head_offset)
+    for side in SIDES:
+        left = 1.0 if side == "L" else -1.0
+        if head is not None:
+            seen = [-1.0, left, -left]
+            found[f"{side}HeadAngles"] = turns(np.broadcast_to(room, head.shape), head) * seen
+            if thorax is not None:
+                found[f"{side}NeckAngles"] = turns(head, thorax) * seen
+        if thorax is not None and all(side + name in recording.labels for name in ("SHO", "ELB", "WRA", "WRB")):
+            found |= _arm(recording, side, measures, thorax)
+    return {name: (angles + np.pi) % (2 * np.pi) - np.pi for name, angles in found.items()}
+
+
+def arm_measures_needed(outputs: Iterable[str], side: str) -> list[str]:
+    """The measures on which the angles of these names depend."""
+    outputs = set(outputs)
+    arm = f"{side}ShoulderAngles" in outputs
+    hand = f"{side}WristAngles" in outputs
+    return [*(("shoulder_offset", "elbow_width", "wrist_width") if arm else ()), *(("hand_thickness",) if hand else ())]
+
+
+def _arm(recording: Recording, side: str, measures: SubjectMeasures, thorax: Floats) -> dict[str, Floats]:
+    marker, own, radius, left = marker_of(recording), measures.arm(side), measures.marker_radius, 1.0 if side == "L" else -1.0
+    acromion, elbow_marker, thumb_side, little_side = (marker(side + name) for name in ("SHO", "ELB", "WRA", "WRB"))
+    ahead = thorax[:, :, 0]
+    chest = marker("CLAV") - radius * ahead
+    # below the acromion, at a right angle with the line from the chest
+    down = left * np.cross(ahead, acromion - chest)
+    shoulder = joint_centre(chest, acromion, chest + down, own.shoulder_offset + radius)
+    between = (thumb_side + little_side) / 2
+    # the marker stands beside the elbow's axis, which is at a right angle with the plane of shoulder, marker and wrist
+    beside = left * unit_vectors(np.cross(shoulder - elbow_marker, between - elbow_marker))
+    elbow = joint_centre(shoulder, elbow_marker, elbow_marker + beside, own.elbow_width / 2 + radius)
+    palm = left * unit_vectors(np.cross(thumb_side - little_side, elbow - between))
+    wrist = between + (own.wrist_width / 2 + radius) * palm
+    # x ahead, y to the left, z up the limb
+    z = unit_vectors(shoulder - elbow)
+    y = unit_vectors(np.cross(z, wrist - elbow))
+    humerus = np.stack([np.cross(y, z), y, z], axis=2)
+    # the elbow is a hinge: both have its axis
+    forearm = along(elbow - wrist, y)
+    seen = [-1.0, left, -left]
+    found = {
+        f"{side}ShoulderAngles": turns(thorax, humerus, first="x")[:, [1, 0, 2]] * seen,
+        f"{side}ElbowAngles": turns(humerus, forearm) * [-1.0, 0.0, 0.0],
+    }
+    if f"{side}FIN" in recording.labels:
+        knuckle = joint_centre(wrist, marker(f"{side}FIN"), between, own.hand_thickness / 2 + radius)
+        hand = along(wrist - knuckle, left * (thumb_side - little_side))
+        found[f"{side}WristAngles"] = turns(forearm, hand) * seen
+    return found
