@@ -6,8 +6,9 @@ Butterworth filters with residual analysis of Winter (2009, ch. 3.4); quintic sp
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.fft import dct
@@ -119,14 +120,14 @@ def filter_trajectories(recording: Recording, choice: FilterChoice, by: str = ""
         raise AsterismError(
             f"a cut-off of {choice.cut_off:g} Hz is too high at {recording.rate:g} Hz; give {_HIGHEST * recording.rate:g} Hz or less."
         )
-    positions, effects, findings = recording.positions.copy(), list[MarkerEffect](), list[Finding]()
+    positions, effects, found = recording.positions.copy(), list[MarkerEffect](), list[tuple[str, Ints, float]]()
+    samples = int(recording.visible.sum())
     for column, label in enumerate(recording.labels):
         path = positions[:, column]
         if is_unnamed(label) or not np.isfinite(path[:, 0]).any():
             continue
-        spikes = find_spikes(path, recording.visible.sum())
-        if spikes:
-            findings.append(_spike_finding(recording, label, spikes, choice.method != NONE))
+        spikes = find_spikes(path, recording.rate, samples)
+        found += [(label, spike, float(np.linalg.norm(path[spike] - _across(path, spike), axis=1).max())) for spike in spikes]
         if choice.method == NONE:
             continue
         for spike in spikes:
@@ -142,20 +143,23 @@ def filter_trajectories(recording: Recording, choice: FilterChoice, by: str = ""
     if effects:
         told = {e.label: [round(e.cut_off, 2) if math.isfinite(e.cut_off) else None, round(1000.0 * e.moved, 3), e.spikes] for e in effects}
         result = replace(recording, positions=positions).logged(_ACTION, by, filter=str(choice), markers=told)
-    return FilteredRecording(result, choice, tuple(effects), tuple(findings))
+    return FilteredRecording(result, choice, tuple(effects), (_spike_finding(recording, found, choice.method != NONE),) if found else ())
 
 
 def last_filter(recording: Recording) -> FilteredRecording:
     """What the processing log says of the last filter: none where nothing was filtered. Without findings."""
     for step in reversed(recording.log):
-        markers = step.settings.get("markers")
+        if step.action != _ACTION:
+            continue
         # A log is a note that anybody may have edited.
-        if step.action == _ACTION and isinstance(markers, Mapping) and all(isinstance(v, list) and len(v) == 3 for v in markers.values()):
+        try:
             effects = [
                 MarkerEffect(str(label), float(moved) / 1000.0, math.nan if cut_off is None else float(cut_off), int(spikes))
-                for label, (cut_off, moved, spikes) in markers.items()
+                for label, (cut_off, moved, spikes) in dict(step.settings["markers"]).items()
             ]
-            return FilteredRecording(recording, FilterChoice.of(str(step.settings.get("filter", NONE))), tuple(effects), ())
+            return FilteredRecording(recording, FilterChoice.of(str(step.settings["filter"])), tuple(effects), ())
+        except (AsterismError, KeyError, TypeError, ValueError):
+            continue
     return FilteredRecording(recording, FilterChoice(), (), ())
 
 
@@ -168,6 +172,11 @@ def zero_lag_butterworth(values: Floats, rate: float, cut_off: float) -> Floats:
         return values
     sections = butter(2, cut_off / (0.5 * rate), output="sos")
     return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=min(len(values) - 1, int(2 * rate / cut_off))))
+
+
+def _of_one_pass(cut_off: float, rate: float) -> float:
+    """Hz, the cut-off of one pass that makes that of two; a digital filter's frequencies are those of the bilinear transform."""
+    return rate / math.pi * math.atan(math.tan(math.pi * cut_off / rate) / _TWO_PASSES)
 
 
 def residual_cut_off(path: Floats, rate: float) -> float:
@@ -205,7 +214,7 @@ def _filtered(path: Floats, rate: float, choice: FilterChoice) -> tuple[Floats, 
         spline, power = quintic_spline_and_power(path)
         return np.asarray(spline(np.arange(float(len(path))))), spline_cut_off(power, rate)
     cut_off = residual_cut_off(path, rate) if choice.cut_off is None else choice.cut_off
-    return zero_lag_butterworth(path, rate, cut_off / _TWO_PASSES), cut_off
+    return zero_lag_butterworth(path, rate, _of_one_pass(cut_off, rate)), cut_off
 
 
 def _pieces(path: Floats) -> Iterator[tuple[int, int]]:
@@ -221,17 +230,21 @@ _LIKELY = 0.01
 """Spikes that are found in a recording without any, if its noise is normal: a tenth or ten times as many moves the bound by a tenth."""
 _AROUND = 15
 """Frames on either side that tell how rough a path is there."""
-_LEAST = 0.0005
-"""m of noise that a path is held to have at least, so that no spike is smaller than some 3 mm: heels that strike stray by 2 mm from their
-cubics. Tried on `movement`: spikes of 10 mm are found, and none in walks; at half, fast feet have some; at double, two thirds of those of
-10 mm are missed."""
+_LEAST = 5.0
+"""m/s2 that a motion's acceleration is held to change by within a frame: heels stray by 2 mm from cubics at 100 Hz. At half, fast
+feet have spikes; at double, two thirds of those of 10 mm are missed."""
+_NOISE = 5e-4
+"""m of noise that a path is held to have at least, so that no spike is smaller than some 3 mm. At half, half of the walks at 150 Hz have
+some of 2 mm; at double, spikes of 6 mm are missed."""
+_MATTERS = 0.010
+"""m from which a spike is a warning: skin moves markers by less; at half and double, smaller and larger ones are."""
 _MEDIAN = 1.538
 """The median length of a vector of three normal coordinates, in their standard deviation."""
 _CUBIC = np.array([-1.0, 4.0, 4.0, -1.0]) / 6.0
 """Weights of the samples two and one before, one and two behind, of the cubic through them."""
 
 
-def find_spikes(path: Floats, samples: int | None = None) -> list[Ints]:
+def find_spikes(path: Floats, rate: float, samples: int | None = None) -> list[Ints]:
     """Runs of up to three frames in which a path (T, 3) jumps away, and which explain all that is odd around: (frames,) each. O(T).
 
     samples  of the whole recording, by default of the path: the more there are, the farther one must jump
@@ -241,13 +254,17 @@ def find_spikes(path: Floats, samples: int | None = None) -> list[Ints]:
 
     >>> path = np.arange(100.0)[:, None] * np.array([0.01, 0.0, 0.0])
     >>> path[40:42] += 0.03
-    >>> find_spikes(path)
+    >>> find_spikes(path, 100.0)
     [array([40, 41])]
     """
     if len(path) < _WIDEST + 4:
         return []
     away = _away(path)
-    bound = float(chi.isf(_LIKELY / max(samples or len(path), 1), 3)) * np.maximum(_rough(away) / _MEDIAN, _LEAST)
+    far, least = _farthest(samples or len(path)), max(_LEAST / rate**2, _NOISE)
+    # Nearly all paths end here, before the costly medians.
+    if not (away > far * least).any():
+        return []
+    bound = far * np.maximum(_rough(away) / _MEDIAN, least)
     odd = np.flatnonzero(away > bound)
     found = list[Ints]()
     for cluster in np.split(odd, np.flatnonzero(np.diff(odd) > 2) + 1) if len(odd) else []:
@@ -264,6 +281,12 @@ def find_spikes(path: Floats, samples: int | None = None) -> list[Ints]:
         if choices:
             found.append(min(choices, key=lambda choice: choice[:2])[2])
     return found
+
+
+@lru_cache(maxsize=64)
+def _farthest(samples: int) -> float:
+    """Standard deviations that one in a hundred of so many normal vectors of three coordinates reaches."""
+    return float(chi.isf(_LIKELY / samples, 3))
 
 
 def _away(path: Floats) -> Floats:
@@ -293,17 +316,20 @@ def _across(path: Floats, frames: Ints) -> Floats:
     return np.asarray(np.stack(weights, axis=1) @ path[nodes])
 
 
-def _spike_finding(recording: Recording, label: str, spikes: list[Ints], replaced: bool) -> Finding:
-    where, few = recording.metadata.get("file", "the recording"), spikes[:_FEW]
-    frames = ", ".join(str(recording.first_frame + int(spike[0])) for spike in few) + (", ..." if len(spikes) > _FEW else "")
-    what = "1 spike" if len(spikes) == 1 else f"{len(spikes)} spikes"
-    how = "replaced by cubics through the samples around" if replaced else "left, because nothing is filtered"
+def _spike_finding(recording: Recording, spikes: list[tuple[str, Ints, float]], replaced: bool) -> Finding:
+    """One for a recording: of each spike its marker, its frames, and m by which it jumps."""
+    where, largest = str(recording.metadata.get("file", "the recording")), max(size for _, _, size in spikes)
+    few = sorted(spikes, key=lambda spike: -spike[2])[:_FEW]
+    named = ", ".join(f"{label} in frame {recording.first_frame + int(frames[0])}" for label, frames, _ in few)
+    what = "1 spike was" if len(spikes) == 1 else f"{len(spikes)} spikes were"
+    how = "replaced by what is around" if replaced else "left, because nothing is filtered"
     return Finding(
         "filter-spike",
-        Severity.WARNING,
-        label,
-        f"{where}: {label} jumps away and back within {_WIDEST} frames: {what}, {how} (frame {frames}).",
-        "Look whether another point took its label there.",
+        Severity.WARNING if largest > _MATTERS else Severity.NOTE,
+        where,
+        f"{where}: markers jump away and back within {_WIDEST} frames, by up to {1000.0 * largest:.0f} mm; {what} {how}: {named}"
+        f"{', ...' if len(spikes) > _FEW else ''}.",
+        "Look whether another point took their label there.",
     )
 
 
