@@ -25,10 +25,12 @@ from asterism.gait import (
     band_of,
     cycles_of,
     find_events,
+    midstances,
     over_cycle,
     parameters_of,
     profile_scores,
     summarise,
+    symmetries,
 )
 from asterism.gait.events import OFF, STRIKE, EventRules, GaitEvent
 from asterism.motion.clinical import exchanged_pairs
@@ -87,6 +89,28 @@ def test_parameters_are_those_of_the_rule(treadmill: bool, heading: float, up: s
         ):
             assert means[name, side].mean == pytest.approx(value, abs=near), (name, side)
             assert means[name, side].sigma > 0
+
+
+@pytest.mark.parametrize("treadmill", [False, True])
+def test_midstance_is_when_the_other_foot_passes(treadmill: bool) -> None:
+    """By the rule, a swing is half of a cosine from half a stride behind to half a stride ahead: it passes in its middle."""
+    found = midstances(find_events(stepping(treadmill=treadmill)))
+    assert len(found) > 8 and {event.side for event in found} == {"L", "R"}
+    for event in found:
+        # the left foot begins at phase 0, so that the right, half a cycle ahead, swings in the middle of its stance
+        phase = (event.time / TIME + (0.0 if event.side == "L" else 0.5)) % 1.0
+        assert phase == pytest.approx(STANCE + (1 - STANCE) / 2 - 0.5, abs=0.01) and 0.001 < event.sigma < 0.01
+
+
+def test_symmetry_is_of_both_sides_and_signed() -> None:
+    walk = stepping()
+    parameters = parameters_of(walking := find_events(walk), cycles_of(walking))
+    assert {one.name for one in symmetries(parameters)} == {"step time", "step length", "stance", "swing", "single support"}
+    assert all(abs(one.value) < 3 * one.sigma + 0.5 for one in symmetries(parameters))
+    longer = [replace(one, value=1.2 * one.value) if (one.name, one.side) == ("step length", "L") else one for one in parameters]
+    more = {one.name: one.value for one in symmetries(longer)}["step length"]
+    assert more == pytest.approx(100 * 0.2 / 1.1, abs=1.0)
+    assert symmetries([one for one in parameters if one.side == "L"]) == []
 
 
 def test_events_alternate_and_each_foot_leaves_after_it_struck() -> None:

@@ -13,7 +13,7 @@ import asterism
 from asterism import Recording
 from asterism.cli import main
 from asterism.formats import ModelPoint, force_plates, write_model_outputs
-from asterism.gait import GaitAnalysis, analyse_gait, model_points, write_gait_c3d
+from asterism.gait import GaitAnalysis, analyse_gait, midstances, model_points, write_gait_c3d
 from asterism.motion.clinical import Kinetics
 from asterism.recording.filled import GapFill, logged_fills
 from asterism.simulation import simulate_walks
@@ -137,7 +137,7 @@ def test_events_and_parameters_replace_those_of_the_same_name(tmp_path: Path) ->
     analysis = analysis_of(walk_file(tmp_path / "walk.c3d"))
     write_gait_c3d(tmp_path / "out.c3d", analysis)
     new = ezc3d.c3d(str(tmp_path / "out.c3d"))["parameters"]
-    event, found = new["EVENT"], analysis.walking.events
+    event, found = new["EVENT"], (*analysis.walking.events, *midstances(analysis.walking))
     told = list(zip(event["LABELS"]["value"], event["CONTEXTS"]["value"], event["TIMES"]["value"][1].round(4), strict=True))
     expected = [(one.label, {"L": "Left", "R": "Right"}[one.side], round(one.time, 4)) for one in found]
     # the strikes at 1.0 and 1.7 s are gone; what is no gait event, or outside the frames, is not
@@ -146,7 +146,7 @@ def test_events_and_parameters_replace_those_of_the_same_name(tmp_path: Path) ->
     np.testing.assert_allclose([one[2] for one in told], [one[2] for one in expected], atol=1e-4)
     assert dict(zip(event["LABELS"]["value"], event["DESCRIPTIONS"]["value"], strict=True))["Event"] == "a door opens"
     icons = dict(zip(event["LABELS"]["value"], event["ICON_IDS"]["value"], strict=True))
-    assert icons == {"Foot Strike": 1, "Foot Off": 2, "Event": 0}
+    assert icons == {"Foot Strike": 1, "Foot Off": 2, "Event": 0, "Midstance": 0}
     table = new["ANALYSIS"]
     values = dict(zip(zip(table["NAMES"]["value"], table["CONTEXTS"]["value"], strict=True), table["VALUES"]["value"], strict=True))
     assert values["GDI", "Left"] == 91.0 and 90 < values["Cadence", "Left"] < 140

@@ -120,8 +120,6 @@ def show(path: Path, clinical: ClinicalAngles | None, known: ClinicalUncertainty
         ]
         _console.table(f"{path}: largest standard uncertainties", head, rows)
         _console.result(TRIED_ON)
-    for finding in clinical.findings:
-        _console.result(str(finding))
 
 
 def columns(wide: bool) -> list[str]:

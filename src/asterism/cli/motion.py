@@ -146,12 +146,13 @@ def _analysed(
     path: Path, options: MotionOptions, cameras: Cameras, rules: MotionRules, static: Recording | None, batch: _console.Batch
 ) -> MotionResult:
     """Analyse one file, and print what was found."""
+    from asterism.cli._recordings import one_person
     from asterism.motion.analysis import analyse_motion
     from asterism.motion.clinical import exchanged_finding
     from asterism.motion.uncertainty import estimate_uncertainty
 
     # unlabelled points serve: limbs are what moves together
-    recording = read_points(path, options.vertical, batch)
+    recording = one_person(read_points(path, options.vertical, batch), batch)
     measures, doubtful = _clinical.measures_of(recording, static, options.measure)
     limbs, clinical = _limbs(options, recording), _clinical.find(recording, options.anatomy, measures)
     with _console.progress("motion") as progress:
@@ -164,7 +165,8 @@ def _analysed(
             legs = _clinical.certain(recording, clinical, _of_legs(options, cameras, recording, certain), options.seed, trials)
     # what is uncertain about the angles is said beside what is wrong with the points
     sides = exchanged_finding(recording) if clinical is not None else []
-    for finding in [*analysis.findings, *sides, *doubtful, *(certain.findings if certain else ())]:
+    lacking = clinical.findings if clinical is not None else ()
+    for finding in [*analysis.findings, *sides, *doubtful, *lacking, *(certain.findings if certain else ())]:
         batch.found(finding)
     if options.json != "-":
         show(path, analysis, certain)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from asterism.formats._columns import wanted_columns
     from asterism.formats._computed import computed_labels, without_computed
     from asterism.formats._programs import PROGRAMS, for_program, write_for_program
+    from asterism.formats._units import unlike_a_person
     from asterism.formats._vertical import vertical_from_positions
     from asterism.formats.c3d.outputs import AnalysisValue, ModelPoint, write_model_outputs
     from asterism.formats.c3d.plates import force_plates
@@ -52,6 +53,7 @@ __all__ = [
     "read_confidence",
     "read_evidence",
     "read_table",
+    "unlike_a_person",
     "vertical_from_positions",
     "wanted_columns",
     "without_computed",
@@ -66,6 +68,7 @@ __all__ = [
 _MODULE_OF = {
     "force_plates": "c3d.plates",
     **dict.fromkeys(("AnalysisValue", "ModelPoint", "write_model_outputs"), "c3d.outputs"),
+    "unlike_a_person": "_units",
     "vertical_from_positions": "_vertical",
     "wanted_columns": "_columns",
     **dict.fromkeys(("computed_labels", "without_computed"), "_computed"),

@@ -3,11 +3,11 @@
 from asterism.gait.analysis import GaitAnalysis, analyse_gait
 from asterism.gait.bands import Band, ProfileScore, band_of, profile_scores
 from asterism.gait.comparison import ParameterChange, compare_sessions
-from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
+from asterism.gait.cycles import POINTS, Cycle, cycles_of, midstances, over_cycle
 from asterism.gait.events import EventRules, GaitEvent, Walking, find_events, plate_contacts
 from asterism.gait.feet import Feet, feet_of
 from asterism.gait.outputs import analysis_values, model_points, write_gait_c3d
-from asterism.gait.parameters import PARAMETERS, Parameter, ParameterSummary, parameters_of, summarise
+from asterism.gait.parameters import PARAMETERS, Parameter, ParameterSummary, Symmetry, parameters_of, summarise, symmetries
 
 __all__ = [
     "PARAMETERS",
@@ -22,6 +22,7 @@ __all__ = [
     "ParameterChange",
     "ParameterSummary",
     "ProfileScore",
+    "Symmetry",
     "Walking",
     "analyse_gait",
     "analysis_values",
@@ -30,11 +31,13 @@ __all__ = [
     "cycles_of",
     "feet_of",
     "find_events",
+    "midstances",
     "model_points",
     "over_cycle",
     "parameters_of",
     "plate_contacts",
     "profile_scores",
     "summarise",
+    "symmetries",
     "write_gait_c3d",
 ]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asterism.gait.analysis import GaitAnalysis
+from asterism.gait.cycles import midstances
 from asterism.gait.events import SIDE_NAMES
 from asterism.gait.parameters import Parameter, summarise
 from asterism.geometry import z_up_rotation
@@ -48,9 +49,9 @@ _TRUNK = ("CLAV", "C7", "STRN", "T10")
 def write_gait_c3d(path: str | Path, analysis: GaitAnalysis) -> list[str]:
     """Write a copy of the recording with what was found, whole or not at all; a file at `path` is replaced.
 
-    Points by Plug-in-Gait's names in the lists ANGLES, MOMENTS, POWERS, FORCES and MODELED_MARKERS of the group POINT; strikes and offs in
-    the group EVENT; parameters, the mean over the cycles of each side, in the group ANALYSIS. What the file had under the same name is
-    replaced; everything else stays. Written again from its own output, the file is the same. O(T).
+    Points by Plug-in-Gait's names are in the lists ANGLES, MOMENTS, POWERS, FORCES and MODELED_MARKERS of the group POINT; strikes, offs
+    and midstances in the group EVENT; parameters, the mean over the cycles of each side, in the group ANALYSIS. What the file had under the
+    same name is replaced; everything else stays. Written again from its own output, the file is the same. O(T).
 
     Returns what a reader of the file must know. Raises AsterismError where the file cannot be written.
     """
@@ -65,7 +66,8 @@ def recorded(analysis: GaitAnalysis) -> Recording:
     Events of the same name and side are replaced, as far as they lie within the frames; no recording can tell of those outside.
     """
     recording = analysis.recording
-    found = analysis.walking.to_events(recording)
+    walking = analysis.walking
+    found = replace(walking, events=(*walking.events, *midstances(walking))).to_events(recording)
     begin, end = recording.times[[0, -1]] + np.array([-0.5, 0.5]) / recording.rate
     told = {_key(event) for event in found}
     kept = [event for event in recording.events if _key(event) not in told or not begin <= event.time <= end]

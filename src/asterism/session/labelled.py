@@ -57,6 +57,11 @@ class LabelledFile:
         return self.labelling.verdict
 
     @property
+    def given(self) -> int:
+        """Number of labels in all frames."""
+        return int((self.labelling.indices >= 0).sum())
+
+    @property
     def clouds(self) -> Clouds:
         """The points that were labelled. Of a recording that is not in memory, as many points, which are nowhere."""
         return self.copy.clouds
@@ -85,7 +90,7 @@ class LabelledFile:
     def findings(self) -> tuple[Finding, ...]:
         """What a person should know before they use the labels: the same behind every door."""
         # a file without any label has its own finding, which says more
-        if self.readiness.kind != DO_NOT_USE or not (self.labelling.indices >= 0).any():
+        if self.readiness.kind != DO_NOT_USE or not self.given:
             return self.found
         sentence = f"{self.path}: {100 * self.readiness.error:.0f} % of the labels are expected to be wrong or missing, do not use them."
         # a model has its own marker set

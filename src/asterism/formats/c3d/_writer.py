@@ -357,7 +357,8 @@ def _labels(
                 f"{target}: {label} would occur twice, as a marker and as a point of the file that was not read; "
                 "read the file with a marker set that has it, or rename it."
             )
-        labels.append((label if is_unnamed(label) else prefix + label).encode("utf-8"))
+        # The names of several people say whose they are.
+        labels.append((label if is_unnamed(label) or ":" in label else prefix + label).encode("utf-8"))
     return labels
 
 

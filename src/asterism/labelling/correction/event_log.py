@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from asterism.labelling.marker_model import MarkerModel
 
 FORMAT, VERSION = "asterism-corrections", 1
-SUFFIX = ".asterism-log.jsonl"
+SUFFIX, NAMES_SUFFIX = ".asterism-log.jsonl", ".asterism-names.jsonl"
+"""Of the log of corrections, and of that of names for groups of points."""
 UNDO, REDO, SAVED, RELABELLED = "undo", "redo", "saved", "relabelled"
 
 _ATTEMPTS = 5
@@ -56,9 +57,9 @@ def hash_of_model(model: MarkerModel) -> str:
     return digest.hexdigest()
 
 
-def log_path(file: Path, folder: Path | None = None) -> Path:
+def log_path(file: Path, folder: Path | None = None, suffix: str = SUFFIX) -> Path:
     """Where the log of a recording's file is: beside it, or in a folder."""
-    return (file.parent if folder is None else folder) / f"{file.name}{SUFFIX}"
+    return (file.parent if folder is None else folder) / f"{file.name}{suffix}"
 
 
 class CorrectionLog:

@@ -85,6 +85,7 @@
     // After the recording's labels have changed.
     relabelled() {
       this.recording.index();
+      this.scene.renamed();
       this.showLegend();
       this.redraw();
     }

@@ -40,14 +40,20 @@
 
     take(recording, body) {
       Object.assign(this, { recording, body });
-      this.short = recording.names.map(name => Asterism.plainText(name, LONGEST_NAME));
-      this.widths = new Map();
+      this.renamed();
       this.camera.size = body.size;
       const most = recording.offsets.reduce((high, from, t) => t ? Math.max(high, from - recording.offsets[t - 1]) : 0, 0);
       this.places = new Float32Array(3 * most);
-      this.of = new Int32Array(recording.names.length);
       this.home = body.origin(Math.floor(recording.frames / 2));
       this.chosen = null;
+    }
+
+    // After the names of the recording's markers have changed.
+    renamed() {
+      const { names } = this.recording;
+      this.short = names.map(name => Asterism.plainText(name, LONGEST_NAME));
+      this.widths = new Map();
+      this.of = new Int32Array(names.length);
     }
 
     resize() {

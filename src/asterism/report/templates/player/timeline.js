@@ -38,11 +38,11 @@
   }
 
   // What the colours mean, of those that are drawn: [class, colour, text].
-  function meanings({ codes }, bars, { codes: shade, rest, ghost }) {
+  function meanings({ codes, given: text }, bars, { codes: shade, rest, ghost }) {
     const used = new Set(codes), given = [...used].some(code => code !== HIDDEN && code !== UNSURE && code !== PERSON && code !== WRONG);
     const scale = `linear-gradient(90deg, ${shade[Asterism.LOWEST]}, ${shade[Asterism.HIGHEST]})`;
     return [
-      ...(given ? [["", scale, `labelled, darker is surer`]] : []),
+      ...(given ? [["", scale, text]] : []),
       ...[[PERSON, "said by you"], [WRONG, "wrong label"], [UNSURE, "unsure: a point without a name may be it"], [HIDDEN, "hidden"]]
         .filter(([code]) => used.has(code)).map(([code, text]) => ["", shade[code], text]),
       ...(bars.some(bar => !bar.ghost) ? [["points", rest, "points without a label"]] : []), ...(bars.some(bar => bar.ghost) ? [["points", ghost, "ghosts"]] : []),
@@ -83,10 +83,11 @@
     }
 
     // rows [{name, share}], codes: rows x columns, each of `block` frames; bars [{first, last, ghost}] of points without a label, below
-    set({ rows, codes, columns, block = 1, frames, number = frame => frame, bars = [], keepWindow = false }) {
+    // given: what the colour of a label means
+    set({ rows, codes, columns, block = 1, frames, number = frame => frame, bars = [], keepWindow = false, given = "labelled, darker is surer" }) {
       const before = this.data;
       this.tip.hidden = true;
-      this.data = { rows, codes, columns, block, frames, number, names: rows.map(row => Asterism.plainText(row.name, 30)) };
+      this.data = { rows, codes, columns, block, frames, number, given, names: rows.map(row => Asterism.plainText(row.name, 30)) };
       this.bars = bars;
       this.lanes = lanes(bars.map(bar => bar.first), bars.map(bar => bar.last));
       if (!keepWindow || !before || before.frames !== frames) this.window = [0, Math.max(frames, 1)];
