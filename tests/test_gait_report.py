@@ -105,7 +105,7 @@ def test_bands_of_controls_and_of_the_measurement_are_told_apart() -> None:
 
 def test_a_difference_counts_where_it_is_larger_than_chance() -> None:
     def cycles(values: list[float], sigma: float) -> list[Parameter]:
-        return [Parameter("stance", "L", value, sigma, 0.0) for value in values]
+        return [Parameter("stance", "L", value, sigma, 0.0, 1.0) for value in values]
 
     same = compare_sessions(cycles([60.0, 62.0, 64.0], 0.1), cycles([61.0, 63.0, 65.0], 0.1))[0]
     assert same.difference == pytest.approx(1.0) and same.interval > 3 and not same.exceeds

@@ -34,14 +34,23 @@ class GaitOptions:
     level_head: Annotated[
         bool, typer.Option("--level-head", help="With --static: the person looks straight ahead; the head's tilt is taken off.")
     ] = False
+    table: Annotated[
+        Path | None,
+        typer.Option(
+            "--table",
+            metavar="FILE",
+            help="Write all numbers, with their uncertainty and frames: events, parameters, curves, extremes; CSV or .parquet.",
+            show_default=False,
+        ),
+    ] = None
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write the parameters of each cycle as CSV.", show_default=False),
+        typer.Option("--output", "-o", metavar="FILE", help="Of this table, write the parameters alone.", show_default=False),
     ] = None
     curves: Annotated[
         Path | None,
         typer.Option(
-            "--curves", metavar="FILE", help="Write angles, moments and powers of each cycle, 0 to 100 %, as CSV.", show_default=False
+            "--curves", metavar="FILE", help="Of this table, write angles, moments and powers from 0 to 100 % alone.", show_default=False
         ),
     ] = None
     c3d: Annotated[
@@ -86,9 +95,14 @@ def gait(options: GaitOptions) -> None:
     """
     from asterism.cli._folders import trials
     from asterism.gait import Band
+    from asterism.gait.tables import check_table
 
-    outputs = [options.report, options.json, options.output, options.curves, options.save_band]
+    tables = [options.table, options.output, options.curves]
+    outputs = [options.report, options.json, *tables, options.save_band]
     _console.check_outputs(outputs, [*options.files, options.static, options.band], options.overwrite)
+    for given in tables:
+        if given is not None:
+            check_table(given)
     # what is wrong with the options is told before any file is read
     _clinical.given_measures(options.measure)
     fill_limit(options.fill)
@@ -150,7 +164,7 @@ def write_results(
     copies: Mapping[Path, Path],
 ) -> None:
     """Write what the options ask for of at least one analysis."""
-    from asterism.gait import band_of, profile_scores
+    from asterism.gait import band_of, gait_table, profile_scores
     from asterism.recording import subject_of
 
     analyses = [analysis for _, analysis in results]
@@ -161,12 +175,15 @@ def write_results(
     if options.save_band is not None:
         people = [subject_of(analysis.recording) or str(path.parent) for path, analysis in results]
         band_of(analyses, people).save(options.save_band)
-    if options.output is not None:
-        _console.write_csv(
-            options.output, ["file", "side", "begins_s", "parameter", "value", "uncertainty", "unit"], _parameter_rows(results)
-        )
-    if options.curves is not None:
-        _console.write_csv(options.curves, _CURVE_COLUMNS, _curve_rows(results))
+    if options.table is not None or options.output is not None or options.curves is not None:
+        everything = gait_table([(str(path), one) for path, one in results], curves=options.table is not None or options.curves is not None)
+        for given, kinds in (
+            (options.table, ()),
+            (options.output, ("parameter", "mean", "symmetry")),
+            (options.curves, ("curve", "maximum", "minimum")),
+        ):
+            if given is not None:
+                (everything.of(*kinds) if kinds else everything).write(given)
     if options.report is not None:
         from asterism.recording.display import short_names
         from asterism.report.gait import gait_report
@@ -239,44 +256,6 @@ def show(path: Path, analysis: GaitAnalysis) -> None:
     )
     if rows:
         _console.table(f"{path}: gait parameters (cycles)", ["parameter", "unit", "left", "right", "left more, %"], rows)
-
-
-def _parameter_rows(results: list[tuple[Path, GaitAnalysis]]) -> list[list[Any]]:
-    from asterism.gait import PARAMETERS
-
-    return [
-        [path, one.side, f"{one.begins:.4f}", one.name, f"{one.value:.5g}", f"{one.sigma:.2g}", PARAMETERS[one.name]]
-        for path, analysis in results
-        for one in analysis.parameters
-    ]
-
-
-_CURVE_COLUMNS = ["file", "side", "cycle", "curve", "unit", "percent", "x", "y", "z"]
-
-
-def _curve_rows(results: list[tuple[Path, GaitAnalysis]]) -> list[list[Any]]:
-    """Angles, then moments, powers (x alone) and the ground's force; each over its own cycles."""
-    import numpy as np
-
-    rows: list[list[Any]] = []
-    for path, analysis in results:
-        per_kg = analysis.kinetics is not None and analysis.kinetics.per_kg
-        angles = {name: (np.degrees(curves), "deg") for name, curves in analysis.curves.items()}
-        loads = {name: (curves, load_unit(name, per_kg)) for name, curves in analysis.loads.items()}
-        for name, (curves, unit) in (angles | loads).items():
-            for number, curve in enumerate(curves):
-                for percent, values in enumerate(curve):
-                    cells = ["" if np.isnan(value) else f"{value:.3f}" for value in values]
-                    rows.append(
-                        [path, name[0], number + 1, name[1:].removesuffix("Angles"), unit, percent, *cells, *[""] * (3 - len(cells))]
-                    )
-    return rows
-
-
-def load_unit(name: str, per_kg: bool) -> str:
-    """The unit of a moment, power or force by Plug-in-Gait's name."""
-    unit = "N m" if name.endswith("Moment") else "W" if name.endswith("Power") else "N"
-    return f"{unit}/kg" if per_kg else unit
 
 
 def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from asterism.gait.events import EventRules, GaitEvent, Walking, find_events, pl
 from asterism.gait.feet import Feet, feet_of
 from asterism.gait.outputs import analysis_values, model_points, write_gait_c3d
 from asterism.gait.parameters import PARAMETERS, Parameter, ParameterSummary, Symmetry, parameters_of, summarise, symmetries
+from asterism.gait.tables import GaitTable, gait_table
 
 __all__ = [
     "PARAMETERS",
@@ -18,6 +19,7 @@ __all__ = [
     "Feet",
     "GaitAnalysis",
     "GaitEvent",
+    "GaitTable",
     "Parameter",
     "ParameterChange",
     "ParameterSummary",
@@ -31,6 +33,7 @@ __all__ = [
     "cycles_of",
     "feet_of",
     "find_events",
+    "gait_table",
     "midstances",
     "model_points",
     "over_cycle",
