@@ -206,7 +206,7 @@ def write_results(
     results: list[tuple[Path, GaitAnalysis]],
     band: Band | None,
     batch: _console.Batch,
-    copies: Mapping[Path, Path],
+    copies: Mapping[Path, Path] | None = None,
     compared: Sequence[tuple[Path, GaitAnalysis]] = (),
 ) -> None:
     """Write what the options ask for of at least one analysis, and of those of a second session that are compared with it."""
@@ -222,14 +222,14 @@ def write_results(
         people = [subject_of(analysis.recording) or str(path.parent) for path, analysis in results]
         band_of(analyses, people).save(options.save_band)
     _write_tables(options, [*results, *compared])
-    changes = _changes(results, list(compared))
+    changes = _changes(results, compared)
     if compared and options.json != "-":
         _show_changes(changes)
     if options.report is not None or options.pdf is not None:
-        _write_pages(options, results, list(compared), band, batch)
+        _write_pages(options, results, compared, band, batch)
     content = {
         "command": "gait",
-        "files": [{"file": path, "c3d": copies.get(path), **as_dict(analysis)} for path, analysis in results],
+        "files": [{"file": path, "c3d": (copies or {}).get(path), **as_dict(analysis)} for path, analysis in results],
         "scores": [
             {
                 "side": score.side,
@@ -238,7 +238,7 @@ def write_results(
             }
             for score in scores
         ],
-        "compared": [{"file": path, "c3d": copies.get(path), **as_dict(analysis)} for path, analysis in compared],
+        "compared": [{"file": path, "c3d": (copies or {}).get(path), **as_dict(analysis)} for path, analysis in compared],
         "changes": changes,
         "failed": batch.failed,
         "findings": [finding.to_dict() for finding in batch.findings],
@@ -246,7 +246,7 @@ def write_results(
     _console.write_json(options.json, content)
 
 
-def _changes(results: list[tuple[Path, GaitAnalysis]], compared: list[tuple[Path, GaitAnalysis]]) -> list[dict[str, Any]]:
+def _changes(results: list[tuple[Path, GaitAnalysis]], compared: Sequence[tuple[Path, GaitAnalysis]]) -> list[dict[str, Any]]:
     """How parameters of the second session differ from those of the first, as JSON has it."""
     from asterism.gait import PARAMETERS, compare_sessions
 
@@ -286,7 +286,7 @@ def _show_changes(changes: Sequence[Mapping[str, Any]]) -> None:
 def _write_pages(
     options: GaitOptions,
     results: list[tuple[Path, GaitAnalysis]],
-    compared: list[tuple[Path, GaitAnalysis]],
+    compared: Sequence[tuple[Path, GaitAnalysis]],
     band: Band | None,
     batch: _console.Batch,
 ) -> None:
