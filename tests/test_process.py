@@ -152,8 +152,8 @@ def test_two_runs_do_not_write_to_one_folder(session: Path, tmp_path: Path, caps
 def test_settings_of_a_folder_hold_below_it(tmp_path: Path) -> None:
     inner = tmp_path / "people" / "ann"
     inner.mkdir(parents=True)
-    (tmp_path / "people" / "asterism.toml").write_text('markers = "cmu"\nleave_out = ["wand*"]\nperson = "x"\n[measures]\nBodyMass = 50')
-    (inner / "asterism.toml").write_text('markers = "helen-hayes"\n[measures]\nLKneeWidth = 102.5\n')
+    (tmp_path / "people" / "session.toml").write_text('markers = "cmu"\nleave_out = ["wand*"]\nperson = "x"\n[measures]\nBodyMass = 50')
+    (inner / "session.toml").write_text('markers = "helen-hayes"\n[measures]\nLKneeWidth = 102.5\n')
     files = [(inner / name, Path("ann") / name) for name in ("wand 1.c3d", "walk.c3d")]
     (person,) = plan_session(files, [tmp_path / "people"])
     assert [trial.path.name for trial in person.trials] == ["walk.c3d"]
@@ -173,7 +173,7 @@ def test_settings_of_a_folder_hold_below_it(tmp_path: Path) -> None:
     ],
 )
 def test_settings_that_cannot_be_used_are_told(text: str, said: str, tmp_path: Path) -> None:
-    (tmp_path / "asterism.toml").write_text(text)
+    (tmp_path / "session.toml").write_text(text)
     with pytest.raises(AsterismError, match=said):
         plan_session([(tmp_path / "walk.c3d", Path("walk.c3d"))], [tmp_path])
 

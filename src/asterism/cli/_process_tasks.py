@@ -232,7 +232,7 @@ def _analysis(
 
     def write() -> None:
         table.parent.mkdir(parents=True, exist_ok=True)
-        write_results(GaitOptions(files=[], output=table, overwrite=True), parameters, None, _Kept(), {})
+        write_results(GaitOptions(files=[], output=table, overwrite=True), parameters, None, _Kept())
         for one in writers:
             one()
 
@@ -242,7 +242,7 @@ def _analysis(
 def _write_page(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]], band: Band | None) -> None:
     assert options.report is not None
     options.report.parent.mkdir(parents=True, exist_ok=True)
-    write_results(options, results, band, _Kept(), {})
+    write_results(options, results, band, _Kept())
 
 
 def _below(folder: Path, path: Path) -> str:

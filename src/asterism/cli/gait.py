@@ -192,8 +192,8 @@ def write_results(
     results: list[tuple[Path, GaitAnalysis]],
     band: Band | None,
     batch: _console.Batch,
-    copies: Mapping[Path, Path],
-    compared: list[tuple[Path, GaitAnalysis]],
+    copies: Mapping[Path, Path] | None = None,
+    compared: Sequence[tuple[Path, GaitAnalysis]] = (),
 ) -> None:
     """Write what the options ask for of at least one analysis, and of those of a second session that are compared with it."""
     from asterism.gait import band_of, profile_scores
@@ -219,7 +219,7 @@ def write_results(
         _write_pages(options, results, compared, band, batch)
     content = {
         "command": "gait",
-        "files": [{"file": path, "c3d": copies.get(path), **as_dict(analysis)} for path, analysis in results],
+        "files": [{"file": path, "c3d": (copies or {}).get(path), **as_dict(analysis)} for path, analysis in results],
         "scores": [
             {
                 "side": score.side,
@@ -228,7 +228,7 @@ def write_results(
             }
             for score in scores
         ],
-        "compared": [{"file": path, "c3d": copies.get(path), **as_dict(analysis)} for path, analysis in compared],
+        "compared": [{"file": path, "c3d": (copies or {}).get(path), **as_dict(analysis)} for path, analysis in compared],
         "changes": changes,
         "failed": batch.failed,
         "findings": [finding.to_dict() for finding in batch.findings],
@@ -236,7 +236,7 @@ def write_results(
     _console.write_json(options.json, content)
 
 
-def _changes(results: list[tuple[Path, GaitAnalysis]], compared: list[tuple[Path, GaitAnalysis]]) -> list[dict[str, Any]]:
+def _changes(results: list[tuple[Path, GaitAnalysis]], compared: Sequence[tuple[Path, GaitAnalysis]]) -> list[dict[str, Any]]:
     """How parameters of the second session differ from those of the first, as JSON has it."""
     from asterism.gait import PARAMETERS, compare_sessions
 
@@ -276,7 +276,7 @@ def _show_changes(changes: Sequence[Mapping[str, Any]]) -> None:
 def _write_pages(
     options: GaitOptions,
     results: list[tuple[Path, GaitAnalysis]],
-    compared: list[tuple[Path, GaitAnalysis]],
+    compared: Sequence[tuple[Path, GaitAnalysis]],
     band: Band | None,
     batch: _console.Batch,
 ) -> None:

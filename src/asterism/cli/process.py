@@ -74,7 +74,7 @@ def process(options: ProcessOptions) -> None:
     recordings (session.csv), one of all parameters (parameters.csv), and a page on all (index.html).
 
     A run that was stopped goes on where it was. What was corrected since (`asterism review --serve`) stays, and what depends on it is made
-    anew. A file asterism.toml in a folder says otherwise for it and those below: person, model, markers, static, vertical, fill, leave_out
+    anew. A file session.toml in a folder says otherwise for it and those below: person, model, markers, static, vertical, fill, leave_out
     (patterns of files that are no trials) and a table of measures.
     """
     batch = _console.Batch("processed")

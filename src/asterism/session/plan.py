@@ -17,13 +17,13 @@ from asterism.errors import AsterismError
 from asterism.files.toml import read_toml
 from asterism.session.standing import is_standing_name, person_prefix
 
-SETTINGS = "asterism.toml"
+SETTINGS = "session.toml"
 """The file in a folder that says how its recordings are processed, and those of the folders below it."""
 
 
 @dataclass(frozen=True)
 class FolderSettings:
-    """What the files `asterism.toml` of a folder and of those above it say; the nearer one counts.
+    """What the files `session.toml` of a folder and of those above it say; the nearer one counts.
 
     person     what reports call the person; by default the folder's path below the session
     model      that labels
