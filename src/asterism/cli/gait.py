@@ -415,6 +415,14 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
             for column in np.flatnonzero(np.isfinite(deviation).any(axis=0))
         },
         "fill_sigmas_deg": {name: np.round(np.degrees(sigmas), 3) for name, sigmas in analysis.fill_sigmas.items() if np.any(sigmas > 0.0)},
+        "bands_deg": {
+            name: {
+                "low": np.round(np.degrees(band.low), 3),
+                "high": np.round(np.degrees(band.high), 3),
+                "standard": {source: np.round(np.degrees(part), 3) for source, part in band.standard.items()},
+            }
+            for name, band in analysis.bands.items()
+        },
         "curves_deg": {name: np.round(np.degrees(curves), 3) for name, curves in analysis.curves.items()},
         "loads": {name: np.round(curves, 4) for name, curves in analysis.loads.items()},
         "loads_per_kg": analysis.kinetics is not None and analysis.kinetics.per_kg,
