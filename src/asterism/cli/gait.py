@@ -35,14 +35,23 @@ class GaitOptions:
     level_head: Annotated[
         bool, typer.Option("--level-head", help="With --static: the person looks straight ahead; the head's tilt is taken off.")
     ] = False
+    table: Annotated[
+        Path | None,
+        typer.Option(
+            "--table",
+            metavar="FILE",
+            help="Write all numbers, with their uncertainty and frames: events, parameters, curves, extremes; CSV or .parquet.",
+            show_default=False,
+        ),
+    ] = None
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write the parameters of each cycle as CSV.", show_default=False),
+        typer.Option("--output", "-o", metavar="FILE", help="Of this table, write the parameters alone.", show_default=False),
     ] = None
     curves: Annotated[
         Path | None,
         typer.Option(
-            "--curves", metavar="FILE", help="Write angles, moments and powers of each cycle, 0 to 100 %, as CSV.", show_default=False
+            "--curves", metavar="FILE", help="Of this table, write angles, moments and powers from 0 to 100 % alone.", show_default=False
         ),
     ] = None
     c3d: Annotated[
@@ -103,10 +112,15 @@ def gait(options: GaitOptions) -> None:
     """
     from asterism.cli._folders import trials
     from asterism.gait import Band
+    from asterism.gait.tables import check_table
 
+    tables = [options.table, options.output, options.curves]
     inputs = [options.static, options.compare_static, options.band]
-    outputs = [options.report, options.json, options.output, options.curves, options.save_band, options.pdf]
+    outputs = [options.report, options.json, *tables, options.save_band, options.pdf]
     _console.check_outputs(outputs, [*options.files, *options.compare, *inputs], options.overwrite)
+    for given in tables:
+        if given is not None:
+            check_table(given)
     _check_sessions(options)
     # what is wrong with the options is told before any file is read
     _clinical.given_measures(options.measure)
@@ -212,11 +226,7 @@ def write_results(
     if options.save_band is not None:
         people = [subject_of(analysis.recording) or str(path.parent) for path, analysis in results]
         band_of(analyses, people).save(options.save_band)
-    if options.output is not None:
-        head = ["file", "side", "begins_s", "parameter", "value", "uncertainty", "unit"]
-        _console.write_csv(options.output, head, _parameter_rows([*results, *compared]))
-    if options.curves is not None:
-        _console.write_csv(options.curves, _CURVE_COLUMNS, _curve_rows([*results, *compared]))
+    _write_tables(options, [*results, *compared])
     changes = _changes(results, compared)
     if compared and options.json != "-":
         _show_changes(changes)
@@ -319,6 +329,18 @@ def _several_people(analyses: Sequence[GaitAnalysis]) -> Finding | None:
     return Finding("gait-several-people", Severity.WARNING, "report", sentence, "Give the walks of one person.")
 
 
+def _write_tables(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]]) -> None:
+    """The table of all numbers, and its parts, as far as they are asked for."""
+    from asterism.gait import gait_table
+
+    parts = {options.output: ("parameter", "mean", "symmetry"), options.curves: ("curve", "maximum", "minimum"), options.table: ()}
+    asked = {given: kinds for given, kinds in parts.items() if given is not None}
+    if asked:
+        everything = gait_table([(str(path), one) for path, one in results], curves=set(asked) != {options.output})
+        for given, kinds in asked.items():
+            (everything.of(*kinds) if kinds else everything).write(given)
+
+
 def _copies(walks: Sequence[Trial], folder: Path, others: Sequence[Path | None]) -> dict[Path, Path]:
     """Where the copy of each walk goes. Raises AsterismError where it would be an input, or two walks would have the same."""
     from asterism.cli._folders import outputs_of
@@ -371,44 +393,6 @@ def show(path: Path, analysis: GaitAnalysis) -> None:
         _console.table(f"{path}: gait parameters (cycles)", ["parameter", "unit", "left", "right", "left more, %"], rows)
 
 
-def _parameter_rows(results: list[tuple[Path, GaitAnalysis]]) -> list[list[Any]]:
-    from asterism.gait import PARAMETERS
-
-    return [
-        [path, one.side, f"{one.begins:.4f}", one.name, f"{one.value:.5g}", f"{one.sigma:.2g}", PARAMETERS[one.name]]
-        for path, analysis in results
-        for one in analysis.parameters
-    ]
-
-
-_CURVE_COLUMNS = ["file", "side", "cycle", "curve", "unit", "percent", "x", "y", "z"]
-
-
-def _curve_rows(results: list[tuple[Path, GaitAnalysis]]) -> list[list[Any]]:
-    """Angles, then moments, powers (x alone) and the ground's force; each over its own cycles."""
-    import numpy as np
-
-    rows: list[list[Any]] = []
-    for path, analysis in results:
-        per_kg = analysis.kinetics is not None and analysis.kinetics.per_kg
-        angles = {name: (np.degrees(curves), "deg") for name, curves in analysis.curves.items()}
-        loads = {name: (curves, load_unit(name, per_kg)) for name, curves in analysis.loads.items()}
-        for name, (curves, unit) in (angles | loads).items():
-            for number, curve in enumerate(curves):
-                for percent, values in enumerate(curve):
-                    cells = ["" if np.isnan(value) else f"{value:.3f}" for value in values]
-                    rows.append(
-                        [path, name[0], number + 1, name[1:].removesuffix("Angles"), unit, percent, *cells, *[""] * (3 - len(cells))]
-                    )
-    return rows
-
-
-def load_unit(name: str, per_kg: bool) -> str:
-    """The unit of a moment, power or force by Plug-in-Gait's name."""
-    unit = "N m" if name.endswith("Moment") else "W" if name.endswith("Power") else "N"
-    return f"{unit}/kg" if per_kg else unit
-
-
 def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
     """The analysis as JSON has it: seconds from the first frame, degrees; loads in N m/kg, W/kg and N/kg, or N m, W and N."""
     import dataclasses
@@ -439,6 +423,14 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
             for column in np.flatnonzero(np.isfinite(deviation).any(axis=0))
         },
         "fill_sigmas_deg": {name: np.round(np.degrees(sigmas), 3) for name, sigmas in analysis.fill_sigmas.items() if np.any(sigmas > 0.0)},
+        "bands_deg": {
+            name: {
+                "low": np.round(np.degrees(band.low), 3),
+                "high": np.round(np.degrees(band.high), 3),
+                "standard": {source: np.round(np.degrees(part), 3) for source, part in band.standard.items()},
+            }
+            for name, band in analysis.bands.items()
+        },
         "curves_deg": {name: np.round(np.degrees(curves), 3) for name, curves in analysis.curves.items()},
         "loads": {name: np.round(curves, 4) for name, curves in analysis.loads.items()},
         "loads_per_kg": analysis.kinetics is not None and analysis.kinetics.per_kg,
