@@ -51,6 +51,7 @@ _EXAMPLES = {
     "name": "asterism name first.c3d --report numbers.html",
     "train": "asterism train labelled/*.c3d -o gait.model --markers helen-hayes",
     "label": "asterism label raw/*.c3d --model gait.model -o labelled",
+    "process": "asterism process people -o results",
     "review": "asterism review raw/*.c3d --model gait.model --report review.html",
     "learn": "asterism learn gait.model corrected/*.c3d -o better.model",
     "evaluate": "asterism evaluate --leave-one-subject-out labelled/*.c3d --markers helen-hayes --occlusions 0 2 4",
@@ -69,7 +70,7 @@ _EXAMPLES = {
 }
 """Each verb, which is a function in a module of its name, and its example."""
 _HEADINGS = {
-    "Every day": ("demo", "name", "train", "label", "review", "learn", "evaluate", "info", "convert", "warm-up"),
+    "Every day": ("demo", "name", "train", "label", "process", "review", "learn", "evaluate", "info", "convert", "warm-up"),
     "Labels and marker sets under test": ("audit", "mend", "capturability"),
     "From your own cameras": ("detect", "calibrate", "reconstruct", "rig", "label-views", "body"),
     "Movement": ("gait", "segment", "motion"),

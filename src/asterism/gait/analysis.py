@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,6 +28,9 @@ from asterism.motion.clinical import (
 )
 from asterism.motion.clinical.plug_in_gait import angles_of
 from asterism.recording import Floats, ForcePlate, Recording, filled_samples
+
+if TYPE_CHECKING:
+    from asterism.gait.intervals import AngleBand
 
 CURVES = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress", "Thorax", "Spine", "Head", "Neck", "Shoulder", "Elbow", "Wrist")
 """Quantities whose angles are drawn over the cycle, by Plug-in-Gait's names."""
@@ -58,6 +63,13 @@ class GaitAnalysis:
     loaded: Mapping[str, tuple[Cycle, ...]] = field(default_factory=dict)
     fill_sigmas: Mapping[str, Floats] = field(default_factory=dict)
     emg: tuple[EmgChannel, ...] = ()
+
+    @cached_property
+    def bands(self) -> Mapping[str, AngleBand]:
+        """95 % bands of the angles, see `angle_bands`; computed when they are first asked for."""
+        from asterism.gait.intervals import angle_bands
+
+        return angle_bands(self)
 
 
 def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measures: SubjectMeasures | None = None) -> GaitAnalysis:

@@ -56,8 +56,8 @@ class EmgRules:
     smooth       Hz, of the low-pass on the rectified signal: at half, the bursts of stance and swing run into each other; at double, single
                  cycles differ twice as much
     least_rate   samples per second. Most of a muscle's power is from 50 to 150 Hz; with half as many none of it is left
-    clipped      share of samples that stay at an end of the range from which a channel is said to be cut off; a whole peak is there for one
-                 sample
+    clipped      share of samples that stay at an end of the range, from which a channel is said to be cut off; a whole peak is there for
+                 one sample
     loose        the same share, from which no electrode can have been on the muscle: a loose cable swings from end to end. At half, one more
                  of 330 channels of eleven children is left out, at double six fewer are
     """
