@@ -232,7 +232,7 @@ def show(path: Path, analysis: GaitAnalysis) -> None:
             )
     where = "treadmill" if analysis.walking.treadmill else "floor"
     sides = [sum(cycle.side == side for cycle in analysis.cycles) for side in "LR"]
-    plates = sum(event.source != "markers" for event in analysis.walking.events)
+    plates = sum(event.source.startswith("plate") for event in analysis.walking.events)
     _console.result(
         f"{path}: {sides[0]} left and {sides[1]} right cycles, on a {where}; {len(analysis.walking.events)} events, "
         f"{plates} of them by force plates."

@@ -13,6 +13,7 @@ from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
 from asterism.gait.events import Walking, find_events, plate_contacts
 from asterism.gait.fills import angles_with_fills, drawn_fills, events_with_fills
 from asterism.gait.parameters import Parameter, parameters_of
+from asterism.gait.said import walking_as_said
 from asterism.motion.clinical import (
     ClinicalAngles,
     Kinetics,
@@ -63,6 +64,7 @@ def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measur
     plates    of the recording (`asterism.formats.force_plates`): they tell events to milliseconds, and moments and powers of the joints
     measures  of the person, such as `with_static_offsets` gives; by default those of the recording's file
 
+    Strikes and offs that a person set, as the recording's log says, are taken in place of those that are found.
     Samples that the recording's log calls filled make events and angles less certain, as far as these depend on them.
     What can be computed is: without the markers of Plug-in-Gait there are parameters and no angles, without a whole cycle events alone.
     Raises AsterismError where feet or pelvis have no markers. O(T).
@@ -77,9 +79,10 @@ def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measur
     draws = list(drawn_fills(recording, deviation)) if np.isfinite(deviation).any() else []
     if draws:
         walking = events_with_fills(walking, draws, lambda draw: find_events(draw, plates))
+    walking = walking_as_said(recording, walking)
     cycles = tuple(cycles_of(walking))
     file, found = str(recording.metadata.get("file", "the recording")), exchanged_finding(recording)
-    if walking.feet.backwards:
+    if walking.feet.backwards and not walking.events:
         sentence = f"{file}: the person goes where the heels point, so that no events are given; they are told of people who walk forwards."
         mend = "Look whether heels and toes carry each other's names, or the time runs backwards; a walk backwards has no events here."
         found.append(Finding("gait-backwards", Severity.WARNING, file, sentence, mend))
