@@ -13,7 +13,7 @@ import typer
 from asterism.cli import _clinical, _console
 from asterism.cli._command import takes
 from asterism.cli._filling import Fill, fill_limit, filled, filled_text
-from asterism.cli._options import Files, Json, Measure, Overwrite, Report, Static, Vertical
+from asterism.cli._options import Files, Hip, Json, LowerBodyChoice, Measure, Overwrite, Report, Static, Vertical
 
 if TYPE_CHECKING:
     from asterism.cli._folders import Trial
@@ -28,6 +28,8 @@ class GaitOptions:
     files: Files
     static: Static = None
     measure: Measure = field(default_factory=list)
+    lower_body: LowerBodyChoice = None
+    hip: Hip = None
     sloped_foot: Annotated[
         bool, typer.Option("--sloped-foot", help="With --static: heel and toe marker count as high as they are, not as equally high.")
     ] = False
@@ -127,9 +129,9 @@ def analysed(
                 recording, found = fill.recording, (*found, *fill.findings)
                 if options.json != "-" and (fill.gaps or fill.findings):
                     _console.result(f"{path}: {filled_text(fill)}.")
-            measures, doubtful = _clinical.measures_of(recording, static, options.measure, rules)
+            measures, doubtful = _clinical.measures_of(recording, static, options.measure, options.hip, rules)
             found = (*found, *doubtful)
-            analysis = analyse_gait(recording, plates, measures)
+            analysis = analyse_gait(recording, plates, measures, static=static, model=options.lower_body)
             for finding in [*found, *analysis.findings]:
                 batch.found(finding)
             if path in copies:
