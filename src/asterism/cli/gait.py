@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +17,7 @@ from asterism.cli._options import Files, Hip, Json, LowerBodyChoice, Measure, Ov
 
 if TYPE_CHECKING:
     from asterism.cli._folders import Trial
+    from asterism.findings import Finding
     from asterism.gait import Band, GaitAnalysis
     from asterism.recording import Recording
 
@@ -67,10 +68,24 @@ class GaitOptions:
             "--save-band", metavar="FILE", help="Write the band of these walks, of people without complaints.", show_default=False
         ),
     ] = None
+    compare: Annotated[
+        list[Path],
+        typer.Option(
+            "--compare", metavar="FILES", help="Walks of a second session; all files that follow belong to it.", show_default=False
+        ),
+    ] = field(default_factory=list)
+    compare_static: Annotated[
+        Path | None,
+        typer.Option("--compare-static", metavar="FILE", help="The standing trial of the second session.", show_default=False),
+    ] = None
     fill: Fill = "none"
     vertical: Vertical = None
     overwrite: Overwrite = False
     report: Report = None
+    pdf: Annotated[
+        Path | None,
+        typer.Option("--pdf", metavar="FILE", help="Print the report on A4, by Chromium, Chrome or Edge.", show_default=False),
+    ] = None
     json: Json = None
 
 
@@ -84,24 +99,54 @@ def gait(options: GaitOptions) -> None:
     that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass. --c3d writes all of it into copies of
     the walks.
     --fill fills gaps of markers first, with what the other files of the same person show; events and angles that depend on filled samples
-    are as much less certain, and flagged.
+    are as much less certain, and flagged. --compare sets a second session of the person beside the first, before and after a treatment.
     """
     from asterism.cli._folders import trials
     from asterism.gait import Band
 
-    outputs = [options.report, options.json, options.output, options.curves, options.save_band]
-    _console.check_outputs(outputs, [*options.files, options.static, options.band], options.overwrite)
+    inputs = [options.static, options.compare_static, options.band]
+    outputs = [options.report, options.json, options.output, options.curves, options.save_band, options.pdf]
+    _console.check_outputs(outputs, [*options.files, *options.compare, *inputs], options.overwrite)
+    _check_sessions(options)
     # what is wrong with the options is told before any file is read
     _clinical.given_measures(options.measure)
     fill_limit(options.fill)
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
-    walks = trials(options.files, batch, without=options.c3d)
-    copies = {} if options.c3d is None else _copies(walks, options.c3d, [options.static, options.band])
-    results = analysed(options, [walk.path for walk in walks], batch, copies)
+    walks = trials([*options.files, *options.compare], batch, without=options.c3d)
+    copies = {} if options.c3d is None else _copies(walks, options.c3d, inputs)
+    later = _paths_below(options.compare)
+    results = analysed(options, [walk.path for walk in walks if _console.real_path(walk.path) not in later], batch, copies)
+    second = replace(options, static=options.compare_static)
+    compared = analysed(second, [walk.path for walk in walks if _console.real_path(walk.path) in later], batch, copies)
     if results:
-        write_results(options, results, band, batch, copies)
+        write_results(options, results, band, batch, copies, compared)
     raise typer.Exit(batch.close())
+
+
+def _check_sessions(options: GaitOptions) -> None:
+    """Raise AsterismError where the sessions share a file, or a standing trial of one would serve the other, or no browser prints."""
+    from asterism.errors import AsterismError
+
+    shared = _paths_below(options.files) & _paths_below(options.compare)
+    if shared:
+        raise AsterismError(f"{min(shared)} is in both sessions; name the walks of the first one before --compare, the others behind it.")
+    if options.compare and options.static is not None and options.compare_static is None:
+        raise AsterismError(
+            f"{options.static} is of the first session: markers are put on anew in the second. Give its own with --compare-static, or the "
+            "same file where nothing was moved."
+        )
+    if options.compare_static is not None and not options.compare:
+        raise AsterismError("--compare-static is of a second session, and there is none; name its walks behind --compare.")
+    if options.pdf is not None:
+        from asterism.report.pdf import find_browser
+
+        find_browser()
+
+
+def _paths_below(given: Sequence[Path]) -> set[Path]:
+    """The real paths of files, and of all files in folders."""
+    return {_console.real_path(file) for path in given for file in (path.rglob("*") if path.is_dir() else [path])}
 
 
 def analysed(
@@ -149,9 +194,10 @@ def write_results(
     results: list[tuple[Path, GaitAnalysis]],
     band: Band | None,
     batch: _console.Batch,
-    copies: Mapping[Path, Path],
+    copies: Mapping[Path, Path] | None = None,
+    compared: Sequence[tuple[Path, GaitAnalysis]] = (),
 ) -> None:
-    """Write what the options ask for of at least one analysis."""
+    """Write what the options ask for of at least one analysis, and of those of a second session that are compared with it."""
     from asterism.gait import band_of, profile_scores
     from asterism.recording import subject_of
 
@@ -164,20 +210,18 @@ def write_results(
         people = [subject_of(analysis.recording) or str(path.parent) for path, analysis in results]
         band_of(analyses, people).save(options.save_band)
     if options.output is not None:
-        _console.write_csv(
-            options.output, ["file", "side", "begins_s", "parameter", "value", "uncertainty", "unit"], _parameter_rows(results)
-        )
+        head = ["file", "side", "begins_s", "parameter", "value", "uncertainty", "unit"]
+        _console.write_csv(options.output, head, _parameter_rows([*results, *compared]))
     if options.curves is not None:
-        _console.write_csv(options.curves, _CURVE_COLUMNS, _curve_rows(results))
-    if options.report is not None:
-        from asterism.recording.display import short_names
-        from asterism.report.gait import gait_report
-
-        names = short_names([path for path, _ in results])
-        gait_report(options.report, [(name, analysis) for name, (_, analysis) in zip(names, results, strict=True)], band=band)
+        _console.write_csv(options.curves, _CURVE_COLUMNS, _curve_rows([*results, *compared]))
+    changes = _changes(results, compared)
+    if compared and options.json != "-":
+        _show_changes(changes)
+    if options.report is not None or options.pdf is not None:
+        _write_pages(options, results, compared, band, batch)
     content = {
         "command": "gait",
-        "files": [{"file": path, "c3d": copies.get(path), **as_dict(analysis)} for path, analysis in results],
+        "files": [{"file": path, "c3d": (copies or {}).get(path), **as_dict(analysis)} for path, analysis in results],
         "scores": [
             {
                 "side": score.side,
@@ -186,10 +230,90 @@ def write_results(
             }
             for score in scores
         ],
+        "compared": [{"file": path, "c3d": (copies or {}).get(path), **as_dict(analysis)} for path, analysis in compared],
+        "changes": changes,
         "failed": batch.failed,
         "findings": [finding.to_dict() for finding in batch.findings],
     }
     _console.write_json(options.json, content)
+
+
+def _changes(results: list[tuple[Path, GaitAnalysis]], compared: Sequence[tuple[Path, GaitAnalysis]]) -> list[dict[str, Any]]:
+    """How parameters of the second session differ from those of the first, as JSON has it."""
+    from asterism.gait import PARAMETERS, compare_sessions
+
+    of = [[parameter for _, analysis in session for parameter in analysis.parameters] for session in (results, compared)]
+    return [
+        {
+            "parameter": change.name,
+            "side": change.side,
+            "unit": PARAMETERS[change.name],
+            "first": change.first.mean,
+            "second": change.second.mean,
+            "difference": change.difference,
+            "interval_95": change.interval,
+            "exceeds": change.exceeds,
+        }
+        for change in compare_sessions(*of)
+    ]
+
+
+def _show_changes(changes: Sequence[Mapping[str, Any]]) -> None:
+    """Print them as a table."""
+    rows = [
+        [
+            change["parameter"],
+            change["side"],
+            change["unit"],
+            *(f"{change[name]:.3f}" for name in ("first", "second")),
+            f"{change['difference']:+.3f} ± {change['interval_95']:.3f}",
+            "yes" if change["exceeds"] else "no",
+        ]
+        for change in changes
+    ]
+    head = ["parameter", "side", "unit", "first", "second", "difference (95 %)", "exceeds it"]
+    _console.table("Two sessions", head, rows)
+
+
+def _write_pages(
+    options: GaitOptions,
+    results: list[tuple[Path, GaitAnalysis]],
+    compared: Sequence[tuple[Path, GaitAnalysis]],
+    band: Band | None,
+    batch: _console.Batch,
+) -> None:
+    """The report, as a page and on paper."""
+    from tempfile import TemporaryDirectory
+
+    from asterism.recording.display import short_names
+    from asterism.report.gait import gait_report
+    from asterism.report.pdf import print_page
+
+    several = _several_people([analysis for _, analysis in [*results, *compared]])
+    if several is not None:
+        batch.found(several)
+    names = short_names([path for path, _ in [*results, *compared]])
+    named = [(name, analysis) for name, (_, analysis) in zip(names, [*results, *compared], strict=True)]
+    folders = [{path.absolute().parent.name for path, _ in session} for session in (results, compared)]
+    # Folders name the sessions where each has one of its own.
+    told = [min(folder) for folder in folders] if all(len(folder) == 1 for folder in folders) and folders[0] != folders[1] else None
+    sessions = (told[0], told[1]) if told else ("first session", "second session")
+    with TemporaryDirectory(prefix="asterism-") as folder:
+        page = options.report or Path(folder) / "gait.html"
+        gait_report(page, named[: len(results)], band=band, compare=named[len(results) :], sessions=sessions)
+        if options.pdf is not None:
+            print_page(page, options.pdf)
+
+
+def _several_people(analyses: Sequence[GaitAnalysis]) -> Finding | None:
+    """Whether the files of one report name several people."""
+    from asterism.findings import Finding, Severity
+
+    people = sorted({str(name) for one in analyses if (name := one.recording.metadata.get("subject"))})
+    if len(people) < 2:
+        return None
+    sentence = f"the files of the report name several people: {', '.join(people)}. Its means and curves are of all of them."
+    return Finding("gait-several-people", Severity.WARNING, "report", sentence, "Give the walks of one person.")
 
 
 def _copies(walks: Sequence[Trial], folder: Path, others: Sequence[Path | None]) -> dict[Path, Path]:
@@ -309,6 +433,14 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
             for column in np.flatnonzero(np.isfinite(deviation).any(axis=0))
         },
         "fill_sigmas_deg": {name: np.round(np.degrees(sigmas), 3) for name, sigmas in analysis.fill_sigmas.items() if np.any(sigmas > 0.0)},
+        "bands_deg": {
+            name: {
+                "low": np.round(np.degrees(band.low), 3),
+                "high": np.round(np.degrees(band.high), 3),
+                "standard": {source: np.round(np.degrees(part), 3) for source, part in band.standard.items()},
+            }
+            for name, band in analysis.bands.items()
+        },
         "curves_deg": {name: np.round(np.degrees(curves), 3) for name, curves in analysis.curves.items()},
         "loads": {name: np.round(curves, 4) for name, curves in analysis.loads.items()},
         "loads_per_kg": analysis.kinetics is not None and analysis.kinetics.per_kg,

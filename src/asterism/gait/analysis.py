@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +24,9 @@ from asterism.motion.clinical import (
     inverse_dynamics,
 )
 from asterism.recording import Floats, ForcePlate, Recording, filled_samples
+
+if TYPE_CHECKING:
+    from asterism.gait.intervals import AngleBand
 
 CURVES = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress", "Thorax", "Spine", "Head", "Neck", "Shoulder", "Elbow", "Wrist")
 """Quantities whose angles are drawn over the cycle, by Plug-in-Gait's names."""
@@ -52,6 +57,13 @@ class GaitAnalysis:
     loads: Mapping[str, Floats] = field(default_factory=dict)
     loaded: Mapping[str, tuple[Cycle, ...]] = field(default_factory=dict)
     fill_sigmas: Mapping[str, Floats] = field(default_factory=dict)
+
+    @cached_property
+    def bands(self) -> Mapping[str, AngleBand]:
+        """95 % bands of the angles, see `angle_bands`; computed when they are first asked for."""
+        from asterism.gait.intervals import angle_bands
+
+        return angle_bands(self)
 
 
 def analyse_gait(
