@@ -96,6 +96,7 @@ def _merits(sessions: Sequence[GaitSession], band: Band | None) -> list[tuple[st
 
 def _quality(sessions: Sequence[GaitSession]) -> Section:
     """What the numbers rest on, a row for each recording, and when which foot was on the floor."""
+    from asterism.motion.filters import last_filter
     from asterism.recording import filled_samples
 
     rows: list[list[str | Cell]] = []
@@ -114,6 +115,7 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
                     Cell(name, place=(session.offset + number, 0, max(len(recording) - 1, 0))),
                     Cell(percent(missing), min(np.sqrt(missing) if np.isfinite(missing) else 0.0, 1.0)),
                     percent(share, 1) + largest,
+                    str(last_filter(recording)),
                     str(len(events) - by_plates),
                     str(by_plates),
                     Cell(str(left_out), 0.6 if left_out else 0.0),
@@ -124,6 +126,7 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
         "recording",
         "samples of markers missing",
         "samples filled",
+        "trajectories",
         "events by markers",
         "events by force plates",
         "steps on plates left out",
