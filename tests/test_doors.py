@@ -195,8 +195,8 @@ READERS = {
     "label": ("-m", "MODEL", "-o", "OUT"),
 }
 """Commands that read recordings, and what they need beside one."""
-OTHERS = {"demo", "warm-up", "detect", "reconstruct", "label-views", "capturability"}
-"""Commands that read none; and one that takes minutes and reads as `evaluate` does."""
+OTHERS = {"demo", "warm-up", "detect", "reconstruct", "label-views", "capturability", "process"}
+"""Commands that read none; one that takes minutes and reads as `evaluate` does; and one that takes folders, and labels as `label` does."""
 
 
 def test_every_command_that_reads_recordings_is_asked() -> None:

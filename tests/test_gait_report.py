@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from browser import in_node, needs_chromium, needs_node, opened
 
+import asterism
+from asterism.cli import main
 from asterism.findings import Finding, Severity
 from asterism.gait import GaitAnalysis, analyse_gait, band_of, compare_sessions
 from asterism.gait.parameters import Parameter
@@ -40,7 +42,7 @@ def test_the_person_and_the_parameters_come_first_and_the_player_last(tmp_path: 
     wanted = "The person|Parameters|Angles over the gait cycle|Scores|Quality|What to know|Each cycle|Events|The recordings"
     assert headings(page) == wanted.split("|")
     assert len(re.findall('<figure class="panel"', page)) == 12 and page.count('class="off left"') == 12
-    row = page[page.index(">cadence, steps/min<") :].split("</tr>")[0]
+    row = page[page.index('<td class="text">cadence, steps/min<') :].split("</tr>")[0]
     usual, spread = band.parameters["cadence"]
     assert f"{usual:.1f} ± {spread:.1f}" in row and row.count("--warn-rgb") == 2, "both sides are far from the controls"
     assert 'id="plotly"' not in page and len(page) < 400_000
@@ -71,7 +73,7 @@ def test_a_number_leads_to_the_frames_of_its_cycle(tmp_path: Path, walks: list[G
         )
     for row in re.findall(r'<td class="text" data-go="1:(\d+):(\d+)">(left|right), second, cycle', page):
         assert (row[2][0].upper(), int(row[0]), int(row[1])) in frames
-    stance = page[page.index(">stance, %<") :].split("</tr>")[0]
+    stance = page[page.index('<td class="text">stance, %<') :].split("</tr>")[0]
     assert len(re.findall(r'data-go="[01]:\d+:\d+"', stance)) == 2
 
 
@@ -105,7 +107,7 @@ def test_bands_of_controls_and_of_the_measurement_are_told_apart() -> None:
 
 def test_a_difference_counts_where_it_is_larger_than_chance() -> None:
     def cycles(values: list[float], sigma: float) -> list[Parameter]:
-        return [Parameter("stance", "L", value, sigma, 0.0) for value in values]
+        return [Parameter("stance", "L", value, sigma, 0.0, 1.0) for value in values]
 
     same = compare_sessions(cycles([60.0, 62.0, 64.0], 0.1), cycles([61.0, 63.0, 65.0], 0.1))[0]
     assert same.difference == pytest.approx(1.0) and same.interval > 3 and not same.exceeds
@@ -115,6 +117,66 @@ def test_a_difference_counts_where_it_is_larger_than_chance() -> None:
     lucky = compare_sessions(cycles([60.0], 2.0), cycles([62.0, 62.0], 2.0))[0]
     assert lucky.interval == pytest.approx(1.96 * np.sqrt(4 + 2), rel=1e-3) and not lucky.exceeds
     assert compare_sessions(cycles([60.0], 2.0), []) == []
+
+
+@pytest.fixture(scope="module")
+def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """before/a.c3d and after/a.c3d, the second of a person who walks with the same steps a quarter faster."""
+    folder = tmp_path_factory.mktemp("sessions")
+    walk = replace(simulate_walks(1, frames=500, markers="helen-hayes", seed=5)[0], metadata={"subject": "ann"})
+    for name, rate in (("before", walk.rate), ("after", 1.25 * walk.rate)):
+        (folder / name).mkdir()
+        asterism.write(folder / name / "a.c3d", replace(walk, rate=rate, metadata={"subject": "ann"}))
+    return folder
+
+
+def test_two_sessions_are_compared_and_what_changed_is_marked(sessions: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = (str(sessions / name / "a.c3d") for name in ("before", "after"))
+    words = ["gait", first, "--compare", second, "--report", str(tmp_path / "p.html"), "--json", str(tmp_path / "p.json")]
+    assert main(words) == 0
+    assert "Two sessions" in capsys.readouterr().out
+    changes = {(one["parameter"], one["side"]): one for one in json.loads((tmp_path / "p.json").read_text())["changes"]}
+    for side in "LR":
+        speed, length = changes["walking speed", side], changes["stride length", side]
+        assert speed["second"] == pytest.approx(1.25 * speed["first"], rel=0.02) and speed["exceeds"]
+        assert not length["exceeds"] and length["difference"] == pytest.approx(0.0, abs=0.03)
+    page = (tmp_path / "p.html").read_text()
+    assert "left, before" in page and "right, after" in page and headings(page)[:2] == ["The person", "Parameters of two sessions"]
+    assert 'data-go="0:' in page and 'data-go="1:' in page and 'class="mean left earlier"' in page
+
+
+def test_sessions_that_cannot_be_told_apart_are_refused(sessions: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = (str(sessions / name / "a.c3d") for name in ("before", "after"))
+    for words, said in (
+        ([first, "--compare", second, first], "is in both sessions"),
+        ([first, "--compare", str(sessions)], "is in both sessions"),
+        ([first, "--static", first, "--compare", second], "--compare-static"),
+        ([first, "--compare-static", second], "there is none"),
+    ):
+        assert main(["gait", *words]) == 2
+        assert said in capsys.readouterr().err
+
+
+def test_walks_of_several_people_in_one_report_are_said(sessions: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    walk = asterism.read(sessions / "before" / "a.c3d")
+    asterism.write(tmp_path / "other.c3d", replace(walk, source=None, metadata={"subject": "ben"}))
+    words = ["gait", str(sessions / "before" / "a.c3d"), str(tmp_path / "other.c3d"), "--report", str(tmp_path / "p.html")]
+    assert main(words) == 1
+    assert "ann, ben" in capsys.readouterr().err
+
+
+@needs_chromium
+def test_a_report_is_printed_or_the_browser_that_is_missing_named(
+    sessions: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    walk, pdf = str(sessions / "before" / "a.c3d"), tmp_path / "p.pdf"
+    assert main(["gait", walk, "--pdf", str(pdf)]) == 0
+    assert pdf.read_bytes().startswith(b"%PDF") and sorted(tmp_path.iterdir()) == [pdf]
+    monkeypatch.setattr("asterism.report.pdf.shutil.which", lambda name: None)
+    monkeypatch.setattr("asterism.report.pdf._PLACES", {})
+    capsys.readouterr()
+    assert main(["gait", walk, "--pdf", str(tmp_path / "q.pdf")]) == 2
+    assert "Chromium" in capsys.readouterr().err and not (tmp_path / "q.pdf").exists()
 
 
 def plate(frames: int) -> ForcePlate:

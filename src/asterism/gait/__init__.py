@@ -6,18 +6,22 @@ from asterism.gait.comparison import ParameterChange, compare_sessions
 from asterism.gait.cycles import POINTS, Cycle, cycles_of, midstances, over_cycle
 from asterism.gait.events import EventRules, GaitEvent, Walking, find_events, plate_contacts
 from asterism.gait.feet import Feet, feet_of
+from asterism.gait.intervals import AngleBand, angle_bands
 from asterism.gait.outputs import analysis_values, model_points, write_gait_c3d
 from asterism.gait.parameters import PARAMETERS, Parameter, ParameterSummary, Symmetry, parameters_of, summarise, symmetries
+from asterism.gait.tables import GaitTable, gait_table
 
 __all__ = [
     "PARAMETERS",
     "POINTS",
+    "AngleBand",
     "Band",
     "Cycle",
     "EventRules",
     "Feet",
     "GaitAnalysis",
     "GaitEvent",
+    "GaitTable",
     "Parameter",
     "ParameterChange",
     "ParameterSummary",
@@ -26,11 +30,13 @@ __all__ = [
     "Walking",
     "analyse_gait",
     "analysis_values",
+    "angle_bands",
     "band_of",
     "compare_sessions",
     "cycles_of",
     "feet_of",
     "find_events",
+    "gait_table",
     "midstances",
     "model_points",
     "over_cycle",

@@ -57,7 +57,7 @@ def _uncertainty(one: ParameterSummary) -> tuple[float, float]:
 def compare_sessions(first: Sequence[Parameter], second: Sequence[Parameter]) -> list[ParameterChange]:
     """Parameters that both sessions have, in the order of `PARAMETERS`, left before right. O(cycles).
 
-    >>> before, after = ([Parameter("stance", "L", value, 0.5, 0.0) for value in values] for values in ((60.0, 61.0), (66.0, 67.0)))
+    >>> before, after = ([Parameter("stance", "L", value, 0.5, 0.0, 1.0) for value in values] for values in ((60.0, 61.0), (66.0, 67.0)))
     >>> change = compare_sessions(before, after)[0]
     >>> change.difference, change.exceeds
     (6.0, True)

@@ -65,7 +65,9 @@ class CyclePanel:
 
 def drawn_panels(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None = None) -> str:
     """The panels as HTML, three beside each other where there is room, below a legend of what they have. O(points)."""
-    return f'<div class="keys">{_legend(panels, sessions)}</div>\n<div class="panels">\n{"".join(map(_panel, panels))}</div>'
+    leads = any(cycle.place for panel in panels for one in panel.sides for cycle in one.cycles)
+    hint = '<p class="screen">Click a curve: the player below goes to this moment of its cycle.</p>' if leads else ""
+    return f'<div class="keys">{_legend(panels, sessions)}</div>\n{hint}<div class="panels">\n{"".join(map(_panel, panels))}</div>'
 
 
 def _legend(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None) -> str:

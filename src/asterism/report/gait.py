@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,9 +11,9 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Severity
 from asterism.report.gait_curves import angle_section, load_sections
-from asterism.report.gait_session import GaitSession
+from asterism.report.gait_session import SIDE, GaitSession
 from asterism.report.gait_tables import comparison_section, cycle_section, parameter_section, person_section, score_sections
-from asterism.report.page import NOTHING, Cell, Page, Section, Table, decimal, percent, write_page
+from asterism.report.page import Cell, Page, Section, Table, decimal, percent, write_page
 from asterism.report.player import ShownRecording, pack_recordings
 from asterism.report.recording import labelling_by_names, named_columns
 
@@ -27,7 +27,7 @@ def gait_report(
     results: Sequence[tuple[str, GaitAnalysis]],
     *,
     band: Band | None = None,
-    title: str = "Gait",
+    title: str = "Gait report",
     compare: Sequence[tuple[str, GaitAnalysis]] = (),
     sessions: tuple[str, str] = ("before", "after"),
 ) -> None:
@@ -60,32 +60,43 @@ def gait_report(
     where = "on a treadmill" if all(analysis.walking.treadmill for one in both for analysis in one.analyses) else "over the floor"
     lead = f"{sum(len(one.cycles) for one in both)} gait cycles in {recordings} recordings, {where}."
     lead += f" Two sessions: {first.name} and {second.name}." if second is not None else ""
-    lead += " Left is red and drawn through, right is blue and dashed. Click a number or a curve: the player below goes there."
+    lead += " Left is red and drawn through, right is blue and dashed."
     names = ", ".join(name for one in both for name, _ in one.results)
-    merits = [merit for one in both for merit in _merits(one, band)]
-    write_page(path, Page(title, lead, {"recordings": names}, merits, sections))
+    write_page(path, Page(title, lead, {"recordings": names}, _merits(both, band), sections))
 
 
-def _merits(session: GaitSession, band: Band | None) -> list[tuple[str, str, str]]:
+def _merits(sessions: Sequence[GaitSession], band: Band | None) -> list[tuple[str, str, str]]:
     """Speed, cadence, cycles of each side, and how far the person is from a band, in one line at the top."""
     from asterism.gait import profile_scores
 
-    of = f", {session.name}" if session.name else ""
-    found = []
-    for name, digits, unit in (("walking speed", 2, " m/s"), ("cadence", 0, " steps/min")):
-        values = [one.value for one in session.parameters if one.name == name]
-        found.append((decimal(float(np.mean(values)), digits, unit) if values else NOTHING, name + of, ""))
-    sides = [sum(one.cycle.side == side for one in session.cycles) for side in "LR"]
-    found.append((f"{sides[0]} | {sides[1]}", f"cycles left | right{of}", "" if min(sides) else "warn"))
-    gps = {} if band is None else {score.side: score.gps for score in profile_scores(session.analyses, band)}
-    if gps:
-        told = " | ".join(decimal(float(np.degrees(gps.get(side, np.nan))), 1, "°") for side in "LR")
-        found.append((told, f"Gait Profile Score left | right{of}", ""))
-    return found
+    def told(of: Callable[[GaitSession], str], name: str, kind: str = "") -> tuple[str, str, str]:
+        return " → ".join(map(of, sessions)), name, kind
+
+    def mean(name: str, digits: int) -> Callable[[GaitSession], str]:
+        return lambda session: decimal(float(np.mean([*session.values(name)] or [np.nan])), digits)
+
+    def cycles(session: GaitSession) -> str:
+        return " | ".join(str(sum(one.cycle.side == side for one in session.cycles)) for side in "LR")
+
+    def gps(side: str) -> Callable[[GaitSession], str]:
+        def score(session: GaitSession) -> str:
+            scores = {} if band is None else {score.side: score.gps for score in profile_scores(session.analyses, band)}
+            return decimal(float(np.degrees(scores.get(side, np.nan))), 1, "°")
+
+        return score
+
+    few = any(count == "0" for session in sessions for count in cycles(session).split(" | "))
+    return [
+        told(mean("walking speed", 2), "walking speed, m/s"),
+        told(mean("cadence", 0), "cadence, steps/min"),
+        told(cycles, "cycles left | right", "warn" if few else ""),
+        *([] if band is None else [told(gps(letter), f"Gait Profile Score, {side}") for letter, side in SIDE.items()]),
+    ]
 
 
 def _quality(sessions: Sequence[GaitSession]) -> Section:
     """What the numbers rest on, a row for each recording, and when which foot was on the floor."""
+    from asterism.motion.filters import last_filter
     from asterism.recording import filled_samples
 
     rows: list[list[str | Cell]] = []
@@ -104,6 +115,7 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
                     Cell(name, place=(session.offset + number, 0, max(len(recording) - 1, 0))),
                     Cell(percent(missing), min(np.sqrt(missing) if np.isfinite(missing) else 0.0, 1.0)),
                     percent(share, 1) + largest,
+                    str(last_filter(recording)),
                     str(len(events) - by_plates),
                     str(by_plates),
                     Cell(str(left_out), 0.6 if left_out else 0.0),
@@ -114,6 +126,7 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
         "recording",
         "samples of markers missing",
         "samples filled",
+        "trajectories",
         "events by markers",
         "events by force plates",
         "steps on plates left out",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -68,12 +68,27 @@ def angle_section(sessions: Sequence[GaitSession], band: Band | None) -> list[Se
         if band is not None and quantity in band.mean:
             usual, spread = (np.degrees(values[quantity][:, which]) for values in (band.mean, band.deviation))
             control = (usual - spread, usual + spread)
-        panels.append(CyclePanel(title, "°", curves_of_sides(sessions, of, f"{quantity}Angles", which), control))
+        sides = curves_of_sides(sessions, of, f"{quantity}Angles", which)
+        panels.append(CyclePanel(title, "°", _with_intervals(sides, sessions, f"{quantity}Angles", which), control))
     text = (
         "From one strike of a foot to its next. Thin lines are single cycles, thick ones their means; upright lines are where the foot "
-        "leaves the floor. Angles of Plug-in-Gait, by the measures of the file or those given."
+        "leaves the floor. Angles of Plug-in-Gait, by the measures of the file or those given. The 95 % interval says where the "
+        "mean would be in another session with this person: with markers placed anew, and measured where nobody did. It is no spread of "
+        "the cycles."
     )
     return [Section("Angles over the gait cycle", text, drawing=drawn_panels(panels, session_names(sessions)))]
+
+
+def _with_intervals(sides: Sequence[CurvesOfSide], sessions: Sequence[GaitSession], curve: str, which: int) -> list[CurvesOfSide]:
+    """With the band of each session and foot: the mean of those of its walks, whose markers and measures are the same."""
+    letters = {side: letter for letter, side in SIDE.items()}
+    found = []
+    for number, one in enumerate(sides):
+        name = letters[one.side] + curve
+        bands = [analysis.bands[name] for analysis in sessions[number // len(SIDE)].analyses if name in analysis.bands]
+        ends = [np.degrees(np.mean([getattr(band, end)[:, which] for band in bands], axis=0)) for end in ("low", "high") if bands]
+        found.append(replace(one, interval=(ends[0], ends[1])) if ends else one)
+    return found
 
 
 def load_sections(sessions: Sequence[GaitSession]) -> list[Section]:

@@ -46,6 +46,10 @@ class GaitSession:
         """Of all cycles of all walks."""
         return [parameter for analysis in self.analyses for parameter in analysis.parameters]
 
+    def values(self, name: str) -> list[float]:
+        """Of a parameter, of all cycles of both sides."""
+        return [one.value for one in self.parameters if one.name == name]
+
     @cached_property
     def cycles(self) -> list[ShownCycle]:
         """Of all walks."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,47 +19,50 @@ _DIGITS = {"m": 3, "s": 2, "m/s": 2, "": 2}
 """Behind the point, by unit; one elsewhere."""
 _FAR = 2.0
 """Standard deviations of the controls from which a mean is marked: about one control of twenty is as far."""
+_LEADS = '<p class="screen">Click a number: the player below goes to the cycle that is nearest to it.</p>'
 _MEASURES = {"leg_length": "leg length", "knee_width": "knee width", "ankle_width": "ankle width"}
 
 
 def person_section(sessions: Sequence[GaitSession]) -> Section:
-    """Who walked, and the measures that the angles rest on."""
+    """Who walked, and the measures that the angles rest on, a column for each session."""
+    columns = [_person(session) for session in sessions]
+    rows: list[list[str | Cell]] = [[title, *(column[title] for column in columns)] for title in columns[0]]
+    assumed = any(isinstance(cell, Cell) and "assumed" in cell.text for row in rows for cell in row)
+    note = "An assumed measure is an adult's: give the person's own with --measure." if assumed else ""
+    return Section("The person", table=Table(["", *(session.name for session in sessions)], rows, left=1 + len(sessions)), note=note)
+
+
+def _person(session: GaitSession) -> dict[str, str | Cell]:
     from asterism.recording import subject_of
 
-    rows: list[list[str | Cell]] = []
-    assumed = False
-    for session in sessions:
-        of = f", {session.name}" if session.name else ""
-        recordings = [analysis.recording for analysis in session.analyses]
-        people = dict.fromkeys(
-            str(one.metadata.get("subject") or "") or subject_of(one).replace("\\", "/").rsplit("/", 1)[-1] for one in recordings
-        )
-        rows.append([f"person{of}", Cell(", ".join(people) or NOTHING, 0.6 if len(people) > 1 else 0.0), ""])
-        rows.append([f"walks{of}", ", ".join(name for name, _ in session.results), ""])
-        clinical = next((one.clinical for one in session.analyses if one.clinical is not None), None)
-        if clinical is None:
-            continue
-        subject = clinical.subject
-        rows.append([f"body mass{of}", NOTHING if subject.mass is None else f"{subject.mass:.1f} kg", ""])
-        for name, title in _MEASURES.items():
-            cells: list[str | Cell] = []
-            for letter in SIDE:
-                leg = subject.of(letter)
-                value = getattr(leg, name)
+    names = [str(one.recording.metadata.get("subject") or "") or Path(subject_of(one.recording)).name for one in session.analyses]
+    people = [name for name in dict.fromkeys(names) if name]
+    found: dict[str, str | Cell] = {
+        "person": Cell(", ".join(people) or NOTHING, 0.6 if len(people) > 1 else 0.0),
+        "walks": ", ".join(name for name, _ in session.results),
+    }
+    clinical = next((one.clinical for one in session.analyses if one.clinical is not None), None)
+    mass = None if clinical is None else clinical.subject.mass
+    found["body mass"] = NOTHING if mass is None else f"{mass:.1f} kg"
+    for name, title in _MEASURES.items():
+        told, doubtful = [], False
+        for letter, side in SIDE.items():
+            leg = None if clinical is None else clinical.subject.of(letter)
+            value = None if leg is None else getattr(leg, name)
+            if leg is not None and value is not None:
                 known = name in leg.from_file
-                assumed |= value is not None and not known
-                text = NOTHING if value is None else f"{SIDE[letter]} {1000 * value:.0f} mm{'' if known else ', assumed'}"
-                cells.append(Cell(text, 0.0 if known or value is None else 0.6))
-            rows.append([title + of, *cells])
-    note = "An assumed measure is an adult's: give the person's own with --measure." if assumed else ""
-    return Section("The person", table=Table(["", "", ""], rows, left=3), note=note)
+                doubtful |= not known
+                told.append(f"{side} {1000 * value:.0f} mm{'' if known else ', assumed'}")
+        found[title] = Cell("; ".join(told) or NOTHING, 0.6 if doubtful else 0.0)
+    return found
 
 
 def parameter_section(session: GaitSession, band: Band | None) -> Section:
     """Means of both sides, beside those of controls where a band has them."""
-    from asterism.gait import PARAMETERS, summarise
+    from asterism.gait import PARAMETERS, summarise, symmetries
 
     of = {(one.name, one.side): one for one in summarise(session.parameters)}
+    apart = {one.name: one for one in symmetries(session.parameters)}
     controls = {} if band is None else band.parameters
     rows: list[list[str | Cell]] = []
     for name, unit in PARAMETERS.items():
@@ -69,6 +73,8 @@ def parameter_section(session: GaitSession, band: Band | None) -> Section:
         row: list[str | Cell] = [f"{name}, {unit}" if unit else name]
         for side, one in own.items():
             row += [_mean(session, one, name, side, controls), decimal(one.deviation, digits) if one else NOTHING]
+        more = apart.get(name)
+        row.append("" if more is None else f"{round(more.value, 1) + 0.0:+.1f} ± {more.sigma:.1f}")
         if controls:
             usual = controls.get(name)
             row.append(NOTHING if usual is None else f"{usual[0]:.{digits}f} ± {usual[1]:.{digits}f}")
@@ -78,25 +84,32 @@ def parameter_section(session: GaitSession, band: Band | None) -> Section:
         "Means over the cycles. ± is how exactly strikes and offs tell the mean, one standard uncertainty; SD is the spread of the cycles. "
     )
     text += "A number leads to the cycle that is nearest to it."
-    head = ["parameter", "left", "SD", "right", "SD"]
+    head = ["parameter", "left", "SD", "right", "SD", "left more than right, %"]
     if controls and band is not None:
         head += [f"{band.people} controls, mean ± SD", "against the controls"]
         text += f" Marked: farther than {_FAR:g} SD from the controls' mean; the grey strip is that wide."
     elif band is not None:
         text += " The band of controls has no parameters; save it again with --save-band."
-    return Section("Parameters", text, table=Table(head, rows))
+    return Section("Parameters", text, table=Table(head, rows), drawing=_LEADS)
 
 
 def _mean(
-    session: GaitSession, one: ParameterSummary | None, name: str, side: str, controls: Mapping[str, tuple[float, float]] | None = None
+    session: GaitSession,
+    one: ParameterSummary | None,
+    name: str,
+    side: str,
+    controls: Mapping[str, tuple[float, float]],
+    with_sigma: bool = True,
 ) -> Cell:
+    """A mean that leads to the cycle nearest to it; marked where it is far from the controls."""
     if one is None:
         return Cell(NOTHING)
     digits = _DIGITS.get(one.unit, 1)
-    typical, usual = session.typical(name, side), (controls or {}).get(name)
+    typical, usual = session.typical(name, side), controls.get(name)
     far = usual is not None and usual[1] > 0 and abs(one.mean - usual[0]) > _FAR * usual[1]
     place = None if typical is None else typical.place
-    return Cell(f"{one.mean:.{digits}f} ± {one.sigma:.{digits}f}", 0.6 if far else 0.0, place=place)
+    certain = f" ± {one.sigma:.{digits}f}" if with_sigma else ""
+    return Cell(f"{one.mean:.{digits}f}{certain}", 0.6 if far else 0.0, place=place)
 
 
 def _strip(usual: tuple[float, float], own: dict[str, ParameterSummary | None]) -> str:
@@ -126,27 +139,31 @@ def comparison_section(first: GaitSession, second: GaitSession, band: Band | Non
         unit = PARAMETERS[change.name]
         digits = _DIGITS.get(unit, 1)
         usual = controls.get(change.name)
+        # no minus before a zero
+        difference = round(change.difference, digits) + 0.0
         rows.append(
             [
                 f"{change.name}, {unit}" if unit else change.name,
                 SIDE[change.side],
-                _mean(first, change.first, change.name, change.side, controls),
-                str(change.first.count),
-                _mean(second, change.second, change.name, change.side, controls),
-                str(change.second.count),
-                Cell(f"{change.difference:+.{digits}f}", 0.6 if change.exceeds else 0.0),
-                f"{change.interval:.{digits}f}",
+                _mean(first, change.first, change.name, change.side, controls, with_sigma=False),
+                _mean(second, change.second, change.name, change.side, controls, with_sigma=False),
+                Cell(f"{difference:+.{digits}f} ± {change.interval:.{digits}f}", 0.6 if change.exceeds else 0.0),
                 "yes" if change.exceeds else "no",
                 *([] if not controls else [NOTHING if usual is None else f"{usual[0]:.{digits}f} ± {usual[1]:.{digits}f}"]),
             ]
         )
     text = (
-        f"Means over n cycles, and {second.name} less {first.name}. The interval holds 95 % of the differences that cycles of one session "
-        "would show by chance: by their spread and number, or by how exactly strikes and offs are told where that is more. A difference "
-        "that exceeds it is one of these walks; shoes, speed and pain of the day are not in it. A number leads to the cycle nearest to it."
+        f"Means over the cycles; the difference is {second.name} less {first.name}. The interval behind its ± holds 95 % of the "
+        "differences that cycles of one session would show by chance: by their spread and number, or by how exactly strikes and offs are "
+        "told where that is more. A difference that exceeds it is one of these walks; shoes, speed and pain of the day are not in it."
     )
-    head = ["parameter", "side", first.name, "n", second.name, "n", "difference", "± 95 %", "exceeds it"]
-    return Section("Parameters of two sessions", text, table=Table([*head, *(["controls, mean ± SD"] if controls else [])], rows, left=2))
+    head = ["parameter", "side", first.name, second.name, "difference ± 95 % interval", "exceeds it"]
+    return Section(
+        "Parameters of two sessions",
+        text,
+        table=Table([*head, *(["controls, mean ± SD"] if controls else [])], rows, left=2),
+        drawing=_LEADS,
+    )
 
 
 def score_sections(sessions: Sequence[GaitSession], band: Band | None) -> list[Section]:

@@ -30,6 +30,7 @@ class Cell:
 
     place    a recording of the page's player, its first and last frame, to which the cell leads
     drawing  SVG of our own beside the text
+    href     the page that it leads to, beside this one
     """
 
     text: str
@@ -37,6 +38,7 @@ class Cell:
     kind: str = "warn"
     place: tuple[int, int, int] | None = None
     drawing: str = ""
+    href: str = ""
 
 
 @dataclass(frozen=True)
