@@ -109,7 +109,7 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
             filled = filled_samples(recording)[:, named_columns(recording)]
             share = float(np.isfinite(filled).mean()) if filled.size else float("nan")
             missing = 1.0 - float(shown.mean()) if shown.size else float("nan")
-            by_plates = sum(event.source != "markers" for event in events)
+            by_plates = sum(event.source.startswith("plate") for event in events)
             left_out = sum(finding.code == "kinetics-step" for finding in analysis.findings)
             largest = f", up to ± {1000 * float(np.nanmax(filled)):.1f} mm" if np.isfinite(filled).any() else ""
             rows.append(
