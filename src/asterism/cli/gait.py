@@ -13,7 +13,7 @@ import typer
 from asterism.cli import _clinical, _console
 from asterism.cli._command import takes
 from asterism.cli._filling import Fill, Filter, cleaned, fill_limit, filled, filled_text, filter_choice, filter_values
-from asterism.cli._options import Files, Json, Measure, Overwrite, Report, Static, Vertical
+from asterism.cli._options import Files, Hip, Json, LowerBodyChoice, Measure, Overwrite, Report, Static, Vertical
 
 if TYPE_CHECKING:
     from asterism.cli._folders import Trial
@@ -29,6 +29,8 @@ class GaitOptions:
     files: Files
     static: Static = None
     measure: Measure = field(default_factory=list)
+    lower_body: LowerBodyChoice = None
+    hip: Hip = None
     sloped_foot: Annotated[
         bool, typer.Option("--sloped-foot", help="With --static: heel and toe marker count as high as they are, not as equally high.")
     ] = False
@@ -191,9 +193,9 @@ def analysed(
                     _console.result(f"{path}: {filled_text(fill)}.")
             clean = cleaned(recording, choice)
             recording, found = clean.recording, (*found, *clean.findings)
-            measures, doubtful = _clinical.measures_of(recording, static, options.measure, rules)
+            measures, doubtful = _clinical.measures_of(recording, static, options.measure, options.hip, rules)
             found = (*found, *doubtful)
-            analysis = analyse_gait(recording, plates, measures)
+            analysis = analyse_gait(recording, plates, measures, static=static, model=options.lower_body)
             for finding in [*found, *analysis.findings]:
                 batch.found(finding)
             if path in copies:
@@ -384,7 +386,7 @@ def show(path: Path, analysis: GaitAnalysis) -> None:
             )
     where = "treadmill" if analysis.walking.treadmill else "floor"
     sides = [sum(cycle.side == side for cycle in analysis.cycles) for side in "LR"]
-    plates = sum(event.source != "markers" for event in analysis.walking.events)
+    plates = sum(event.source.startswith("plate") for event in analysis.walking.events)
     _console.result(
         f"{path}: {sides[0]} left and {sides[1]} right cycles, on a {where}; {len(analysis.walking.events)} events, "
         f"{plates} of them by force plates; {last_filter(analysis.recording)}."
@@ -434,5 +436,14 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
         "curves_deg": {name: np.round(np.degrees(curves), 3) for name, curves in analysis.curves.items()},
         "loads": {name: np.round(curves, 4) for name, curves in analysis.loads.items()},
         "loads_per_kg": analysis.kinetics is not None and analysis.kinetics.per_kg,
+        "emg": [
+            {
+                **dataclasses.asdict(channel),
+                "cycles": {
+                    side: [[float(f"{value:.4g}") for value in curve] for curve in curves] for side, curves in channel.cycles.items()
+                },
+            }
+            for channel in analysis.emg
+        ],
         "measures": {} if analysis.clinical is None else dataclasses.asdict(analysis.clinical.subject),
     }

@@ -10,7 +10,7 @@ import numpy as np
 from asterism.gait.analysis import CURVES, GaitAnalysis
 from asterism.gait.cycles import POINTS, Cycle
 from asterism.geometry import rotate_z_up
-from asterism.motion.clinical import LegMeasures, SubjectMeasures
+from asterism.motion.clinical import LegMeasures, SubjectMeasures, complete_legs
 from asterism.motion.clinical.estimated import MeasurePriors, WalkEstimator
 from asterism.motion.clinical.plug_in_gait import LowerBody, angles_of, lower_body, radius_by_the_file
 from asterism.motion.joints.anatomy import sacrum_markers
@@ -56,14 +56,16 @@ def angle_bands(
     measured. How soft tissue moves is the same in both sessions and no part of it; see `clinical_uncertainty` for bones.
 
     What is not measured is estimated from the walk (`WalkEstimator`). Measures with which the file's program computed its own angles count
-    as known. Without angles or whole cycles there are no bands. O(1): some 200 times the angles of 80 frames.
+    as known. Without angles or whole cycles, and of angles by landmarks, there are no bands. O(1): some 200 times the angles of 80 frames.
     """
     clinical = analysis.clinical
     curves = {name: values for name, values in analysis.curves.items() if name.removesuffix("Angles")[1:] in CURVES[:5]}
-    if clinical is None or not curves:
+    # The measures that nobody gave, and the markers that are moved, are those of Plug-in-Gait's whole legs.
+    sides = "".join(complete_legs(analysis.recording))
+    curves = {name: values for name, values in curves.items() if name[0] in sides}
+    if clinical is None or not curves or clinical.model.name != "plug-in-gait":
         return {}
     recording, times = _some(analysis)
-    sides = "".join(side[0].upper() for side in clinical.measures)
     reported = _angles(recording, clinical.subject, sides)
     middle, parts = reported, {source: {name: np.zeros_like(values) for name, values in reported.items()} for source in SOURCES}
     estimator = WalkEstimator(recording, _as_known(analysis), sides, priors or MeasurePriors())
@@ -84,7 +86,9 @@ def angle_bands(
             # Gaps differ from cycle to cycle: of independent ones the mean is known better.
             filled = np.nan_to_num(analysis.fill_sigmas[name])
             spread["fills"] = np.sqrt((filled**2).sum(axis=0)) / len(filled)
-        centre = np.nanmean(curves[name], axis=0) + _over(_apart(middle, reported)[name], times, own)
+        seen = np.isfinite(curves[name])
+        mean = np.where(seen.any(axis=0), np.nansum(curves[name], axis=0) / np.maximum(seen.sum(axis=0), 1), np.nan)
+        centre = mean + _over(_apart(middle, reported)[name], times, own)
         wide = COVERAGE * np.sqrt(sum(part**2 for part in spread.values()))
         found[name] = AngleBand(centre - wide, centre + wide, spread)
     return found

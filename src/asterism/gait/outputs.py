@@ -14,7 +14,6 @@ from asterism.gait.cycles import midstances
 from asterism.gait.events import SIDE_NAMES
 from asterism.gait.parameters import Parameter, summarise
 from asterism.geometry import z_up_rotation
-from asterism.motion.clinical import lower_body
 from asterism.motion.clinical.plug_in_gait import walking_axes
 from asterism.recording import Floats, ProcessingStep, Recording, filled_samples
 from asterism.recording.display import significant
@@ -98,8 +97,8 @@ def model_points(analysis: GaitAnalysis) -> list[ModelPoint]:
 
     if analysis.clinical is None:
         return []
-    recording, measures = analysis.recording, analysis.clinical.subject
-    body = lower_body(recording, measures, "".join(side[0].upper() for side in analysis.clinical.measures))
+    recording = analysis.recording
+    body = analysis.clinical.model.body(recording)
     # From axes with z up, in which everything here is, to those of the file.
     to_file = np.eye(3) if recording.vertical[2] == 1.0 else z_up_rotation(recording.vertical)
     filled = filled_samples(recording)

@@ -107,6 +107,10 @@ def _curves(analysis: GaitAnalysis) -> Iterator[tuple[str, Cycle, Floats, Floats
     for name, loads in analysis.loads.items():
         for number, cycle in enumerate(analysis.loaded[name]):
             yield name, cycle, loads[number], np.full(loads[number].shape, np.nan), load_unit(name, per_kg)
+    for channel in analysis.emg:
+        for side, envelopes in channel.cycles.items():
+            for cycle, curve in zip(_of_side(analysis.cycles, side), envelopes, strict=True):
+                yield f"EMG {channel.name}", cycle, curve[:, None], np.full((len(curve), 1), np.nan), channel.unit
 
 
 def load_unit(name: str, per_kg: bool) -> str:

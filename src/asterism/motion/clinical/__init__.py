@@ -12,6 +12,7 @@ from asterism.motion.clinical.kinetics import (
     inverse_dynamics,
 )
 from asterism.motion.clinical.measures import ArmMeasures, LegMeasures, SubjectMeasures, leg_measures, subject_measures
+from asterism.motion.clinical.model import MODELS, ClinicalModel
 from asterism.motion.clinical.plug_in_gait import Leg, LowerBody, lower_body
 from asterism.motion.clinical.static import StaticRules, with_static_offsets
 from asterism.motion.clinical.uncertainty import (
@@ -25,10 +26,12 @@ from asterism.motion.clinical.uncertainty import (
 __all__ = [
     "ABOUT_CENTRE",
     "CLINICAL",
+    "MODELS",
     "ArmMeasures",
     "ClinicalAngles",
     "ClinicalErrors",
     "ClinicalJoint",
+    "ClinicalModel",
     "ClinicalUncertainty",
     "JointUncertainty",
     "KineticRules",

@@ -47,7 +47,9 @@ def gathered_measures(
         measures = measures if fitted is None else replace(measures, marker_radius=fitted)
     measures = measures.with_values(given)
     if static is not None:
-        measures = with_static_offsets(static, measures, rules).with_values(given)
+        # a set without wands has no such offsets
+        if any(label.endswith(("THI", "TIB")) for label in recording.labels):
+            measures = with_static_offsets(static, measures, rules).with_values(given)
         found += _other_person(recording, static)
     return measures, (*found, *_other_length(recording, measures))
 
