@@ -71,7 +71,7 @@ class FakeReview:
 
     def trials(self) -> dict[str, Any]:
         state = self.state()
-        row = {"id": "t1", "name": self.trial, "path": f"/lab/{self.trial}", "state": "ready", "error": None, "notes": []}
+        row: dict[str, Any] = {"id": "t1", "name": self.trial, "path": f"/lab/{self.trial}", "state": "ready", "error": None, "notes": []}
         row |= {
             "frames": len(self.clouds),
             "rate": self.clouds.rate,
@@ -115,7 +115,7 @@ class FakeReview:
 
     def what_changed(self) -> dict[str, Any]:
         k = self.changed
-        part = {"piece": 100 + k, "first": int(self.first[k]), "last": int(self.last[k]), "by_person": False}
+        part: dict[str, Any] = {"piece": 100 + k, "first": int(self.first[k]), "last": int(self.last[k]), "by_person": False}
         part |= {"before": self.names[self.before], "after": self.names[0]}
         return {"revision": self.revision, "about": "Labelled again with <b>.model: 1 sample changed.", "changed": [part]}
 

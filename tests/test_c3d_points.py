@@ -34,7 +34,7 @@ COMPUTED_NAMES = (
 )
 MARKER_NAMES = (
     "LKNE V.Sacral VSAC R.ASIS r_asis U X UPA LUPA L5 Marker1 P12 Channel101 LTIA LFOA RCLA SACR LLFE LMFE LMAL Knee_Marker1 VRTX Comb "
-    "LHEE RankleLat hip_l LTH0 LTH1 C7 Ann:LTOP Probe1 NAR GloveL1 TRXP HEDO"
+    "LHEE RankleLat hip_l Triangle Rectangle2 LTH0 LTH1 C7 Ann:LTOP Probe1 NAR GloveL1 TRXP HEDO"
 )
 
 

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 import asterism
@@ -28,6 +29,7 @@ from asterism.motion.clinical import (
 )
 from asterism.motion.clinical.angles import leg_axes
 from asterism.motion.clinical.measures import computed_by_the_file
+from asterism.motion.clinical.plug_in_gait import joint_centre
 from asterism.simulation import simulate_walks
 
 GIVEN = SubjectMeasures(
@@ -37,6 +39,43 @@ GIVEN = SubjectMeasures(
 )
 TO_WORLD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]).T
 """From x forward, y up, z to the right into a world with z up."""
+
+
+def joint_centre_twin(
+    upper: np.ndarray, marker: np.ndarray, wand: np.ndarray, offset: float, turn: float = 0.0, tilt: float = 0.0
+) -> np.ndarray:
+    """`joint_centre` for one frame, by its conditions: a search over the ways round for the turn, at the chord's distance."""
+
+    def turned(angle: float) -> np.ndarray:
+        axis = (marker - upper) / np.linalg.norm(marker - upper)
+        first = wand - upper - (wand - upper) @ axis * axis
+        first /= np.linalg.norm(first)
+        long, out = np.linalg.norm(marker - upper), np.cos(angle) * first + np.sin(angle) * np.cross(axis, first)
+        # the triangle of upper centre, centre and marker, by the law of cosines with the angle at the centre
+        thigh = offset * np.cos(np.pi / 2 + tilt) + np.sqrt(long**2 - (offset * np.sin(np.pi / 2 + tilt)) ** 2)
+        near = (long**2 + offset**2 - thigh**2) / (2 * long * offset)
+        return np.asarray(marker - offset * (near * axis + np.sqrt(1 - near**2) * out))
+
+    def apart(angle: float) -> float:
+        centre = turned(angle)
+        line = (centre - upper) / np.linalg.norm(centre - upper)
+        one, other = (part - part @ line * line for part in (wand - centre, marker - centre))
+        found = np.arctan2(np.cross(one, other) @ line, one @ other)
+        return float((turn - found + np.pi) % (2 * np.pi) - np.pi)
+
+    return turned(brentq(apart, turn - 0.4, turn + 0.4, xtol=1e-13) if turn else 0.0)
+
+
+@pytest.mark.parametrize(("turn", "tilt"), [(0.0, 0.0), (0.0, 0.15), (0.3, 0.0), (-0.9, 0.1)])
+def test_a_joint_centre_is_where_its_conditions_meet(turn: float, tilt: float) -> None:
+    rng = np.random.default_rng(3)
+    upper, marker, wand = (rng.normal(place, 0.03, (5, 3)) for place in ([0, 0, 0.4], [0, 0.06, 0], [0.1, 0.1, 0.2]))
+    found = joint_centre(upper, marker, wand, 0.06, turn, tilt)
+    expected = [joint_centre_twin(*parts, 0.06, turn, tilt) for parts in zip(upper, marker, wand, strict=True)]
+    np.testing.assert_allclose(found, expected, atol=1e-10)
+    holed = marker.copy()
+    holed[2, 1] = np.nan
+    assert np.isnan(joint_centre(upper, holed, wand, 0.06, turn, tilt)).any(axis=1).tolist() == [False, False, True, False, False]
 
 
 def davis_hip(right: float) -> np.ndarray:
@@ -162,11 +201,16 @@ def test_a_gap_is_a_gap_of_the_angles_that_need_the_marker() -> None:
 def test_legs_without_their_markers_are_named_and_left_out() -> None:
     given = standing((0, 0, 0), (0, 0, 0))
     left = given.select([name for name in given.labels if name not in ("RTIB", "LTOE")])
-    assert complete_legs(left) == ("L",) and [joint.name for joint in clinical_angles(left).joints] == ["left hip", "left knee"]
+    partly = clinical_angles(left)
+    assert complete_legs(left) == ("L",) and [joint.name for joint in partly.joints] == ["left hip", "left knee", "right hip"]
+    said = [finding.sentence for finding in partly.findings if finding.code == "clinical-left-out"]
+    assert len(said) == 1 and "right knee, ankle: RTIB" in said[0]
     assert leg_measures(left, "L") == LegMeasures()
     hidden = given.positions.copy()
     hidden[:, given.labels.index("SACR")] = np.nan
-    cases = [(left, "R", "RTIB"), (left, "X", "no side"), (given.select(["LASI", "RASI", "SACR"]), None, "LTHI, LKNE, LTIB, LANK")]
+    pelvis = clinical_angles(given.select(["LASI", "RASI", "SACR"]))
+    assert not pelvis.joints and set(pelvis.outputs) == {"LPelvisAngles", "RPelvisAngles"} and len(pelvis.findings) == 3
+    cases = [(left, "R", "RTIB"), (left, "X", "no side"), (given.select(["LASI", "LTHI"]), None, "RASI, SACR, LKNE, LTIB, LANK")]
     for recording, side, sentence in [*cases, (replace(given, positions=hidden), None, "never shows")]:
         with pytest.raises(AsterismError, match=sentence):
             clinical_angles(recording, side)
@@ -228,7 +272,7 @@ def test_motion_gives_clinical_angles_where_the_markers_are(walk: Path, tmp_path
     page, table, found = tmp_path / "page.html", tmp_path / "angles.csv", tmp_path / "found.json"
     words = ["motion", str(walk), "--vertical", "z", "--limbs", "3"]
     assert main([*words, "--report", str(page), "-o", str(table), "--json", str(found)]) == 0
-    told = capsys.readouterr().out
+    told = "".join(capsys.readouterr())
     assert "clinical angles" in told and "right ankle" in told and "no knee width, ankle width, leg length of the left leg" in told
     clinical = json.loads(found.read_text())["files"][0]["clinical"]
     knee = next(joint for joint in clinical["joints"] if (joint["side"], joint["joint"]) == ("right", "knee"))

@@ -329,7 +329,7 @@ def test_a_unit_that_nobody_knows_is_refused(tmp_path):
         read(tmp_path / "walk.trc")
     declared(tmp_path / "walk.trc", "furlong", 1000)
     (doubt,) = read(tmp_path / "walk.trc", vertical="z").warnings
-    assert doubt.code == "format-units-doubtful" and "mm fits the size of the body" in doubt.sentence
+    assert doubt.code == "format-units-unknown" and "mm fits the size of the body" in doubt.sentence
 
 
 def test_units_in_the_wrong_field_are_found(tmp_path):

@@ -25,14 +25,17 @@ from asterism.gait import (
     band_of,
     cycles_of,
     find_events,
-    measures_by_name,
+    gait_table,
+    midstances,
     over_cycle,
     parameters_of,
     profile_scores,
     summarise,
+    symmetries,
 )
 from asterism.gait.events import OFF, STRIKE, EventRules, GaitEvent
 from asterism.motion.clinical import exchanged_pairs
+from asterism.motion.clinical.measure_files import measures_by_name
 from asterism.motion.gaps import fill_gaps
 from asterism.simulation import simulate_walks
 
@@ -87,6 +90,28 @@ def test_parameters_are_those_of_the_rule(treadmill: bool, heading: float, up: s
         ):
             assert means[name, side].mean == pytest.approx(value, abs=near), (name, side)
             assert means[name, side].sigma > 0
+
+
+@pytest.mark.parametrize("treadmill", [False, True])
+def test_midstance_is_when_the_other_foot_passes(treadmill: bool) -> None:
+    """By the rule, a swing is half of a cosine from half a stride behind to half a stride ahead: it passes in its middle."""
+    found = midstances(find_events(stepping(treadmill=treadmill)))
+    assert len(found) > 8 and {event.side for event in found} == {"L", "R"}
+    for event in found:
+        # the left foot begins at phase 0, so that the right, half a cycle ahead, swings in the middle of its stance
+        phase = (event.time / TIME + (0.0 if event.side == "L" else 0.5)) % 1.0
+        assert phase == pytest.approx(STANCE + (1 - STANCE) / 2 - 0.5, abs=0.01) and 0.001 < event.sigma < 0.01
+
+
+def test_symmetry_is_of_both_sides_and_signed() -> None:
+    walk = stepping()
+    parameters = parameters_of(walking := find_events(walk), cycles_of(walking))
+    assert {one.name for one in symmetries(parameters)} == {"step time", "step length", "stance", "swing", "single support"}
+    assert all(abs(one.value) < 3 * one.sigma + 0.5 for one in symmetries(parameters))
+    longer = [replace(one, value=1.2 * one.value) if (one.name, one.side) == ("step length", "L") else one for one in parameters]
+    more = {one.name: one.value for one in symmetries(longer)}["step length"]
+    assert more == pytest.approx(100 * 0.2 / 1.1, abs=1.0)
+    assert symmetries([one for one in parameters if one.side == "L"]) == []
 
 
 def test_events_alternate_and_each_foot_leaves_after_it_struck() -> None:
@@ -169,19 +194,54 @@ def test_gait_writes_tables_and_a_page(tmp_path: Path, capsys: pytest.CaptureFix
     assert "walking speed" in capsys.readouterr().out
     found = json.loads((tmp_path / "gait.json").read_text())["files"][0]
     assert found["measures"]["left"]["knee_width"] == pytest.approx(0.102)
+    assert {"low", "high", "standard"} == set(found["bands_deg"]["LKneeAngles"]) and "95 % interval" in page.read_text()
     with table.open() as lines:
         rows = list(csv.DictReader(lines))
-    assert {row["parameter"] for row in rows} >= {"cadence", "step width", "double support"} and len(rows) == len(found["parameters"])
+    each = [row for row in rows if row["kind"] == "parameter"]
+    assert {row["name"] for row in each} >= {"cadence", "step width", "double support"} and len(each) == len(found["parameters"])
+    assert {row["kind"] for row in rows} == {"parameter", "mean", "symmetry"} and all(float(row["uncertainty"]) > 0 for row in rows)
     with curves.open() as lines:
-        knee = [row for row in csv.DictReader(lines) if (row["side"], row["curve"], row["cycle"]) == ("L", "Knee", "1")]
-    assert [int(row["percent"]) for row in knee] == list(range(101))
+        knee = [row for row in csv.DictReader(lines) if (row["name"], row["cycle"], row["axis"]) == ("LKneeAngles", "1", "x")]
+    flexion = [row for row in knee if row["kind"] == "curve"]
+    assert [int(row["percent"]) for row in flexion] == list(range(101))
+    highest = next(row for row in knee if row["kind"] == "maximum")
+    assert float(highest["value"]) == max(float(row["value"]) for row in flexion) and 1 < float(highest["uncertainty"]) < 20
+    # the frame, of which the recording knows the angle, is beside the time
+    assert int(highest["first_frame"]) - 1 <= float(highest["begins_s"]) * 100 <= int(highest["last_frame"]) - 1
     assert "knee flexion" in page.read_text() and "foot progression" in page.read_text()
+
+
+def test_a_table_is_refused_before_the_work_where_it_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    for name, said in (("walk.xlsx", r".csv or .parquet"), ("walk.parquet", "pip install pyarrow")):
+        assert main(["gait", "no-such-walk.c3d", "--table", str(tmp_path / name)]) == 2
+        assert said in capsys.readouterr().err and not (tmp_path / name).exists()
+
+
+def test_a_table_of_other_libraries_has_the_same_cells(tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    table = gait_table([("walk", analyse_gait(simulate_walks(1, frames=300, markers="helen-hayes", seed=3)[0]))])
+    table.write(tmp_path / "walk.parquet")
+    frame, read = table.to_dataframe(), pandas.read_parquet(tmp_path / "walk.parquet")
+    assert list(read) == list(frame) and len(frame) == len(read) == len(table.rows)
+    for column in ("kind", "value", "last_frame"):
+        assert read[column].tolist() == frame[column].tolist() == [row[list(frame).index(column)] for row in table.rows]
+    assert frame["percent"].isna().sum() == len(table.rows) - len(table.of("curve", "maximum", "minimum").rows)
 
 
 def test_a_measure_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     walk = tmp_path / "walk.c3d"
     formats.write(walk, simulate_walks(1, frames=60, markers="helen-hayes", seed=3)[0])
-    for word, said in (("LKneeWidth", "no name and number"), ("LKneeWidth=0.1", "give it in mm"), ("Knee=100", "no measure")):
+    refused = {
+        "LKneeWidth=": "no name and number",
+        "LKneeWidth": "neither a name",
+        "LKneeWidth=0.1": "give it in mm",
+        "Knee=100": "no measure",
+    }
+    for word, said in refused.items():
         assert main(["gait", str(walk), "--measure", word]) == 2
         assert said in capsys.readouterr().err
     assert measures_by_name(["LKneeWidth=101,5"]) == {"LKneeWidth": 101.5}

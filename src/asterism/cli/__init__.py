@@ -28,6 +28,8 @@ _RENAMED = {
 }
 """Renamed options: the old name, which is accepted and no longer shown, and the new one."""
 _LISTS = ("--occlusions", "--ghosts", "--wand")
+_FILE_LISTS = ("--compare",)
+"""Options to which all files belong that follow them, as a shell spells out `after/*.c3d`."""
 
 
 def _show_version(wanted: bool) -> None:
@@ -49,6 +51,7 @@ _EXAMPLES = {
     "name": "asterism name first.c3d --report numbers.html",
     "train": "asterism train labelled/*.c3d -o gait.model --markers helen-hayes",
     "label": "asterism label raw/*.c3d --model gait.model -o labelled",
+    "process": "asterism process people -o results",
     "review": "asterism review raw/*.c3d --model gait.model --report review.html",
     "learn": "asterism learn gait.model corrected/*.c3d -o better.model",
     "evaluate": "asterism evaluate --leave-one-subject-out labelled/*.c3d --markers helen-hayes --occlusions 0 2 4",
@@ -67,7 +70,7 @@ _EXAMPLES = {
 }
 """Each verb, which is a function in a module of its name, and its example."""
 _HEADINGS = {
-    "Every day": ("demo", "name", "train", "label", "review", "learn", "evaluate", "info", "convert", "warm-up"),
+    "Every day": ("demo", "name", "train", "label", "process", "review", "learn", "evaluate", "info", "convert", "warm-up"),
     "Labels and marker sets under test": ("audit", "mend", "capturability"),
     "From your own cameras": ("detect", "calibrate", "reconstruct", "rig", "label-views", "body"),
     "Movement": ("gait", "segment", "motion"),
@@ -221,10 +224,17 @@ def _globbed(args: Sequence[str]) -> list[str]:
 
 
 def _lists_joined(args: Sequence[str]) -> list[str]:
-    """`--occlusions 0 1 2` becomes `--occlusions 0,1,2`: all numbers that follow such an option belong to it."""
+    """`--occlusions 0 1 2` becomes `--occlusions 0,1,2`: all numbers that follow such an option belong to it.
+
+    All files that follow `--compare` belong to it: it is repeated before each.
+    """
     joined: list[str] = []
-    of_a_list = False
+    of_a_list, of_files = False, ""
     for arg in args:
+        of_files = arg if arg in _FILE_LISTS else "" if arg.startswith("-") else of_files
+        if of_files and arg not in _FILE_LISTS:
+            joined += [arg] if joined[-1] == of_files else [of_files, arg]
+            continue
         number = re.fullmatch(r"\d*\.?\d+", arg) is not None
         if of_a_list and number and joined[-1] not in _LISTS:
             joined[-1] += f",{arg}"

@@ -2,28 +2,84 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from asterism.cli import _console
+from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
-    from asterism.motion.clinical import ClinicalAngles, ClinicalErrors, ClinicalJoint, ClinicalUncertainty, JointUncertainty
+    from asterism.findings import Finding
+    from asterism.motion.clinical import (
+        ClinicalAngles,
+        ClinicalErrors,
+        ClinicalJoint,
+        ClinicalUncertainty,
+        JointUncertainty,
+        StaticRules,
+        SubjectMeasures,
+    )
     from asterism.motion.uncertainty import MonteCarloRules
     from asterism.recording import Floats, Recording
 
 
-def find(recording: Recording, wanted: bool | None) -> ClinicalAngles | None:
-    """The clinical angles; where they are not asked for (None), only those of legs with all markers.
+def given_measures(words: list[str]) -> tuple[dict[str, float], list[Path]]:
+    """The measures that --measure names, and the files of measures that it gives.
 
-    Raises AsterismError where they are asked for and neither leg has all markers.
+    Raises AsterismError where a word is neither, or a file holds none.
     """
-    from asterism.motion.clinical import clinical_angles, complete_legs
+    from asterism.motion.clinical import SubjectMeasures
+    from asterism.motion.clinical.measure_files import measures_by_name, read_measures
+
+    files = [Path(word) for word in words if "=" not in word or Path(word).is_file()]
+    for file in files:
+        if not file.suffix:
+            raise AsterismError(f"--measure {file} is neither a name with its value, such as LKneeWidth=102, nor a file of measures.")
+        read_measures(file)
+    named = measures_by_name([word for word in words if Path(word) not in files])
+    SubjectMeasures().with_values(named)
+    return named, files
+
+
+def measures_of(
+    recording: Recording, static: Recording | None, words: list[str], hip: str | None = None, rules: StaticRules | None = None
+) -> tuple[SubjectMeasures | None, tuple[Finding, ...]]:
+    """The measures of the recording's person, by the words of --measure and the standing trial; None where neither is given."""
+    from asterism.motion.clinical import gathered_measures
+    from asterism.motion.clinical.measure_files import measures_of_person
+
+    if static is None and not words and hip is None:
+        return None, ()
+    named, files = given_measures(words)
+    given: dict[str, float] = {}
+    for file in files:
+        given |= measures_of_person(file, recording)
+    measures, found = gathered_measures(recording, static, given | named, rules)
+    return replace(measures, hip_regression=None if hip is None else str(hip)), found
+
+
+def find(
+    recording: Recording,
+    wanted: bool | None,
+    measures: SubjectMeasures | None = None,
+    static: Recording | None = None,
+    model: str | None = None,
+) -> ClinicalAngles | None:
+    """The clinical angles; where they are not asked for (None), None for a recording without a joint of theirs.
+
+    Raises AsterismError where they are asked for and there is none.
+    """
+    from asterism.motion.clinical import clinical_angles
 
     # asked for, a missing marker is an error; not asked for, it is no leg
-    if wanted is False or (wanted is None and not complete_legs(recording)):
+    try:
+        clinical = None if wanted is False else clinical_angles(recording, measures=measures, static=static, model=model)
+    except AsterismError:
+        if wanted or model is not None:
+            raise
         return None
-    return clinical_angles(recording)
+    return clinical if clinical is None or clinical.joints or wanted else None
 
 
 class MonteCarloOptions(TypedDict):
@@ -41,7 +97,10 @@ def certain(
     """How certain the angles are."""
     from asterism.motion.clinical import clinical_uncertainty
 
-    if clinical is None:
+    if clinical is None or not clinical.joints:
+        return None
+    if clinical.model.name == "landmarks":
+        _console.notice(f"{recording.metadata.get('file', 'the recording')}: no intervals of angles by {clinical.model.title(recording)}.")
         return None
     return clinical_uncertainty(recording, clinical, errors, seed=seed, **trials)
 
@@ -76,8 +135,6 @@ def show(path: Path, clinical: ClinicalAngles | None, known: ClinicalUncertainty
         ]
         _console.table(f"{path}: largest standard uncertainties", head, rows)
         _console.result(TRIED_ON)
-    for finding in clinical.findings:
-        _console.result(str(finding))
 
 
 def columns(wide: bool) -> list[str]:

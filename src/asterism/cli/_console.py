@@ -129,7 +129,10 @@ _bars: list[Callable[[str], None]] = []
 
 @contextmanager
 def progress(what: str) -> Iterator[Progress | None]:
-    """A bar with the remaining time on standard error, where that is a terminal; elsewhere a line each minute."""
+    """A bar with the remaining time on standard error, where that is a terminal; elsewhere a line each minute. None within another bar."""
+    if _bars:
+        yield None
+        return
     # a bar in a log is a thousand lines
     if not sys.stderr.isatty():
         yield _each_minute(what)

@@ -33,15 +33,20 @@ def trials(given: Sequence[Path], batch: _console.Batch, *, without: Path | None
 
     A file that was named itself goes to the top of the folder for outputs; what was found in a single folder keeps its path below that
     folder. With several folders, or where two files would go to one place, all keep their path below the folder that they share.
-    Raises AsterismError where a folder holds no recording, or two files still would go to one place (on a system that does not
-    distinguish capital letters).
+    A folder without a recording counts as a file that failed. Raises AsterismError where it is all that was given, or two files still would
+    go to one place (on a system that does not distinguish capital letters).
     """
     found: dict[Path, tuple[Path, Path | None]] = {}
     for path in given:
         if path.is_dir():
             inside = list(_recordings_in(path, without, batch))
+            # a folder among others costs itself alone
             if not inside:
-                raise AsterismError(f"{path} holds no recording (C3D, TRC, CSV, TSV, MAT, MOT, STO or NPZ); name another folder.")
+                nothing = AsterismError(f"{path} holds no recording (C3D, TRC, CSV, TSV, MAT, MOT, STO or NPZ); name another folder.")
+                if len(given) == 1:
+                    raise nothing
+                with batch.file(path):
+                    raise nothing
             for file in inside:
                 # a file that is named twice, or by two links, is one file
                 found.setdefault(_console.real_path(file), (file, path))

@@ -161,7 +161,8 @@ def model_or_virtual(
     axis = vertical_axis(vertical)
     finder = SetFinder(worn_sets(None if markers is None else [markers]), files, axis)
     # what is given needs no file
-    (worn,) = finder.given_sets() if markers is not None else finder.of(files[0], formats.read(files[0], vertical=axis))
+    # two people who are named in a file wear the same set
+    worn, *_ = finder.given_sets() if markers is not None else finder.of(files[0], formats.read(files[0], vertical=axis))
     with _console.progress("making a model of virtual people") as progress:
         return virtual_model(worn.marker_set, progress=progress), worn.name
 

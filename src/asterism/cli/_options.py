@@ -11,6 +11,21 @@ import typer
 from asterism.errors import AsterismError
 
 
+class LowerBodyModel(StrEnum):
+    """How the angles of legs are computed: docs/motion.md."""
+
+    PLUG_IN_GAIT = "plug-in-gait"
+    LANDMARKS = "landmarks"
+
+
+class HipRegression(StrEnum):
+    """Whose regression tells the hip joint centres."""
+
+    DAVIS = "davis"
+    BELL = "bell"
+    HARRINGTON = "harrington"
+
+
 class SearchStrategy(StrEnum):
     """How partial solvers are searched for: thesis 4.5.3."""
 
@@ -47,6 +62,26 @@ class Rules(StrEnum):
 Files = Annotated[
     list[Path],
     typer.Argument(metavar="FILES", help="Recordings, or folders of them: C3D, TRC, CSV, TSV, MAT or NPZ.", show_default=False),
+]
+Static = Annotated[
+    Path | None,
+    typer.Option("--static", metavar="FILE", help="A standing trial of the person: offsets of wands, tibia and feet.", show_default=False),
+]
+LowerBodyChoice = Annotated[
+    LowerBodyModel | None,
+    typer.Option("--lower-body", help="How angles of the legs are computed. By itself by the markers that are worn.", show_default=False),
+]
+Hip = Annotated[
+    HipRegression | None,
+    typer.Option("--hip", help="Whose regression tells the hip centres. By itself the model's own.", show_default=False),
+]
+Measure = Annotated[
+    list[str],
+    typer.Option(
+        "--measure",
+        metavar="NAME=VALUE",
+        help="A measure of the person by Plug-in-Gait's name, mm, degrees or kg: LKneeWidth=102; or a file of them: .mp, .vsk, a table.",
+    ),
 ]
 Model = Annotated[Path, typer.Option("--model", "-m", metavar="FILE", help="The model that `asterism train` wrote.", show_default=False)]
 Models = Annotated[

@@ -52,6 +52,45 @@ def read_labelled(files: Sequence[Path], markers: str | MarkerSet | None, vertic
     return recordings if marker_set is not None else _with_common_markers(recordings, batch)
 
 
+def read_people(files: Sequence[Path], marker_set: MarkerSet, vertical: str | None, batch: _console.Batch) -> list[Recording]:
+    """The files of a batch that can be read, under a set of markers; those of several people with the markers of each, under their names.
+
+    Raises AsterismError where none is left.
+    """
+    from asterism.session.people import people_in
+
+    axis, recordings = vertical_axis(vertical), list[Recording]()
+    for path in files:
+        with batch.file(path):
+            try:
+                recording = formats.read(path, markers=marker_set, vertical=axis)
+            except AsterismError:
+                # two people have two points of one name
+                recording = formats.read(path, vertical=axis)
+                if not people_in(recording.labels, marker_set):
+                    raise
+                recording = recording.select([label for label in recording.labels if marker_set.name_of(label) is not None])
+            report_warnings(recording, batch)
+            recordings.append(recording)
+    if not recordings:
+        raise AsterismError("none of the files can be used; the reasons are above.")
+    return recordings
+
+
+def one_person(recording: Recording, batch: _console.Batch) -> Recording:
+    """The markers of the person who is named first, where a file names those of several; that the others are left out is told."""
+    from asterism.labelling.training.people import of_person, prefixes_of_people
+
+    people = prefixes_of_people(recording.labels)
+    if not people:
+        return recording
+    where, called = str(recording.metadata.get("file", "the recording")), [prefix or "the one without a name" for prefix in people]
+    sentence = f"{where}: it names the markers of {len(people)} people ({', '.join(called)}); {called[0]} is analysed, and nobody else."
+    mend = "Give each person's markers in a file of their own to analyse them all."
+    batch.found(Finding("recording-several-people", Severity.WARNING, where, sentence, mend))
+    return of_person(recording, people[0])
+
+
 def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | None, batch: _console.Batch) -> list[Recording]:
     """The files of a batch that can be read, each with the markers of a set; without a set, with all its named physical points.
 

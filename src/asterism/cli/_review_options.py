@@ -53,6 +53,9 @@ class ReviewOptions:
         typer.Option("--answers", metavar="FILE", help="Correct the files by that table, filled in; needs -o.", show_default=False),
     ] = None
     serve: Annotated[bool, typer.Option("--serve", help="Open a page in the browser on which the labels are corrected.")] = False
+    by_hand: Annotated[
+        bool, typer.Option("--by-hand", help="Page: name groups of points by clicking, without any model; else where no set fits.")
+    ] = False
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="FOLDER", help="Where corrected files go. Page: else `corrected`.", show_default=False),

@@ -29,7 +29,7 @@ def serve_page(options: ReviewOptions) -> None:
     found = [trial for trial in trials(options.files, batch, without=options.output) if not _is_corrected(trial)]
     files, targets = [trial.path for trial in found], None if options.output is None else outputs_of(found, options.output)
     labeller = file_labeller(options, files, batch)
-    settings = SessionOptions(options.model or (), options.output, options.log_folder, options.overwrite, labeller.options)
+    settings = SessionOptions(options.model or (), options.output, options.log_folder, options.overwrite, labeller.options, options.by_hand)
     session = CorrectionSession(files, labeller.models, settings, targets)
     serve(session, PageAddress(options.host, options.port, not options.no_browser), _console.result)
     # answers are in the logs in any case; only the files are not written

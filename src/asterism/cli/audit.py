@@ -16,8 +16,8 @@ from asterism.cli._options import Files, Json, Markers, Overwrite, Seed, Subject
 from asterism.findings import exit_status
 
 if TYPE_CHECKING:
-    from asterism.labelling.audit import LabelError
-    from asterism.recording import Recording
+    from asterism.labelling.audit import LabelError, NamesAsked
+    from asterism.recording import MarkerSet, Recording
 
 
 LEARNED_AS_NAMED = "The model learns them as they are named; where the names are wrong, correct them and do this again."
@@ -48,8 +48,6 @@ def audit(options: AuditOptions) -> None:
     The exit status is 1 where something was found.
     """
     from asterism.cli._recordings import marker_set_of, read_some
-    from asterism.labelling import audit as find_errors
-    from asterism.labelling import check_names
     from asterism.recording import subject_of
     from asterism.recording.display import counted
 
@@ -58,10 +56,7 @@ def audit(options: AuditOptions) -> None:
     marker_set = marker_set_of(options.markers)
     recordings = read_some(recordings_of(options.files, batch), marker_set, options.vertical, batch)
     subjects = [options.subject or subject_of(recording) for recording in recordings]
-    with _console.progress("auditing") as progress:
-        errors = find_errors(recordings, subjects=subjects, seed=options.seed, progress=progress)
-    asked = check_names(recordings, marker_set, subjects=subjects, known=errors)
-    errors += asked.errors
+    errors, asked = errors_in(recordings, marker_set, subjects, options.seed, "auditing")
     # frames as the file numbers them, by which other programs find them
     errors = [as_numbered(error, recordings) for error in errors]
     if options.json != "-":
@@ -85,6 +80,22 @@ def audit(options: AuditOptions) -> None:
     status = batch.close()
     # a file that failed counts more than what was found in the others
     raise typer.Exit(status or exit_status(error.finding for error in errors))
+
+
+def errors_in(
+    recordings: Sequence[Recording], marker_set: MarkerSet | None, subjects: Sequence[str] | None, seed: int, what: str
+) -> tuple[list[LabelError], NamesAsked]:
+    """The wrong labels of recordings, as their markers' paths, the bodies of the others and virtual people say; what these were asked.
+
+    what: the progress shown.
+    """
+    from asterism.labelling import audit as find_errors
+    from asterism.labelling import check_names
+
+    with _console.progress(what) as progress:
+        errors = find_errors(recordings, subjects=subjects, seed=seed, progress=progress)
+    asked = check_names(recordings, marker_set, subjects=subjects, known=errors)
+    return [*errors, *asked.errors], asked
 
 
 def as_numbered(error: LabelError, recordings: Sequence[Recording]) -> LabelError:

@@ -28,6 +28,7 @@ from asterism.cli._options import (
     marker_names,
     numbers,
 )
+from asterism.cli.audit import as_numbered
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
@@ -95,6 +96,9 @@ def evaluate(options: EvaluateOptions) -> None:
     count, hidden = len(recordings[0].labels), max(settings["occlusions"])
     if hidden > count:
         raise AsterismError(f"--occlusions {hidden} hides more than the {count} markers that there are; give smaller numbers.")
+    # names that are exchanged make right labels wrong
+    for error in labelling.check_names(recordings, None if model is None else model.marker_set).errors:
+        batch.found(as_numbered(error, recordings).finding)
     with _console.progress("evaluating") as progress:
         if model is not None:
             evaluation = labelling.evaluate(model, recordings, **settings, progress=progress)

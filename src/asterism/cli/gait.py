@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from asterism.cli import _console
+from asterism.cli import _clinical, _console
 from asterism.cli._command import takes
-from asterism.cli._filling import Fill, fill_limit, filled, filled_text
-from asterism.cli._options import Files, Json, Overwrite, Report, Vertical
+from asterism.cli._filling import Fill, Filter, cleaned, fill_limit, filled, filled_text, filter_choice, filter_values
+from asterism.cli._options import Files, Hip, Json, LowerBodyChoice, Measure, Overwrite, Report, Static, Vertical
 
 if TYPE_CHECKING:
+    from asterism.cli._folders import Trial
+    from asterism.findings import Finding
     from asterism.gait import Band, GaitAnalysis
-    from asterism.motion.clinical import StaticRules, SubjectMeasures
     from asterism.recording import Recording
 
 
@@ -26,32 +27,42 @@ class GaitOptions:
     """What `asterism gait` is asked to do."""
 
     files: Files
-    static: Annotated[
-        Path | None,
-        typer.Option(
-            "--static", metavar="FILE", help="A standing trial of the person: offsets of wands, tibia and feet.", show_default=False
-        ),
-    ] = None
-    measure: Annotated[
-        list[str],
-        typer.Option(
-            "--measure", metavar="NAME=VALUE", help="A measure of the person by Plug-in-Gait's name, mm, degrees or kg: LKneeWidth=102."
-        ),
-    ] = field(default_factory=list)
+    static: Static = None
+    measure: Measure = field(default_factory=list)
+    lower_body: LowerBodyChoice = None
+    hip: Hip = None
     sloped_foot: Annotated[
         bool, typer.Option("--sloped-foot", help="With --static: heel and toe marker count as high as they are, not as equally high.")
     ] = False
     level_head: Annotated[
         bool, typer.Option("--level-head", help="With --static: the person looks straight ahead; the head's tilt is taken off.")
     ] = False
+    table: Annotated[
+        Path | None,
+        typer.Option(
+            "--table",
+            metavar="FILE",
+            help="Write all numbers, with their uncertainty and frames: events, parameters, curves, extremes; CSV or .parquet.",
+            show_default=False,
+        ),
+    ] = None
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write the parameters of each cycle as CSV.", show_default=False),
+        typer.Option("--output", "-o", metavar="FILE", help="Of this table, write the parameters alone.", show_default=False),
     ] = None
     curves: Annotated[
         Path | None,
         typer.Option(
-            "--curves", metavar="FILE", help="Write angles, moments and powers of each cycle, 0 to 100 %, as CSV.", show_default=False
+            "--curves", metavar="FILE", help="Of this table, write angles, moments and powers from 0 to 100 % alone.", show_default=False
+        ),
+    ] = None
+    c3d: Annotated[
+        Path | None,
+        typer.Option(
+            "--c3d",
+            metavar="FOLDER",
+            help="Write copies of the walks with angles, moments, powers, events and parameters as gait programs read them.",
+            show_default=False,
         ),
     ] = None
     band: Annotated[
@@ -66,10 +77,25 @@ class GaitOptions:
             "--save-band", metavar="FILE", help="Write the band of these walks, of people without complaints.", show_default=False
         ),
     ] = None
+    compare: Annotated[
+        list[Path],
+        typer.Option(
+            "--compare", metavar="FILES", help="Walks of a second session; all files that follow belong to it.", show_default=False
+        ),
+    ] = field(default_factory=list)
+    compare_static: Annotated[
+        Path | None,
+        typer.Option("--compare-static", metavar="FILE", help="The standing trial of the second session.", show_default=False),
+    ] = None
     fill: Fill = "none"
+    filter: Filter = "none"
     vertical: Vertical = None
     overwrite: Overwrite = False
     report: Report = None
+    pdf: Annotated[
+        Path | None,
+        typer.Option("--pdf", metavar="FILE", help="Print the report on A4, by Chromium, Chrome or Edge.", show_default=False),
+    ] = None
     json: Json = None
 
 
@@ -80,39 +106,84 @@ def gait(options: GaitOptions) -> None:
     Strikes and offs come from the markers of feet and pelvis, and from force plates that one foot alone stands on. Cadence, speed, lengths
     and times of steps have an uncertainty. Angles of legs, trunk, head and arms are those of Plug-in-Gait, from the measures of the
     file, of --static and of --measure. Several walks of one person go into one report. A foot
-    that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass.
+    that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass. --c3d writes all of it into copies of
+    the walks.
     --fill fills gaps of markers first, with what the other files of the same person show; events and angles that depend on filled samples
-    are as much less certain, and flagged.
+    are as much less certain, and flagged. --filter smooths markers; by default nothing is filtered, because angles and events need it not.
+    --compare sets a second session of the person beside the first, before and after a treatment.
     """
-    from asterism.cli._folders import recordings_of
-    from asterism.gait import Band, measures_by_name
+    from asterism.cli._folders import trials
+    from asterism.files.tables import check_table
+    from asterism.gait import Band
 
-    outputs = [options.report, options.json, options.output, options.curves, options.save_band]
-    _console.check_outputs(outputs, [*options.files, options.static, options.band], options.overwrite)
+    tables = [options.table, options.output, options.curves]
+    inputs = [options.static, options.compare_static, options.band]
+    outputs = [options.report, options.json, *tables, options.save_band, options.pdf]
+    _console.check_outputs(outputs, [*options.files, *options.compare, *inputs], options.overwrite)
+    for given in tables:
+        if given is not None:
+            check_table(given)
+    _check_sessions(options)
     # what is wrong with the options is told before any file is read
-    measures_by_name(options.measure)
+    _clinical.given_measures(options.measure)
     fill_limit(options.fill)
+    filter_choice(options.filter)
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
-    results = analysed(options, recordings_of(options.files, batch), batch)
+    walks = trials([*options.files, *options.compare], batch, without=options.c3d)
+    copies = {} if options.c3d is None else _copies(walks, options.c3d, inputs)
+    later = _paths_below(options.compare)
+    results = analysed(options, [walk.path for walk in walks if _console.real_path(walk.path) not in later], batch, copies)
+    second = replace(options, static=options.compare_static)
+    compared = analysed(second, [walk.path for walk in walks if _console.real_path(walk.path) in later], batch, copies)
     if results:
-        write_results(options, results, band, batch)
+        write_results(options, results, band, batch, copies, compared)
     raise typer.Exit(batch.close())
 
 
-def analysed(options: GaitOptions, files: Sequence[Path], batch: _console.Batch) -> list[tuple[Path, GaitAnalysis]]:
-    """The analyses of the files that can be analysed; what is found on them goes to the batch."""
+def _check_sessions(options: GaitOptions) -> None:
+    """Raise AsterismError where the sessions share a file, or a standing trial of one would serve the other, or no browser prints."""
+    from asterism.errors import AsterismError
+
+    shared = _paths_below(options.files) & _paths_below(options.compare)
+    if shared:
+        raise AsterismError(f"{min(shared)} is in both sessions; name the walks of the first one before --compare, the others behind it.")
+    if options.compare and options.static is not None and options.compare_static is None:
+        raise AsterismError(
+            f"{options.static} is of the first session: markers are put on anew in the second. Give its own with --compare-static, or the "
+            "same file where nothing was moved."
+        )
+    if options.compare_static is not None and not options.compare:
+        raise AsterismError("--compare-static is of a second session, and there is none; name its walks behind --compare.")
+    if options.pdf is not None:
+        from asterism.report.pdf import find_browser
+
+        find_browser()
+
+
+def _paths_below(given: Sequence[Path]) -> set[Path]:
+    """The real paths of files, and of all files in folders."""
+    return {_console.real_path(file) for path in given for file in (path.rglob("*") if path.is_dir() else [path])}
+
+
+def analysed(
+    options: GaitOptions, files: Sequence[Path], batch: _console.Batch, copies: Mapping[Path, Path]
+) -> list[tuple[Path, GaitAnalysis]]:
+    """The analyses of the files that can be analysed, whose copies are written; what is found on them goes to the batch."""
+    from asterism.cli._folders import check_output
     from asterism.formats import force_plates
-    from asterism.gait import analyse_gait, measures_by_name
+    from asterism.gait import analyse_gait, write_gait_c3d
     from asterism.motion.clinical import StaticRules
 
-    given, limit = measures_by_name(options.measure), fill_limit(options.fill)
+    limit, choice = fill_limit(options.fill), filter_choice(options.filter)
     static = None if options.static is None else _read(options.static, options, batch)
     rules = StaticRules(flat_foot=not options.sloped_foot, level_head=options.level_head)
     results: list[tuple[Path, GaitAnalysis]] = []
     trials = files if options.static is None else [*files, options.static]
     for path in files:
         with batch.file(path):
+            if path in copies:
+                check_output(path, copies[path], options.overwrite)
             recording = _read(path, options, batch)
             plates, found = force_plates(recording)
             if limit is not None:
@@ -120,17 +191,32 @@ def analysed(options: GaitOptions, files: Sequence[Path], batch: _console.Batch)
                 recording, found = fill.recording, (*found, *fill.findings)
                 if options.json != "-" and (fill.gaps or fill.findings):
                     _console.result(f"{path}: {filled_text(fill)}.")
-            analysis = analyse_gait(recording, plates, _measures(recording, static, given, rules))
+            clean = cleaned(recording, choice)
+            recording, found = clean.recording, (*found, *clean.findings)
+            measures, doubtful = _clinical.measures_of(recording, static, options.measure, options.hip, rules)
+            found = (*found, *doubtful)
+            analysis = analyse_gait(recording, plates, measures, static=static, model=options.lower_body)
             for finding in [*found, *analysis.findings]:
                 batch.found(finding)
+            if path in copies:
+                copies[path].parent.mkdir(parents=True, exist_ok=True)
+                for told in write_gait_c3d(copies[path], analysis):
+                    _console.notice(f"{copies[path]}: {told}.")
             results.append((path, analysis))
             if options.json != "-":
                 show(path, analysis)
     return results
 
 
-def write_results(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]], band: Band | None, batch: _console.Batch) -> None:
-    """Write what the options ask for of at least one analysis."""
+def write_results(
+    options: GaitOptions,
+    results: list[tuple[Path, GaitAnalysis]],
+    band: Band | None,
+    batch: _console.Batch,
+    copies: Mapping[Path, Path] | None = None,
+    compared: Sequence[tuple[Path, GaitAnalysis]] = (),
+) -> None:
+    """Write what the options ask for of at least one analysis, and of those of a second session that are compared with it."""
     from asterism.gait import band_of, profile_scores
     from asterism.recording import subject_of
 
@@ -142,21 +228,15 @@ def write_results(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]]
     if options.save_band is not None:
         people = [subject_of(analysis.recording) or str(path.parent) for path, analysis in results]
         band_of(analyses, people).save(options.save_band)
-    if options.output is not None:
-        _console.write_csv(
-            options.output, ["file", "side", "begins_s", "parameter", "value", "uncertainty", "unit"], _parameter_rows(results)
-        )
-    if options.curves is not None:
-        _console.write_csv(options.curves, _CURVE_COLUMNS, _curve_rows(results))
-    if options.report is not None:
-        from asterism.recording.display import short_names
-        from asterism.report.gait import gait_report
-
-        names = short_names([path for path, _ in results])
-        gait_report(options.report, [(name, analysis) for name, (_, analysis) in zip(names, results, strict=True)], band=band)
+    _write_tables(options, [*results, *compared])
+    changes = _changes(results, compared)
+    if compared and options.json != "-":
+        _show_changes(changes)
+    if options.report is not None or options.pdf is not None:
+        _write_pages(options, results, compared, band, batch)
     content = {
         "command": "gait",
-        "files": [{"file": path, **as_dict(analysis)} for path, analysis in results],
+        "files": [{"file": path, "c3d": (copies or {}).get(path), **as_dict(analysis)} for path, analysis in results],
         "scores": [
             {
                 "side": score.side,
@@ -165,91 +245,154 @@ def write_results(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]]
             }
             for score in scores
         ],
+        "compared": [{"file": path, "c3d": (copies or {}).get(path), **as_dict(analysis)} for path, analysis in compared],
+        "changes": changes,
         "failed": batch.failed,
         "findings": [finding.to_dict() for finding in batch.findings],
     }
     _console.write_json(options.json, content)
 
 
+def _changes(results: list[tuple[Path, GaitAnalysis]], compared: Sequence[tuple[Path, GaitAnalysis]]) -> list[dict[str, Any]]:
+    """How parameters of the second session differ from those of the first, as JSON has it."""
+    from asterism.gait import PARAMETERS, compare_sessions
+
+    of = [[parameter for _, analysis in session for parameter in analysis.parameters] for session in (results, compared)]
+    return [
+        {
+            "parameter": change.name,
+            "side": change.side,
+            "unit": PARAMETERS[change.name],
+            "first": change.first.mean,
+            "second": change.second.mean,
+            "difference": change.difference,
+            "interval_95": change.interval,
+            "exceeds": change.exceeds,
+        }
+        for change in compare_sessions(*of)
+    ]
+
+
+def _show_changes(changes: Sequence[Mapping[str, Any]]) -> None:
+    """Print them as a table."""
+    rows = [
+        [
+            change["parameter"],
+            change["side"],
+            change["unit"],
+            *(f"{change[name]:.3f}" for name in ("first", "second")),
+            f"{change['difference']:+.3f} ± {change['interval_95']:.3f}",
+            "yes" if change["exceeds"] else "no",
+        ]
+        for change in changes
+    ]
+    head = ["parameter", "side", "unit", "first", "second", "difference (95 %)", "exceeds it"]
+    _console.table("Two sessions", head, rows)
+
+
+def _write_pages(
+    options: GaitOptions,
+    results: list[tuple[Path, GaitAnalysis]],
+    compared: Sequence[tuple[Path, GaitAnalysis]],
+    band: Band | None,
+    batch: _console.Batch,
+) -> None:
+    """The report, as a page and on paper."""
+    from tempfile import TemporaryDirectory
+
+    from asterism.recording.display import short_names
+    from asterism.report.gait import gait_report
+    from asterism.report.pdf import print_page
+
+    several = _several_people([analysis for _, analysis in [*results, *compared]])
+    if several is not None:
+        batch.found(several)
+    names = short_names([path for path, _ in [*results, *compared]])
+    named = [(name, analysis) for name, (_, analysis) in zip(names, [*results, *compared], strict=True)]
+    folders = [{path.absolute().parent.name for path, _ in session} for session in (results, compared)]
+    # Folders name the sessions where each has one of its own.
+    told = [min(folder) for folder in folders] if all(len(folder) == 1 for folder in folders) and folders[0] != folders[1] else None
+    sessions = (told[0], told[1]) if told else ("first session", "second session")
+    with TemporaryDirectory(prefix="asterism-") as folder:
+        page = options.report or Path(folder) / "gait.html"
+        gait_report(page, named[: len(results)], band=band, compare=named[len(results) :], sessions=sessions)
+        if options.pdf is not None:
+            print_page(page, options.pdf)
+
+
+def _several_people(analyses: Sequence[GaitAnalysis]) -> Finding | None:
+    """Whether the files of one report name several people."""
+    from asterism.findings import Finding, Severity
+
+    people = sorted({str(name) for one in analyses if (name := one.recording.metadata.get("subject"))})
+    if len(people) < 2:
+        return None
+    sentence = f"the files of the report name several people: {', '.join(people)}. Its means and curves are of all of them."
+    return Finding("gait-several-people", Severity.WARNING, "report", sentence, "Give the walks of one person.")
+
+
+def _write_tables(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]]) -> None:
+    """The table of all numbers, and its parts, as far as they are asked for."""
+    from asterism.gait import gait_table
+
+    parts = {options.output: ("parameter", "mean", "symmetry"), options.curves: ("curve", "maximum", "minimum"), options.table: ()}
+    asked = {given: kinds for given, kinds in parts.items() if given is not None}
+    if asked:
+        everything = gait_table([(str(path), one) for path, one in results], curves=set(asked) != {options.output})
+        for given, kinds in asked.items():
+            (everything.of(*kinds) if kinds else everything).write(given)
+
+
+def _copies(walks: Sequence[Trial], folder: Path, others: Sequence[Path | None]) -> dict[Path, Path]:
+    """Where the copy of each walk goes. Raises AsterismError where it would be an input, or two walks would have the same."""
+    from asterism.cli._folders import outputs_of
+    from asterism.errors import AsterismError
+
+    targets = {walk.path: target.with_suffix(".c3d") for walk, target in zip(walks, outputs_of(walks, folder), strict=True)}
+    inputs = {_console.real_path(path): path for path in (*targets, *others) if path is not None}
+    taken: dict[str, Path] = {}
+    for path, target in targets.items():
+        if (one := inputs.get(_console.real_path(target))) is not None:
+            raise AsterismError(f"the copy of {path} would replace {one}, which is an input; give --c3d another folder.")
+        # walk.trc and walk.c3d have one copy between them
+        if (other := taken.setdefault(str(target).casefold(), path)) != path:
+            raise AsterismError(f"{other} and {path} would both become {target}; give them one after the other.")
+    return targets
+
+
 def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:
     """A file's recording; its warnings are told."""
-    from asterism.cli._recordings import report_warnings
+    from asterism.cli._recordings import one_person, report_warnings
     from asterism.formats import read
 
     recording = read(path, vertical=options.vertical)
     report_warnings(recording, batch)
-    return recording
-
-
-def _measures(recording: Recording, static: Recording | None, given: dict[str, float], rules: StaticRules) -> SubjectMeasures | None:
-    """Those given, over those of the standing trial, over those of the file; None where the file's alone count."""
-    from asterism.motion.clinical import subject_measures, with_static_offsets
-
-    if static is None and not given:
-        return None
-    measures = subject_measures(recording if static is None else static).with_values(given)
-    if static is not None:
-        measures = with_static_offsets(static, measures, rules)
-    return measures.with_values(given)
+    return one_person(recording, batch)
 
 
 def show(path: Path, analysis: GaitAnalysis) -> None:
     """Print the parameters of one recording: mean, uncertainty and standard deviation of each side."""
-    from asterism.gait import PARAMETERS, summarise
+    from asterism.gait import PARAMETERS, summarise, symmetries
+    from asterism.motion.filters import last_filter
 
+    differ = {one.name: f"{one.value:+.1f} ± {one.sigma:.1f}" for one in symmetries(analysis.parameters)}
     summaries = {(one.name, one.side): one for one in summarise(analysis.parameters)}
     rows = []
     for name, unit in PARAMETERS.items():
         own = [summaries.get((name, side)) for side in "LR"]
         if any(own):
-            rows.append([name, unit, *(f"{one.mean:.3f} ± {one.sigma:.3f} ({one.count})" if one else "–" for one in own)])
+            rows.append(
+                [name, unit, *(f"{one.mean:.3f} ± {one.sigma:.3f} ({one.count})" if one else "–" for one in own), differ.get(name, "")]
+            )
     where = "treadmill" if analysis.walking.treadmill else "floor"
     sides = [sum(cycle.side == side for cycle in analysis.cycles) for side in "LR"]
-    plates = sum(event.source != "markers" for event in analysis.walking.events)
+    plates = sum(event.source.startswith("plate") for event in analysis.walking.events)
     _console.result(
         f"{path}: {sides[0]} left and {sides[1]} right cycles, on a {where}; {len(analysis.walking.events)} events, "
-        f"{plates} of them by force plates."
+        f"{plates} of them by force plates; {last_filter(analysis.recording)}."
     )
     if rows:
-        _console.table(f"{path}: gait parameters (cycles)", ["parameter", "unit", "left", "right"], rows)
-
-
-def _parameter_rows(results: list[tuple[Path, GaitAnalysis]]) -> list[list[Any]]:
-    from asterism.gait import PARAMETERS
-
-    return [
-        [path, one.side, f"{one.begins:.4f}", one.name, f"{one.value:.5g}", f"{one.sigma:.2g}", PARAMETERS[one.name]]
-        for path, analysis in results
-        for one in analysis.parameters
-    ]
-
-
-_CURVE_COLUMNS = ["file", "side", "cycle", "curve", "unit", "percent", "x", "y", "z"]
-
-
-def _curve_rows(results: list[tuple[Path, GaitAnalysis]]) -> list[list[Any]]:
-    """Angles, then moments, powers (x alone) and the ground's force; each over its own cycles."""
-    import numpy as np
-
-    rows: list[list[Any]] = []
-    for path, analysis in results:
-        per_kg = analysis.kinetics is not None and analysis.kinetics.per_kg
-        angles = {name: (np.degrees(curves), "deg") for name, curves in analysis.curves.items()}
-        loads = {name: (curves, load_unit(name, per_kg)) for name, curves in analysis.loads.items()}
-        for name, (curves, unit) in (angles | loads).items():
-            for number, curve in enumerate(curves):
-                for percent, values in enumerate(curve):
-                    cells = ["" if np.isnan(value) else f"{value:.3f}" for value in values]
-                    rows.append(
-                        [path, name[0], number + 1, name[1:].removesuffix("Angles"), unit, percent, *cells, *[""] * (3 - len(cells))]
-                    )
-    return rows
-
-
-def load_unit(name: str, per_kg: bool) -> str:
-    """The unit of a moment, power or force by Plug-in-Gait's name."""
-    unit = "N m" if name.endswith("Moment") else "W" if name.endswith("Power") else "N"
-    return f"{unit}/kg" if per_kg else unit
+        _console.table(f"{path}: gait parameters (cycles)", ["parameter", "unit", "left", "right", "left more, %"], rows)
 
 
 def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
@@ -258,6 +401,8 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
 
     import numpy as np
 
+    from asterism.gait import midstances, symmetries
+    from asterism.motion.filters import last_filter
     from asterism.recording import filled_samples
 
     deviation = filled_samples(analysis.recording)
@@ -268,7 +413,10 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
             {"side": cycle.side, "strike": cycle.strike.time, "off": cycle.off.time, "next_strike": cycle.next_strike.time}
             for cycle in analysis.cycles
         ],
+        "midstances": [dataclasses.asdict(event) for event in midstances(analysis.walking)],
         "parameters": [dataclasses.asdict(one) for one in analysis.parameters],
+        "filter": filter_values(last_filter(analysis.recording)),
+        "symmetry_percent": [dataclasses.asdict(one) for one in symmetries(analysis.parameters)],
         "filled": {
             analysis.recording.labels[column]: {
                 "samples": int(np.isfinite(deviation[:, column]).sum()),
@@ -277,8 +425,25 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
             for column in np.flatnonzero(np.isfinite(deviation).any(axis=0))
         },
         "fill_sigmas_deg": {name: np.round(np.degrees(sigmas), 3) for name, sigmas in analysis.fill_sigmas.items() if np.any(sigmas > 0.0)},
+        "bands_deg": {
+            name: {
+                "low": np.round(np.degrees(band.low), 3),
+                "high": np.round(np.degrees(band.high), 3),
+                "standard": {source: np.round(np.degrees(part), 3) for source, part in band.standard.items()},
+            }
+            for name, band in analysis.bands.items()
+        },
         "curves_deg": {name: np.round(np.degrees(curves), 3) for name, curves in analysis.curves.items()},
         "loads": {name: np.round(curves, 4) for name, curves in analysis.loads.items()},
         "loads_per_kg": analysis.kinetics is not None and analysis.kinetics.per_kg,
+        "emg": [
+            {
+                **dataclasses.asdict(channel),
+                "cycles": {
+                    side: [[float(f"{value:.4g}") for value in curve] for curve in curves] for side, curves in channel.cycles.items()
+                },
+            }
+            for channel in analysis.emg
+        ],
         "measures": {} if analysis.clinical is None else dataclasses.asdict(analysis.clinical.subject),
     }

@@ -83,7 +83,10 @@ def _shown(given: Sequence[Path], batch: _console.Batch) -> list[Path]:
     from asterism.cli._folders import recordings_of
     from asterism.cli._recordings import is_rig
 
-    return [path for one in given for path in (recordings_of([one], batch) if one.is_dir() and not is_rig(one) else [one])]
+    rigs = [one for one in given if one.is_dir() and is_rig(one)]
+    # models and rig files are no recordings, and named themselves
+    recordings = recordings_of([one for one in given if one not in rigs], batch) if len(rigs) < len(given) else []
+    return [*recordings, *rigs]
 
 
 def _content(path: Path, batch: _console.Batch, *, show: bool) -> dict[str, Any]:
@@ -117,7 +120,7 @@ def _described_recording(path: Path) -> dict[str, Any]:
     for key, value in content.items():
         found[key] = value
         if key == "units":
-            assumed = any(finding.code == "format-units-assumed" for finding in content.get("findings", ()))
+            assumed = any(finding.code in ("format-units-assumed", "format-units-unknown") for finding in content.get("findings", ()))
             found["units_from"] = "data" if assumed else "file"
         # clouds say nothing of names
         elif key == "points_per_frame" or (key == "points" and value["unnamed"]):

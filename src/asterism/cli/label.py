@@ -120,7 +120,7 @@ def label(options: LabelOptions) -> None:
     batch, results = _console.Batch("labelled"), list[_Result]()
     files = trials(options.files, batch, without=options.output)
     # models and the one trial given are loaded before any file: a wrong name costs no time
-    run = _Run.of(options, files, batch)
+    run = LabelRun.of(options, files, batch)
     with _console.progress("labelling") as progress:
         for trial in files:
             with batch.file(trial.path):
@@ -161,7 +161,7 @@ class _Result:
 
 
 @dataclass(frozen=True)
-class _Run:
+class LabelRun:
     """What is the same for all files of a run."""
 
     options: LabelOptions
@@ -171,7 +171,8 @@ class _Run:
     count: int
 
     @classmethod
-    def of(cls, options: LabelOptions, files: Sequence[Trial], batch: _console.Batch) -> _Run:
+    def of(cls, options: LabelOptions, files: Sequence[Trial], batch: _console.Batch) -> LabelRun:
+        """What labels these files."""
         from asterism.session import FinishedFiles
 
         # the page shows the points, and the next program may want other axes: both need the whole recording

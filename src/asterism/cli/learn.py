@@ -51,8 +51,9 @@ def learn(
     """
     from asterism import formats
     from asterism.cli._labelling import model_or_virtual
-    from asterism.cli._recordings import read_labelled
+    from asterism.cli._recordings import read_people
     from asterism.labelling import check_names
+    from asterism.session.people import people_in
 
     # a model may be called anything
     recordings_only = formats.is_recording_file(given[0]) or given[0].is_dir()
@@ -65,7 +66,7 @@ def learn(
     paths = recordings_of(files, batch)
     before, worn = model_or_virtual(model, markers, paths, vertical)
     # under the names of the model: what it does not know cannot be learned
-    recordings = read_labelled(paths, before.marker_set, vertical, batch)
+    recordings = read_people(paths, before.marker_set, vertical, batch)
     batch.tell_passed_over()
     # a model that has learned half of a session looks like one that has learned all of it
     if batch.failed:
@@ -86,7 +87,8 @@ def learn(
     # people tell more than recordings: the confidence is tried on them
     new_people = [name for name in about["subjects"] if name not in before.about["subjects"]]
     # a recording that the model has learned already counts once
-    known = len(recordings) - (about["recordings"] - before.about["recordings"])
+    taught = sum(max(1, len(people_in(recording.labels, before.marker_set))) for recording in recordings)
+    known = taught - (about["recordings"] - before.about["recordings"])
     if json != "-":
         from asterism.recording.display import counted
 

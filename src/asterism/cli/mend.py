@@ -13,9 +13,8 @@ from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._folders import check_output, outputs_of, trials
 from asterism.cli._options import Files, Json, Markers, Overwrite, Seed, SubjectName, Vertical
-from asterism.cli.audit import as_numbered, show
+from asterism.cli.audit import as_numbered, errors_in, show
 from asterism.errors import AsterismError
-from asterism.findings import exit_status
 
 if TYPE_CHECKING:
     from asterism.labelling.audit import LabelError
@@ -47,7 +46,6 @@ def mend(options: MendOptions) -> None:
     exit status is then 1.
     """
     from asterism.cli._recordings import marker_set_of
-    from asterism.labelling import audit as find_errors
 
     _console.check_new(options.json, options.overwrite)
     batch, marker_set = _console.Batch("audited"), marker_set_of(options.markers)
@@ -55,15 +53,14 @@ def mend(options: MendOptions) -> None:
 
     def found_in(recordings: Sequence[Recording], what: str) -> list[LabelError]:
         subjects = None if options.subject is None else [options.subject] * len(recordings)
-        with _console.progress(what) as progress:
-            return find_errors(recordings, subjects=subjects, seed=options.seed, progress=progress)
+        return errors_in(recordings, marker_set, subjects, options.seed, what)[0]
 
     before = [file.audited for file in files]
     # all files at once: what a marker's distances are, only the others tell
     errors = found_in(before, "auditing")
     after = [_mended(file, [error for error in errors if error.recording == i], batch) for i, file in enumerate(files)]
     # labels that were put right can show others that were hidden by them
-    left = found_in(after, "auditing again") if errors else []
+    left = errors if all(one is other for one, other in zip(before, after, strict=True)) else found_in(after, "auditing again")
     # frames as the files number them, by which other programs find them
     mended, left = [as_numbered(error, before) for error in errors], [as_numbered(error, after) for error in left]
     # a file in which nothing was wrong is not copied
@@ -72,10 +69,10 @@ def mend(options: MendOptions) -> None:
         show(mended, batch.done)
         for file in written:
             _console.result(f"{file.path}: mended, {file.target}")
+    # what may be right is left for the person
     for error in left:
-        # what is odd but may be right is left for the person
-        if error.damage:
-            _console.report(replace(error.finding, mend="Correct it by hand, for instance with asterism review."))
+        by_hand = "Correct it by hand, for instance with asterism review."
+        batch.found(replace(error.finding, mend=by_hand) if error.damage else error.finding)
     _console.write_json(
         options.json,
         {
@@ -88,7 +85,7 @@ def mend(options: MendOptions) -> None:
             "findings": [finding.to_dict() for finding in batch.findings],
         },
     )
-    raise typer.Exit(batch.close() or exit_status(error.finding for error in left))
+    raise typer.Exit(batch.close())
 
 
 @dataclass(frozen=True)

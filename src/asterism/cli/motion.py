@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from time import monotonic
@@ -12,7 +12,7 @@ import typer
 
 from asterism.cli import _clinical, _console
 from asterism.cli._command import takes
-from asterism.cli._options import Files, Json, Markers, Overwrite, Report, Seed, Vertical, Workers
+from asterism.cli._options import Files, Hip, Json, LowerBodyChoice, Markers, Measure, Overwrite, Report, Seed, Static, Vertical, Workers
 from asterism.cli.segment import LimbCount, read_points
 from asterism.errors import AsterismError
 
@@ -59,6 +59,10 @@ class MotionOptions:
             show_default=False,
         ),
     ] = None
+    static: Static = None
+    measure: Measure = field(default_factory=list)
+    lower_body: LowerBodyChoice = None
+    hip: Hip = None
     uncertainty: Annotated[bool, typer.Option("--uncertainty", help="Also say how uncertain each angle is, by Monte Carlo.")] = False
     trials: Annotated[int, typer.Option("--trials", metavar="N", min=10, help="Monte Carlo trials at most.")] = 1000
     rig: Annotated[
@@ -121,12 +125,14 @@ def motion(options: MotionOptions) -> None:
     results: list[MotionResult] = []
     # read once: the same cameras measured all files
     cameras = _cameras(options)
+    _clinical.given_measures(options.measure)
+    static = None if options.static is None else read_points(options.static, options.vertical, batch)
     rules = MotionRules(method=options.method.value, joint_method=options.joints.value)
     saving = _Saving(options, batch, results)
     try:
         for path in recordings_of(options.files, batch):
             with batch.file(path):
-                results.append(_analysed(path, options, cameras, rules, batch))
+                results.append(_analysed(path, options, cameras, rules, static, batch))
             saving.once_in_a_while()
     except KeyboardInterrupt:
         # what was done is not lost with the rest
@@ -138,15 +144,19 @@ def motion(options: MotionOptions) -> None:
     raise typer.Exit(batch.close())
 
 
-def _analysed(path: Path, options: MotionOptions, cameras: Cameras, rules: MotionRules, batch: _console.Batch) -> MotionResult:
+def _analysed(
+    path: Path, options: MotionOptions, cameras: Cameras, rules: MotionRules, static: Recording | None, batch: _console.Batch
+) -> MotionResult:
     """Analyse one file, and print what was found."""
+    from asterism.cli._recordings import one_person
     from asterism.motion.analysis import analyse_motion
     from asterism.motion.clinical import exchanged_finding
     from asterism.motion.uncertainty import estimate_uncertainty
 
     # unlabelled points serve: limbs are what moves together
-    recording = read_points(path, options.vertical, batch)
-    limbs, clinical = _limbs(options, recording), _clinical.find(recording, options.anatomy)
+    recording = one_person(read_points(path, options.vertical, batch), batch)
+    measures, doubtful = _clinical.measures_of(recording, static, options.measure, options.hip)
+    limbs, clinical = _limbs(options, recording), _clinical.find(recording, options.anatomy, measures, static, options.lower_body)
     with _console.progress("motion") as progress:
         analysis = analyse_motion(recording, limbs, rules=rules, progress=progress)
         certain, legs = None, None
@@ -157,7 +167,8 @@ def _analysed(path: Path, options: MotionOptions, cameras: Cameras, rules: Motio
             legs = _clinical.certain(recording, clinical, _of_legs(options, cameras, recording, certain), options.seed, trials)
     # what is uncertain about the angles is said beside what is wrong with the points
     sides = exchanged_finding(recording) if clinical is not None else []
-    for finding in [*analysis.findings, *sides, *(certain.findings if certain else ())]:
+    lacking = clinical.findings if clinical is not None else ()
+    for finding in [*analysis.findings, *sides, *doubtful, *lacking, *(certain.findings if certain else ())]:
         batch.found(finding)
     if options.json != "-":
         show(path, analysis, certain)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -63,7 +62,9 @@ def name(options: NameOptions) -> None:
     train` learns. --suggest writes the names first as `asterism label` would give them without a model.
     """
     from asterism import formats
+    from asterism.files.atomic import write_atomically
     from asterism.labelling import group_tracklets
+    from asterism.labelling.group_names import group_names_text, read_group_names
     from asterism.labelling.naming import locate_groups
 
     # first the numbers, then the names: the two calls are told apart by both options
@@ -73,7 +74,7 @@ def name(options: NameOptions) -> None:
         raise AsterismError("--suggest writes the names that --names reads; give one of them.")
     for new in (options.output, options.report, options.json, options.suggest):
         _console.check_new(new, options.overwrite)
-    names = {} if options.names is None else _read_names(options.names)
+    names = {} if options.names is None else read_group_names(options.names)
     recording = formats.read(options.file, vertical=vertical_axis(options.vertical))
     clouds = recording.clouds()
     if not len(clouds.xyz):
@@ -94,7 +95,7 @@ def name(options: NameOptions) -> None:
     # written before anything is shown: a name that is refused shows no table
     findings += [] if options.output is None else _write(options.file, options.output, recording, groups, names)
     if options.suggest is not None:
-        _write_names(options.suggest, groups, names)
+        write_atomically(options.suggest, group_names_text(groups, names).encode())
     if options.json != "-":
         _print(options.file, groups, places, names, len(clouds), worn)
     if options.report is not None:
@@ -138,35 +139,6 @@ def _suggested(options: NameOptions, clouds: Clouds, groups: MarkerGroups) -> tu
         labelled = FileLabeller((), how, [options.file]).label(options.file, progress)
     words = ", ".join(one.words for one in labelled.worn)
     return suggested_names(clouds, groups, labelled.labelling), words, list(labelled.findings)
-
-
-def _write_names(path: Path, groups: MarkerGroups, names: dict[int, str]) -> None:
-    """Write the lines that --names reads: of each group that a person names, and of each that has a suggestion."""
-    from asterism.files.atomic import write_atomically
-
-    rows = [f"{group + 1},{names.get(group, '')}" for group in sorted({*range(groups.frequent), *names})]
-    write_atomically(path, "\n".join(["group,marker", *rows, ""]).encode())
-
-
-def _read_names(path: Path) -> dict[int, str]:
-    """{group from 0: marker} of a CSV file with lines of group,marker, groups from 1. Lines without a marker are skipped."""
-    with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
-        rows = [[cell.strip() for cell in row] for row in csv.reader(stream)]
-    out: dict[int, str] = {}
-    for line, row in enumerate(rows, 1):
-        # spreadsheets leave empty lines and a header
-        if not any(row) or (line == 1 and row[0].casefold() == "group"):
-            continue
-        if len(row) != 2 or not row[0].isascii() or not row[0].isdigit() or int(row[0]) < 1:
-            raise AsterismError(f"{path}, line {line}: {','.join(row)!r} is not group,marker; write for example 4,LKNE.")
-        # which of the two is meant, only the person knows
-        if int(row[0]) - 1 in out:
-            raise AsterismError(f"{path}, line {line}: group {row[0]} already has a name; keep one of the two lines.")
-        if row[1]:
-            out[int(row[0]) - 1] = row[1]
-    if not out:
-        raise AsterismError(f"{path} gives no name; write a line for each group, for example 4,LKNE.")
-    return out
 
 
 def _write(file: Path, output: Path, recording: Recording, groups: MarkerGroups, names: dict[int, str]) -> list[Finding]:

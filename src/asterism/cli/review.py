@@ -52,6 +52,8 @@ def _check(options: ReviewOptions) -> None:
         raise AsterismError("--serve takes the answers on its page; leave out --csv and --answers.")
     if options.answers is not None and options.csv is not None:
         raise AsterismError("--answers takes a table that an earlier run wrote; leave out --csv.")
+    if options.by_hand and (not options.serve or options.model):
+        raise AsterismError("--by-hand names groups of points on the page of --serve, without a model; leave out --by-hand, or --model.")
     # a correction labels tracks again, which single frames do not have
     if correcting and options.frame_wise:
         raise AsterismError(f"{correcting} corrects whole recordings by the model; leave out --frame-wise.")

@@ -24,7 +24,10 @@ if TYPE_CHECKING:
     from asterism.formats._columns import wanted_columns
     from asterism.formats._computed import computed_labels, without_computed
     from asterism.formats._programs import PROGRAMS, for_program, write_for_program
+    from asterism.formats._units import unlike_a_person
     from asterism.formats._vertical import vertical_from_positions
+    from asterism.formats.c3d.analog import AnalogChannel, analog_channels
+    from asterism.formats.c3d.outputs import AnalysisValue, ModelPoint, write_model_outputs
     from asterism.formats.c3d.plates import force_plates
     from asterism.formats.csv_blobs import read_blobs, write_blobs
     from asterism.formats.opensim_forces import companions
@@ -32,8 +35,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "PROGRAMS",
+    "AnalogChannel",
+    "AnalysisValue",
     "LabelConfidence",
+    "ModelPoint",
     "TimeSeriesTable",
+    "analog_channels",
     "check_suffix",
     "companions",
     "computed_labels",
@@ -49,18 +56,24 @@ __all__ = [
     "read_confidence",
     "read_evidence",
     "read_table",
+    "unlike_a_person",
     "vertical_from_positions",
     "wanted_columns",
     "without_computed",
     "write",
     "write_blobs",
     "write_for_program",
+    "write_model_outputs",
     "write_points",
     "write_table",
 ]
 
 _MODULE_OF = {
+    "AnalogChannel": "c3d.analog",
+    "analog_channels": "c3d.analog",
     "force_plates": "c3d.plates",
+    **dict.fromkeys(("AnalysisValue", "ModelPoint", "write_model_outputs"), "c3d.outputs"),
+    "unlike_a_person": "_units",
     "vertical_from_positions": "_vertical",
     "wanted_columns": "_columns",
     **dict.fromkeys(("computed_labels", "without_computed"), "_computed"),

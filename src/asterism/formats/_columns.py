@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,8 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 from asterism.errors import AsterismError, NoMarkers
 from asterism.files.text import some_of
 from asterism.findings import Finding
-from asterism.formats._findings import events_outside, located, missing_samples, vertical_assumed, vertical_conflict
-from asterism.formats._physical import COMPUTED, UNNAMED, kinds_by_name
+from asterism.formats._findings import (
+    events_outside,
+    located,
+    missing_samples,
+    nothing_seen,
+    repeated_name,
+    vertical_assumed,
+    vertical_conflict,
+)
+from asterism.formats._physical import COMPUTED, MARKER, UNNAMED, kinds_by_name
 from asterism.formats._units import METRES_PER_UNIT, body_size, metres_per_unit, size_findings
 from asterism.formats._vertical import AXES, LIKELIER, VerticalEvidence, axis_of, chances_of, vertical_evidence, vertical_from_positions
 from asterism.recording import Event, Floats, MarkerSet, ProcessingStep, Recording, as_vertical, axis_name, canonical, without_subject
@@ -89,19 +98,36 @@ class Points:
 
     @property
     def found(self) -> tuple[Finding, ...]:
-        """The findings, with those about the size of a person and about events that lie outside the recording."""
+        """The findings, with those about names, the size of a person and events that lie outside the recording."""
         captured = [column for column, kind in enumerate(self.kind_of_points) if kind != COMPUTED]
-        sizes = size_findings(self.positions, self.labels, captured, self.units)
+        found = [*self.findings, *size_findings(self.positions, self.labels, captured, self.units), *self._repeated_names()]
+        # A sample of a long recording does not show that nothing is seen.
+        if (
+            captured
+            and self.frames in (None, len(self.positions))
+            and len(self.positions)
+            and np.isnan(self.positions[:, captured, 0]).all()
+        ):
+            found.append(nothing_seen(f"none of its {len(captured)} points is seen in any frame"))
         begin = (self.first_frame - 1) / self.rate if self.first_time is None else self.first_time
         end = begin + (len(self.positions) if self.frames is None else self.frames) / self.rate
         # A frame more on either side: some programs count frames from 0, others from 1.
         margin = 1.001 / self.rate
         outside = [event for event in self.events if not begin - margin <= event.time <= end + margin]
         if not outside:
-            return (*self.findings, *sizes)
+            return tuple(found)
         times = f"{min(event.time for event in outside):.2f} to {max(event.time for event in outside):.2f} s"
         few = f"{len(outside)} of {len(self.events)} events lie outside the recording, which is from {begin:.2f} to {end:.2f} s ({times})"
-        return (*self.findings, *sizes, events_outside(few))
+        return (*found, events_outside(few))
+
+    def _repeated_names(self) -> list[Finding]:
+        """A finding where markers have the same name."""
+        names = Counter(label for label, kind in zip(self.labels, self.kind_of_points, strict=True) if kind == MARKER)
+        several = sorted(name for name, number in names.items() if number > 1)
+        if not several:
+            return []
+        some = some_of([f"{name} ({names[name]})" for name in several])
+        return [repeated_name(f"several markers have one name: {some}")]
 
     @property
     def kind_of_points(self) -> tuple[str, ...]:

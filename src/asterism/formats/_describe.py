@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,11 +11,9 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Finding
 from asterism.formats._columns import Points, settle_vertical, without_common_subject
-from asterism.formats._findings import located, point_names
+from asterism.formats._findings import located
 from asterism.formats._physical import COMPUTED, MARKER, UNNAMED
 from asterism.recording import Floats, worn_marker_sets
-
-_MANY_LABELS = 2000
 
 
 def described(path: Path, points: Points) -> dict[str, Any]:
@@ -66,15 +63,8 @@ def described(path: Path, points: Points) -> dict[str, Any]:
         "gaps": gaps(seen),
         "events": [{"label": e.label, "context": e.context, "time": e.time} for e in points.events],
         "log": [str(step) for step in points.log],
-        "findings": located(path, [*points.found, *said, *_repeated(labels)]),
+        "findings": located(path, [*points.found, *said]),
     }
-
-
-def _repeated(labels: Sequence[str]) -> list[Finding]:
-    """A finding for each label that occurs several times; nothing for files with very many labels."""
-    # Counting repeats is quadratic, which very many labels would make slow.
-    twice = sorted({label for label in labels if labels.count(label) > 1}) if len(labels) < _MANY_LABELS else []
-    return [point_names(f"the label {label} occurs {labels.count(label)} times") for label in twice]
 
 
 def gaps(seen: Floats) -> int:

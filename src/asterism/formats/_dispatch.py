@@ -291,7 +291,8 @@ def _described(path: Path) -> dict[str, Any]:
         if kind != "CSV":
             raise
         values = storage.table_or_none(path)
-        if values is None:
+        # positions that cannot be read are a recording with a fault, and no table of values
+        if values is None or storage.holds_markers(values, strictly=False):
             raise
         return storage.described_table(path, values)
     return described(path, points)

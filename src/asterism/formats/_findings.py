@@ -28,6 +28,12 @@ def units_doubtful(sentence: str) -> Finding:
     return Finding("format-units-doubtful", Severity.WARNING, "", sentence, mend)
 
 
+def units_unknown(sentence: str) -> Finding:
+    """The file's unit of length is none that is known; the one that fits the size of a person was taken."""
+    mend = "Compare a known length, such as the body's height, and correct the unit of length in the file."
+    return Finding("format-units-unknown", Severity.WARNING, "", sentence, mend)
+
+
 def vertical_conflict(sentence: str) -> Finding:
     """The file declares another vertical than its markers show."""
     mend = "Look which way is up, and give it with --vertical; correct it in the file."
@@ -103,5 +109,15 @@ def text_encoding(sentence: str) -> Finding:
 
 
 def point_names(sentence: str) -> Finding:
-    """Points have no name, or a name occurs several times."""
+    """Points have no name, or names were read otherwise than they are spelled."""
     return Finding("format-point-names", Severity.NOTE, "", sentence, "Name each point once.")
+
+
+def repeated_name(sentence: str) -> Finding:
+    """Several markers have one name."""
+    return Finding("format-repeated-names", Severity.WARNING, "", sentence, "Name each marker once.")
+
+
+def nothing_seen(sentence: str) -> Finding:
+    """No marker has a sample in any frame."""
+    return Finding("format-nothing-seen", Severity.WARNING, "", sentence, "Export the recording again with its trajectories.")

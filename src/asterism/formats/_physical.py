@@ -35,7 +35,7 @@ _ALONE, _ABSURD = 0.8, 20.0
 
 _JOINT = r"(?:hip|knee|ankle|shoulder|elbow|wrist|h|k|a|s|e|w)"
 _COMPUTED_NAME = re.compile(
-    r".*(?:angles?|forces?|moments?|powers?|torques?|projections?|scalars?|leglength|archheight|archheightindex|normali[sz]edgrf"
+    r".*(?:(?<!tri)(?<!rect)(?<!quadr)angles?|forces?|moments?|powers?|torques?|projections?|scalars?|leglength|archheight|archheightindex|normali[sz]edgrf"
     r"|progress(?:ion)?angles?|velocity|acceleration)\d*"
     r"|.*(?:centreof|centerof)(?:mass|pressure|gravity).*|(?:whole)?body?com|com|com[xyz]|cop|[lr]cop|cop[12lr]"
     rf"|(?:left|right|l|r)?{_JOINT}?joint(?:centre|center)\w*|(?:left|right|l|r)?{_JOINT}jc\w{{0,4}}|jc{_JOINT}?[lr]?|{_JOINT}jc(?:left|right|l|r)"

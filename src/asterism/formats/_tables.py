@@ -15,6 +15,7 @@ from asterism.findings import Finding
 from asterism.formats._findings import cut_off, frame_numbers, moved_cells, rate_conflict, short_rows
 from asterism.recording import Floats
 from asterism.recording.arrays import nan_median
+from asterism.recording.display import counted
 
 _QUOTED = re.compile(r'"([^"\n]*)"')
 _COMMA, _POINT = re.compile(r"\d,\d"), re.compile(r"\d\.\d")
@@ -204,6 +205,26 @@ def decimal_points(path: Path, lines: Sequence[str], delimiter: str | None) -> C
     )
 
 
+def lines_in_order(values: Floats, numbers: Floats) -> tuple[Floats, list[Finding]]:
+    """The lines (T, C) of a table in the order of their frame numbers (T,), those that stand there again once; and a finding.
+
+    Lines of one number that differ are of two recordings: then all stay as they are, and so where a number is missing.
+    """
+    if len(numbers) < 2 or not np.isfinite(numbers).all() or (np.diff(numbers) > 0).all():
+        return values, []
+    order = np.argsort(numbers, kind="stable")
+    again = np.concatenate([[False], np.diff(numbers[order]) == 0])
+    first, second = values[order[:-1]][again[1:]], values[order[1:]][again[1:]]
+    if not np.array_equal(first, second, equal_nan=True):
+        return values, []
+    twice, said = int(again.sum()), list[str]()
+    if twice:
+        said.append(f"{counted(twice, 'line')} of frames that are there already {'was' if twice == 1 else 'were'} left out")
+    if (np.diff(order[~again]) < 0).any():
+        said.append("the lines are not in the order of their frames, and were put into it")
+    return values[order[~again]], [frame_numbers("; ".join(said))]
+
+
 def rate_of(path: Path, declared: float | None, times: Floats | None, findings: list[Finding]) -> float:
     """Frames per second by the header (`declared`) and the time column; where they differ, one more finding goes into `findings`.
 
@@ -214,6 +235,10 @@ def rate_of(path: Path, declared: float | None, times: Floats | None, findings: 
     good = declared is not None and np.isfinite(declared) and 0 < declared < 1e6
     if good and declared is not None and (agrees or timed is None):
         return float(declared)
+    if timed is None and times is not None and not len(times):
+        raise AsterismError(f"{path} has no frame below its header; export it again.")
+    if timed is None and times is not None:
+        raise AsterismError(f"{path}: its times are not even steps and give no rate; correct them, or add the rate to its header.")
     if timed is None:
         raise AsterismError(f"{path} does not say how many frames per second it has; add the rate to its header or a time column.")
     # Both are given and differ: the samples' own times are right, and a person should know.

@@ -10,7 +10,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding
-from asterism.formats._findings import units_assumed, units_doubtful
+from asterism.formats._findings import units_assumed, units_doubtful, units_unknown
 from asterism.formats._vertical import level_of
 from asterism.recording import Floats, is_unnamed, shipped_sets, worn_marker_sets
 from asterism.recording.arrays import missing_codes, nan_median
@@ -73,7 +73,7 @@ def metres_per_unit(path: Path, declared: str | None, raw: Floats, others: Seque
     if not (declared and declared.strip()):
         return METRES_PER_UNIT[name], name, [units_assumed(told)]
     if fits:
-        return METRES_PER_UNIT[name], name, [units_doubtful(told)]
+        return METRES_PER_UNIT[name], name, [units_unknown(told)]
     raise AsterismError(
         f"{path}: {what}, and with none of m, cm and mm its points are as large as a person; "
         "write one of them, or um, in or ft, into the units field."
@@ -101,6 +101,19 @@ def body_size(raw: Floats) -> float:
     away = np.linalg.norm(some - nan_median(some, axis=1)[:, None], axis=2)
     size = 4.0 * float(nan_median(nan_median(away, axis=1), axis=0))
     return size if size > 0 else float("nan")
+
+
+def unlike_a_person(positions: Floats) -> str:
+    """What a person would ask of points (T, P, 3) m that are all together too small or too large for one; else nothing.
+
+    >>> standing = np.array([[[0.0, 0.0, 0.0], [0.1, 0.0, 0.5], [0.0, 0.1, 1.0], [0.1, 0.1, 1.6]]])
+    >>> unlike_a_person(standing), unlike_a_person(0.01 * standing)
+    ('', 'together they are as large as a body of 0.0203 m: check the unit of length')
+    """
+    size = body_size(positions)
+    if not np.isfinite(size) or _SMALLEST_PERSON <= size <= _LARGEST_PERSON:
+        return ""
+    return f"together they are as large as a body of {metres(size)}: check the unit of length"
 
 
 def _unit_by_size(size: float, raw: Floats) -> str:

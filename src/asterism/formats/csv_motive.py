@@ -12,7 +12,7 @@ from asterism.files.text import cells_of, decoded, delimiter_of, lines_of, numbe
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._findings import header_conflict
 from asterism.formats._physical import COMPUTED, MARKER, UNNAMED, kinds_by_name
-from asterism.formats._tables import blanked, frames_in_place, lead_of, rate_of, rows_of_numbers
+from asterism.formats._tables import blanked, frames_in_place, lead_of, lines_in_order, rate_of, rows_of_numbers
 from asterism.recording import Floats, as_vertical
 from asterism.recording.arrays import nan_median
 
@@ -60,6 +60,8 @@ def read_motive(path: Path) -> Points:
     words = {i for i, axis in enumerate(axes) if axis.casefold() == "timecode"}
     body = blanked(lines[at + 1 :], words, delimiter)
     values, findings = rows_of_numbers(path, body, at + 2, delimiter, len(axes), lead_of(columns, len(axes)))
+    values, moved = lines_in_order(values, values[:, 0])
+    findings += moved
     raw = values[:, columns].reshape(len(values), len(blocks), 3)
     scale, units, found = metres_per_unit(path, header.get("length units"), raw)
     positions, missing = as_metres(raw, scale)

@@ -14,7 +14,7 @@ from asterism.files.text import cells_of, decoded, delimiter_of, lines_of, numbe
 from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._findings import cut_off, header_conflict, point_names, unread_events
-from asterism.formats._tables import frames_in_place, lead_of, rows_of_numbers
+from asterism.formats._tables import frames_in_place, lead_of, lines_in_order, rows_of_numbers
 from asterism.recording import Event, Floats, as_vertical
 
 _BLANKS = ' ,;\t"\ufeff'
@@ -127,8 +127,10 @@ def _section(path: Path, lines: list[str], bare: list[str], at: int) -> _Traject
         findings.append(point_names(f"{nameless} trajectories have no name; they are numbered from *1"))
     if not len(values):
         findings.append(cut_off(f"its section {lines[at].strip(_BLANKS)} has no row of numbers"))
-    positions = values[:, columns].reshape(len(values), len(labels), 3)
     frame_at = next((i for i, cell in enumerate(axes) if cell.casefold() == "frame"), 0)
+    values, moved = lines_in_order(values, values[:, frame_at])
+    findings += moved
+    positions = values[:, columns].reshape(len(values), len(labels), 3)
     positions, first, jumps = frames_in_place(values[:, frame_at], positions)
     return _Trajectories(positions, labels, float(rate), units if has_units else None, first, [*findings, *jumps])
 

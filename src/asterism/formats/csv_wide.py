@@ -17,7 +17,7 @@ from asterism.formats._confidence import LabelConfidence
 from asterism.formats._findings import header_conflict, unread_events, values_left_out
 from asterism.formats._groups import exact_groups, marker_groups
 from asterism.formats._physical import OTHER_UNIT
-from asterism.formats._tables import blanked, frames_in_place, frames_of, lead_of, rate_of, rows_of_numbers, separator_of
+from asterism.formats._tables import blanked, frames_in_place, frames_of, lead_of, lines_in_order, rate_of, rows_of_numbers, separator_of
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.recording import Recording
 
@@ -70,14 +70,18 @@ def read_wide(path: Path) -> Points:
     columns = [column for group in groups for column in group.columns]
     body = _numbers_only(lines[body_at:], names, rest, delimiter)
     values, findings = rows_of_numbers(path, body, body_at + 1, delimiter, len(names), lead_of(columns, positions_end), stop=positions_end)
+    time_at = next((i for i in rest if names[i] and _TIME.fullmatch(names[i])), None)
+    frame_at = next((i for i in rest if _FRAME.fullmatch(names[i]) and i != time_at), None)
+    # Times may be rounded to fewer steps than there are frames: of these only a step back says something.
+    if frame_at is not None or (time_at is not None and (np.diff(values[:, time_at]) < 0).any()):
+        values, moved = lines_in_order(values, values[:, time_at if frame_at is None else frame_at])
+        findings += moved
     raw = values[:, columns].reshape(len(values), len(groups), 3)
     if comments.frames is not None and comments.frames != len(values):
         findings.append(header_conflict(f"the header says {comments.frames} frames, the file holds {len(values)}"))
     unit = comments.units or units or next((group.units for group in groups if group.units), None)
     scale, name, found = metres_per_unit(path, unit, raw)
     positions, missing = as_metres(raw, scale)
-    time_at = next((i for i in rest if names[i] and _TIME.fullmatch(names[i])), None)
-    frame_at = next((i for i in rest if _FRAME.fullmatch(names[i]) and i != time_at), None)
     times = None
     if time_at is not None:
         match = _TIME.fullmatch(names[time_at])

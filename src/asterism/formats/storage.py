@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._findings import header_conflict, located, values_left_out
 from asterism.formats._groups import ColumnGroup, exact_groups, marker_groups
-from asterism.formats._tables import frames_in_place, frames_of, lead_of, rate_of, rows_of_numbers
+from asterism.formats._tables import frames_in_place, frames_of, lead_of, lines_in_order, rate_of, rows_of_numbers
 from asterism.formats._writing import all_points
 from asterism.recording import Floats, Recording, as_vertical
 
@@ -191,9 +191,14 @@ def points_of_table(path: Path, table: TimeSeriesTable) -> Points:
         raise NoMarkers(
             f"{path} holds {what} ({some_of(table.names)}), no marker positions; use asterism.formats.read_table or convert it to CSV."
         )
+    # Times may be rounded to fewer steps than there are frames: only a step back says something.
+    moved = list[Finding]()
+    if (np.diff(table.times) < 0).any():
+        lines, moved = lines_in_order(np.column_stack([table.times, table.values]), table.times)
+        table = replace(table, times=lines[:, 0], values=lines[:, 1:])
     groups, rest = _groups_of(table)
     raw = table.values[:, [column for group in groups for column in group.columns]].reshape(len(table.values), len(groups), 3)
-    findings = list(table.findings)
+    findings = [*table.findings, *moved]
     if rest:
         findings.append(values_left_out(f"the columns {some_of([table.names[i] for i in rest])} are no positions and are left out"))
     scale, units, found = metres_per_unit(path, table.units or next((g.units for g in groups if g.units), None), raw)

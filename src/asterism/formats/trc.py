@@ -14,7 +14,7 @@ from asterism.files.text import cells_of, decoded, delimiter_of, lines_of, numbe
 from asterism.findings import Finding
 from asterism.formats._columns import METRES_PER_UNIT, Points, as_metres, metres_per_unit
 from asterism.formats._findings import header_conflict, point_names
-from asterism.formats._tables import frames_in_place, rate_of, rows_of_numbers, separator_of
+from asterism.formats._tables import frames_in_place, lines_in_order, rate_of, rows_of_numbers, separator_of
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.recording import Floats, Recording, as_vertical
 
@@ -51,6 +51,8 @@ def read_trc(path: Path) -> Points:
     lines = lines_of(decoded(path, read_bytes(path)))
     sheet = _sheet(path, lines)
     header, labels, rows, findings = sheet.header, sheet.labels, sheet.rows, sheet.findings
+    rows, moved = lines_in_order(rows, rows[:, 0])
+    findings += moved
     raw = rows[:, 2:].reshape(len(rows), len(labels), 3)
     scale, units, found = metres_per_unit(path, header.get("units"), raw, list(header.values()))
     positions, missing = as_metres(raw, scale)

@@ -14,7 +14,7 @@ from asterism.files.text import cells_of, decoded, delimiter_of, lines_of, numbe
 from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._findings import header_conflict, unread_events
-from asterism.formats._tables import frames_in_place, rate_of, rows_of_numbers
+from asterism.formats._tables import frames_in_place, lines_in_order, rate_of, rows_of_numbers
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.formats.csv_long import is_long, read_long
 from asterism.formats.csv_wide import read_wide
@@ -75,6 +75,7 @@ def read_tsv(path: Path) -> Points:
     labels = [label or f"*{next(numbers)}" for label in labels]
     start, extra = _table(lines, head.stop, len(labels), delimiter)
     rows, short = rows_of_numbers(path, lines[start:], start + 1, delimiter, extra + 3 * len(labels), lead=extra)
+    rows, moved = lines_in_order(rows, rows[:, 0]) if extra == 2 else (rows, [])
     raw = rows[:, extra:].reshape(len(rows), len(labels), 3)
     scale, units, findings = metres_per_unit(path, "mm", raw)
     positions, missing = as_metres(raw, scale)
@@ -98,7 +99,7 @@ def read_tsv(path: Path) -> Points:
         first_frame=first,
         first_time=float(times[0]) if times is not None and len(times) and np.isfinite(times[0]) else None,
         events=tuple(head.events),
-        findings=(*findings, *short, *missing, *jumps, *unread_events(head.unread)),
+        findings=(*moved, *findings, *short, *missing, *jumps, *unread_events(head.unread)),
         extra={"description": head.first("DESCRIPTION"), "time_stamp": head.first("TIME_STAMP")},
     )
 

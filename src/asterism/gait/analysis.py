@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
+from asterism.gait.emg import EmgChannel, emg_of
 from asterism.gait.events import Walking, find_events, plate_contacts
 from asterism.gait.fills import angles_with_fills, drawn_fills, events_with_fills
 from asterism.gait.parameters import Parameter, parameters_of
+from asterism.gait.said import walking_as_said
 from asterism.motion.clinical import (
     ClinicalAngles,
     Kinetics,
     SubjectMeasures,
     clinical_angles,
-    complete_legs,
     exchanged_finding,
     inverse_dynamics,
-    lower_body,
 )
-from asterism.motion.clinical.plug_in_gait import angles_of
 from asterism.recording import Floats, ForcePlate, Recording, filled_samples
+
+if TYPE_CHECKING:
+    from asterism.gait.intervals import AngleBand
 
 CURVES = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress", "Thorax", "Spine", "Head", "Neck", "Shoulder", "Elbow", "Wrist")
 """Quantities whose angles are drawn over the cycle, by Plug-in-Gait's names."""
@@ -40,7 +44,9 @@ class GaitAnalysis:
     findings    what to know before using it
     kinetics    moments and powers over time; None where no foot is alone on a plate
     loads       name such as "LKneeMoment" or "LKneePower" -> (cycles of that side whose forces are known, 101, 3 or 1)
+    loaded      the same names -> these cycles
     fill_sigmas as `curves`, rad: the standard deviation that filled samples add; 0 where none takes part, empty where nothing was filled
+    emg         the muscles that the file holds, with their envelopes over the cycles
     """
 
     recording: Recording
@@ -52,17 +58,35 @@ class GaitAnalysis:
     findings: tuple[Finding, ...]
     kinetics: Kinetics | None = None
     loads: Mapping[str, Floats] = field(default_factory=dict)
+    loaded: Mapping[str, tuple[Cycle, ...]] = field(default_factory=dict)
     fill_sigmas: Mapping[str, Floats] = field(default_factory=dict)
+    emg: tuple[EmgChannel, ...] = ()
+
+    @cached_property
+    def bands(self) -> Mapping[str, AngleBand]:
+        """95 % bands of the angles, see `angle_bands`; computed when they are first asked for."""
+        from asterism.gait.intervals import angle_bands
+
+        return angle_bands(self)
 
 
-def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measures: SubjectMeasures | None = None) -> GaitAnalysis:
+def analyse_gait(
+    recording: Recording,
+    plates: Sequence[ForcePlate] = (),
+    measures: SubjectMeasures | None = None,
+    *,
+    static: Recording | None = None,
+    model: str | None = None,
+) -> GaitAnalysis:
     """Events, cycles, parameters and clinical angles of a recording.
 
     plates    of the recording (`asterism.formats.force_plates`): they tell events to milliseconds, and moments and powers of the joints
-    measures  of the person, such as `with_static_offsets` gives; by default those of the recording's file
+    measures  of the person, such as `gathered_measures` gives; by default those of the recording's file
+    static    a standing trial, and model of the lower body, see `clinical_angles`
 
+    Strikes and offs that a person set, as the recording's log says, are taken in place of those that are found.
     Samples that the recording's log calls filled make events and angles less certain, as far as these depend on them.
-    What can be computed is: without the markers of Plug-in-Gait there are parameters and no angles, without a whole cycle events alone.
+    What can be computed is: without the markers of a body's model there are parameters and no angles, without a whole cycle events alone.
     Raises AsterismError where feet or pelvis have no markers. O(T).
 
     >>> from asterism.simulation import simulate_walks
@@ -75,9 +99,10 @@ def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measur
     draws = list(drawn_fills(recording, deviation)) if np.isfinite(deviation).any() else []
     if draws:
         walking = events_with_fills(walking, draws, lambda draw: find_events(draw, plates))
+    walking = walking_as_said(recording, walking)
     cycles = tuple(cycles_of(walking))
     file, found = str(recording.metadata.get("file", "the recording")), exchanged_finding(recording)
-    if walking.feet.backwards:
+    if walking.feet.backwards and not walking.events:
         sentence = f"{file}: the person goes where the heels point, so that no events are given; they are told of people who walk forwards."
         mend = "Look whether heels and toes carry each other's names, or the time runs backwards; a walk backwards has no events here."
         found.append(Finding("gait-backwards", Severity.WARNING, file, sentence, mend))
@@ -91,40 +116,43 @@ def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measur
                 "Record more steps, or give a longer part of the recording.",
             )
         )
-    clinical = clinical_angles(recording, measures=measures) if complete_legs(recording) else None
-    if clinical is None:
+    clinical = None
+    try:
+        clinical = clinical_angles(recording, measures=measures, static=static, model=model)
+        found += clinical.findings
+    except AsterismError as problem:
         found.append(
             Finding(
                 "gait-no-angles",
                 Severity.NOTE,
                 file,
-                f"{file} does not show the markers of Plug-in-Gait on a leg, so that there are parameters and no angles.",
-                "Label the recording with a set that has THI, KNE, TIB and ANK.",
+                f"There are parameters and no angles: {problem}",
+                "Label the recording with a set that has THI, KNE, TIB and ANK, or both sides of knee and ankle.",
             )
         )
-    else:
-        found += clinical.findings
     outputs = {} if clinical is None else clinical.outputs
     # An angle near half a turn must not jump by a whole one within a cycle.
     curves = {name: np.unwrap(curve, axis=1) for name, curve in _curves(outputs, recording.rate, cycles).items()}
     fill_sigmas: dict[str, Floats] = {}
     if clinical is not None and draws:
-        legs = "".join(side[0].upper() for side in clinical.measures)
-        subject = clinical.subject
-        spread = angles_with_fills(outputs, draws, lambda draw: angles_of(draw, lower_body(draw, subject, legs)))
+        spread = angles_with_fills(outputs, draws, clinical.model.outputs)
         fill_sigmas = _curves(spread, recording.rate, cycles)
     kinetics = None
-    if clinical is not None and plates:
+    if clinical is not None and clinical.joints and plates:
         try:
             kinetics = _kinetics(recording, walking, plates, clinical)
         except AsterismError as problem:
             found.append(
                 Finding("kinetics-plates", Severity.WARNING, file, f"{file}: no moments and powers: {problem}", "Export it again.")
             )
-    loads = {} if kinetics is None else _loads(recording, cycles, kinetics)
+    loads, loaded = ({}, {}) if kinetics is None else _loads(recording, cycles, kinetics)
     found += () if kinetics is None else kinetics.findings
     parameters = tuple(parameters_of(walking, cycles))
-    return GaitAnalysis(recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads, fill_sigmas)
+    muscles, told = emg_of(recording, cycles)
+    found += told
+    return GaitAnalysis(
+        recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads, loaded, fill_sigmas, muscles
+    )
 
 
 def _curves(values: Mapping[str, Floats], rate: float, cycles: Sequence[Cycle]) -> dict[str, Floats]:
@@ -147,14 +175,15 @@ def _kinetics(recording: Recording, walking: Walking, plates: Sequence[ForcePlat
     if not contacts:
         return None
     sides = "".join(side[0].upper() for side in clinical.measures)
-    body = lower_body(recording, clinical.subject, sides)
+    body = clinical.model.body(recording)
+    body = replace(body, legs={side: body.legs[side] for side in sides})
     swings = {side: walking.swings(side) for side in sides}
-    return inverse_dynamics(recording, body, plates, contacts, swings, clinical.subject)
+    return inverse_dynamics(clinical.model.with_feet_named(recording), body, plates, contacts, swings, clinical.subject)
 
 
-def _loads(recording: Recording, cycles: Sequence[Cycle], kinetics: Kinetics) -> dict[str, Floats]:
-    """Over the cycles of whose stance the forces are known."""
-    loads = {}
+def _loads(recording: Recording, cycles: Sequence[Cycle], kinetics: Kinetics) -> tuple[dict[str, Floats], dict[str, tuple[Cycle, ...]]]:
+    """Over the cycles of whose stance the forces are known, and which these are."""
+    loads, loaded = {}, {}
     powers = {name: power[:, None] for name, power in kinetics.powers.items()}
     for name, values in {**kinetics.moments, **powers, **kinetics.ground}.items():
         known = []
@@ -163,23 +192,7 @@ def _loads(recording: Recording, cycles: Sequence[Cycle], kinetics: Kinetics) ->
                 continue
             curve = over_cycle(values, recording.rate, cycle)
             if np.isfinite(curve[: max(int(POINTS * cycle.off_share), 1)]).all(axis=1).mean() >= _KNOWN:
-                known.append(curve)
+                known.append((cycle, curve))
         if known:
-            loads[name] = np.stack(known)
-    return loads
-
-
-def measures_by_name(pairs: Sequence[str]) -> dict[str, float]:
-    """Measures from words such as "LKneeWidth=102". Raises AsterismError where a word is none.
-
-    >>> measures_by_name(["LKneeWidth=102", "BodyMass=50.5"])
-    {'LKneeWidth': 102.0, 'BodyMass': 50.5}
-    """
-    found = {}
-    for pair in pairs:
-        name, _, value = pair.partition("=")
-        try:
-            found[name.strip()] = float(value.replace(",", "."))
-        except ValueError:
-            raise AsterismError(f"--measure {pair} is no name and number; write for example LKneeWidth=102, in mm and degrees.") from None
-    return found
+            loads[name], loaded[name] = np.stack([curve for _, curve in known]), tuple(cycle for cycle, _ in known)
+    return loads, loaded

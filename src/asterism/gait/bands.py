@@ -1,10 +1,10 @@
-"""Walks of people without complaints in; a band of each angle over the cycle out, and how far others are from it."""
+"""Walks of people without complaints in; a band of each angle and parameter out, and how far others are from it."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -32,12 +32,16 @@ _FORMAT = "asterism gait band 1"
 
 @dataclass(frozen=True)
 class Band:
-    """Means and standard deviations (101, 3) rad of quantities such as "Knee", of both sides together, of so many people and cycles."""
+    """Means and standard deviations (101, 3) rad of quantities such as "Knee", of both sides together, of so many people and cycles.
+
+    parameters  by their names in `PARAMETERS`, mean and standard deviation; none in bands of older versions
+    """
 
     mean: Mapping[str, Floats]
     deviation: Mapping[str, Floats]
     people: int
     cycles: int
+    parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def save(self, path: str | Path) -> None:
         """Write it as JSON, degrees, whole or not at all. Raises AsterismError where the file cannot be written."""
@@ -46,6 +50,7 @@ class Band:
             for name in self.mean
         }
         content = {"format": _FORMAT, "people": self.people, "cycles": self.cycles, "angles": angles}
+        content["parameters"] = {name: {"mean": mean, "sd": deviation} for name, (mean, deviation) in self.parameters.items()}
         write_atomically(Path(path), utf8(json.dumps(content, indent=1) + "\n"))
 
     @classmethod
@@ -60,13 +65,14 @@ class Band:
                 for which in ("mean_deg", "sd_deg")
             )
             people, cycles = int(content["people"]), int(content["cycles"])
+            parameters = {name: (float(one["mean"]), float(one["sd"])) for name, one in content.get("parameters", {}).items()}
         except OSError as problem:
             raise AsterismError(f"{path} cannot be read ({problem.strerror}); name a file that --save-band wrote.") from None
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, AttributeError):
             raise AsterismError(f"{path} is no band of gait curves; make one with asterism gait controls/*.c3d --save-band FILE.") from None
         if any(values.shape != (POINTS, 3) for values in (*mean.values(), *deviation.values())):
             raise AsterismError(f"{path} has curves of another length than {POINTS} points; make the band again with --save-band.")
-        return cls(mean, deviation, people, cycles)
+        return cls(mean, deviation, people, cycles, parameters)
 
 
 def band_of(analyses: Sequence[GaitAnalysis], people: Sequence[str]) -> Band:
@@ -88,7 +94,21 @@ def band_of(analyses: Sequence[GaitAnalysis], people: Sequence[str]) -> Band:
         # What a single cycle of a control does: how people differ, and how one person's cycles do.
         mean[name], deviation[name] = means.mean(axis=0), np.sqrt(means.var(axis=0, ddof=1) + within)
         count = max(count, sum(len(cycles) for cycles in by_person.values()))
-    return Band(mean, deviation, len(who), count)
+    return Band(mean, deviation, len(who), count, _parameters_of(analyses, people))
+
+
+def _parameters_of(analyses: Sequence[GaitAnalysis], people: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Mean and standard deviation of each parameter that two people or more have, of both sides together."""
+    by_name: dict[str, dict[str, list[float]]] = {}
+    for analysis, person in zip(analyses, people, strict=True):
+        for one in analysis.parameters:
+            by_name.setdefault(one.name, {}).setdefault(person, []).append(one.value)
+    found = {}
+    for name, by_person in by_name.items():
+        if len(by_person) > 1:
+            means, within = (np.array([part(values) for values in by_person.values()]) for part in (np.mean, np.var))
+            found[name] = (float(means.mean()), float(np.sqrt(means.var(ddof=1) + within.mean())))
+    return found
 
 
 @dataclass(frozen=True)

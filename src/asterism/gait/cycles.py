@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from asterism.gait.events import OFF, STRIKE, GaitEvent, Walking
+from asterism.gait.feet import RATE
 from asterism.recording import Floats
+
+MIDSTANCE = "Midstance"
+"""The event of a foot that stands: the other one, which swings, passes it."""
+FOOT_SIGMA = 0.01
+"""m, standard deviation of how far a foot is ahead of the other, by markers that sit on two shoes by hand."""
 
 POINTS = 101
 """Points of a curve over a cycle: 0, 1, ... 100 %."""
@@ -55,6 +62,31 @@ def cycles_of(walking: Walking) -> list[Cycle]:
             offs, strikes = ([event for event in inside if event.label == label] for label in (OFF, STRIKE))
             cycles.append(Cycle(side, strike, off, following, offs[0] if offs else None, strikes[0] if strikes else None))
     return sorted(cycles, key=lambda cycle: cycle.strike.time)
+
+
+def midstances(walking: Walking) -> list[GaitEvent]:
+    """When the swinging foot passes the one that stands ("feet adjacent" of Whittle 2014), of each foot, in the order of time. O(T).
+
+    The middle of heel and toe counts, in the direction in which the feet point. A stance in which the other foot is not seen to pass has
+    none. Its uncertainty is that of the feet's places, at the speed with which they pass.
+    """
+    feet, found = walking.feet, []
+    if len(feet.sides) < 2:
+        return []
+    middles = {side: (feet.heels[side] + feet.toes[side]) / 2 for side in feet.sides}
+    for side, other in (("L", "R"), ("R", "L")):
+        apart = ((middles[other] - middles[side])[:, :2] * feet.ahead).sum(axis=1)
+        own = [event for event in walking.events if event.side == side]
+        for begin, end in walking.swings(other):
+            # While one foot swings, the other has to stand all the time.
+            stands = any(one.time <= begin and end <= two.time for one, two in pairwise(own) if (one.label, two.label) == (STRIKE, OFF))
+            first, last = (min(max(round(RATE * time), 0), len(apart) - 1) for time in (begin, end))
+            passed = np.nonzero((apart[first:last] < 0) & (apart[first + 1 : last + 1] >= 0))[0] + first
+            if stands and len(passed) == 1:
+                at = int(passed[0])
+                speed = float(apart[at + 1] - apart[at]) * RATE
+                found.append(GaitEvent(side, MIDSTANCE, (at - apart[at] * RATE / speed) / RATE, FOOT_SIGMA / speed, "markers"))
+    return sorted(found, key=lambda event: event.time)
 
 
 def over_cycle(values: Floats, rate: float, cycle: Cycle) -> Floats:

@@ -10,6 +10,7 @@ import numpy as np
 from asterism.gait.cycles import Cycle
 from asterism.gait.events import GaitEvent, Walking
 from asterism.gait.feet import RATE, Feet
+from asterism.recording import Floats
 
 PARAMETERS = {
     "cadence": "steps/min",
@@ -22,21 +23,31 @@ PARAMETERS = {
     "stance": "%",
     "swing": "%",
     "double support": "%",
+    "single support": "%",
+    "opposite foot off": "%",
+    "opposite foot contact": "%",
+    "limp index": "",
 }
-"""Names, with their units. Shares are of the cycle."""
-HEEL_SIGMA = 0.003
-"""m, standard deviation of a heel marker's place along the floor from step to step, beside what an event that is off adds."""
+"""Names, with their units. Shares are of the cycle; the limp index is how long this foot stands for each second that the other does."""
+SIDED = ("step time", "step length", "stance", "swing", "single support")
+"""Parameters that can differ between the sides of one stride."""
+TOE_SIGMA = 0.003
+"""m, standard deviation of a toe marker's place on the foot that stands, beside what an event that is off adds: shoe and skin."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One value of one cycle of the side "L" or "R", with its standard uncertainty in the same unit; `begins` s, the cycle's strike."""
+    """One value of one cycle of the side "L" or "R", with its standard uncertainty in the same unit.
+
+    begins, ends  s from the first frame, the cycle's strikes: the frames that the value comes from
+    """
 
     name: str
     side: str
     value: float
     sigma: float
     begins: float
+    ends: float
 
 
 @dataclass(frozen=True)
@@ -59,7 +70,8 @@ class ParameterSummary:
 def parameters_of(walking: Walking, cycles: Sequence[Cycle]) -> list[Parameter]:
     """All parameters of all cycles. What the other foot decides is left out where it was not seen. O(cycles).
 
-    On a treadmill lengths are those that the belt has run: the speed with which feet that stand go backwards, times the time.
+    Lengths and widths are those between toe markers at the strikes, along and across the way of the stride, as the programs of
+    laboratories have them: files that hold both are met by these, and not by heels. On a treadmill the belt's way is added.
     """
     return [parameter for cycle in cycles for parameter in _of_cycle(walking, cycle)]
 
@@ -69,22 +81,38 @@ def _of_cycle(walking: Walking, cycle: Cycle) -> list[Parameter]:
 
     def add(name: str, value: float, sigma: float) -> None:
         if np.isfinite(value):
-            found.append(Parameter(name, cycle.side, float(value), float(sigma), cycle.strike.time))
+            found.append(Parameter(name, cycle.side, float(value), float(sigma), cycle.strike.time, cycle.next_strike.time))
 
     duration, spread = cycle.duration, _hypot(cycle.strike, cycle.next_strike)
-    length, speed = _stride(walking, cycle)
+    belt, belt_sigma = _belt(walking, cycle)
+    begin, end = (_stood(walking.feet, cycle.side, event, belt) for event in (cycle.strike, cycle.next_strike))
+    length = float(np.linalg.norm(end.place - begin.place))
+    way = (end.place - begin.place) / max(length, 1e-9)
+    length_sigma = float(np.hypot(_spread(way, begin, end), belt_sigma * duration))
     add("stride time", duration, spread)
     add("cadence", 120.0 / duration, 120.0 / duration**2 * spread)
-    add("stride length", length, np.hypot(HEEL_SIGMA, speed * spread if walking.treadmill else 0.0))
-    add("walking speed", length / duration, length / duration**2 * spread)
+    add("stride length", length, length_sigma)
+    add("walking speed", length / duration, float(np.hypot(length_sigma, length / duration * spread)) / duration)
     add("stance", 100 * cycle.off_share, 100 / duration * _hypot(cycle.strike, cycle.off))
     add("swing", 100 * (1 - cycle.off_share), 100 / duration * _hypot(cycle.strike, cycle.off))
     if cycle.other_strike is not None:
         # The step of this foot begins with the other's strike.
-        add("step time", cycle.next_strike.time - cycle.other_strike.time, _hypot(cycle.next_strike, cycle.other_strike))
-        ahead, aside = _step(walking, cycle, speed)
-        add("step length", ahead, np.hypot(HEEL_SIGMA, speed * _hypot(cycle.next_strike, cycle.other_strike) if walking.treadmill else 0.0))
-        add("step width", abs(aside), HEEL_SIGMA)
+        time = cycle.next_strike.time - cycle.other_strike.time
+        add("step time", time, _hypot(cycle.next_strike, cycle.other_strike))
+        theirs = _stood(walking.feet, "R" if cycle.side == "L" else "L", cycle.other_strike, belt)
+        apart, across = end.place - theirs.place, np.array([-way[1], way[0]])
+        add("step length", float(apart @ way), np.hypot(_spread(way, theirs, end), belt_sigma * time))
+        add("step width", abs(float(apart @ across)), _spread(across, theirs, end))
+        if cycle.other_off is not None and cycle.other_off.time < cycle.other_strike.time:
+            off, contact = ((event.time - cycle.strike.time) / duration for event in (cycle.other_off, cycle.other_strike))
+            add("opposite foot off", 100 * off, 100 / duration * _hypot(cycle.strike, cycle.other_off))
+            add("opposite foot contact", 100 * contact, 100 / duration * _hypot(cycle.strike, cycle.other_strike))
+            # The other foot stands for all of the cycle but this foot's single support.
+            alone, its = contact - off, 1 - contact + off
+            add("single support", 100 * alone, 100 / duration * _hypot(cycle.other_off, cycle.other_strike))
+            limp = cycle.off_share / its
+            spreads = (_hypot(cycle.strike, cycle.off), limp * _hypot(cycle.other_off, cycle.other_strike))
+            add("limp index", limp, float(np.hypot(*spreads)) / (its * duration))
         if cycle.other_off is not None and cycle.other_off.time < cycle.other_strike.time < cycle.off.time:
             both = cycle.other_off.time - cycle.strike.time + cycle.off.time - cycle.other_strike.time
             spread = np.hypot(_hypot(cycle.strike, cycle.other_off), _hypot(cycle.off, cycle.other_strike))
@@ -96,44 +124,38 @@ def _hypot(*events: GaitEvent) -> float:
     return float(np.sqrt(sum(event.sigma**2 for event in events)))
 
 
-def _at(feet: Feet, points: np.ndarray, time: float) -> np.ndarray:
-    return np.asarray(points[min(max(round(RATE * time), 0), len(points) - 1)])
+@dataclass(frozen=True)
+class _Stood:
+    """Where a foot stood at an event: (2,) m on the floor, and how far it goes within the event's standard deviation."""
+
+    place: Floats
+    drift: Floats
 
 
-def _stride(walking: Walking, cycle: Cycle) -> tuple[float, float]:
-    """m that the foot comes ahead from strike to strike, and m/s of the belt on a treadmill, or of the person elsewhere."""
-    feet, heel = walking.feet, walking.feet.heels[cycle.side]
-    moved = _at(feet, heel, cycle.next_strike.time) - _at(feet, heel, cycle.strike.time)
+def _stood(feet: Feet, side: str, event: GaitEvent, belt: Floats) -> _Stood:
+    toe = feet.toes[side][:, :2]
+
+    def at(time: float) -> Floats:
+        return np.stack([np.interp(time, feet.times, toe[:, axis]) for axis in range(2)])
+
+    # A foot that still moves when it strikes leaves its length as uncertain as the event is.
+    velocity = (at(event.time + 1 / RATE) - at(event.time - 1 / RATE)) * RATE / 2 + belt
+    return _Stood(at(event.time) + belt * event.time, velocity * event.sigma)
+
+
+def _spread(way: Floats, one: _Stood, other: _Stood) -> float:
+    """m, standard deviation of the distance between two places along a way."""
+    return float(np.sqrt(2 * TOE_SIGMA**2 + (one.drift @ way) ** 2 + (other.drift @ way) ** 2))
+
+
+def _belt(walking: Walking, cycle: Cycle) -> tuple[Floats, float]:
+    """(2,) m/s with which a person overtakes a treadmill's belt, which a foot that stands shows, and its standard deviation; else 0."""
+    feet, stood = walking.feet, cycle.off.time - cycle.strike.time
     if not walking.treadmill:
-        length = float(np.linalg.norm(moved[:2]))
-        return length, length / cycle.duration
-    # a foot that stands shows the belt
-    stood = cycle.off.time - cycle.strike.time
+        return np.zeros(2), 0.0
     early, late = (round(RATE * (cycle.strike.time + share * stood)) for share in (0.25, 0.6))
-    belt = float(np.linalg.norm((heel[late] - heel[early])[:2])) * RATE / (late - early)
-    forwards = float(moved[:2] @ _at(feet, feet.ahead, cycle.next_strike.time))
-    return belt * cycle.duration + forwards, belt
-
-
-def _step(walking: Walking, cycle: Cycle, speed: float) -> tuple[float, float]:
-    """m ahead and aside of the other heel at its strike, along the way of this foot's stride."""
-    feet = walking.feet
-    other = next((side for side in feet.sides if side != cycle.side), None)
-    assert cycle.other_strike is not None
-    if other is None:
-        return float("nan"), float("nan")
-    own = [_at(feet, feet.heels[cycle.side], event.time) for event in (cycle.strike, cycle.next_strike)]
-    theirs = _at(feet, feet.heels[other], cycle.other_strike.time)
-    if walking.treadmill:
-        # Each place is moved to where it would be on a floor that stands.
-        along = _at(feet, feet.ahead, cycle.other_strike.time)
-        own[0] = own[0][:2] + along * speed * cycle.strike.time
-        own[1] = own[1][:2] + along * speed * cycle.next_strike.time
-        theirs = theirs[:2] + along * speed * cycle.other_strike.time
-    way = (own[1] - own[0])[:2]
-    way = way / max(float(np.linalg.norm(way)), 1e-9)
-    apart = (own[1] - theirs)[:2]
-    return float(apart @ way), float(way[0] * apart[1] - way[1] * apart[0])
+    backwards = (feet.heels[cycle.side][late] - feet.heels[cycle.side][early])[:2] * RATE / (late - early)
+    return -backwards, 2**0.5 * TOE_SIGMA * RATE / (late - early)
 
 
 def summarise(parameters: Sequence[Parameter]) -> list[ParameterSummary]:
@@ -147,4 +169,30 @@ def summarise(parameters: Sequence[Parameter]) -> list[ParameterSummary]:
                 spread = float(values.std(ddof=1)) if len(own) > 1 else float("nan")
                 sigma = float(np.sqrt(np.mean([one.sigma**2 for one in own]) / len(own)))
                 found.append(ParameterSummary(name, side, float(values.mean()), spread, sigma, len(own)))
+    return found
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """How much more the left side's mean of a parameter is than the right's, % of the mean of both, with its standard uncertainty."""
+
+    name: str
+    value: float
+    sigma: float
+
+
+def symmetries(parameters: Sequence[Parameter]) -> list[Symmetry]:
+    """The symmetry index (Robinson et al. 1987) of what each foot has of its own, where both sides are known; 0 is symmetric.
+
+    >>> times = [Parameter("step time", "L", 0.6, 0.01, 0.0, 1.0), Parameter("step time", "R", 0.4, 0.01, 0.0, 1.0)]
+    >>> [round(one.value) for one in symmetries(times)]
+    [40]
+    """
+    means = {(one.name, one.side): one for one in summarise(parameters)}
+    found = []
+    for name in SIDED:
+        left, right = (means.get((name, side)) for side in ("L", "R"))
+        if left is not None and right is not None and (both := (left.mean + right.mean) / 2) > 0:
+            sigma = np.hypot(left.sigma * right.mean, right.sigma * left.mean) / both**2
+            found.append(Symmetry(name, 100 * (left.mean - right.mean) / both, 100 * float(sigma)))
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -151,6 +151,47 @@ def locate_groups(clouds: Clouds, groups: MarkerGroups, nearest: int = 3) -> lis
             )
         )
     return places
+
+
+def body_positions(clouds: Clouds, groups: MarkerGroups) -> tuple[Floats, Floats]:
+    """Where the groups are on the body: (G, 3) m medians about its middle, z up, in axes that turn with it; and (2,) where it travels.
+
+    The direction is in the same axes, NaN where the body does not travel. Raises AsterismError where the groups are not of these clouds.
+    """
+    _check(groups, clouds)
+    body = _body_frame(clouds, groups.of_point)
+    seen = ~np.isnan(body[:, :, 0])
+    centred = body - _middle(body, seen)[:, None]
+    medians = [np.median(centred[seen[:, group], group], axis=0) for group in range(len(groups))]
+    return np.reshape(medians, (-1, 3)), _direction(body, seen, clouds.rate)
+
+
+def mirrored_groups(positions: Floats, ahead: Floats, pairs: Sequence[tuple[int, int]] = ()) -> dict[int, int]:
+    """{group: the one at the same place on the other side of the body}, as far as two groups are each other's nearest there.
+
+    positions  (G, 3) m and ahead (2,) as of `body_positions`
+    pairs      (left, right) groups that are known: they say where left is, before the direction of travel does
+    """
+    if len(positions) < 2:
+        return {}
+    if pairs:
+        left, right = (positions[[pair[side] for pair in pairs]] for side in (0, 1))
+        across = (left - right)[:, :2].mean(axis=0)
+        middle = 0.5 * (left + right)[:, :2].mean(axis=0)
+    else:
+        across, middle = np.array([-ahead[1], ahead[0]]), positions[:, :2].mean(axis=0)
+    length = float(np.linalg.norm(across))
+    # A body that stands says nothing of its sides until a pair is known.
+    if not np.isfinite(length) or length == 0.0:
+        return {}
+    across = across / length
+    aside = (positions[:, :2] - middle) @ across
+    mirrored = positions.copy()
+    mirrored[:, :2] -= 2.0 * aside[:, None] * across
+    nearest = np.linalg.norm(mirrored[:, None] - positions, axis=2).argmin(axis=1)
+    # A marker on the midline is its own mirror image.
+    both = (nearest[nearest] == np.arange(len(positions))) & (aside * aside[nearest] < 0.0)
+    return {int(group): int(nearest[group]) for group in np.nonzero(both)[0]}
 
 
 def name_groups(recording: Recording, groups: MarkerGroups, names: Mapping[int, str], clouds: Clouds | None = None) -> Recording:

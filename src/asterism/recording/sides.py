@@ -45,6 +45,34 @@ def marker_sides(names: Sequence[str], marker_set: MarkerSet | None = None) -> l
     ]
 
 
+def mirrored_name(name: str, marker_set: MarkerSet | None = None) -> str | None:
+    """What the same marker on the other side of the body is called; None where the name says no side.
+
+    By the pairs of a marker set; other names by the word or the letter that says the side.
+
+    >>> [mirrored_name(name) for name in ("LKNE", "R.Heel", "KneeOut_L", "left_heel", "SACR")]
+    ['RKNE', 'L.Heel', 'KneeOut_R', 'right_heel', None]
+    """
+    for pair in marker_set.pairs if marker_set is not None else ():
+        if name in pair:
+            return pair[1] if name == pair[0] else pair[0]
+    words = list(_WORDS.finditer(name))
+    # A whole word says more than a letter, and one at an end more than one within.
+    said = [word for word in words if word[0].casefold() in ("left", "right")]
+    said += [word for word in words[:1] + words[-1:] if len(words) > 1 and word[0].casefold() in ("l", "r")]
+    if said:
+        return name[: said[0].start()] + _like(said[0][0], _OTHER_SIDE[said[0][0].casefold()]) + name[said[0].end() :]
+    # LKNE and Lknee: the first letter stands before letters of the name.
+    if len(name) > 2 and name[0] in "LR" and name[1:3].isalpha():
+        return {"L": "R", "R": "L"}[name[0]] + name[1:]
+    return None
+
+
+def _like(word: str, other: str) -> str:
+    """Another word in the same letters: LEFT, Left or left."""
+    return other.upper() if word.isupper() else other.capitalize() if word[0].isupper() else other
+
+
 def _side_of(name: str, every: set[str]) -> str:
     """By a name's own words, or because the name with the other side's letter is a marker too; every: all names, canonical."""
     words = [word.casefold() for word in _WORDS.findall(name)]

@@ -26,11 +26,19 @@ NOTHING = "–"
 
 @dataclass(frozen=True)
 class Cell:
-    """A table's cell: its text, the strength of its tint (0 to 1), and which of the page's tints it is ("warn", "bad")."""
+    """A table's cell: its text, the strength of its tint (0 to 1), and which of the page's tints it is ("warn", "bad").
+
+    place    a recording of the page's player, its first and last frame, to which the cell leads
+    drawing  SVG of our own beside the text
+    href     the page that it leads to, beside this one
+    """
 
     text: str
     tint: float = 0.0
     kind: str = "warn"
+    place: tuple[int, int, int] | None = None
+    drawing: str = ""
+    href: str = ""
 
 
 @dataclass(frozen=True)
@@ -45,9 +53,10 @@ class Table:
 
 @dataclass(frozen=True)
 class Section:
-    """One block of a page, shown in this order: heading, text, figure (a Plotly figure as a plain dict), player, table, note.
+    """One block of a page, shown in this order: heading, text, drawing, figure (a Plotly figure as a plain dict), player, table, note.
 
-    player  recordings, as `report.player.pack_recordings` gives them, of which the player shows one at a time
+    drawing  HTML of our own, such as `report.cycle_panels.drawn_panels` gives it, in which all texts of others are escaped
+    player   recordings, as `report.player.pack_recordings` gives them, of which the player shows one at a time
     """
 
     heading: str
@@ -57,6 +66,7 @@ class Section:
     table: Table | None = None
     note: str = ""
     folded: bool = False
+    drawing: str = ""
 
 
 @dataclass(frozen=True)
@@ -90,7 +100,7 @@ def write_page(path: str | Path, page: Page) -> None:
         page=page,
         facts={name.replace("_", " "): _fact_text(value) for name, value in facts.items() if not _says_nothing(value)},
         style=template("page.css") + player_style(),
-        script=player_script() + template("page.js") if figures or players else "",
+        script=player_script() + template("page.js") + template("panels.js") if figures or players else "",
         plotly=_plotly() if figures else "",
         data=_as_script({"figures": _without_markup(figures), "players": players}),
         is_cell=lambda cell: isinstance(cell, Cell),

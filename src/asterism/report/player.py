@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.geometry import rotate_z_up
-from asterism.recording import Clouds, Floats, Ints, Labelling, MarkerSet
+from asterism.recording import Clouds, Floats, ForcePlate, Ints, Labelling, MarkerSet
 from asterism.recording.sides import marker_sides
 from asterism.report.figures import MOST_NINES, nines
 from asterism.report.skeleton import marker_bones
@@ -76,6 +76,8 @@ class ShownRecording:
     chosen       the first frame that is shown, and the first that is not; by default all are
     sides        of the markers, "left", "right" or "middle"; by default by the marker set and their names
     names_shown  the names shown at first: "all", "doubtful" or "none"; by default all of up to 20 markers, else those in doubt
+    plates       force plates, in the axes of the clouds, drawn with their forces
+    cycles       of the feet, "left" or "right": from and to, and when the foot leaves the floor, s from the first frame
     """
 
     name: str
@@ -90,6 +92,8 @@ class ShownRecording:
     chosen: tuple[int, int] | None = None
     sides: Sequence[str] | None = None
     names_shown: str | None = None
+    plates: Sequence[ForcePlate] = ()
+    cycles: Sequence[tuple[str, float, float, float]] = ()
 
 
 def pack_recordings(shown: Sequence[ShownRecording], rules: PageRules = RULES) -> list[dict[str, Any]]:
@@ -125,7 +129,7 @@ def _within(one: ShownRecording, room: float, rules: PageRules) -> dict[str, Any
 
 
 def _size(packed: dict[str, Any]) -> int:
-    return sum(len(packed[key]["data"]) for key in ("points", "timeline") if packed.get(key)) + 400
+    return sum(len(packed[key]["data"]) for key in ("points", "timeline", "forces") if packed.get(key)) + 400
 
 
 def _about(one: ShownRecording, rules: PageRules) -> dict[str, Any]:
@@ -143,6 +147,7 @@ def _about(one: ShownRecording, rules: PageRules) -> dict[str, Any]:
         "firstFrame": one.first_frame,
         "namesShown": one.names_shown,
         "timeline": None if one.unsure is None or not one.unsure.size else _timeline(one, rules),
+        "cycles": [[side, *(round(time, 4) for time in times)] for side, *times in one.cycles],
     }
 
 
@@ -181,7 +186,24 @@ def _points(one: ShownRecording, step: int, rules: PageRules) -> dict[str, Any]:
         "start": min(start, max(len(frames) - 1, 0)),
         "series": marker_of_series,
         "counts": counts,
+        "forces": _forces(one, frames) if one.plates and len(frames) else None,
     }
+
+
+def _forces(one: ShownRecording, frames: Ints) -> dict[str, Any]:
+    """Corners of the plates, m, and packed for each frame: centre of pressure in mm, and force in N, both 0 without a load."""
+    corners, parts = [], []
+    for plate in one.plates:
+        shown = plate.at(one.clouds.rate, len(one.clouds))
+        loaded = shown.loaded & np.isfinite(shown.pressure).all(axis=1)
+        corners.append(np.round(rotate_z_up(plate.corners, one.clouds.vertical), 3).tolist())
+        for values, scale in ((shown.pressure, 1000.0), (shown.force, 1.0)):
+            placed = np.where(loaded[:, None], np.nan_to_num(rotate_z_up(values, one.clouds.vertical)), 0.0)[frames]
+            # The pointer of an unusual plate must not cost all others their digits.
+            whole = np.rint(np.clip(scale * placed, -_FARTHEST, _FARTHEST)).astype(np.int64)
+            first = np.zeros(1, dtype=np.int64)
+            parts += [varints(zigzag(differences(whole[:, axis], first, 1))) for axis in range(3)]
+    return {"corners": corners, "lengths": [len(part) for part in parts], "data": deflated(np.concatenate(parts))}
 
 
 def _series(marker: Ints, clouds: Clouds, points: Ints, markers: int) -> tuple[Ints, list[int], list[int]]:

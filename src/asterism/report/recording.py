@@ -55,14 +55,9 @@ def recording_report(path: str | Path, recording: Recording) -> None:
     """
     if not len(recording) or not recording.labels:
         raise AsterismError("the recording has no frames or no columns, so there is nothing to plot.")
-    visible = recording.visible
-    named = [column for column, label in enumerate(recording.labels) if not is_unnamed(label)]
-    # A visible column is the point of its frame's cloud at this place.
-    place = np.cumsum(visible, axis=1) - 1
-    shown = visible[:, named]
-    labelling = Labelling(
-        np.where(shown, place[:, named], NULL), np.where(shown, 1.0, 0.0), tuple(recording.labels[column] for column in named)
-    )
+    named = named_columns(recording)
+    shown = recording.visible[:, named]
+    labelling = labelling_by_names(recording)
     file = str(recording.metadata.get("file", ""))
     name = Path(file).name if file else "recording"
     one = ShownRecording(name, labelling, recording.clouds(), recording.first_frame, unsure=np.zeros_like(shown))
@@ -75,3 +70,17 @@ def recording_report(path: str | Path, recording: Recording) -> None:
     text = "Drag to turn; with the picture in focus, space plays and the arrow keys step."
     section = Section("In 3D", text, player=pack_recordings([one]))
     write_page(path, Page(name, "", {"file": file or None}, merits, [section]))
+
+
+def named_columns(recording: Recording) -> list[int]:
+    """The columns that have a name."""
+    return [column for column, label in enumerate(recording.labels) if not is_unnamed(label)]
+
+
+def labelling_by_names(recording: Recording) -> Labelling:
+    """The recording's own names as a labelling of its clouds, each certain."""
+    visible, named = recording.visible, named_columns(recording)
+    # A visible column is the point of its frame's cloud at this place.
+    place = np.cumsum(visible, axis=1) - 1
+    shown = visible[:, named]
+    return Labelling(np.where(shown, place[:, named], NULL), np.where(shown, 1.0, 0.0), tuple(recording.labels[column] for column in named))

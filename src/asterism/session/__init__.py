@@ -6,6 +6,9 @@ from asterism.session.labelled import LabelledFile
 from asterism.session.labeller import FileLabeller, body_names, label_file
 from asterism.session.live import LiveLabeller
 from asterism.session.options import CHECK, IGNORE, KEEP, LabellingOptions
+from asterism.session.plan import FolderSettings, PlannedPerson, PlannedTrial, plan_session
+from asterism.session.spread import Outcome, in_order, spread
+from asterism.session.standing import is_standing_name, stands
 from asterism.session.worn import SetFinder, WornMarkers
 
 __all__ = [
@@ -14,12 +17,21 @@ __all__ = [
     "KEEP",
     "FileLabeller",
     "FinishedFiles",
+    "FolderSettings",
     "LabelledFile",
     "LabellingOptions",
     "LabellingSettings",
     "LiveLabeller",
+    "Outcome",
+    "PlannedPerson",
+    "PlannedTrial",
     "SetFinder",
     "WornMarkers",
     "body_names",
+    "in_order",
+    "is_standing_name",
     "label_file",
+    "plan_session",
+    "spread",
+    "stands",
 ]

@@ -39,16 +39,18 @@ class FinishedFiles:
 
     A line is written before an output, and another one after it. A line that was cut off is as if it were not there.
     how: the options, as plain values. inputs: models and other files beside the sources that an output depends on, by their content.
-    columns: what a row of results has, without which a line is damaged.
+    columns: what a row of results has, without which a line is damaged. name: of the record in the folder.
     """
 
-    def __init__(self, folder: Path, how: Mapping[str, Any], inputs: Sequence[Path], columns: Collection[str] = ()) -> None:
-        self.folder, self.columns = folder, columns
+    def __init__(
+        self, folder: Path, how: Mapping[str, Any], inputs: Sequence[Path], columns: Collection[str] = (), name: str = NAME
+    ) -> None:
+        self.path, self.columns = folder / name, columns
         # other options or models make another output: the record of an earlier run says nothing then
         self.how = hashlib.sha256(json.dumps(as_json(how), sort_keys=True).encode()).hexdigest()
         self.inputs = [_hash(path) for path in inputs]
         self.entries: dict[str, dict[str, Any]] = {}
-        for line in _lines(folder / NAME):
+        for line in _lines(self.path):
             # an output that was begun again is not what the earlier line says
             if line.get("event") == "begun":
                 self.entries[str(line.get("output"))] = line
@@ -76,6 +78,11 @@ class FinishedFiles:
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return None
 
+    def made_here(self, place: Path, target: Path) -> bool:
+        """Whether an output is what a run has written, from whatever and however, and nobody has changed it since."""
+        entry = self.entries.get(place.as_posix())
+        return entry is not None and ("sha256" not in entry or entry["sha256"] == _hash(target))
+
     def begin(self, place: Path, source: Path, target: Path, row: Mapping[str, Any], findings: Sequence[Finding]) -> None:
         """Note that an output is being made, and what is said of it where the run is stopped before `end`."""
         about = {"source": str(source), "target": str(target), "key": self._key(source), "at": time.time_ns()}
@@ -92,9 +99,8 @@ class FinishedFiles:
 
     def _append(self, line: Mapping[str, Any]) -> None:
         """Add a line in one piece, after an end of line where the last one was cut off."""
-        path = self.folder / NAME
         text = json.dumps(line, ensure_ascii=True, allow_nan=False) + "\n"
-        with path.open("ab+") as file:
+        with self.path.open("ab+") as file:
             # a power cut may have left half a line, which the next one must not be joined with
             if file.seek(0, os.SEEK_END) and (file.seek(-1, os.SEEK_END), file.read(1))[1] != b"\n":
                 text = "\n" + text

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -57,6 +57,11 @@ class LabelledFile:
         return self.labelling.verdict
 
     @property
+    def given(self) -> int:
+        """Number of labels in all frames."""
+        return int((self.labelling.indices >= 0).sum())
+
+    @property
     def clouds(self) -> Clouds:
         """The points that were labelled. Of a recording that is not in memory, as many points, which are nowhere."""
         return self.copy.clouds
@@ -85,7 +90,7 @@ class LabelledFile:
     def findings(self) -> tuple[Finding, ...]:
         """What a person should know before they use the labels: the same behind every door."""
         # a file without any label has its own finding, which says more
-        if self.readiness.kind != DO_NOT_USE or not (self.labelling.indices >= 0).any():
+        if self.readiness.kind != DO_NOT_USE or not self.given:
             return self.found
         sentence = f"{self.path}: {100 * self.readiness.error:.0f} % of the labels are expected to be wrong or missing, do not use them."
         # a model has its own marker set
@@ -97,10 +102,10 @@ class LabelledFile:
         """The labels, to be corrected by a person; of a recording that is in memory."""
         return Correction(self.models, self.about, first=FirstLabels(self.labeller, self.labelling, self.bodies, self.found))
 
-    def corrected(self, correction: Correction) -> LabelledFile:
-        """The same file under the labels that a person has corrected."""
+    def corrected(self, correction: Correction, finish: Callable[[Recording], Recording] | None = None) -> LabelledFile:
+        """The same file under the labels that a person has corrected; finish: what else is done to it before it is written."""
         # what was found and the verdict stay: they are on what the models said
-        return replace(self, labelling=correction.labelling, copy=self.copy.corrected(correction))
+        return replace(self, labelling=correction.labelling, copy=self.copy.corrected(correction, finish))
 
     def write(self, target: Path | str, *, program: str | None = None, drop_computed: bool = False) -> list[str]:
         """Write the labelled recording; returns what the file cannot hold.

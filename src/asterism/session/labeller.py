@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.labelling.body.subject import SubjectRules
+from asterism.labelling.correction.readiness import DO_NOT_USE
 from asterism.labelling.marker_model import OTHER_SUBJECT_FIT, MarkerModel
 from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller, WiderModel
 from asterism.labelling.stretches import JoinedLabelling, label_in_stretches, stretches_of
@@ -165,9 +166,12 @@ class FileLabeller:
         labelled = self._label_source(path, source if other is None else self._open(path, other), progress)
         # whatever points up, the body may be another: then all axes are tried before it is refused
         refused = labelled.verdict is not None and labelled.verdict.kind == OTHER_BODY
-        if other is None and (refused or not (labelled.labelling.indices >= 0).any()):
+        if other is None and (refused or not labelled.given):
             other = labelled_upright(self._plain, recording, every=True)
-            labelled = labelled if other is None else self._label_source(path, self._open(path, other), progress)
+            turned = labelled if other is None else self._label_source(path, self._open(path, other), progress)
+            # labels that are not to be used do not show that the file is wrong
+            believed = turned.given > labelled.given and turned.readiness.kind != DO_NOT_USE
+            labelled, other = (turned, other) if believed else (labelled, None)
         if other is None:
             return labelled
         return replace(labelled, found=(vertical_finding(str(path), said, other), *labelled.found))
@@ -179,7 +183,8 @@ class FileLabeller:
         """
         model = self.models[0]
         one_model = self.options.settings.in_time and all(other is model for other in self.models)
-        people = tuple(people_in(recording.labels, model.marker_set))
+        subject = str(recording.metadata.get("subject") or "")
+        people = tuple(people_in(recording.labels, model.marker_set, subject, bodies=len(self.models)))
         if not one_model or len(people) < 2 or len(self.models) not in (1, len(people)) or tuple(self.names or ()) == people:
             return None
         if people not in self._of_named:
@@ -236,7 +241,11 @@ class FileLabeller:
         # finding reads the points of a few frames; of a long file, only of its beginning
         source = open_source(path, self.options, by_ranges=True)
         recording = source.frames(_beginning(source))
-        worn = self._finder.of(path, recording if recording.clouds().counts.any() else source.about)
+        try:
+            worn = self._finder.of(path, recording if recording.clouds().counts.any() else source.about)
+        except AsterismError as problem:
+            # what is wrong with the file may be why
+            raise type(problem)(" ".join([str(problem), *(finding.sentence for finding in source.about.warnings)])) from None
         bodies = [body for one in worn for body in one.bodies]
         labeller, said, shown = self._of_worn(bodies, progress), recording.vertical, worn[0].vertical
         # a person's standing trial narrows the model of the set itself
@@ -250,7 +259,7 @@ class FileLabeller:
             # with which vertical the points are a body was asked already
             turned = not np.allclose(shown, said)
             labelled = labeller._label_source(path, labeller._open(path, shown if turned else self.options.vertical), progress)
-            if turned:
+            if turned and labelled.given:
                 labelled = replace(labelled, found=(vertical_finding(str(path), said, shown), *labelled.found))
         findings = [*labelled.found, *findings_on_sets(path, bodies, self._finder.rules)]
         if BY_NAMES not in {one.by for one in bodies}:

@@ -10,17 +10,25 @@ from scipy.optimize import linear_sum_assignment
 
 from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller
 from asterism.labelling.together import join_labellings
-from asterism.labelling.training.people import prefixes_of_people
+from asterism.labelling.training.people import prefix_of, prefixes_of_people
 from asterism.recording import Clouds, Ints, Labelling, MarkerSet
 
 
-def people_in(labels: Sequence[str], marker_set: MarkerSet) -> list[str]:
+def people_in(labels: Sequence[str], marker_set: MarkerSet, subject: str = "", *, bodies: int = 1) -> list[str]:
     """The people whose markers of a set a file names, by the names before the colon; empty where it is one person.
+
+    Whose names have nothing before them is called as the file's subject, or else by a number. bodies: how many people there are; where the
+    names are of one, with that subject, the others have the numbers that follow.
 
     >>> people_in([f"{who}:{name}" for who in ("Ann", "Bob") for name in ("LKNE", "LANK", "LHEE", "LTOE")], MarkerSet.load("helen-hayes"))
     ['Ann', 'Bob']
     """
-    return prefixes_of_people([label for label in labels if marker_set.name_of(label) is not None])
+    named = [label for label in labels if marker_set.name_of(label) is not None]
+    people = prefixes_of_people(named)
+    if not people and bodies > 1 and subject and named:
+        people = ["", *map(str, range(2, bodies + 1))]
+    plain = subject or next(str(number) for number in range(1, len(people) + 2) if str(number) not in people)
+    return [person or plain for person in people] if plain not in people else people
 
 
 def in_order_of_names(found: LabelledBodies, labels: Sequence[str], clouds: Clouds, labeller: RecordingLabeller) -> LabelledBodies:
@@ -32,7 +40,12 @@ def in_order_of_names(found: LabelledBodies, labels: Sequence[str], clouds: Clou
     alone = len(labeller.models) == 1
     if any(other is not model for other in labeller.models):
         return found
-    of_people = [labels] if alone else [[label if _prefix(label) == name else "" for label in labels] for name in labeller.names or ()]
+    # names with nothing before them are those of the one whose name no other label has
+    before = {prefix_of(label) for label in labels}
+    plain = next((name for name in labeller.names or () if name not in before), None)
+    whose = [prefix_of(label) or plain for label in labels]
+    named = [[label if who == name else "" for label, who in zip(labels, whose, strict=True)] for name in labeller.names or ()]
+    of_people = [labels] if alone else named
     if not alone and len(of_people) != len(found.bodies):
         return found
     same = np.array([[_agreeing(body, one, clouds, model.marker_set) for body in found.bodies] for one in of_people])
@@ -56,7 +69,3 @@ def _columns(labels: Sequence[str], marker_set: MarkerSet) -> Ints:
     """(M,) the one column that carries each marker's name, -1 where none or several do."""
     names = [marker_set.name_of(label) if label else None for label in labels]
     return np.array([names.index(name) if names.count(name) == 1 else -1 for name in marker_set.names], dtype=np.int64)
-
-
-def _prefix(label: str) -> str:
-    return label.partition(":")[0].strip()

@@ -96,7 +96,7 @@ class StandingTrials:
             usable = self._standing_beside(path)
             if path in usable:
                 return None
-        return max(usable, key=lambda trial: (_shared_depth(trial, path), len(_prefix(trial))), default=None)
+        return max(usable, key=lambda trial: (_shared_depth(trial, path), len(person_prefix(trial))), default=None)
 
     def _near(self, trial: Path, path: Path) -> bool:
         """Whether two files lie in one folder, or in one below that which all files share."""
@@ -125,7 +125,7 @@ def _shared_depth(one: Path, other: Path) -> int:
     return len(Path(os.path.commonpath([os.path.abspath(one.parent), os.path.abspath(other.parent)])).parts)
 
 
-def _prefix(trial: Path) -> str:
+def person_prefix(trial: Path) -> str:
     """What precedes the word for standing in a trial's name: "ann" of ann-static.c3d."""
     match = _STANDING.search(trial.stem.replace("_", " "))
     return re.sub(r"[\W_]+$", "", trial.stem[: match.start()] if match else "").casefold()
@@ -133,4 +133,4 @@ def _prefix(trial: Path) -> str:
 
 def _same_person(trial: Path, path: Path) -> bool:
     """Whether what precedes "static" in a trial's name begins the other file's name, too: ann-static.c3d and ann-walk.c3d."""
-    return path.stem.casefold().startswith(_prefix(trial))
+    return path.stem.casefold().startswith(person_prefix(trial))

@@ -11,14 +11,18 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from asterism import __version__
-from asterism.errors import AsterismError
+from asterism import __version__, formats
+from asterism.errors import AsterismError, NoMarkers
 from asterism.files.atomic import write_atomically
 from asterism.findings import Finding
 from asterism.labelling.correction import Correction, CorrectionLog, log_path
-from asterism.labelling.correction.event_log import SAVED
+from asterism.labelling.correction.event_log import NAMES_SUFFIX, SAVED, SUFFIX
+from asterism.labelling.correction.group_naming import GroupNaming
+from asterism.labelling.group_names import group_names_text
 from asterism.labelling.review import labels_of_points
 from asterism.session import FileLabeller, LabelledFile, LabellingOptions, body_names
+from asterism.session.worn import NoSetWorn
+from asterism.web.finishing import Finishing, finished
 from asterism.web.relabelling import RelabelRun, SittingModel
 
 if TYPE_CHECKING:
@@ -46,6 +50,7 @@ class SessionOptions:
     log_folder  the folder for the logs of corrections; None for beside each file
     overwrite   whether files that were there before may be replaced
     labelling   how the files are labelled
+    by_hand     whether the groups of points are named by hand, whatever labels there could be
     """
 
     models: Sequence[Path]
@@ -53,6 +58,7 @@ class SessionOptions:
     log_folder: Path | None = None
     overwrite: bool = False
     labelling: LabellingOptions = field(default_factory=LabellingOptions)
+    by_hand: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,7 +77,7 @@ class Relabelled:
 
 @dataclass
 class CorrectionTrial:
-    """One recording of a sitting. Its methods may be called from any thread.
+    """One recording of a sitting: its labels are corrected, or its groups of points named. Its methods may be called from any thread.
 
     id       a short name in addresses
     path     its file
@@ -80,6 +86,8 @@ class CorrectionTrial:
     error    why it failed, in one sentence
     notes    what a person should know when it is opened
     findings of labelling it
+    relabelled  what labelling it again has changed; None where that was not done
+    finishing   what is proposed for its gaps and events
     """
 
     id: str
@@ -91,12 +99,13 @@ class CorrectionTrial:
     error: str = ""
     notes: list[str] = field(default_factory=list)
     findings: Sequence[Finding] = ()
+    relabelled: Relabelled | None = None
+    finishing: Finishing = field(default_factory=Finishing)
     _lock: threading.RLock = field(default_factory=threading.RLock)
     _labelled: LabelledFile | None = None
     _correction: Correction | None = None
+    _naming: GroupNaming | None = None
     _log: CorrectionLog | None = None
-    relabelled: Relabelled | None = None
-    """What labelling it again has changed."""
     _saved: int = -1
     _ours: set[str] = field(default_factory=set)
     _on_disk: tuple[int, int] = (0, 0)
@@ -122,9 +131,9 @@ class CorrectionTrial:
             self.label(model.labeller)
             if self.state == READY:
                 return
-        if self.state != READY:
-            raise AsterismError(self.error)
-        self._check_unchanged()
+        # Said before the work of minutes: whether there are labels at all.
+        with self.opened():
+            self._check_unchanged()
         labelled = model.labeller.label(self.path, progress)
         fresh = labelled.correction()
         # Answers go on while the file is labelled: what was said until now is held.
@@ -137,17 +146,41 @@ class CorrectionTrial:
 
     @contextmanager
     def opened(self) -> Iterator[Correction]:
-        """The corrections, for one thread at a time. Raises AsterismError where the trial is not ready."""
+        """The corrections, for one thread at a time. Raises AsterismError where the trial is not ready, or has no labels to correct."""
+        with self.held() as held:
+            if not isinstance(held, Correction):
+                raise AsterismError(f"{self.path.name} has no labels yet; name its groups, save it, and train a model on it.")
+            yield held
+
+    @contextmanager
+    def held(self) -> Iterator[Correction | GroupNaming]:
+        """The corrections, or the names of groups, for one thread at a time. Raises AsterismError where the trial is not ready."""
         if self.state != READY:
             raise AsterismError(self.error or f"{self.path.name} is not labelled yet; wait a moment.")
         with self._lock:
-            assert self._correction is not None
-            yield self._correction
+            held = self._held
+            assert held is not None
+            yield held
+
+    @property
+    def _held(self) -> Correction | GroupNaming | None:
+        return self._correction if self._naming is None else self._naming
+
+    def snapshot(self) -> LabelledFile:
+        """The file under the labels as they are. Raises AsterismError as `opened` does."""
+        with self.opened() as correction:
+            assert self._labelled is not None
+            return self._labelled.corrected(correction)
+
+    @property
+    def is_naming(self) -> bool:
+        """Whether groups of points are named, since there are no labels."""
+        return self._naming is not None
 
     @property
     def is_saved(self) -> bool:
         """Whether the labels are in the file `target` as they are now."""
-        return self._correction is not None and self._saved == self._correction.revision
+        return self._held is not None and self._saved == self._held.revision
 
     @property
     def models(self) -> Sequence[MarkerModel]:
@@ -157,90 +190,144 @@ class CorrectionTrial:
     @property
     def has_unsaved(self) -> bool:
         """Whether something was said that is in no saved file."""
-        return self._correction is not None and bool(self._correction.touches) and not self.is_saved
+        return self._held is not None and bool(self._held.touches) and not self.is_saved
 
-    def change(self, revision: int, act: Callable[[Correction], CorrectionChange]) -> CorrectionChange:
-        """Change the labels. Raises StaleRevision where they are no longer those of this revision, else what `act` raises."""
-        with self.opened() as correction:
+    def change(self, revision: int, act: Callable[[Correction | GroupNaming], CorrectionChange]) -> CorrectionChange:
+        """Change the labels, or names. Raises StaleRevision where they are no longer those of this revision, else what `act` raises."""
+        with self.held() as held:
             # Two tabs may show one trial: the later answer would be about labels that are gone.
-            if revision != correction.revision:
+            if revision != held.revision:
                 raise StaleRevision("the labels have changed since, perhaps in another tab; look at them again.")
-            change = act(correction)
-            number = correction.revision
+            change = act(held)
+            number = held.revision
         self.changed(self.id, number)
         return change
 
     def save(self) -> str:
         """Write the labelled file. Returns what it leaves out, in one sentence; empty where it leaves out nothing.
 
-        Raises AsterismError where the recording's file has changed on the disk, or the target is there and not ours.
+        Of groups that were named, the names are written beside it, in a table that `asterism name` reads. Raises AsterismError where the
+        recording's file has changed on the disk, a target is there and not ours, or no group has a name.
         """
-        with self.opened() as correction:
+        with self.held() as held:
             self._check_unchanged()
-            self._check_target()
+            for target in self._targets:
+                self._check_target(target)
             self.target.parent.mkdir(parents=True, exist_ok=True)
-            assert self._labelled is not None
             with tempfile.TemporaryDirectory(prefix="asterism-") as folder:
                 draft = Path(folder) / self.target.name
-                lost = self._labelled.corrected(correction).write(draft)
+                lost = self._draft(held, draft)
                 data = draft.read_bytes()
-            # The hash tells our file from one that someone else put there. Noted first: a kill may come between.
-            saved = hashlib.sha256(data).hexdigest()
-            if self._log is not None:
-                self._log.append({"kind": SAVED, "file": str(self.target), "sha256": saved})
-            self._ours.add(saved)
-            write_atomically(self.target, data)
-            number = self._saved = correction.revision
+            if isinstance(held, GroupNaming):
+                self._write(self.table, group_names_text(held.groups, held.names).encode())
+            self._write(self.target, data)
+            number = self._saved = held.revision
         self.changed(self.id, number)
         return f"{self.target.name} leaves out {', '.join(lost)}." if lost else ""
+
+    @property
+    def table(self) -> Path:
+        """Where the names of groups are saved."""
+        return self.target.with_suffix(".names.csv")
+
+    @property
+    def _targets(self) -> list[Path]:
+        return [self.table, self.target] if self.is_naming else [self.target]
+
+    def _draft(self, held: Correction | GroupNaming, draft: Path) -> list[str]:
+        """Write the labelled recording; returns what the file cannot hold."""
+        if isinstance(held, GroupNaming):
+            return formats.write(draft, held.named())
+        assert self._labelled is not None
+        return self._labelled.corrected(held, lambda recording: finished(held, recording)).write(draft)
+
+    def _write(self, target: Path, data: bytes) -> None:
+        # The hash tells our file from one that someone else put there. Noted first: a kill may come between.
+        saved = hashlib.sha256(data).hexdigest()
+        if self._log is not None:
+            self._log.append({"kind": SAVED, "file": str(target), "sha256": saved})
+        self._ours.add(saved)
+        write_atomically(target, data)
 
     def close(self) -> None:
         """Close the log. Raises AsterismError where it was deleted and cannot be written again."""
         with self._lock:
-            if self._correction is not None:
-                self._correction.close()
+            if self._held is not None:
+                self._held.close()
 
     def _open(self, labeller: FileLabeller) -> None:
+        if self.options.by_hand:
+            self._open_groups()
+            return
+        try:
+            self._open_labels(labeller)
+        except (NoSetWorn, NoMarkers) as problem:
+            # Points that a model refuses are none to name: nobody asked for a set.
+            if labeller.models:
+                raise
+            self._open_groups()
+            self.notes.append(_sentence(problem, self.path).removeprefix(f"{self.path}: "))
+
+    def _open_groups(self) -> None:
+        """Group the points, for a person to name, and take up the names of their log."""
+        stamp = _stamp(self.path)
+        recording = formats.read(self.path, vertical=self.options.labelling.vertical)
+        naming = GroupNaming(recording)
+        self.findings = recording.warnings
+        self.notes += [finding.sentence.removeprefix(f"{self.path}: ") for finding in self.findings]
+        # A format without names of its own cannot hold what was named.
+        self.target = self.target.with_suffix(".c3d")
+        self._naming = naming
+        self._take_up(naming, NAMES_SUFFIX)
+        self._on_disk = stamp
+
+    def _open_labels(self, labeller: FileLabeller) -> None:
         stamp = _stamp(self.path)
         labelled = labeller.label(self.path)
         correction = labelled.correction()
         self.findings = labelled.findings
         # the page names the trial itself
         self.notes += [finding.sentence.removeprefix(f"{self.path}: ") for finding in labelled.findings]
+        log = self._take_up(correction)
+        if log.other_model and correction.touches:
+            self.notes.append(f"{log.path.name}: its answers were given with another model, and hold.")
+        self._labelled, self._correction, self._on_disk = labelled, correction, stamp
+
+    def _take_up(self, held: Correction | GroupNaming, suffix: str = SUFFIX) -> CorrectionLog:
+        """Open the log of what was said, and take it up."""
         folder = self.options.log_folder
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
-        log = CorrectionLog(log_path(self.path, folder), *correction.identity)
+        log = self._log = CorrectionLog(log_path(self.path, folder, suffix), *held.identity)
         try:
-            correction.attach(log)
+            held.attach(log)
         except BaseException:
             log.close()
             raise
         if log.dropped:
-            self.notes.append(f"{log.path.name}: its end was not whole and is dropped; one correction may be missing.")
-        if log.other_model and correction.touches:
-            self.notes.append(f"{log.path.name}: its answers were given with another model, and hold.")
+            self.notes.append(f"{log.path.name}: its end was not whole and is dropped; one answer may be missing.")
         # A file that an earlier sitting saved is ours if its content still is; the last one may have been noted, and not written.
-        saves = [entry for entry in log.entries if entry["kind"] == SAVED and entry.get("file") == str(self.target)]
-        self._ours = {str(entry.get("sha256")) for entry in saves}
-        if saves and log.entries[-1] is saves[-1] and not log.other_model and self._is_ours({str(saves[-1].get("sha256"))}):
-            self._saved = correction.revision
-        self._labelled, self._correction, self._log, self._on_disk = labelled, correction, log, stamp
+        saves = [entry for entry in log.entries if entry["kind"] == SAVED]
+        self._ours = {str(entry.get("sha256")) for entry in saves if str(entry.get("file")) in map(str, self._targets)}
+        last = saves and log.entries[-1] is saves[-1] and saves[-1].get("file") == str(self.target)
+        if last and not log.other_model and self._is_ours(self.target, {str(saves[-1].get("sha256"))}):
+            self._saved = held.revision
+        return log
 
     def _check_unchanged(self) -> None:
         # Labels by row numbers of a file that was written anew would be of other points.
         if _stamp(self.path) != self._on_disk:
             raise AsterismError(f"{self.path} has changed on the disk since it was opened; start again to correct the new one.")
 
-    def _is_ours(self, hashes: set[str]) -> bool:
-        """Whether the target is a file that was saved, by the hashes of such."""
-        return self.target.is_file() and _hash_of_file(self.target) in hashes
+    def _is_ours(self, target: Path, hashes: set[str]) -> bool:
+        """Whether a target is a file that was saved, by the hashes of such."""
+        return target.is_file() and _hash_of_file(target) in hashes
 
-    def _check_target(self) -> None:
-        if self.target.exists() and self.target.samefile(self.path) and not self.options.overwrite:
-            raise AsterismError(f"{self.target} is the recording itself; choose another folder with -o, or replace it with --overwrite.")
-        if self.target.exists() and not self.options.overwrite and not self._is_ours(self._ours):
-            raise AsterismError(f"{self.target} exists; choose another folder with -o, or replace it with --overwrite.")
+    def _check_target(self, target: Path) -> None:
+        if target.exists() and target.samefile(self.path) and not self.options.overwrite:
+            raise AsterismError(f"{target} is the recording itself; choose another folder with -o, or replace it with --overwrite.")
+        if target.exists() and not self.options.overwrite and not self._is_ours(target, self._ours):
+            raise AsterismError(f"{target} exists; choose another folder with -o, or replace it with --overwrite.")
 
 
 class CorrectionSession:

@@ -12,12 +12,14 @@ from asterism.formats.c3d._numbers import Words
 from asterism.formats.c3d._parameters import Parameters, Record
 
 
-def assembled(file: C3DFile, parameters: Parameters, width: int, points: int, rate: float | None) -> tuple[bytearray, Words]:
+def assembled(
+    file: C3DFile, parameters: Parameters, width: int, points: int, rate: float | None, *, real: bool = False
+) -> tuple[bytearray, Words]:
     """A new file with header, parameters and what follows the data, pointers updated; and its data block, to be filled: (frames, width).
 
-    The block's words are in the file's byte order.
+    The block's words are in the file's byte order; real: they are of real numbers, also where those of the file are integers.
     """
-    raw, start, kind = file.raw, file.layout.start, file.point_words.dtype
+    raw, start, kind = file.raw, file.layout.start, np.dtype(np.uint32) if real else file.point_words.dtype
     begin, size = min(file.header.parameters_at, start), file.layout.frames * width * kind.itemsize
     section, shift = raw[begin:start], 0
     tail, tail_shift = tail_of(file, size - (file.layout.stop - start), parameters is not file.parameters)

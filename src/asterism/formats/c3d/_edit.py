@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.formats.c3d._file import C3DFile, numbered
+from asterism.formats.c3d._file import C3DFile, events_of_group, numbered
 from asterism.formats.c3d._numbers import Processor
 from asterism.formats.c3d._parameters import CHARACTER, FLOAT, INTEGER, Parameters, Record, make_group, make_parameter
 from asterism.recording import Event, ProcessingStep, log_as_text, log_from_text
@@ -120,7 +120,10 @@ def with_events(parameters: Parameters, events: Sequence[Event]) -> Parameters:
     for name in (*_EVENT_WIDTHS, "TIMES", "ICON_IDS", "GENERIC_FLAGS"):
         changes.update({("EVENT", key): None for key in numbered(parameters, "EVENT", name)})
     subject = next(iter(parameters.strings("SUBJECTS", "NAMES")), "")
-    for record in event_records(events, group, parameters.processor, subject):
+    # What the file says of an event that stays is kept; only events in the header have nothing.
+    written = [text for key in numbered(parameters, "EVENT", "DESCRIPTIONS") for text in parameters.strings("EVENT", key)]
+    notes = dict(zip(events_of_group(parameters), written, strict=False))
+    for record in event_records(events, group, parameters.processor, subject, notes):
         changes["EVENT", record.name] = record
     return parameters.replaced(changes)
 
@@ -158,8 +161,10 @@ def with_group(parameters: Parameters, name: str) -> tuple[Parameters, int]:
     return replace(parameters, records=(make_group(name, group, processor=parameters.processor), *parameters.records)), group
 
 
-def event_records(events: Sequence[Event], group: int, processor: Processor, subject: str = "") -> list[Record]:
-    """The parameters of the group EVENT; more than 255 events go on in LABELS2, TIMES2, ..."""
+def event_records(
+    events: Sequence[Event], group: int, processor: Processor, subject: str = "", notes: Mapping[Event, str] | None = None
+) -> list[Record]:
+    """The parameters of the group EVENT; more than 255 events go on in LABELS2, TIMES2, ...; notes: descriptions of some events."""
     records = [integers_record("USED", group, [len(events)], (), processor)]
     for page, at in enumerate(range(0, len(events), MOST_STRINGS)):
         some = events[at : at + MOST_STRINGS]
@@ -167,7 +172,7 @@ def event_records(events: Sequence[Event], group: int, processor: Processor, sub
         texts = {
             "CONTEXTS": [event.context for event in some],
             "LABELS": [event.label for event in some],
-            "DESCRIPTIONS": ["" for _ in some],
+            "DESCRIPTIONS": [(notes or {}).get(event, "") for event in some],
             "SUBJECTS": [subject for _ in some],
         }
         for name, strings in texts.items():

@@ -267,7 +267,7 @@ class C3DFile:
     @cached_property
     def events(self) -> tuple[Event, ...]:
         """What the EVENT group marks, else what the header marks."""
-        return tuple(_events_of_group(self.parameters)) or self.header.events
+        return tuple(events_of_group(self.parameters)) or self.header.events
 
 
 def numbered(parameters: Parameters, group: str, name: str) -> list[str]:
@@ -316,7 +316,8 @@ def _likely_processor(raw: bytes | bytearray) -> Processor:
     return next((processor for processor in PROCESSORS.values() if sane(processor)), PC)
 
 
-def _events_of_group(parameters: Parameters) -> Iterator[Event]:
+def events_of_group(parameters: Parameters) -> Iterator[Event]:
+    """The events of the group EVENT, in their order."""
     labels, contexts = ([s for key in numbered(parameters, "EVENT", name) for s in parameters.strings("EVENT", key)]
                         for name in ("LABELS", "CONTEXTS"))  # fmt: skip
     times = np.concatenate([parameters.values("EVENT", key) for key in numbered(parameters, "EVENT", "TIMES")])

@@ -231,7 +231,7 @@ class Filling:
     @classmethod
     def of(cls, file: C3DFile, slots: Sequence[_Slot], labels: Sequence[str], target: str) -> Filling:
         """With the unit of the file, and its words for missing points."""
-        return cls(file, slots, labels, unit_of(file)[0], _missing_words(file), target)
+        return cls(file, slots, labels, unit_of(file)[0], missing_words(file), target)
 
     def fill(self, out: Words, some: slice, positions: Floats, origin: Ints, residuals: Floats | None = None) -> None:
         """Write the points of some frames of the file, (frames, width) words in the file's byte order.
@@ -271,7 +271,7 @@ class Filling:
             out[column] = words
 
 
-def _missing_words(file: C3DFile) -> Words:
+def missing_words(file: C3DFile) -> Words:
     """The four words with which this file says that a point is missing."""
     # Files have their own way to say that a point is missing: the new ones must be said in it.
     some_missing = any(np.isnan(file.coordinates_of(some)).any() for some in ranges(file.layout.frames))
@@ -357,7 +357,8 @@ def _labels(
                 f"{target}: {label} would occur twice, as a marker and as a point of the file that was not read; "
                 "read the file with a marker set that has it, or rename it."
             )
-        labels.append((label if is_unnamed(label) else prefix + label).encode("utf-8"))
+        # The names of several people say whose they are.
+        labels.append((label if is_unnamed(label) or ":" in label else prefix + label).encode("utf-8"))
     return labels
 
 

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from asterism.labelling.marker_model import MarkerModel
 
 FORMAT, VERSION = "asterism-corrections", 1
-SUFFIX = ".asterism-log.jsonl"
+SUFFIX, NAMES_SUFFIX = ".asterism-log.jsonl", ".asterism-names.jsonl"
+"""Of the log of corrections, and of that of names for groups of points."""
 UNDO, REDO, SAVED, RELABELLED = "undo", "redo", "saved", "relabelled"
 
 _ATTEMPTS = 5
@@ -56,9 +57,9 @@ def hash_of_model(model: MarkerModel) -> str:
     return digest.hexdigest()
 
 
-def log_path(file: Path, folder: Path | None = None) -> Path:
+def log_path(file: Path, folder: Path | None = None, suffix: str = SUFFIX) -> Path:
     """Where the log of a recording's file is: beside it, or in a folder."""
-    return (file.parent if folder is None else folder) / f"{file.name}{SUFFIX}"
+    return (file.parent if folder is None else folder) / f"{file.name}{suffix}"
 
 
 class CorrectionLog:
@@ -147,7 +148,8 @@ class CorrectionLog:
 
     def _last_model(self) -> str:
         """The hash of the model of whose labels something was said last."""
-        header = _value(self._content[: self._content.index(b"\n")]) or {}
+        lines = (match[0] for match in re.finditer(rb"[^\n\0]+", self._content))
+        header = next(filter(None, map(_value, lines)), {})
         models = [entry.get("model") for entry in self.entries if entry["kind"] == RELABELLED]
         return str([header.get("model"), *models][-1])
 

@@ -20,6 +20,7 @@ DOUBTS = {
     "label-vertical": "the file says another vertical than its points; look which way is up",
     "format-vertical-conflict": "the file says another vertical than its points; look which way is up",
     "format-units-doubtful": "the unit of length is in doubt; compare a length that you know",
+    "format-units-unknown": "the unit of length is not known; compare a length that you know",
     "format-header-doubt": "parts of the file contradict each other; look at the recording",
     "label-set-unsure": "another marker set may be worn; name it with --markers",
     "label-few-markers": "fewer than half of the set's markers have a label; name the set that is worn with --markers",
@@ -132,8 +133,9 @@ def readiness(
         # No piece stands out, so that one look at the whole is enough.
         agree = "" if look_at else "the labels agree with each other, but "
         teach = "; then teach them with `asterism learn`" if verdict.kind == OTHER_PERSON else ""
-        limit = f"none of the model's labels is above {100 * verdict.max_confidence:.2f} %"
-        return judged(LOOK, f"{agree}{verdict.limited_by}, so that {limit}{teach}")
+        whose, what = (f"of body {verdict.body}, ", "its") if verdict.body else ("", "the model's")
+        limit = f"none of {what} labels is above {100 * verdict.max_confidence:.2f} %"
+        return judged(LOOK, f"{whose}{agree}{verdict.limited_by}, so that {limit}{teach}")
     # What a model says that knows no more than the votes of its solvers, or was written by an earlier version.
     if verdict is None and (confidence < 1.0).any():
         return judged(LOOK, "this model does not tell whether it knows the body; compare some names with the person")

@@ -20,8 +20,8 @@ and every rigid body has the same names."""
 def one_person_each(recordings: Sequence[Recording], subjects: Sequence[str] | None) -> tuple[list[Recording], list[str]]:
     """The recordings, those of several people split by the prefixes of their labels ("Ann:LKNE", "Bob:LKNE"); and whose each is.
 
-    subjects: the person of each recording, by default as `subject_of` says. Of a split recording a person is "subject Ann". Columns of no
-    person's prefix, such as an object's, are left out of split recordings.
+    subjects: the person of each recording, by default as `subject_of` says. Of a split recording a person is "subject Ann", or the subject
+    whose names have no prefix. Columns of no person, such as an object's, are left out of split recordings.
     """
     found, names = [], []
     for i, recording in enumerate(recordings):
@@ -33,19 +33,30 @@ def one_person_each(recordings: Sequence[Recording], subjects: Sequence[str] | N
             names.append(subject)
         for prefix in prefixes:
             # Columns of another person, or of an object, are no markers of this one.
-            own = recording.select([label for label in recording.labels if _prefix(label) == prefix])
-            found.append(replace(own, labels=tuple(label.partition(":")[2].strip() for label in own.labels)))
-            names.append(f"{subject} {prefix}")
+            found.append(of_person(recording, prefix))
+            names.append(f"{subject} {prefix}".rstrip())
     return found, names
 
 
+def of_person(recording: Recording, prefix: str) -> Recording:
+    """The markers of the person with this prefix, under their names without it."""
+    own = recording.select([label for label in recording.labels if prefix_of(label) == prefix and not is_unnamed(label)])
+    return replace(own, labels=tuple(label.partition(":")[2].strip() if prefix else label for label in own.labels))
+
+
 def prefixes_of_people(labels: Sequence[str]) -> list[str]:
-    """The prefixes of labels that several people wear: "Ann" and "Bob"; empty where there is one person."""
+    """The prefixes of labels that several people wear: "Ann" and "Bob", or "" and "2" for names of which some have none.
+
+    Empty where there is one person.
+
+    >>> prefixes_of_people(["LKNE", "LANK", "LHEE", "LTOE", "2:LKNE", "2:LANK", "2:LHEE", "2:LTOE", "*1"])
+    ['', '2']
+    """
     worn: dict[str, set[str]] = {}
     for label in labels:
-        prefix = _prefix(label)
-        if prefix and not is_unnamed(label):
-            worn.setdefault(prefix, set()).add(canonical(label.partition(":")[2]))
+        if not is_unnamed(label):
+            prefix = prefix_of(label)
+            worn.setdefault(prefix, set()).add(canonical(label.partition(":")[2] if prefix else label))
     # Rigid bodies have like names, too, and would pass for people.
     worn = {prefix: names for prefix, names in worn.items() if not _is_rigid_body(names)}
     return [prefix for prefix, names in worn.items() if any(_alike(names, worn[other]) for other in worn if other != prefix)]
@@ -62,6 +73,7 @@ def _alike(one: set[str], other: set[str]) -> bool:
     return len(one & other) >= max(FEWEST_SHARED, 0.5 * min(len(one), len(other)))
 
 
-def _prefix(label: str) -> str:
+def prefix_of(label: str) -> str:
+    """What stands before the first colon of a label, "" for nothing."""
     before, colon, after = label.partition(":")
     return before.strip() if colon and after.strip() else ""

@@ -71,7 +71,7 @@ class VerdictRules:
     fall_standing    log odds by which the largest confidence there falls for each e-fold beyond it
     standing_confidence  to this at most
     either_way       confidence below which a label counts as one that could be exchanged
-    min_surplus      points left over, as a share of the markers, from which what does not fit is another marker set
+    min_surplus      points beyond the number of markers, as a share of these, from which what does not fit is another marker set
     crowd_doubt      log odds that labels lose for each e-fold of lasting points for a marker, where these are more than markers: of another
                      set that is worn beside, each is wrong once for a person. Where n points may be a marker, it would be 1; fitted
                      to 221 labels of `movement`, of which 87 % were right where 95 were said, and virtual people with larger sets
@@ -285,7 +285,9 @@ def judge(positions: Floats, counts: Ints, reference: RigidDistances) -> Verdict
     elif _is_other_body(verdict, lost if reference.moving else 0.0, reference.body_scatter, rules):
         kind = OTHER_BODY
     elif scatter > verdict.limit:
-        kind = OTHER_MARKERS if surplus >= rules.min_surplus * markers else OTHER_PERSON
+        # points without a label may be markers of the model that fit badly; those beyond its markers are others, whatever is labelled
+        others = float(np.median(counts)) - markers
+        kind = OTHER_MARKERS if others >= rules.min_surplus * markers or share < rules.min_labelled else OTHER_PERSON
     elif not reference.moving and lost > rules.moving_lost:
         kind = OTHER_PERSON
     else:

@@ -2,6 +2,7 @@
 
 from asterism.motion.clinical.angles import CLINICAL, ClinicalAngles, ClinicalJoint, clinical_angles, complete_legs
 from asterism.motion.clinical.exchanged import exchanged_finding, exchanged_pairs
+from asterism.motion.clinical.gathered import gathered_measures
 from asterism.motion.clinical.kinetics import (
     ABOUT_CENTRE,
     KineticRules,
@@ -11,6 +12,7 @@ from asterism.motion.clinical.kinetics import (
     inverse_dynamics,
 )
 from asterism.motion.clinical.measures import ArmMeasures, LegMeasures, SubjectMeasures, leg_measures, subject_measures
+from asterism.motion.clinical.model import MODELS, ClinicalModel
 from asterism.motion.clinical.plug_in_gait import Leg, LowerBody, lower_body
 from asterism.motion.clinical.static import StaticRules, with_static_offsets
 from asterism.motion.clinical.uncertainty import (
@@ -24,10 +26,12 @@ from asterism.motion.clinical.uncertainty import (
 __all__ = [
     "ABOUT_CENTRE",
     "CLINICAL",
+    "MODELS",
     "ArmMeasures",
     "ClinicalAngles",
     "ClinicalErrors",
     "ClinicalJoint",
+    "ClinicalModel",
     "ClinicalUncertainty",
     "JointUncertainty",
     "KineticRules",
@@ -45,6 +49,7 @@ __all__ = [
     "complete_legs",
     "exchanged_finding",
     "exchanged_pairs",
+    "gathered_measures",
     "inverse_dynamics",
     "leg_measures",
     "lower_body",

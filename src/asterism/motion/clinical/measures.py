@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -37,6 +37,13 @@ _TURNS = {
     "foot_flexion": "STATICPLANTFLEX",
     "foot_rotation": "STATICROTOFF",
 }
+_WHOLE = {
+    "INTERASISDISTANCE": ("inter_asis", 0.001),
+    "MARKERDIAMETER": ("marker_radius", 0.0005),
+    "BODYMASS": ("mass", 1.0),
+    "HEADOFFSET": ("head_offset", float(np.pi / 180)),
+}
+"""Of the whole person: the field, and its unit by that of `SubjectMeasures.with_values`."""
 _RIGHT_ANGLE = np.pi / 2 + 1e-3
 """rad: a wand may stand in front of a limb, so up to a right angle; what lies beyond is in degrees, or no such angle."""
 
@@ -104,6 +111,7 @@ class SubjectMeasures:
     marker_radius        m, from the skin to a marker's centre
     mass                 kg, None where it is not known
     left_arm, right_arm  see `ArmMeasures`
+    hip_regression       the regression of the hip centres, of `asterism.motion.clinical.hip.REGRESSIONS`; None: the model's own
     head_offset          rad, by which the markers of the head look up where the head looks straight ahead
     """
 
@@ -115,6 +123,7 @@ class SubjectMeasures:
     left_arm: ArmMeasures = field(default_factory=ArmMeasures)
     right_arm: ArmMeasures = field(default_factory=ArmMeasures)
     head_offset: float = 0.0
+    hip_regression: str | None = None
 
     def of(self, side: str) -> LegMeasures:
         """The leg of side "L" or "R"."""
@@ -147,14 +156,8 @@ class SubjectMeasures:
 
     def _with_value(self, name: str, value: float) -> SubjectMeasures:
         key = name.upper()
-        whole = {
-            "INTERASISDISTANCE": ("inter_asis", 0.001),
-            "MARKERDIAMETER": ("marker_radius", 0.0005),
-            "BODYMASS": ("mass", 1.0),
-            "HEADOFFSET": ("head_offset", float(np.pi / 180)),
-        }
-        if key in whole:
-            return replace(self, **{whole[key][0]: value * whole[key][1]})  # type: ignore[arg-type]
+        if key in _WHOLE:
+            return replace(self, **{_WHOLE[key][0]: value * _WHOLE[key][1]})  # type: ignore[arg-type]
         side, parameter = key[:1], key[1:]
         lengths = _LENGTHS | _ARM_LENGTHS
         measure = next((one for one, (own, _, _) in lengths.items() if own == parameter), None)
@@ -175,6 +178,12 @@ class SubjectMeasures:
         if abs(value) > 90.0:
             raise AsterismError(f"{name} is {value:g}; give it in degrees, from -90 to 90.")
         return self.with_leg(side, self.of(side).with_values({str(turn): float(np.radians(value))}))
+
+
+def measure_names() -> set[str]:
+    """Names of `SubjectMeasures.with_values`, in capitals."""
+    sided = [own for own, _, _ in (_LENGTHS | _ARM_LENGTHS).values()] + list(_TURNS.values())
+    return {*_WHOLE, *(side + own for side in SIDES for own in sided)}
 
 
 def subject_measures(recording: Recording) -> SubjectMeasures:
@@ -242,11 +251,19 @@ def computed_by_the_file(recording: Recording, name: str) -> Floats | None:
 
     None where the file has no such column, and for a recording that shows other frames than its file.
     """
+    return all_computed_by_the_file(recording, (name,)).get(name)
+
+
+def all_computed_by_the_file(recording: Recording, names: Sequence[str]) -> dict[str, Floats]:
+    """Those of several quantities that the file has, as `computed_by_the_file` gives one; its points are read once."""
     labels = [str(label).rpartition(":")[2] for label in getattr(recording.source, "labels", ())]
-    if name not in labels:
-        return None
-    values = np.array(recording.source.coordinates[:, labels.index(name)], dtype=np.float64)
-    if len(values) != len(recording):
-        return None
-    values[(values == 0.0).all(axis=1)] = np.nan
-    return values
+    columns = {name: labels.index(name) for name in names if name in labels}
+    if not columns:
+        return {}
+    coordinates = recording.source.coordinates
+    if len(coordinates) != len(recording):
+        return {}
+    found = {name: np.array(coordinates[:, column], dtype=np.float64) for name, column in columns.items()}
+    for values in found.values():
+        values[(values == 0.0).all(axis=1)] = np.nan
+    return found

@@ -1,6 +1,6 @@
 """Markers of Plug-in-Gait and measures of the person in; joint centres, segments and angles as Plug-in-Gait computes them, out.
 
-Sources: Davis et al. (1991) for hip centres and the chord; Kadaba et al. (1990) for segments and angles; the vendor's documentation for
+Sources: Davis et al. (1991) for the chord; Kadaba et al. (1990) for segments and angles; the vendor's documentation for
 wand angles, torsion and feet. What these leave open was settled by the angles that recordings of eight laboratories hold.
 """
 
@@ -13,11 +13,12 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
-from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures, computed_by_the_file
-from asterism.motion.joints.anatomy import HIP_SHARES, sacrum_markers
+from asterism.motion.clinical._kernels import joint_centres, steady_turns
+from asterism.motion.clinical.hip import hip_centre
+from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures, all_computed_by_the_file
+from asterism.motion.joints.anatomy import sacrum_markers
 from asterism.motion.rigid.rotations import unit_vectors
 from asterism.recording import Floats, Recording
-from asterism.recording.arrays import nan_median
 
 TURNS = 30
 """Steps in which a wand is turned to its angle, at most: each leaves a twentieth of the error, so twelve reach the last digit."""
@@ -69,12 +70,10 @@ def lower_body(recording: Recording, measures: SubjectMeasures, sides: str = "LR
     y = unit_vectors(left - right)
     z = unit_vectors(np.cross(origin - sacrum, y))
     pelvis = np.stack([np.cross(y, z), y, z], axis=2)
-    lengths = {side: measures.of(side).leg_length for side in SIDES}
-    between = measures.inter_asis or float(nan_median(np.linalg.norm(left - right, axis=1), axis=0))
     legs = {}
     for side in sides:
         own = measures.of(side)
-        hip = origin + pelvis @ _hip_centre(own, side, lengths, between, measures.marker_radius)
+        hip = origin + pelvis @ hip_centre(measures, side, left, right, sacrum)
         legs[side] = _leg(marker, side, hip, own, measures.marker_radius, f"{side}TOE" in recording.labels)
     return LowerBody(pelvis, origin, legs)
 
@@ -89,25 +88,6 @@ def marker_of(recording: Recording) -> Callable[[str], Floats]:
         return positions[:, recording.labels.index(name)]
 
     return marker
-
-
-def _hip_centre(measures: LegMeasures, side: str, lengths: Mapping[str, float | None], between: float, radius: float) -> Floats:
-    """(3,) m, in the pelvis' axes from its origin (Davis et al. 1991): 28.6 and 18 degrees are the angles of their regression.
-
-    Without the length of a leg it is Bell's (1990), by the distance between the spines alone.
-    """
-    known = [length for length in lengths.values() if length is not None]
-    if not known:
-        ahead, up, medial = HIP_SHARES
-        out = (0.5 - medial) * between
-        return np.array([ahead * between, out if side == "L" else -out, up * between])
-    own = lengths[side] or known[0]
-    trochanter = measures.asis_trochanter if measures.asis_trochanter is not None else 0.1288 * own - 0.04856
-    constant, theta, beta = 0.115 * sum(known) / len(known) - 0.0153, 0.5, 0.314
-    ahead = (-trochanter - radius) * np.cos(beta) + constant * np.cos(theta) * np.sin(beta)
-    up = (-trochanter - radius) * np.sin(beta) - constant * np.cos(theta) * np.cos(beta)
-    out = between / 2 - constant * np.sin(theta)
-    return np.array([ahead, out if side == "L" else -out, up])
 
 
 def _leg(marker: Callable[[str], Floats], side: str, hip: Floats, measures: LegMeasures, radius: float, has_toe: bool) -> Leg:
@@ -139,29 +119,10 @@ def joint_centre(upper: Floats, marker: Floats, wand: Floats, offset: float, tur
     The chord function of Davis et al. (1991). The turn counts about the line between the centres, of which one is sought, so the plane
     is turned until it does.
     """
-    length = np.linalg.norm(marker - upper, axis=1, keepdims=True)
-    axis = unit_vectors(marker - upper)
-    corner = np.pi / 2 + tilt
-    # A joint nearer than its own half width would have no such triangle.
-    across = np.sqrt(np.maximum(length**2 - (offset * np.sin(corner)) ** 2, 0.0))
-    sine = np.clip((offset**2 + length**2 - (offset * np.cos(corner) + across) ** 2) / (2 * length * offset), -0.9, 0.9)
-    arm = wand - upper
-    first = unit_vectors(arm - _dot(arm, axis) * axis)
-    second = np.cross(axis, first)
-    angle = np.zeros_like(length)
-    for _ in range(TURNS):
-        centre: Floats = marker - offset * (sine * axis + np.sqrt(1 - sine**2) * (np.cos(angle) * first + np.sin(angle) * second))
-        if not turn:
-            break
-        line = unit_vectors(centre - upper)
-        to_marker, to_wand = (vector - _dot(vector, line) * line for vector in (marker - centre, wand - centre))
-        step = turn - np.arctan2(_dot(np.cross(to_wand, to_marker), line), _dot(to_wand, to_marker))
-        # the shorter way round: a wand behind the limb stands half a turn away
-        step = (step + np.pi) % (2 * np.pi) - np.pi
-        angle = angle + step
-        if not np.nanmax(np.abs(step), initial=0.0) > 1e-12:
-            break
-    return centre
+    centres = np.empty((len(marker), 3))
+    parts = (np.ascontiguousarray(part, dtype=np.float64) for part in (upper, marker, wand))
+    joint_centres(*parts, float(offset), float(turn), float(tilt), TURNS, centres)
+    return centres
 
 
 def along(z: Floats, left: Floats) -> Floats:
@@ -169,10 +130,6 @@ def along(z: Floats, left: Floats) -> Floats:
     up = unit_vectors(z)
     ahead = unit_vectors(np.cross(left, up))
     return np.stack([ahead, np.cross(up, ahead), up], axis=2)
-
-
-def _dot(one: Floats, other: Floats) -> Floats:
-    return np.asarray(np.einsum("ti,ti->t", one, other)[:, None])
 
 
 def _about_x(angle: float) -> Floats:
@@ -214,12 +171,7 @@ def _steady(found: Floats, raised: bool) -> Floats:
         other = found * [1.0, -1.0, 1.0] + np.pi
         # No foot is upside down: of the first frame's two triples, that with less of the other turns.
         first = min((found[known[0]], (other[known[0]] + np.pi) % (2 * np.pi) - np.pi), key=lambda turn: np.abs(turn[[0, 2]]).sum())
-        before = first.copy()
-        for frame in known:
-            apart = [np.abs((choice[frame] - before + np.pi) % (2 * np.pi) - np.pi).sum() for choice in (found, other)]
-            if apart[1] < apart[0]:
-                found[frame] = other[frame]
-            before = found[frame]
+        steady_turns(known, other, first, found)
     return found
 
 
@@ -293,7 +245,7 @@ def radius_by_the_file(recording: Recording, measures: SubjectMeasures) -> float
     The diameter that a file names need not be the one that its angles were computed with. O(1).
     """
     names = [f"{side}{joint}Angles" for side in SIDES for joint in ("Hip", "Knee")]
-    given = {name: values for name in names if (values := computed_by_the_file(recording, name)) is not None}
+    given = all_computed_by_the_file(recording, names)
     if not given or any(name not in recording.labels for name in ("LASI", "RASI")):
         return None
     known = np.nonzero(np.isfinite(np.concatenate(list(given.values()), axis=1)).any(axis=1))[0]
@@ -306,11 +258,22 @@ def radius_by_the_file(recording: Recording, measures: SubjectMeasures) -> float
         apart = np.concatenate([(found[name] - np.radians(values[rows]) + np.pi) % (2 * np.pi) - np.pi for name, values in given.items()])
         return float(np.sqrt(np.nanmean(apart**2))) if np.isfinite(apart).any() else float("inf")
 
+    errors: dict[float, float] = {}
+
+    def best_of(radii: Floats) -> float:
+        errors.update({radius: off(radius) for radius in radii.tolist() if radius not in errors})
+        return min(errors, key=errors.__getitem__)
+
     try:
-        coarse = int(np.argmin([off(radius) for radius in _RADII[::4]])) * 4
-        near = range(max(0, coarse - 3), min(len(_RADII), coarse + 4))
-        errors = {place: off(_RADII[place]) for place in near}
+        # The angles follow the radius evenly, so that the square of what is left is a parabola: three radii tell where it is lowest.
+        three = _RADII[[0, len(_RADII) // 2, -1]]
+        best = best_of(three)
+        bend, slope, _ = np.polyfit(three, [errors[radius] ** 2 for radius in three.tolist()], 2)
+        place = int(np.argmin(np.abs(_RADII - (-slope / (2 * bend) if bend > 0 else best))))
+        while (best := best_of(_RADII[max(place - 1, 0) : place + 2])) != _RADII[place]:
+            place = int(np.argmin(np.abs(_RADII - best)))
+        # The stated one may lie between those that are tried, and explain the angles best.
+        best = best_of(np.array([measures.marker_radius]))
     except AsterismError:
         return None
-    best = min(errors, key=errors.__getitem__)
-    return float(_RADII[best]) if errors[best] < _FITS else None
+    return float(best) if errors[best] < _FITS else None

@@ -29,15 +29,23 @@
       const step = by => this.open((this.current + by + recordings.length) % recordings.length);
       const many = recordings.length > 1;
       this.note = make("p", { className: "note" });
+      this.where = make("p", { className: "where", attributes: { "aria-live": "off" } });
       this.view = make("div");
       this.rows = make("div");
       this.choice.addEventListener("change", () => this.open(+this.choice.value));
       host.append(
         ...(many ? [make("div", { className: "choice" }, make("button", { type: "button", textContent: "‹", title: "previous", onclick: () => step(-1) }), this.choice,
           make("button", { type: "button", textContent: "›", title: "next", onclick: () => step(1) }))] : []),
-        this.note, this.view, this.rows,
+        this.note, this.where, this.view, this.rows,
       );
       this.open(0);
+    }
+
+    // To a frame of a recording, as the file counts from its first one.
+    async go(number, frame) {
+      await this.open(number);
+      this.seek(frame);
+      this.host.closest("section").scrollIntoView({ behavior: "smooth", block: "start" });
     }
 
     async open(number) {
@@ -57,6 +65,7 @@
       if (!unpacked) this.note.append(" It has too many points for a page with so many files; a report of it alone shows it.");
       this.note.hidden = !this.note.textContent;
       this.showTimeline(packed, codes);
+      this.moved();
     }
 
     showTimeline(packed, codes) {
@@ -77,7 +86,28 @@
 
     moved() {
       const packed = this.recordings[this.current];
-      if (this.timeline && this.player) this.timeline.at(packed.firstShown + this.player.frame * packed.step);
+      if (!this.player) return;
+      const frame = packed.firstShown + this.player.frame * packed.step;
+      if (this.timeline) this.timeline.at(frame);
+      this.showCycles(packed, frame / packed.rate);
+    }
+
+    // How far each foot is in its cycle, in words, and on the panels while the player stands.
+    showCycles(packed, seconds) {
+      this.where.hidden = !packed.cycles || !packed.cycles.length;
+      if (this.where.hidden) return;
+      const percents = {}, words = [];
+      for (const side of ["left", "right"]) {
+        // Frames are near events, seldom at them.
+        const near = 0.5 * packed.step / packed.rate, inside = ([of, from, to]) => of === side && seconds >= from - near && seconds <= to + near;
+        const cycle = packed.cycles.filter(inside).pop();
+        if (!cycle) { words.push(`${side} foot: outside its cycles`); continue; }
+        const [, from, to, off] = cycle;
+        percents[side] = Math.max(0, Math.min(100, 100 * (seconds - from) / (to - from)));
+        words.push(`${side} foot: ${Math.round(percents[side])} % of its cycle, ${seconds < off ? "on the floor" : "in the air"}`);
+      }
+      this.where.textContent = words.join(" · ");
+      if (!this.player.playing && Asterism.showPercent) Asterism.showPercent(percents);
     }
   }
 
@@ -104,12 +134,14 @@
   }
 
   if (typeof DecompressionStream === "undefined") {
+    Asterism.shownRecordings = [];
     document.querySelector("main").prepend(told("This browser is too old to draw the pictures. All tables are complete."));
     return;
   }
-  for (const [id, recordings] of Object.entries(data.players)) {
+  Asterism.shownRecordings = Object.entries(data.players).map(([id, recordings]) => {
     const shown = new Recordings(document.getElementById(id), recordings);
     openByTable(shown);
-  }
+    return shown;
+  });
   drawFigures();
 })();

@@ -35,6 +35,10 @@ GIVEN, BY_NAMES, BY_POINTS = "given", "names", "points"
 """Why a marker set was taken: a person said so; the file's names are its; the points lie as its markers do."""
 
 
+class NoSetWorn(AsterismError):
+    """Points that are like no shipped marker set."""
+
+
 @dataclass(frozen=True)
 class FindRules:
     """Which points and frames are looked at.
@@ -208,7 +212,7 @@ class SetFinder:
     def of(self, path: Path, recording: Recording) -> tuple[WornMarkers, ...]:
         """The set worn in a file, one for each body that was named. recording: the file, or some frames with all its columns.
 
-        Raises AsterismError where no shipped set is like it.
+        Raises NoSetWorn where no shipped set is like it.
         """
         if self.given:
             return self.given_sets()
@@ -223,7 +227,7 @@ class SetFinder:
             self._evidence[path] = evidence_of(replace(recording.clouds(), vertical=own.vertical), self.rules, between=own)
             worn = self._by_points(path, recording)
         if worn is None:
-            raise self._refusal(path)
+            raise self._refusal(path, recording)
         return (worn,)
 
     def given_sets(self) -> tuple[WornMarkers, ...]:
@@ -302,15 +306,19 @@ class SetFinder:
                 best = other
         return best
 
-    def _refusal(self, path: Path) -> AsterismError:
-        """That no shipped set is worn, and which are the nearest."""
+    def _refusal(self, path: Path, recording: Recording) -> NoSetWorn:
+        """That no shipped set is worn, which are the nearest, and whether nobody is of that size."""
+        from asterism.formats import unlike_a_person
+
         own = self._evidence[path]
         assert own is not None
         nearest = np.argsort(-own.chances(self.certainty)[0], kind="stable")[:3]
         names, fit = list(placed_sets()), own.fits[0]
         few = ", ".join(f"{names[at]} ({(fit.given[at] >= 0).sum()} of {len(placed_sets()[names[at]])} markers)" for at in nearest.tolist())
-        return AsterismError(
-            f"{path}: its {fit.given.shape[1]} points are like no shipped marker set; the nearest are {few}. Name one of them with "
+        size = unlike_a_person(recording.positions)
+        size = f"{size}; " if size else ""
+        return NoSetWorn(
+            f"{path}: its {fit.given.shape[1]} points are like no shipped marker set; {size}the nearest are {few}. Name one of them with "
             "--markers, write one of your own (`asterism body place` makes it from a labelled trial), or train on labelled files."
         )
 

@@ -24,6 +24,8 @@
       this.pieces = state.pieces;
       this.place = new Map(state.pieces.id.map((id, place) => [id, place]));
       if (pieceOf) this.sort(pieceOf);
+      // Groups that a person names are called otherwise after each name.
+      if (state.naming) Object.assign(this.recording, { names: state.markers.map(name => Asterism.plainText(name)), side: state.side, bones: state.bones });
       const { recording, pieceOf: of, pieces } = this, { marker, confidence, marks } = recording;
       for (let p = 0; p < of.length; p++) {
         const k = of[p];
@@ -115,6 +117,7 @@
 
     label(place) {
       const { pieces } = this;
+      if (this.state.naming) return pieces.person[place] ? `${this.markerName(place)} ✓ (group ${pieces.id[place] + 1})` : `group ${pieces.id[place] + 1}`;
       if (pieces.marker[place] < 0) return this.markerName(place);
       return `${this.markerName(place)} ${pieces.person[place] ? "✓" : Asterism.percent(pieces.confidence[place] || 0)}`;
     }

@@ -11,7 +11,7 @@
 
   class NameBox {
     constructor(input, list, take) {
-      Object.assign(this, { input, list, take, candidates: [], shown: [], at: 0 });
+      Object.assign(this, { input, list, take, candidates: [], shown: [], at: 0, free: false });  // free: whether other names may be given
       input.addEventListener("input", () => { this.at = 0; this.draw(); });
       input.addEventListener("keydown", event => this.key(event));
       list.addEventListener("pointerdown", event => event.preventDefault());  // the box keeps what was typed
@@ -30,11 +30,12 @@
 
     draw() {
       const typed = this.input.value.trim(), all = Asterism.matching(this.candidates, typed);
-      this.shown = typed ? all.slice(0, 40) : all.slice(0, SHOWN);
+      this.shown = typed ? all.slice(0, 40) : all.slice(0, this.free ? 200 : SHOWN);
+      if (this.free && typed && !this.shown.some(([name]) => name === typed)) this.shown.push([typed, "new name"]);
       this.at = Math.min(this.at, Math.max(0, this.shown.length - 1));
       const lines = this.shown.map(([name, chance], i) => make("li", { id: `candidate-${i}`, className: i === this.at ? "chosen" : "", attributes: { role: "option", "aria-selected": i === this.at, "data-at": i } },
-        make("span", { textContent: plainText(name) }), make("span", { className: "chance", textContent: chance === null || chance === undefined ? "" : chance < 0.0005 ? "–" : percent(chance) })));
-      const none = this.candidates.length ? "The model has no such marker." : "";
+        make("span", { textContent: plainText(name) }), make("span", { className: "chance", textContent: chance === null || chance === undefined ? "" : typeof chance === "string" ? chance : chance < 0.0005 ? "–" : percent(chance) })));
+      const none = this.free ? "Type a name." : this.candidates.length ? "The model has no such marker." : "";
       this.list.replaceChildren(...(lines.length ? lines : [make("li", { className: "none", textContent: none })]));
       this.input.setAttribute("aria-activedescendant", lines.length ? `candidate-${this.at}` : "");
     }
@@ -46,7 +47,8 @@
         this.draw();
         this.list.querySelector(".chosen")?.scrollIntoView({ block: "nearest" });
       } else if (event.key === "Enter") {
-        this.choose(this.at);
+        // Of free names only one that is typed, chosen or suggested is meant.
+        if (!this.free || this.input.value.trim() || this.at || this.shown[0]?.[1] === "mirrored") this.choose(this.at);
       } else {
         return;
       }
@@ -93,17 +95,18 @@
     }
 
     set(labels) {
-      const { items } = labels.state, gain = items.reduce((sum, item) => sum + item.gain, 0), most = items.length ? items[0].gain : 1;
-      this.heading.textContent = items.length ? `To look at: ${labels.state.verdict.look_at}` : "Nothing is left to look at";
-      this.about.textContent = items.length ? `One answer corrects a whole piece. About ${amount(gain)} samples are expected to be wrong or missing.`
+      const { items, naming } = labels.state, gain = items.reduce((sum, item) => sum + item.gain, 0), most = items.length ? items[0].gain : 1;
+      this.heading.textContent = naming ? (items.length ? `To name: ${items.length}` : "All groups have a name") : items.length ? `To look at: ${labels.state.verdict.look_at}` : "Nothing is left to look at";
+      this.about.textContent = naming ? "A group is what moves as one marker: one name holds for all its frames. Leave out what is no marker."
+        : items.length ? `One answer corrects a whole piece. About ${amount(gain)} samples are expected to be wrong or missing.`
         : "No piece of a track stands out.";
       this.lines = new Map();
       this.list.replaceChildren(...items.map((item, i) => {
         const place = labels.place.get(item.piece);
-        const or = place !== undefined && labels.pieces.marker[place] < 0 ? "perhaps" : "or";
-        const others = item.alternatives.map(([name, chance]) => `${plainText(name)} ${percent(chance)}`).join(", ");
+        const or = naming ? "mirrored:" : place !== undefined && labels.pieces.marker[place] < 0 ? "perhaps" : "or";
+        const others = item.alternatives.map(([name, chance]) => `${plainText(name)}${chance === null ? "" : ` ${percent(chance)}`}`).join(", ");
         const line = make("button", { type: "button", className: "line", onclick: () => this.go(i) },
-          make("span", { className: "gain", title: "samples that an answer is expected to correct", textContent: amount(item.gain) }),
+          make("span", { className: "gain", title: naming ? "frames that a name holds for" : "samples that an answer is expected to correct", textContent: amount(item.gain) }),
           make("span", { className: "what", textContent: place === undefined ? "a piece" : labels.label(place) }),
           make("span", { className: "about", textContent: `${place === undefined ? "" : labels.frames(place)}${others ? ` · ${or} ${others}` : ""}` }));
         line.style.setProperty("--gain", Math.sqrt(item.gain / most).toFixed(3));

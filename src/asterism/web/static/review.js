@@ -10,7 +10,7 @@
   class Page {
     constructor() {
       this.token = new URLSearchParams(location.search).get("token") || "";
-      Object.assign(this, { trials: [], trial: null, labels: null, player: null, selected: -1, second: -1, wasItem: 0, swapping: false, odds: new Map() });
+      Object.assign(this, { trials: [], trial: null, labels: null, player: null, selected: -1, second: -1, wasItem: 0, swapping: false, odds: new Map(), mode: "labels" });
       this.messages = new Asterism.Messages(at("messages"));
       this.connection = new Asterism.Connection(this.token, { status: status => this.connectionIs(status), told: news => this.heard(news) });
       this.names = new Asterism.NameBox(at("name"), at("candidates"), name => this.nameIt(name));
@@ -19,6 +19,7 @@
       this.again = new Asterism.RelabelForm(at("relabel-form"), (trials, model) => this.relabel(trials, model));
       this.list = new Asterism.List(at("list"), i => this.goToItem(i));
       this.timeline = new Asterism.Timeline(at("timeline"), { seek: frame => this.seek(frame), pick: under => this.pickBar(under) });
+      this.panels = { gaps: new Asterism.GapPanel(this), events: new Asterism.EventPanel(this) };
       this.listen();
       this.begin();
     }
@@ -78,7 +79,7 @@
 
     showTrials() {
       const text = trial => {
-        const verdict = trial.state === "ready" ? (trial.verdict.kind === "look" ? (trial.verdict.look_at ? `look at ${trial.verdict.look_at}` : "look once") : VERDICTS[trial.verdict.kind] || trial.verdict.kind)
+        const verdict = trial.state === "ready" ? (trial.naming ? (trial.verdict.look_at ? `${trial.verdict.look_at} groups to name` : "named") : trial.verdict.kind === "look" ? (trial.verdict.look_at ? `look at ${trial.verdict.look_at}` : "look once") : VERDICTS[trial.verdict.kind] || trial.verdict.kind)
           : { waiting: "waiting", labelling: "being labelled", failed: "failed" }[trial.state];
         return `${plainText(trial.name)} – ${verdict}${trial.touches ? `, ${trial.touches} ${trial.touches === 1 ? "touch" : "touches"}` : ""}${trial.saved ? ", saved" : ""}`;
       };
@@ -117,19 +118,51 @@
         this.player = new Asterism.Player(at("view"), loaded.recording, { onFrame: frame => this.moved(frame), onPick: (point, event) => this.pickPoint(point, event) });
         this.player.wheel = "zoom";
       }
+      this.nameOrCorrect(Boolean(loaded.state.naming));
       this.odds.clear();
       this.changes.set([], frame => frame);
       this.unselect();
       this.show(false);
+      this.edit("labels");
       if (loaded.state.relabelled) await this.showRelabelled();
       if (loaded.state.items.length) this.goToItem(0);
       this.player.canvas.focus({ preventScroll: true });
     }
 
+    // Groups of points are named, or labels corrected.
+    nameOrCorrect(naming) {
+      document.body.classList.toggle("naming", naming);
+      document.title = naming ? "Asterism: name markers" : "Asterism: correct labels";
+      at("name").placeholder = naming ? "type a name, Enter takes the first" : "type a marker, Enter takes the first";
+      this.names.free = naming;
+      if (naming) this.player.setNames("all");
+      if (naming && !at("set").options.length) this.loadSets();
+    }
+
+    // What is edited: labels, gaps or events.
+    edit(mode) {
+      if (!this.labels || (this.labels.state.naming && mode !== "labels")) return;
+      this.mode = document.body.dataset.mode = mode;
+      for (const button of at("modes").children) button.setAttribute("aria-pressed", button.dataset.mode === mode);
+      this.timeline.lay([], []);
+      Object.assign(this.player.scene, { chosen: null, selected: [] });
+      if (mode === "labels") this.showSelected(); else this.panels[mode].load();
+      this.player.redraw();
+    }
+
+    async loadSets() {
+      const answer = await this.trying(() => this.connection.ask("/api/sets"));
+      if (!answer) return;
+      const lines = answer.sets.map((name, i) => make("option", { value: name, textContent: plainText(name), selected: i === 0 && answer.given > 0 }));
+      at("set").replaceChildren(make("option", { value: "", textContent: "no set" }), ...lines);
+      this.odds.clear();
+      this.loadOdds(true);
+    }
+
     // Everything that depends on the labels.
     show(keepWindow = true) {
       const { labels } = this, { state } = labels, codes = labels.codes();
-      this.timeline.set({ rows: labels.rows(codes), codes, columns: labels.recording.frames, frames: labels.recording.frames, number: frame => labels.recording.number(frame), bars: labels.bars(), keepWindow });
+      this.timeline.set({ rows: labels.rows(codes), codes, columns: labels.recording.frames, frames: labels.recording.frames, number: frame => labels.recording.number(frame), bars: labels.bars(), keepWindow, given: state.naming ? "no name yet" : undefined });
       this.timeline.at(this.player.frame);
       this.list.set(labels);
       at("undo").disabled = !state.can_undo;
@@ -142,7 +175,7 @@
       this.showTrials();
       at("save").disabled = false;
       at("save").classList.toggle("done", Boolean(state.saved));
-      this.showSelected();
+      if (this.mode === "labels") this.showSelected(); else this.panels[this.mode].load();
     }
 
     // Selection: a piece by its id, kept while the pieces change
@@ -181,6 +214,7 @@
       at("answers").hidden = place < 0;
       at("piece-name").textContent = place < 0 ? "Nothing is selected" : labels.label(place) + (other >= 0 ? ` and ${labels.label(other)}` : "");
       at("piece-about").textContent = place < 0 ? "Click a point, a bar of the timeline or a line of the list. Tab goes to the next line." : this.about(place);
+      at("unname").disabled = place < 0 || !labels.pieces.person[place];
       at("swap").classList.toggle("on", this.swapping);
       this.player.redraw();
     }
@@ -190,17 +224,17 @@
       const { labels } = this, samples = labels.from[place + 1] - labels.from[place];
       const said = labels.pieces.person[place] ? " You said so." : "", track = labels.pieces.track?.[place] ?? -1;
       const { speed, near } = labels.motion(place), moves = speed === null ? "" : ` It moves ${speed.toFixed(2)} m/s.`;
-      const beside = near.length ? ` Nearest: ${near.map(([name, m]) => `${plainText(name)} ${m.toFixed(2)} m`).join(", ")}.` : "";
+      const beside = near.length ? ` Nearest: ${near.map(([name, m]) => `${/^\d+$/.test(name) ? "group " : ""}${plainText(name)} ${m.toFixed(2)} m`).join(", ")}.` : "";
       return `${labels.frames(place)}, ${samples.toLocaleString("en")} samples${track >= 0 ? `, track ${track + 1}` : ""}.${said}${moves}${beside}`;
     }
 
     async loadOdds(keep = false) {
       const { selected, labels } = this;
       if (this.place(selected) < 0) return;
-      const known = this.odds.get(selected);
-      this.names.set(known || labels.state.markers.map(name => [name, null]), keep);
+      const known = this.odds.get(selected), set = labels.state.naming ? `&set=${encodeURIComponent(at("set").value)}` : "";
+      this.names.set(known || (set ? [] : labels.state.markers.map(name => [name, null])), keep);
       if (known) return;
-      const answer = await this.trying(() => this.connection.ask(`/api/trials/${encodeURIComponent(this.trial)}/candidates?piece=${selected}`));
+      const answer = await this.trying(() => this.connection.ask(`/api/trials/${encodeURIComponent(this.trial)}/candidates?piece=${selected}${set}`));
       if (!answer || this.selected !== selected || this.labels !== labels) return;
       this.odds.set(selected, answer.candidates);
       this.names.set(answer.candidates, true);
@@ -214,12 +248,18 @@
     moved(frame) { this.timeline.at(frame); }
 
     pickPoint(point, event) {
+      if (this.mode !== "labels") return;
       const place = this.labels.placeOfPoint(point);
       if (place >= 0) this.select(this.labels.pieces.id[place], null, event.shiftKey || event.ctrlKey);
       else if (!this.swapping && point < 0) this.unselect();
     }
 
     pickBar({ row, bar, frame, event }) {
+      if (this.mode === "gaps") {
+        const { rows } = this.panels.gaps, name = this.labels.recording.names[row], i = rows.findIndex(one => plainText(one.marker) === name && frame >= one.first && frame <= one.last);
+        if (i >= 0) this.panels.gaps.select(i);
+      }
+      if (this.mode !== "labels") return;
       const place = bar !== undefined ? this.timeline.bars[bar].place : this.labels.placeOfMarker(row, frame);
       if (place >= 0) this.select(this.labels.pieces.id[place], null, event.shiftKey || event.ctrlKey);
     }
@@ -266,10 +306,10 @@
       this.labels.apply(state, pieces);
       this.odds.clear();
       this.second = -1;
-      if (changed) this.changes.set(changed, frame => this.labels.recording.number(frame), refusable);
+      if (changed && !state.naming) this.changes.set(changed, frame => this.labels.recording.number(frame), refusable);
       this.player.relabelled();
       this.show();
-      this.loadOdds(true);
+      if (this.mode === "labels") this.loadOdds(true);
     }
 
     async reload() {
@@ -299,9 +339,26 @@
     }
 
     nameIt(marker) {
+      if (this.labels?.state.naming) { this.nameGroup(marker); return; }
       this.touch({ kind: "name", piece: this.selected, marker }, `The name ${plainText(marker)}`);
       at("name").value = "";
       this.player.canvas.focus({ preventScroll: true });
+    }
+
+    // Names the selected group; goes to its mirror image, which most likely has the other side's name, or to the next one.
+    async nameGroup(marker) {
+      const group = this.selected, { trial } = this;
+      if (this.place(group) < 0) { this.touch(); return; }
+      await this.send("touch", { event: { kind: "name", piece: group, marker } }, marker === null ? "No name" : `The name ${plainText(marker)}`);
+      if (this.trial !== trial || !this.labels || marker === null) return;
+      const { state, pieces } = this.labels, given = this.place(group) >= 0 && pieces.person[this.place(group)];
+      if (!given || state.markers[pieces.marker[this.place(group)]] !== marker.trim()) return;  // it was refused: the name stays in the box
+      at("name").value = "";
+      const other = state.mirrored[group], next = state.items.findIndex(item => item.piece === other);
+      if (next >= 0) this.goToItem(next);
+      else if (state.items.length) this.next(1);
+      else { this.showSelected(); this.messages.say("All groups have a name; save them."); }
+      if (state.items.length) at("name").focus();
     }
 
     cut() {
@@ -329,8 +386,8 @@
     }
 
     refuse(pieces) { this.send("refuse", { pieces }, "The refusal"); }
-    undo() { this.send("undo", {}, "Undo"); }
-    redo() { this.send("redo", {}, "Redo"); }
+    undo() { return this.send("undo", {}, "Undo"); }
+    redo() { return this.send("redo", {}, "Redo"); }
 
     save() {
       const { trial } = this;
@@ -389,14 +446,17 @@
       if (open) return;
       if ((event.ctrlKey || event.metaKey) && event.key === "s") { event.preventDefault(); this.save(); return; }
       if (event.key === "F6") { event.preventDefault(); this.nextPart(event.shiftKey ? -1 : 1); return; }
-      if (event.key === "Escape") { this.swapping = false; if (this.labels) { this.showSelected(); this.player.canvas.focus({ preventScroll: true }); } return; }
+      if (event.key === "Escape") { this.swapping = false; if (this.labels) { if (this.mode === "labels") this.showSelected(); this.player.canvas.focus({ preventScroll: true }); } return; }
       if (typing || event.ctrlKey || event.metaKey || event.altKey || !this.labels) return;
       if (event.key === "Tab") { this.tab(event); return; }
+      if (event.key === "e") { event.preventDefault(); this.edit({ labels: "gaps", gaps: "events", events: "labels" }[this.mode]); return; }
+      if (this.mode !== "labels" && !target.matches("button, summary, a") && this.panels[this.mode].keys(event)) return;
+      const naming = Boolean(this.labels.state.naming);
       const acts = {
         n: () => { if (this.place(this.selected) >= 0) { at("name").focus(); at("name").select(); } else this.touch(); }, s: () => this.swap(), c: () => this.cut(),
         g: () => this.touch({ kind: "ghost", piece: this.selected }, "The ghost"), r: () => this.touch({ kind: "right", piece: this.selected }, "Right"),
-        u: () => this.undo(), U: () => this.redo(), "?": () => Asterism.showHelp(at("help-text")),
-      }, act = acts[event.key];
+        u: () => this.undo(), U: () => this.redo(), "?": () => Asterism.showHelp(at("help-text"), naming),
+      }, none = this.mode !== "labels" ? "nscgr" : naming ? "scgr" : "", act = none.includes(event.key) ? null : acts[event.key];
       if (act) { event.preventDefault(); act(); return; }
       if (target.matches("button, summary, a") && (event.key === " " || event.key === "Enter")) return;
       this.player.keys(event);
@@ -405,9 +465,9 @@
     // Tab is the list's while the picture, the timeline or the list has the focus; elsewhere it goes on as everywhere.
     tab(event) {
       const { activeElement } = document;
-      if (activeElement && activeElement !== document.body && !activeElement.matches("canvas, #list .line")) return;
+      if (activeElement && activeElement !== document.body && !activeElement.matches("canvas, .listed .line")) return;
       event.preventDefault();
-      this.next(event.shiftKey ? -1 : 1);
+      if (this.mode === "labels") this.next(event.shiftKey ? -1 : 1); else this.panels[this.mode].next(event.shiftKey ? -1 : 1);
     }
 
     nextPart(by) {
@@ -418,13 +478,15 @@
 
     listen() {
       document.addEventListener("keydown", event => this.keys(event));
+      at("set").addEventListener("change", () => { this.odds.clear(); this.loadOdds(true); });
       at("trial").addEventListener("change", () => { const id = at("trial").value; this.open(id); });
       const buttons = {
-        undo: () => this.undo(), redo: () => this.redo(), save: () => this.save(), teach: () => this.teaching.ask(this.trials), relabel: () => this.askAgain(), help: () => Asterism.showHelp(at("help-text")),
+        undo: () => this.undo(), redo: () => this.redo(), save: () => this.save(), teach: () => this.teaching.ask(this.trials), relabel: () => this.askAgain(), help: () => Asterism.showHelp(at("help-text"), Boolean(this.labels?.state.naming)), unname: () => this.nameGroup(null),
         right: () => this.touch({ kind: "right", piece: this.selected }, "Right"), ghost: () => this.touch({ kind: "ghost", piece: this.selected }, "The ghost"),
         cut: () => this.cut(), swap: () => this.swap(),
         narrower: () => this.labels && this.timeline.zoom(0.5, this.player.frame), wider: () => this.labels && this.timeline.zoom(2, this.player.frame), whole: () => this.labels && this.timeline.zoom(1e9, 0),
       };
+      for (const button of at("modes").children) button.addEventListener("click", () => this.edit(button.dataset.mode));
       at("relabelling").querySelector("button").addEventListener("click", () => this.stopRelabelling());
       for (const [id, act] of Object.entries(buttons)) at(id).addEventListener("click", act);
     }

@@ -17,7 +17,7 @@
   class Player {
     // onFrame(frame) after each picture; onPick(point, event) for a click on a point, with -1 beside all points
     constructor(host, recording, { onFrame = () => {}, onPick = null, names = null, start = 0 } = {}) {
-      Object.assign(this, { host, recording, onFrame, onPick, frame: start, speed: 1, playing: false, dirty: true });
+      Object.assign(this, { host, recording, onFrame, onPick, frame: start, speed: 1, playing: 0, dirty: true });
       host.classList.add("player");
       this.build();
       this.body = new Asterism.Body(recording);
@@ -36,7 +36,8 @@
       const button = (text, label, act, key = "") => make("button", { type: "button", textContent: text, title: key ? `${label} (${key})` : label,
         onclick: act, attributes: { "aria-label": label } });
       this.play = button("▶", "play", () => this.toggle(), "space");
-      this.play.classList.add("play");
+      this.back = button("◀", "play backwards", () => this.toggle(-1), "b");
+      for (const one of [this.play, this.back]) one.classList.add("play");
       this.slider = make("input", { type: "range", min: 0, max: 0, value: 0, attributes: { "aria-label": "frame" } });
       this.number = make("input", { type: "number", className: "number", attributes: { "aria-label": "frame number", step: "any" } });
       this.clock = make("output", { className: "clock" });
@@ -50,7 +51,7 @@
       this.host.replaceChildren(
         make("div", { className: "stage" }, this.canvas, this.tip, this.legend),
         make("div", { className: "controls" },
-          button("◀", "one frame back", () => this.step(-1), "←"), this.play, button("▶|", "one frame on", () => this.step(1), "→"),
+          button("|◀", "one frame back", () => this.step(-1), "←"), this.back, this.play, button("▶|", "one frame on", () => this.step(1), "→"),
           this.slider, make("label", { className: "frame" }, "frame ", this.number), this.clock, this.speeds),
         make("div", { className: "controls looks" },
           ...views, button("all points", "show all points of the frame", () => this.fit(), "4"), this.names,
@@ -84,6 +85,7 @@
     // After the recording's labels have changed.
     relabelled() {
       this.recording.index();
+      this.scene.renamed();
       this.showLegend();
       this.redraw();
     }
@@ -110,20 +112,28 @@
       this.seek(Math.round(this.frame) + frames);
     }
 
-    toggle() { if (this.playing) this.pause(); else this.start(); }
+    toggle(way = 1) {
+      const same = this.playing === way;
+      this.pause();
+      if (!same) this.start(way);
+    }
 
-    start() {
-      if (this.recording.frames < 2) return;
-      this.playing = true;
-      if (this.frame >= this.recording.frames - 1) this.seek(0);
-      this.play.textContent = "❚❚";
-      this.play.setAttribute("aria-label", "pause");
+    // Plays forwards, or backwards with -1, and begins again at the other end.
+    start(way = 1) {
+      const { frames } = this.recording;
+      if (frames < 2) return;
+      if (way > 0 && this.frame >= frames - 1) this.seek(0);
+      if (way < 0 && this.frame <= 0) this.seek(frames - 1);
+      this.playing = way;
+      const button = way > 0 ? this.play : this.back;
+      button.textContent = "❚❚";
+      button.setAttribute("aria-label", "pause");
       let before = null;
       const tick = now => {
-        if (!this.playing) return;
-        if (before !== null) this.time += (now - before) / 1000 * this.speed * this.recording.rate;
+        if (this.playing !== way) return;
+        if (before !== null) this.time += way * (now - before) / 1000 * this.speed * this.recording.rate;
         before = now;
-        if (this.time >= this.recording.frames) this.time %= this.recording.frames;
+        this.time = (this.time % frames + frames) % frames;
         const frame = Math.floor(this.time);
         if (frame !== this.frame) {
           this.frame = frame;
@@ -136,10 +146,12 @@
     }
 
     pause() {
-      this.playing = false;
+      this.playing = 0;
       if (!this.play) return;
-      this.play.textContent = "▶";
-      this.play.setAttribute("aria-label", "play");
+      for (const [button, sign, label] of [[this.play, "▶", "play"], [this.back, "◀", "play backwards"]]) {
+        button.textContent = sign;
+        button.setAttribute("aria-label", label);
+      }
     }
 
     redraw() {
@@ -201,7 +213,7 @@
       const act = event.shiftKey
         ? { ArrowLeft: () => camera.turn(-turn, 0), ArrowRight: () => camera.turn(turn, 0), ArrowUp: () => camera.turn(0, turn), ArrowDown: () => camera.turn(0, -turn), "+": () => camera.magnify(1.2) }[event.key]
         : {
-          " ": () => this.toggle(), ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1), ArrowUp: () => this.step(10), ArrowDown: () => this.step(-10),
+          " ": () => this.toggle(), b: () => this.toggle(-1), ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1), ArrowUp: () => this.step(10), ArrowDown: () => this.step(-10),
           PageUp: () => this.step(-Math.round(this.recording.rate)), PageDown: () => this.step(Math.round(this.recording.rate)),
           Home: () => this.step(-Infinity), End: () => this.step(1e9), 1: () => this.view("front"), 2: () => this.view("side"), 3: () => this.view("top"), 4: () => this.fit(),
           "+": () => camera.magnify(1.2), "=": () => camera.magnify(1.2), "-": () => camera.magnify(1 / 1.2), f: () => this.follow.click(),

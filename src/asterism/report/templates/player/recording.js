@@ -88,7 +88,17 @@
       points.marks[at] = marks[i];
     }
     points.index();
+    if (packed.forces) points.plates = await plates(packed.forces, packed.frames);
     return points;
+  }
+
+  // Force plates: corners in m, and for each frame the centre of pressure in m and the force in N, all 0 without a load.
+  async function plates(packed, frames) {
+    const parts = sections(await inflate(packed.data), packed.lengths).map(bytes => sums(signed(varints(bytes, frames)), [frames], 1));
+    return packed.corners.map((corners, i) => {
+      const [px, py, pz, fx, fy, fz] = parts.slice(6 * i, 6 * i + 6);
+      return { corners, at: t => (fx[t] || fy[t] || fz[t] ? { from: [px[t] / 1000, py[t] / 1000, pz[t] / 1000], force: [fx[t], fy[t], fz[t]] } : null) };
+    });
   }
 
   class Recording {
@@ -96,6 +106,7 @@
     constructor({ name = "", markers, side, bones, rate, firstFrame = 1, firstShown = 0, step = 1, offsets, xyz }) {
       Object.assign(this, { name, names: markers.map(name => plainText(name)), side, bones, step, offsets, xyz });
       this.rate = rate / step;
+      this.plates = [];
       this.frames = offsets.length - 1;
       this.first = firstFrame + firstShown;
       const total = xyz.length / 3;

@@ -7,6 +7,7 @@
   const PATH_SECONDS = 0.5;
   const LONGEST_NAME = 22;
   const SHADES = 24;
+  const FORCE = 1000;                        // N whose arrow is as long as the body is high
 
   // Colours from the style sheet, so that a page decides between dark and light.
   function colours(element) {
@@ -39,14 +40,20 @@
 
     take(recording, body) {
       Object.assign(this, { recording, body });
-      this.short = recording.names.map(name => Asterism.plainText(name, LONGEST_NAME));
-      this.widths = new Map();
+      this.renamed();
       this.camera.size = body.size;
       const most = recording.offsets.reduce((high, from, t) => t ? Math.max(high, from - recording.offsets[t - 1]) : 0, 0);
       this.places = new Float32Array(3 * most);
-      this.of = new Int32Array(recording.names.length);
       this.home = body.origin(Math.floor(recording.frames / 2));
       this.chosen = null;
+    }
+
+    // After the names of the recording's markers have changed.
+    renamed() {
+      const { names } = this.recording;
+      this.short = names.map(name => Asterism.plainText(name, LONGEST_NAME));
+      this.widths = new Map();
+      this.of = new Int32Array(names.length);
     }
 
     resize() {
@@ -102,7 +109,9 @@
       this.drawFloor(frame);
       if (!recording.frames) return;
       this.project(frame);
+      this.drawPlates();
       this.drawBones(frame);
+      this.drawForces(frame);
       this.drawPath(frame);
       this.drawRest(frame);
       this.drawMarkers(frame);
@@ -149,6 +158,47 @@
       shape.forEach((at, i) => i ? context.lineTo(at[0], at[1]) : context.moveTo(at[0], at[1]));
       context.fill();
       context.globalAlpha = 1;
+    }
+
+    drawPlates() {
+      const { context, camera, recording, colours } = this;
+      context.fillStyle = colours.axis;
+      context.strokeStyle = colours.bone;
+      context.lineWidth = 1.2;
+      for (const { corners } of recording.plates) {
+        const places = corners.map(corner => camera.project(...corner));
+        if (places.some(place => !place)) continue;
+        context.beginPath();
+        places.forEach((place, i) => i ? context.lineTo(place[0], place[1]) : context.moveTo(place[0], place[1]));
+        context.closePath();
+        context.globalAlpha = 0.5;
+        context.fill();
+        context.globalAlpha = 1;
+        context.stroke();
+      }
+    }
+
+    // The force on the person from each plate, an arrow from its centre of pressure.
+    drawForces(frame) {
+      const { context, camera, recording, body, colours } = this;
+      context.strokeStyle = context.fillStyle = colours.arrow;
+      context.lineWidth = 3;
+      for (const plate of recording.plates) {
+        const load = plate.at(frame);
+        if (!load) continue;
+        const tip = load.from.map((value, axis) => value + load.force[axis] * body.size / FORCE);
+        const from = camera.project(...load.from), to = camera.project(...tip);
+        if (!from || !to) continue;
+        this.line(from, to);
+        const length = Math.hypot(to[0] - from[0], to[1] - from[1]), head = Math.min(11, length / 2);
+        if (length < 2) continue;
+        const ux = (to[0] - from[0]) / length, uy = (to[1] - from[1]) / length;
+        context.beginPath();
+        context.moveTo(to[0] + ux * 3, to[1] + uy * 3);
+        context.lineTo(to[0] - head * ux - head * uy / 2, to[1] - head * uy + head * ux / 2);
+        context.lineTo(to[0] - head * ux + head * uy / 2, to[1] - head * uy - head * ux / 2);
+        context.fill();
+      }
     }
 
     // A line on the floor; in pieces where one end is behind the eye.

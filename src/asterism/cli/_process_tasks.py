@@ -1,0 +1,301 @@
+"""The tasks of `asterism process`: one recording to label, or one person's labelled recordings to analyse; done by any process.
+
+What a task is told and what it answers is small and plain. Results go to the disk, and so does a record by which a task that was done is
+not done again. A task gives the same however often it is begun.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from asterism.cli import _console
+from asterism.cli._folders import Trial
+from asterism.cli._labelling import ROW
+from asterism.cli._options import KnownLabels
+from asterism.cli.gait import GaitOptions, analysed, write_results
+from asterism.cli.label import LabelOptions, LabelRun
+from asterism.errors import AsterismError
+from asterism.files.plain import as_json
+from asterism.findings import Finding, Severity
+
+if TYPE_CHECKING:
+    from asterism.gait import Band, GaitAnalysis
+
+LABELLED, REPORTS, OUTPUTS, RECORDS = "labelled", "reports", "gait", "records"
+"""The folders of a session's results: labelled recordings, pages, recordings with model outputs, and records of what was done."""
+
+
+@dataclass(frozen=True)
+class PersonOptions:
+    """How a person's recordings are processed.
+
+    name     of the person
+    trials   each recording, and where its outputs go below their folders
+    out      the folder of the results
+    static   the standing trial that the settings name, or a file's name tells
+    """
+
+    name: str
+    trials: tuple[tuple[Path, Path], ...]
+    out: Path
+    model: Path | None = None
+    markers: str | None = None
+    static: Path | None = None
+    vertical: str | None = None
+    known_labels: KnownLabels | None = None
+    fill: str = "none"
+    band: Path | None = None
+    measures: tuple[tuple[str, float], ...] = ()
+    overwrite: bool = False
+
+    @property
+    def label(self) -> LabelOptions:
+        """The same for `asterism label`."""
+        return LabelOptions(
+            files=[path for path, _ in self.trials],
+            output=self.out / LABELLED,
+            model=None if self.model is None else [self.model],
+            markers=None if self.markers is None else [self.markers],
+            subject=None if self.static is None or self.static in [path for path, _ in self.trials] else [self.static],
+            vertical=self.vertical,
+            known_labels=self.known_labels,
+            overwrite=self.overwrite,
+            json="-",
+        )
+
+
+@dataclass(frozen=True)
+class LabelTask:
+    """A recording of a person, by its place among the trials."""
+
+    person: PersonOptions
+    place: int
+
+
+@dataclass
+class TaskResult:
+    """What a task answers: rows of the table, what was found, and files that failed, each with a sentence."""
+
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    findings: list[dict[str, str]] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
+
+
+class _Kept(_console.Batch):
+    """A batch that says nothing: what is found, what cannot be analysed and what fails is kept for whoever gave the task."""
+
+    def __init__(self) -> None:
+        super().__init__("done")
+        self.problems: dict[str, str] = {}
+        self.faults: dict[str, str] = {}
+
+    @contextmanager
+    def file(self, path: Path) -> Iterator[None]:
+        try:
+            yield
+        except Exception as problem:
+            kept = self.problems if isinstance(problem, AsterismError) else self.faults
+            kept[str(path)] = _console.reason(problem)
+            self.failed.append(path)
+        else:
+            self.done.append(path)
+
+    def found(self, finding: Finding) -> None:
+        self.findings.append(finding)
+
+
+_RUNS: dict[PersonOptions, tuple[LabelRun, _Kept]] = {}
+"""What labels the person of the last task: models are loaded and narrowed once for all of a person's files."""
+
+
+def label_trial(task: LabelTask) -> TaskResult:
+    """Label one recording of a person, unless this was done."""
+    from asterism.session import FinishedFiles
+
+    person, (path, place) = task.person, task.person.trials[task.place]
+    if person not in _RUNS:
+        _RUNS.clear()
+        batch = _Kept()
+        _RUNS[person] = LabelRun.of(person.label, [Trial(*trial) for trial in person.trials], batch), batch
+    run, batch = _RUNS[person]
+    shared = list(batch.findings)
+    try:
+        # a record for each output: several processes write at once
+        inputs = [*run.options.inputs, *([person.static] if person.static is not None and person.static != path else [])]
+        record = person.out / RECORDS / LABELLED / f"{place.as_posix()}.jsonl"
+        record.parent.mkdir(parents=True, exist_ok=True)
+        finished = FinishedFiles(record.parent, run.options.how, inputs, ROW, record.name)
+        target = run.options.output / place
+        if target.exists() and not person.overwrite and finished.finished(place, path, target) is None:
+            if not finished.made_here(place, target):
+                raise AsterismError(
+                    f"{path}: {target} was changed by somebody, and the recording or the options are others since; it stays. "
+                    "Move it away, or replace it with --overwrite."
+                )
+            run = dataclasses.replace(run, options=dataclasses.replace(run.options, overwrite=True))
+        result = dataclasses.replace(run, finished=finished).result(Trial(path, place), None)
+        row = {name: value for name, value in result.row.items() if name != "markers"}
+        return TaskResult([as_json(row)], [finding.to_dict() for finding in batch.findings])
+    finally:
+        batch.findings[:] = shared
+
+
+def analyse_person(person: PersonOptions) -> TaskResult:
+    """Analyse the labelled recordings of a person, unless this was done with the same ones."""
+    from asterism.session import FinishedFiles
+
+    labelled = [(place, person.out / LABELLED / place) for _, place in person.trials]
+    labelled = [(place, path) for place, path in labelled if path.exists()]
+    if not labelled:
+        return TaskResult()
+    folder = person.out / RECORDS / OUTPUTS
+    folder.mkdir(parents=True, exist_ok=True)
+    how = {name: value for name, value in dataclasses.asdict(person).items() if name not in ("out", "overwrite", "trials")}
+    how["places"] = [place.as_posix() for place, _ in labelled]
+    others = [path for path in (person.static, person.band) if path is not None]
+    name = file_name(person.name)
+    table = person.out / OUTPUTS / f"{name}.csv"
+    finished = FinishedFiles(folder, how, [*(path for _, path in labelled), *others], (), f"{name}.jsonl")
+    source, key = labelled[0][1], Path(name)
+    before = None if person.overwrite else finished.finished(key, source, table)
+    if before is not None and all((person.out / one).exists() for one in before.row["outputs"]):
+        return TaskResult(list(before.row["rows"]), [finding.to_dict() for finding in before.findings])
+    result, outputs, findings, write = _analysis(person, labelled, table)
+    row = {"rows": result.rows, "outputs": outputs}
+    # what has failed is tried again by the next run
+    if not result.failed:
+        finished.begin(key, source, table, row, findings)
+    write()
+    if not result.failed:
+        finished.end(key, table, row, findings)
+    return result
+
+
+def file_name(name: str) -> str:
+    """A person's name as a file's."""
+    return "".join(letter if letter.isalnum() or letter in " ._-" else "-" for letter in name).strip(" .") or "person"
+
+
+@dataclass(frozen=True)
+class _Own:
+    """The labelled recordings of one subject: the standing trial, and those that are analysed."""
+
+    name: str
+    standing: Path | None
+    walks: tuple[Path, ...]
+
+
+def _analysis(
+    person: PersonOptions, labelled: Sequence[tuple[Path, Path]], table: Path
+) -> tuple[TaskResult, list[str], list[Finding], Callable[[], None]]:
+    """What is said of a person, the outputs below the folder of results, what was found, and what writes them."""
+    from asterism.gait import Band
+
+    band = None if person.band is None else Band.load(person.band)
+    batch, rows, writers, outputs = _Kept(), list[dict[str, Any]](), list[Callable[[], None]](), [_below(person.out, table)]
+    parameters: list[tuple[Path, GaitAnalysis]] = []
+    of_place = {path: place for place, path in labelled}
+    originals = {place: str(path) for path, place in person.trials}
+    subjects = _subjects(person, labelled, batch)
+    for own in subjects:
+        report = person.out / REPORTS / f"{file_name(own.name)}.html"
+        options = GaitOptions(
+            files=list(own.walks),
+            static=own.standing,
+            measure=[f"{name}={value!r}" for name, value in person.measures],
+            fill=person.fill,
+            overwrite=True,
+            json="-",
+        )
+        copies = {path: person.out / OUTPUTS / of_place[path].with_suffix(".c3d") for path in own.walks}
+        results = analysed(options, own.walks, batch, copies)
+        outputs += [_below(person.out, copies[path]) for path, _ in results]
+        parameters += results
+        pages = [(report, results)] + [(person.out / REPORTS / of_place[path].with_suffix(".html"), [(path, one)]) for path, one in results]
+        # one walk is a page already
+        for page, shown in pages[: 1 if len(results) < 2 else None] if results else ():
+            outputs.append(_below(person.out, page))
+            writers.append(partial(_write_page, dataclasses.replace(options, report=page, json=None), shown, band))
+        analyses = dict(results)
+        for place, path in labelled:
+            if path in (own.standing, *own.walks):
+                kind = "standing" if path == own.standing else "walk" if path in analyses else "not analysed"
+                rows.append(
+                    {"place": place.as_posix(), "file": originals[place], "person": own.name, "kind": kind, **_summary(analyses.get(path))}
+                )
+                rows[-1]["report"] = _below(person.out, report) if path in analyses else None
+    # a recording that shows no gait is none that failed
+    findings = [*batch.findings, *(_not_gait(path, sentence) for path, sentence in batch.problems.items())]
+
+    def write() -> None:
+        table.parent.mkdir(parents=True, exist_ok=True)
+        write_results(GaitOptions(files=[], output=table, overwrite=True), parameters, None, _Kept())
+        for one in writers:
+            one()
+
+    return TaskResult(rows, [finding.to_dict() for finding in findings], batch.faults), outputs, findings, write
+
+
+def _write_page(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]], band: Band | None) -> None:
+    assert options.report is not None
+    options.report.parent.mkdir(parents=True, exist_ok=True)
+    write_results(options, results, band, _Kept())
+
+
+def _below(folder: Path, path: Path) -> str:
+    return path.relative_to(folder).as_posix()
+
+
+def _subjects(person: PersonOptions, labelled: Sequence[tuple[Path, Path]], batch: _Kept) -> list[_Own]:
+    """The recordings by the subject that files name: one person, unless several are named in one folder, which is told."""
+    from asterism import formats
+    from asterism.session import is_standing_name, stands
+
+    by_subject: dict[str, tuple[list[Path], list[Path]]] = {}
+    originals = {place: path for path, place in person.trials}
+    for place, path in labelled:
+        with batch.file(path):
+            recording = formats.read(path)
+            subject = str(recording.metadata.get("subject") or "")
+            still = originals[place] == person.static or is_standing_name(path) or stands(recording)
+            by_subject.setdefault(subject, ([], []))[0 if still else 1].append(path)
+    named = sorted(set(by_subject) - {""})
+    if len(named) < 2:
+        standing = [path for own, _ in by_subject.values() for path in own]
+        walks = [path for _, own in by_subject.values() for path in own]
+        outside = person.static if person.static not in originals.values() else None
+        return [_Own(person.name, outside or (standing[-1] if standing else None), tuple(walks))]
+    sentence = (
+        f"{person.name}: its recordings are of {len(named)} subjects by their own names ({', '.join(named)}); each is analysed alone."
+    )
+    mend = "Give each person a folder, or correct the names of the subjects."
+    batch.found(Finding("session-two-people", Severity.WARNING, person.name, sentence, mend))
+    return [
+        _Own(f"{person.name} {subject}".strip(), standing[-1] if standing else None, tuple(walks))
+        for subject, (standing, walks) in sorted(by_subject.items())
+    ]
+
+
+def _not_gait(path: str, sentence: str) -> Finding:
+    where = Path(path)
+    said = sentence if where.name in sentence else f"{path}: {sentence}"
+    return Finding("session-no-gait", Severity.NOTE, path, said, "Nothing, where nobody walks in it; its labels are written.")
+
+
+def _summary(analysis: GaitAnalysis | None) -> dict[str, Any]:
+    """What the table of a session says of a walk."""
+    from asterism.gait import summarise
+
+    if analysis is None:
+        return {"cycles": 0, "cadence": None, "speed": None}
+    means: dict[str, list[float]] = {}
+    for one in summarise(analysis.parameters):
+        means.setdefault(one.name, []).append(one.mean)
+    found = {name: sum(values) / len(values) for name, values in means.items()}
+    return {"cycles": len(analysis.cycles), "cadence": found.get("cadence"), "speed": found.get("walking speed")}

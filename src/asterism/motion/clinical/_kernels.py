@@ -1,0 +1,106 @@
+"""Joint centres and turns, frame by frame, on flat arrays. Twin: tests/test_clinical.py."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from asterism._jit import kernel
+
+
+@kernel
+def joint_centres(upper, marker, wand, offset, turn, tilt, steps, centres):
+    """The centre of a joint in each frame, by the chord function of Davis et al. (1991).
+
+    IN  upper, marker, wand (T, 3) m; offset m, from marker to centre; turn rad, of the marker behind the wand about the line between the
+        centres; tilt rad, more than a right angle at the centre; steps, at most, in which the turn is reached
+    OUT centres (T, 3) m, NaN where an input is
+    O(T), no allocation per frame. Bounds: offset is not 0.
+    """
+    axis, first, second, line = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    to_marker, to_wand, arm = np.empty(3), np.empty(3), np.empty(3)
+    sine_of_corner, cosine_of_corner = math.sin(0.5 * math.pi + tilt), math.cos(0.5 * math.pi + tilt)
+    for frame in range(len(centres)):
+        for k in range(3):
+            axis[k] = marker[frame, k] - upper[frame, k]
+            arm[k] = wand[frame, k] - upper[frame, k]
+        length = _unit(axis)
+        # A joint nearer than its own half width would have no such triangle.
+        across = math.sqrt(max(length**2 - (offset * sine_of_corner) ** 2, 0.0))
+        sine = (offset**2 + length**2 - (offset * cosine_of_corner + across) ** 2) / (2 * length * offset)
+        sine = min(max(sine, -0.9), 0.9)
+        cosine = math.sqrt(1 - sine**2)
+        along = _dot(arm, axis)
+        for k in range(3):
+            first[k] = arm[k] - along * axis[k]
+        _unit(first)
+        _cross(axis, first, second)
+        angle, change, before = 0.0, 0.0, 0.0
+        for done in range(steps):
+            for k in range(3):
+                out = math.cos(angle) * first[k] + math.sin(angle) * second[k]
+                centres[frame, k] = marker[frame, k] - offset * (sine * axis[k] + cosine * out)
+            if turn == 0.0:
+                break
+            for k in range(3):
+                line[k] = centres[frame, k] - upper[frame, k]
+                to_marker[k] = marker[frame, k] - centres[frame, k]
+                to_wand[k] = wand[frame, k] - centres[frame, k]
+            _unit(line)
+            one, other = _dot(to_marker, line), _dot(to_wand, line)
+            for k in range(3):
+                to_marker[k] -= one * line[k]
+                to_wand[k] -= other * line[k]
+            _cross(to_wand, to_marker, arm)
+            step = turn - math.atan2(_dot(arm, line), _dot(to_wand, to_marker))
+            # the shorter way round: a wand behind the limb stands half a turn away
+            step = (step + math.pi) % (2 * math.pi) - math.pi
+            # What the last change did tells how far to go (the secant method): a whole step leaves a twentieth.
+            moved = before - step
+            change = step * (change / moved if done > 0 and 0.5 < moved / change < 2.0 else 1.0)
+            before = step
+            angle += change
+            if not abs(step) > 1e-12:
+                break
+
+
+@kernel
+def steady_turns(known, other, first, found):
+    """Of two triples of turns of each frame that nearer to the frame before, by the sum of the three differences.
+
+    IN  known (K,) frames; other (T, 3) rad, the second triples; first (3,) rad, what comes before the first of the frames
+    OUT found (T, 3) rad, holds the first triples
+    O(K), no allocation. Bounds: none.
+    """
+    before = first.copy()
+    for frame in known:
+        here, there = 0.0, 0.0
+        for k in range(3):
+            here += abs((found[frame, k] - before[k] + math.pi) % (2 * math.pi) - math.pi)
+            there += abs((other[frame, k] - before[k] + math.pi) % (2 * math.pi) - math.pi)
+        for k in range(3):
+            if there < here:
+                found[frame, k] = other[frame, k]
+            before[k] = found[frame, k]
+
+
+@kernel(inline=True)
+def _dot(one, other):
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+
+
+@kernel(inline=True)
+def _cross(one, other, out):
+    out[0] = one[1] * other[2] - one[2] * other[1]
+    out[1] = one[2] * other[0] - one[0] * other[2]
+    out[2] = one[0] * other[1] - one[1] * other[0]
+
+
+@kernel(inline=True)
+def _unit(vector):
+    """Make a vector one of length 1 (NaN for length 0); its length before."""
+    length = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+    for k in range(3):
+        vector[k] /= length
+    return length

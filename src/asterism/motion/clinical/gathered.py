@@ -1,0 +1,119 @@
+"""A recording, its person's standing trial and measures that were given, in; the measures that count, and what is doubtful of them, out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from asterism.findings import Finding, Severity
+from asterism.motion.clinical.measures import MARKER_RADIUS, SIDES, SubjectMeasures, subject_measures
+from asterism.motion.clinical.plug_in_gait import radius_by_the_file
+from asterism.motion.clinical.static import StaticRules, with_static_offsets
+from asterism.recording import Recording, without_subject
+from asterism.recording.arrays import nan_median
+
+_SAME_LEG = 0.07
+"""Of a leg's length, by which markers may show another one: they show 0.4 % less to 2.5 % more on four people of three laboratories."""
+_SAME_PERSON = 0.04
+"""RMS of the logarithms of distances between markers on one segment, standing against moving: to 0.028 for the same person, 0.094 and more
+for another. At half it tells skin and gaps, at double it misses people of one size."""
+_SEGMENTS = (("KNE", "ANK"), ("THI", "KNE"), ("TIB", "ANK"), ("HEE", "TOE"))
+_FEW = 4
+"""Distances, at least, that tell a person."""
+
+
+def gathered_measures(
+    recording: Recording, static: Recording | None = None, given: Mapping[str, float] | None = None, rules: StaticRules | None = None
+) -> tuple[SubjectMeasures, tuple[Finding, ...]]:
+    """The measures of the person: those given, over those that the standing trial tells and holds, over those of the recording's file.
+
+    static  a standing trial; given  by Plug-in-Gait's names, as `SubjectMeasures.with_values` has them
+
+    The marker's diameter is that given; else that with which the files' own angles were computed; else that which the files name.
+    Findings say where measures or the standing trial seem to be another person's. Raises AsterismError as `with_static_offsets` does.
+    """
+    given = given or {}
+    found: list[Finding] = []
+    measures = subject_measures(recording)
+    if static is not None:
+        measures = _over(subject_measures(static), measures)
+    if not any(name.upper() == "MARKERDIAMETER" for name in given):
+        radii = (radius_by_the_file(one, subject_measures(one)) for one in (recording, static) if one is not None)
+        fitted = next((radius for radius in radii if radius is not None), None)
+        if fitted is not None and abs(fitted - measures.marker_radius) > 1e-4:
+            found.append(_another_radius(recording, measures.marker_radius, fitted))
+        measures = measures if fitted is None else replace(measures, marker_radius=fitted)
+    measures = measures.with_values(given)
+    if static is not None:
+        # a set without wands has no such offsets
+        if any(label.endswith(("THI", "TIB")) for label in recording.labels):
+            measures = with_static_offsets(static, measures, rules).with_values(given)
+        found += _other_person(recording, static)
+    return measures, (*found, *_other_length(recording, measures))
+
+
+def _over(upper: SubjectMeasures, lower: SubjectMeasures) -> SubjectMeasures:
+    """The upper measures where their file holds them, else the lower ones."""
+    merged = lower
+    for side in SIDES:
+        leg, arm = upper.of(side), upper.arm(side)
+        merged = merged.with_leg(side, merged.of(side).with_values({name: getattr(leg, name) for name in leg.from_file}))
+        merged = merged.with_arm(side, merged.arm(side).with_values({name: getattr(arm, name) for name in arm.from_file}))
+    return replace(
+        merged,
+        inter_asis=upper.inter_asis or lower.inter_asis,
+        mass=upper.mass or lower.mass,
+        head_offset=upper.head_offset or lower.head_offset,
+        marker_radius=upper.marker_radius if lower.marker_radius == MARKER_RADIUS else lower.marker_radius,
+    )
+
+
+def _file(recording: Recording) -> str:
+    return str(recording.metadata.get("file", "the recording"))
+
+
+def _another_radius(recording: Recording, named: float, fitted: float) -> Finding:
+    return Finding(
+        "clinical-marker-diameter",
+        Severity.NOTE,
+        _file(recording),
+        f"{_file(recording)}: its own angles were computed with markers of {2000 * fitted:g} mm, not {2000 * named:g} mm; so are these.",
+        "Give MarkerDiameter if another one is right.",
+    )
+
+
+def _distance(recording: Recording, one: str, other: str, most: bool = False) -> float:
+    """m: median between two markers, or what 95 of 100 frames stay below; NaN where they are never seen together."""
+    places = [next((at for at, label in enumerate(recording.labels) if without_subject(label) == name), None) for name in (one, other)]
+    if None in places:
+        return float("nan")
+    apart = np.linalg.norm(recording.positions[:, places[0]] - recording.positions[:, places[1]], axis=1)
+    seen = apart[np.isfinite(apart)]
+    return float("nan") if not len(seen) else float(np.percentile(seen, 95) if most else nan_median(seen, axis=0))
+
+
+def _other_person(recording: Recording, static: Recording) -> list[Finding]:
+    pairs = [("LASI", "RASI"), *((side + one, side + other) for side in SIDES for one, other in _SEGMENTS)]
+    ratios = [_distance(recording, *pair) / _distance(static, *pair) for pair in pairs]
+    known = np.log([ratio for ratio in ratios if np.isfinite(ratio) and ratio > 0.0])
+    off = float(np.sqrt(np.mean(known**2))) if len(known) >= _FEW else 0.0
+    if off <= _SAME_PERSON:
+        return []
+    sentence = f"{_file(recording)} and {_file(static)} differ by {100 * off:.0f} % (RMS) in distances between markers on one segment: "
+    sentence += "the standing trial is another person's, or markers were placed anew."
+    return [Finding("clinical-other-person", Severity.WARNING, _file(recording), sentence, "Give the standing trial of this session.")]
+
+
+def _other_length(recording: Recording, measures: SubjectMeasures) -> list[Finding]:
+    """Where a leg is as long as no leg that wears these markers."""
+    found = []
+    for side, word in SIDES.items():
+        given = measures.of(side).leg_length
+        shown = _distance(recording, f"{side}ASI", f"{side}KNE", most=True) + _distance(recording, f"{side}KNE", f"{side}ANK")
+        if given is not None and np.isfinite(shown) and abs(shown / given - 1.0) > _SAME_LEG:
+            sentence = f"{_file(recording)}: the {word} leg's length is given as {1000 * given:.0f} mm, and its markers show about "
+            sentence += f"{1000 * shown:.0f} mm: the measures are another person's, or the length was measured otherwise."
+            found.append(Finding("clinical-other-person", Severity.WARNING, _file(recording), sentence, "Look the measure up."))
+    return found

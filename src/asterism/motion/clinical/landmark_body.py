@@ -1,0 +1,289 @@
+"""Markers on bony landmarks in, some of them from a standing trial alone; joint centres, segments and angles by the axes of ISB out.
+
+One construction serves the sets that wear the medial side of knee and ankle: Helen Hayes with medial markers, the gait protocol of the
+Istituto Ortopedico Rizzoli (Leardini et al. 2007), and CAST (Cappozzo et al. 1995). They differ in which markers carry the landmarks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+
+from asterism.geometry import place_objects, rotate_z_up
+from asterism.motion.clinical.hip import hip_centre
+from asterism.motion.clinical.measures import SIDES, SubjectMeasures
+from asterism.motion.clinical.plug_in_gait import Leg, LowerBody, along, turns, walking_axes
+from asterism.motion.rigid.rotations import unit_vectors
+from asterism.recording import Floats, Recording
+from asterism.recording.marker_set import canonical, shipped_sets, without_subject
+from asterism.recording.place import landmarks
+
+ROLES = {
+    "ASI": "anterior superior iliac spine",
+    "PSI": "posterior superior iliac spine",
+    "SACR": "sacrum",
+    "LE": "lateral epicondyle of femur",
+    "ME": "medial epicondyle of femur",
+    "HF": "head of fibula",
+    "TT": "tibial tuberosity",
+    "LM": "lateral malleolus",
+    "MM": "medial malleolus",
+    "CA": "heel",
+    "FM": "first metatarsal head",
+    "SM": "second metatarsal head",
+    "VM": "fifth metatarsal head",
+    "TOE": "toe",
+}
+"""Landmarks by the letters of Leardini et al., and their names in `asterism.recording.place`."""
+_ON = {"thigh": ("LE", "ME"), "shank": ("HF", "TT", "LM", "MM")}
+_LEAST = 3
+"""Markers that carry a landmark: fewer leave a turn open."""
+
+
+@dataclass(frozen=True)
+class Worn:
+    """Which column of a recording is which landmark, such as "LLE" (left, lateral epicondyle) or "SACR", and which markers are on a limb.
+
+    roles     landmark -> column; segments  "left thigh" -> columns
+    set_name  the shipped set that has most of the recording's names
+    """
+
+    roles: Mapping[str, int] = field(default_factory=dict)
+    segments: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    set_name: str = ""
+
+
+@dataclass(frozen=True)
+class LandmarkBody:
+    """The body, and how it was made.
+
+    feet     by side (T, 3, 3): x ahead, y to the left, z up; carried  landmarks that the standing trial alone shows
+    clusters whether markers that are no landmarks carried them; shank  whether fibula and tuberosity made the shank's axes
+    """
+
+    body: LowerBody
+    feet: Mapping[str, Floats]
+    carried: tuple[str, ...]
+    clusters: bool
+    shank: bool
+
+    @property
+    def title(self) -> str:
+        """Whose definitions these are, in words."""
+        if self.carried and self.clusters:
+            return "CAST (Cappozzo et al. 1995)"
+        return "the gait protocol of Rizzoli (Leardini et al. 2007)" if self.shank else "medial markers, axes of ISB (Wu et al. 2002)"
+
+
+@cache
+def _spellings() -> Mapping[str, tuple[Mapping[str, str], Mapping[str, str]]]:
+    """By set: spelling -> landmark, and spelling -> limb."""
+    role_at = {(mark.segment, mark.at): role for role, name in ROLES.items() for mark in [landmarks()[name]]}
+    found = {}
+    for name, markers in shipped_sets().items():
+        roles, limbs = {}, {}
+        for marker, place in markers.places.items():
+            letter = "R" if place.side == "right" or (not place.side and place.at[1] < 0.0) else "L"
+            own = place.mirrored() if letter == "R" else place
+            role = role_at.get((own.plain_segment, own.at))
+            for spelling in (marker, *markers.aliases.get(marker, ())):
+                if role is not None:
+                    roles[canonical(spelling)] = role if role == "SACR" else letter + role
+                if place.plain_segment in _ON:
+                    limbs[canonical(spelling)] = place.segment
+        found[name] = (roles, limbs)
+    return found
+
+
+def worn_landmarks(recording: Recording) -> Worn:
+    """Which landmarks and limbs the recording's names are, by the shipped sets; where two sets disagree, the one with more of the names."""
+    spelled = {canonical(without_subject(label)): column for column, label in enumerate(recording.labels)}
+    known = {name: sum(one in (*roles, *limbs) for one in spelled) for name, (roles, limbs) in _spellings().items()}
+    found: dict[str, int] = {}
+    limb_of: dict[str, str] = {}
+    taken: set[int] = set()
+    order = sorted(known, key=lambda name: (-known[name], name))
+    for name in order:
+        roles, limbs = _spellings()[name]
+        for spelling, column in spelled.items():
+            limb_of.setdefault(spelling, limbs.get(spelling, "")) if spelling in limbs else None
+            role = roles.get(spelling)
+            if role is not None and role not in found and column not in taken:
+                found[role] = column
+                taken.add(column)
+    segments: dict[str, tuple[int, ...]] = {}
+    for spelling, limb in limb_of.items():
+        segments[limb] = (*segments.get(limb, ()), spelled[spelling])
+    return Worn(found, segments, order[0] if order else "")
+
+
+def medial_legs(recording: Recording, static: Recording | None = None) -> tuple[str, ...]:
+    """The sides, "L" and "R", whose landmarks of pelvis and knee are known, from the recording or carried over from a standing trial."""
+    made = landmark_body(recording, SubjectMeasures(), static)
+    return tuple(side for side in SIDES if made is not None and np.isfinite(made.body.legs[side].thigh).all(axis=(1, 2)).any())
+
+
+def landmark_body(recording: Recording, measures: SubjectMeasures, static: Recording | None = None) -> LandmarkBody | None:
+    """Joint centres and segments of pelvis and legs, NaN where a landmark is not known; None without landmarks of the pelvis. O(T).
+
+    static  a standing trial with medial markers; markers that both trials show on a limb carry what only this one shows. Three others on a
+            limb carry its lateral landmarks, too, as CAST has it
+
+    Knee and ankle lie midway between epicondyles and between malleoli. Thigh: z from knee to hip, y along the epicondyles. Shank: with head
+    of fibula and tibial tuberosity x is normal to the plane of malleoli and fibula and z points to the tuberosity (Leardini et al. 2007),
+    else z points to the knee and y along the malleoli. Foot: x from heel to second metatarsal head, in the plane of heel, first and fifth;
+    else from heel to toe, y near the ankle's axis.
+    """
+    worn = worn_landmarks(recording)
+    at = _positions(recording, worn)
+    missing = np.full((len(recording), 3), np.nan)
+    sacrum = at["SACR"] if "SACR" in at else (at.get("LPSI", missing) + at.get("RPSI", missing)) / 2
+    if not {"LASI", "RASI"} <= at.keys():
+        return None
+    pelvis, origin = _pelvis(at, sacrum)
+    still = None if static is None else _standing(static, measures)
+    legs, feet, carried, clusters, shanks = {}, {}, [], False, False
+    for side, word in SIDES.items():
+        hip = origin + pelvis @ hip_centre(measures, side, at["LASI"], at["RASI"], sacrum, davis=False)
+        for limb, names in _ON.items():
+            own = [side + name for name in names]
+            extra = {"hip": hip} if limb == "thigh" else {}
+            told = _carried(recording, worn, still, f"{word} {limb}", own, extra)
+            clusters |= told.clusters
+            at |= told.positions
+            carried += [name for name in told.positions if name not in worn.roles]
+        legs[side], feet[side], shank = _leg(at, side, hip, missing)
+        shanks |= shank
+    return LandmarkBody(LowerBody(pelvis, origin, legs), feet, tuple(carried), clusters, shanks)
+
+
+def landmark_angles(made: LandmarkBody) -> dict[str, Floats]:
+    """Angles (T, 3) rad of hip, knee, ankle, pelvis and foot by the names of Plug-in-Gait: Grood and Suntay (1983), the same signs.
+
+    Flexion (dorsiflexion) about the proximal segment's axis, internal rotation about the distal one's, adduction (inversion) about the
+    one at right angles with both. Pelvis and foot in the axes of `walking_axes`. A joint that is never known is left out.
+    """
+    body, found = made.body, dict[str, Floats]()
+    room = np.broadcast_to(walking_axes(body), body.pelvis.shape)
+    for side, leg in body.legs.items():
+        left = 1.0 if side == "L" else -1.0
+        joint, seen = np.array([-1.0, -left, -left]), np.array([1.0, left, -left])
+        found |= {
+            f"{side}HipAngles": turns(body.pelvis, leg.thigh) * joint,
+            f"{side}KneeAngles": turns(leg.thigh, leg.shank) * joint * [-1.0, 1.0, 1.0],
+            f"{side}AnkleAngles": turns(leg.shank, made.feet[side]) * joint,
+            f"{side}PelvisAngles": turns(room, body.pelvis) * seen,
+            f"{side}FootProgressAngles": turns(room, made.feet[side]) * joint,
+        }
+    wrapped = {name: (angles + np.pi) % (2 * np.pi) - np.pi for name, angles in found.items()}
+    return {name: angles for name, angles in wrapped.items() if np.isfinite(angles).any()}
+
+
+def _positions(recording: Recording, worn: Worn) -> dict[str, Floats]:
+    upright = rotate_z_up(recording.positions, recording.vertical)
+    return {role: upright[:, column] for role, column in worn.roles.items()}
+
+
+def _pelvis(at: Mapping[str, Floats], sacrum: Floats) -> tuple[Floats, Floats]:
+    origin = (at["LASI"] + at["RASI"]) / 2
+    y = unit_vectors(at["LASI"] - at["RASI"])
+    z = unit_vectors(np.cross(origin - sacrum, y))
+    return np.stack([np.cross(y, z), y, z], axis=2), origin
+
+
+def _leg(at: Mapping[str, Floats], side: str, hip: Floats, missing: Floats) -> tuple[Leg, Floats, bool]:
+    left = 1.0 if side == "L" else -1.0
+
+    def mark(role: str) -> Floats:
+        return at.get(side + role, missing)
+
+    knee, ankle = (mark("LE") + mark("ME")) / 2, (mark("LM") + mark("MM")) / 2
+    thigh = along(hip - knee, left * (mark("LE") - mark("ME")))
+    outwards = left * (mark("LM") - mark("MM"))
+    shank, by_bones = along(knee - ankle, outwards), False
+    if side + "HF" in at and side + "TT" in at:
+        ahead = unit_vectors(np.cross(outwards, mark("HF") - ankle))
+        shin = mark("TT") - ankle
+        up = unit_vectors(shin - np.einsum("ti,ti->t", shin, ahead)[:, None] * ahead)
+        by_bones = bool(np.isfinite(up).any())
+        shank = np.stack([ahead, np.cross(up, ahead), up], axis=2) if by_bones else shank
+    foot = np.full_like(shank, np.nan)
+    if side + "CA" in at:
+        if side + "FM" in at and side + "VM" in at:
+            up = left * unit_vectors(np.cross(mark("FM") - mark("CA"), mark("VM") - mark("CA")))
+            second = mark("SM") if side + "SM" in at else (mark("FM") + mark("VM")) / 2
+            reach = second - mark("CA")
+            ahead = unit_vectors(reach - np.einsum("ti,ti->t", reach, up)[:, None] * up)
+            foot = np.stack([ahead, np.cross(up, ahead), up], axis=2)
+        else:
+            ahead = unit_vectors((mark("SM") if side + "SM" in at else mark("TOE")) - mark("CA"))
+            up = unit_vectors(np.cross(ahead, outwards))
+            foot = np.stack([ahead, np.cross(up, ahead), up], axis=2)
+    # as Plug-in-Gait has it: x up, z backwards
+    backwards = np.stack([foot[:, :, 2], foot[:, :, 1], -foot[:, :, 0]], axis=2)
+    known = backwards if np.isfinite(foot).any() else None
+    return Leg(hip, knee, ankle, thigh, shank, shank, known), foot, by_bones
+
+
+@dataclass(frozen=True)
+class _Still:
+    """A standing trial: its recording, what is worn in it, and its hip centres by side."""
+
+    recording: Recording
+    worn: Worn
+    hips: Mapping[str, Floats]
+
+
+@dataclass(frozen=True)
+class _Told:
+    positions: Mapping[str, Floats] = field(default_factory=dict)
+    clusters: bool = False
+
+
+def _standing(static: Recording, measures: SubjectMeasures) -> _Still:
+    worn = worn_landmarks(static)
+    at = _positions(static, worn)
+    missing = np.full((len(static), 3), np.nan)
+    hips = {side: missing for side in SIDES}
+    if {"LASI", "RASI"} <= at.keys():
+        sacrum = at["SACR"] if "SACR" in at else (at.get("LPSI", missing) + at.get("RPSI", missing)) / 2
+        pelvis, origin = _pelvis(at, sacrum)
+        hips = {side: origin + pelvis @ hip_centre(measures, side, at["LASI"], at["RASI"], sacrum, davis=False) for side in SIDES}
+    return _Still(static, worn, hips)
+
+
+def _carried(recording: Recording, worn: Worn, still: _Still | None, limb: str, roles: Sequence[str], extra: Mapping[str, Floats]) -> _Told:
+    """Landmarks of a limb that markers of both trials carry over from the standing one; none without one."""
+    if still is None:
+        return _Told()
+    names = {recording.labels[column]: column for column in worn.segments.get(limb, ())}
+    places = {still.recording.labels[column]: column for column in still.worn.segments.get(limb, ())}
+    common = [name for name in names if name in places]
+    own = [name for name in common if names[name] not in [worn.roles.get(role) for role in roles]]
+    clusters = len(own) >= _LEAST
+    common = own if clusters else common
+    walking = rotate_z_up(recording.positions, recording.vertical)[:, [names[name] for name in common]]
+    upright = rotate_z_up(still.recording.positions, still.recording.vertical)
+    standing = upright[:, [places[name] for name in common]]
+    if len(common) < _LEAST and "hip" in extra:
+        walking = np.concatenate([walking, extra["hip"][:, None]], axis=1)
+        standing = np.concatenate([standing, still.hips[limb[0].upper()][:, None]], axis=1)
+    whole = np.nonzero(np.isfinite(standing).all(axis=(1, 2)))[0]
+    if standing.shape[1] < _LEAST or not len(whole):
+        return _Told()
+    template = standing[whole[0]]
+    turned, moved = place_objects(template, standing)
+    rotations, translations = place_objects(template, walking)
+    found = {}
+    for role in roles:
+        # what the recording shows itself is taken from it, but for CAST, whose clusters follow the bone better than single markers
+        if role not in still.worn.roles or (role in worn.roles and not clusters):
+            continue
+        local = np.einsum("tji,tj->ti", turned, upright[:, still.worn.roles[role]] - moved)
+        seen = local[np.isfinite(local).all(axis=1)]
+        if len(seen):
+            found[role] = rotations @ np.median(seen, axis=0) + translations
+    return _Told(found, clusters and bool(found))

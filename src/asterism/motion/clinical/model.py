@@ -1,0 +1,95 @@
+"""The models of the lower body by one name each: a recording in; its segments and its angles out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.motion.clinical.hip import REGRESSIONS, regression_of
+from asterism.motion.clinical.landmark_body import landmark_angles, landmark_body, worn_landmarks
+from asterism.motion.clinical.measures import SIDES, SubjectMeasures
+from asterism.motion.clinical.plug_in_gait import LowerBody, angles_of, lower_body, walking_axes
+from asterism.motion.clinical.upper_body import upper_body_angles
+from asterism.recording import Floats, Recording
+
+MODELS = ("plug-in-gait", "landmarks")
+_LEG = ("KNE", "TIB", "ANK")
+"""Markers of Plug-in-Gait without which a leg still has a hip: LTHI and LKNE tell the thigh; the others the shank."""
+_MEDIAL = ("LE", "ME", "LM", "MM")
+
+
+@dataclass(frozen=True)
+class ClinicalModel:
+    """How a lower body is made of markers.
+
+    name      one of `MODELS`; measures of the person; sides of Plug-in-Gait's legs, "L", "R" or "LR"
+    static    a standing trial, whose medial markers the landmarks' model carries over; None without one
+    """
+
+    name: str = "plug-in-gait"
+    measures: SubjectMeasures = field(default_factory=SubjectMeasures)
+    sides: str = "LR"
+    static: Recording | None = None
+
+    @property
+    def hip(self) -> str:
+        """Whose regression tells the hip centres: "Davis et al. (1991)"."""
+        return REGRESSIONS[regression_of(self.measures, davis=self.name == "plug-in-gait")]
+
+    def title(self, recording: Recording) -> str:
+        """Whose definitions these are, in words."""
+        made = landmark_body(recording, self.measures, self.static) if self.name == "landmarks" else None
+        return "Plug-in-Gait" if made is None else made.title
+
+    def body(self, recording: Recording) -> LowerBody:
+        """Joint centres and segments, NaN where a marker is missing. Raises AsterismError where the pelvis has no markers."""
+        if self.name == "plug-in-gait":
+            return lower_body(with_leg_markers(recording, self.sides), self.measures, self.sides)
+        made = landmark_body(recording, self.measures, self.static)
+        if made is None:
+            raise AsterismError(f"{recording.metadata.get('file', 'the recording')} has no markers on both anterior iliac spines.")
+        return replace(made.body, legs={side: leg for side, leg in made.body.legs.items() if side in self.sides})
+
+    def outputs(self, recording: Recording) -> dict[str, Floats]:
+        """Angles (T, 3) rad by Plug-in-Gait's names, see `ClinicalAngles.outputs`; without those that are known in no frame."""
+        if self.name == "plug-in-gait":
+            body = self.body(recording)
+            found = angles_of(recording, body)
+        else:
+            made = landmark_body(recording, self.measures, self.static)
+            if made is None:
+                return {}
+            body, found = made.body, landmark_angles(made)
+        found |= upper_body_angles(recording, self.measures, walking_axes(body))
+        return {name: angles for name, angles in found.items() if np.isfinite(angles).any()}
+
+    def with_feet_named(self, recording: Recording) -> Recording:
+        """The recording whose heels and toes have Plug-in-Gait's names, by which inverse dynamics asks for them."""
+        if self.name == "plug-in-gait":
+            return recording
+        roles, labels = worn_landmarks(recording).roles, list(recording.labels)
+        for side in SIDES:
+            for name, own in (("HEE", ("CA",)), ("TOE", ("SM", "TOE", "FM", "VM"))):
+                column = next((roles[side + role] for role in own if side + role in roles), None)
+                if column is not None and side + name not in labels:
+                    labels[column] = side + name
+        return replace(recording, labels=tuple(labels))
+
+
+def wears_medial_markers(recording: Recording) -> bool:
+    """Whether a recording itself shows both sides of a knee and of its ankle."""
+    roles = worn_landmarks(recording).roles
+    shown = {role for role, column in roles.items() if recording.visible[:, column].any()}
+    return any(all(side + role in shown for role in _MEDIAL) for side in SIDES) and {"LASI", "RASI"} <= shown
+
+
+def with_leg_markers(recording: Recording, sides: str) -> Recording:
+    """The recording with a column for each marker of these legs, without a sample where the recording has none."""
+    absent = [side + name for side in sides for name in _LEG if side + name not in recording.labels]
+    if not absent:
+        return recording
+    empty = np.full((len(recording), len(absent), 3), np.nan)
+    positions = np.concatenate([recording.positions, empty], axis=1)
+    return replace(recording, positions=positions, labels=(*recording.labels, *absent), source=None, origin=None, taken=())

@@ -1,0 +1,148 @@
+"""Sessions in; panels of angles, moments and powers over the gait cycle, left over left cycles and right over right, out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asterism.recording import Floats
+from asterism.report.cycle_panels import CurvesOfSide, CycleCurve, CyclePanel, drawn_panels
+from asterism.report.gait_session import SIDE, GaitSession
+from asterism.report.page import Section
+
+if TYPE_CHECKING:
+    from asterism.gait import Band, Cycle, GaitAnalysis
+
+ANGLES = (
+    ("Pelvis", 0, "pelvic tilt, ahead"),
+    ("Pelvis", 1, "pelvic obliquity, up"),
+    ("Pelvis", 2, "pelvic rotation, internal"),
+    ("Hip", 0, "hip flexion"),
+    ("Hip", 1, "hip adduction"),
+    ("Hip", 2, "hip rotation, internal"),
+    ("Knee", 0, "knee flexion"),
+    ("Knee", 1, "knee adduction (varus)"),
+    ("Knee", 2, "knee rotation, internal"),
+    ("Ankle", 0, "ankle dorsiflexion"),
+    ("FootProgress", 2, "foot progression, internal"),
+    ("Ankle", 2, "ankle rotation, internal"),
+)
+"""Twelve panels, three in a row: quantity, which of its angles, and its title, which says what is positive."""
+LOADS = (
+    ("HipMoment", 0, "hip extension moment", "N m"),
+    ("KneeMoment", 0, "knee extension moment", "N m"),
+    ("AnkleMoment", 0, "plantar flexion moment", "N m"),
+    ("HipPower", 0, "hip power", "W"),
+    ("KneePower", 0, "knee power", "W"),
+    ("AnklePower", 0, "ankle power", "W"),
+    ("GroundReactionForce", 0, "force of the ground, ahead", "N"),
+    ("GroundReactionForce", 1, "force of the ground, inwards", "N"),
+    ("GroundReactionForce", 2, "force of the ground, upwards", "N"),
+)
+"""Nine panels, three in a row: curve, which of its columns, title, which says what is positive, and unit."""
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Curves of one analysis by name, such as "LKneeAngles" -> (cycles, 101, columns), and the cycles that they are of."""
+
+    values: Mapping[str, Floats]
+    cycles: Callable[[str], Sequence[Cycle]]
+
+
+def angle_section(sessions: Sequence[GaitSession], band: Band | None) -> list[Section]:
+    """One section with all angles; none where no recording has them."""
+    if not any(analysis.curves for one in sessions for analysis in one.analyses):
+        return []
+    of = {
+        id(analysis): Curves({name: np.degrees(values) for name, values in analysis.curves.items()}, _own_cycles(analysis))
+        for one in sessions
+        for analysis in one.analyses
+    }
+    panels = []
+    for quantity, which, title in ANGLES:
+        control = None
+        if band is not None and quantity in band.mean:
+            usual, spread = (np.degrees(values[quantity][:, which]) for values in (band.mean, band.deviation))
+            control = (usual - spread, usual + spread)
+        sides = curves_of_sides(sessions, of, f"{quantity}Angles", which)
+        panels.append(CyclePanel(title, "°", _with_intervals(sides, sessions, f"{quantity}Angles", which), control))
+    text = (
+        "From one strike of a foot to its next. Thin lines are single cycles, thick ones their means; upright lines are where the foot "
+        "leaves the floor. Angles of Plug-in-Gait, by the measures of the file or those given. The 95 % interval says where the "
+        "mean would be in another session with this person: with markers placed anew, and measured where nobody did. It is no spread of "
+        "the cycles."
+    )
+    return [Section("Angles over the gait cycle", text, drawing=drawn_panels(panels, session_names(sessions)))]
+
+
+def _with_intervals(sides: Sequence[CurvesOfSide], sessions: Sequence[GaitSession], curve: str, which: int) -> list[CurvesOfSide]:
+    """With the band of each session and foot: the mean of those of its walks, whose markers and measures are the same."""
+    letters = {side: letter for letter, side in SIDE.items()}
+    found = []
+    for number, one in enumerate(sides):
+        name = letters[one.side] + curve
+        bands = [analysis.bands[name] for analysis in sessions[number // len(SIDE)].analyses if name in analysis.bands]
+        ends = [np.degrees(np.mean([getattr(band, end)[:, which] for band in bands], axis=0)) for end in ("low", "high") if bands]
+        found.append(replace(one, interval=(ends[0], ends[1])) if ends else one)
+    return found
+
+
+def load_sections(sessions: Sequence[GaitSession]) -> list[Section]:
+    """Moments, powers and the ground's force; none where no cycle has them. Walks without a mass are in a section of their own."""
+    sections = []
+    for per_kg in (True, False):
+        chosen = [one for session in sessions for one in session.analyses if one.loads and one.kinetics and one.kinetics.per_kg == per_kg]
+        if not chosen:
+            continue
+        of = {id(one): Curves(_inwards(one.loads), lambda name, one=one: one.loaded.get(name, ())) for one in chosen}  # type: ignore[misc]
+        per = "/kg" if per_kg else ""
+        panels = [CyclePanel(title, unit + per, curves_of_sides(sessions, of, name, which)) for name, which, title, unit in LOADS]
+        counted = {side: sum(len(one.loads.get(f"{side}HipMoment", ())) for one in chosen) for side in SIDE}
+        text = (
+            f"Over {counted['L']} left and {counted['R']} right cycles in which one foot alone was on a plate. Moments are those that the "
+            "muscles and ligaments of the person make; a power above zero is work that they do, below zero work that they take up."
+        )
+        if not per_kg:
+            text += " Nobody gave the mass of the person, so that they are not per kg and leave out the leg's inertia."
+        sections.append(Section("Moments and powers over the gait cycle", text, drawing=drawn_panels(panels, session_names(sessions))))
+    return sections
+
+
+def _inwards(loads: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Inwards is to the right of the left foot, and to the left of the right one."""
+    turned = {name: loads[name] * [1.0, -1.0, 1.0] for name in ("LGroundReactionForce",) if name in loads}
+    return {**loads, **turned}
+
+
+def session_names(sessions: Sequence[GaitSession]) -> tuple[str, str] | None:
+    """Of two sessions; None where there is one."""
+    return None if len(sessions) < 2 else (sessions[0].name, sessions[1].name)
+
+
+def _own_cycles(analysis: GaitAnalysis) -> Callable[[str], Sequence[Cycle]]:
+    return lambda name: [cycle for cycle in analysis.cycles if cycle.side == name[0]]
+
+
+def curves_of_sides(sessions: Sequence[GaitSession], of: Mapping[int, Curves], curve: str, which: int) -> list[CurvesOfSide]:
+    """One column of a curve of both feet in all sessions; `of`: by the identity of the analysis."""
+    found = []
+    for number, session in enumerate(sessions):
+        for letter, side in SIDE.items():
+            cycles, offs = [], []
+            for analysis in session.analyses:
+                curves = of.get(id(analysis))
+                if curves is None or letter + curve not in curves.values:
+                    continue
+                values, own = curves.values[letter + curve][:, :, which], curves.cycles(letter + curve)
+                # Curves that nobody has cycles of are drawn all the same, and lead nowhere.
+                places = [session.shown(cycle) for cycle in own] if len(own) == len(values) else [None] * len(values)
+                for line, place in zip(values, places, strict=True):
+                    cycles.append(CycleCurve(line) if place is None else CycleCurve(line, f"{side}, {place.name}", place.place))
+                offs += [100 * cycle.off_share for cycle in analysis.cycles if cycle.side == letter]
+            off = float(np.mean(offs)) if offs and any(np.isfinite(one.values).any() for one in cycles) else None
+            found.append(CurvesOfSide(side, cycles, off, earlier=len(sessions) > 1 and number == 0))
+    return found

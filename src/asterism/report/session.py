@@ -1,0 +1,76 @@
+"""The recordings of a processed session in; one page on all of them, which leads to the page of each person, out."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from asterism.findings import Finding, Severity
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, findings_table, write_page
+
+
+def session_report(path: Path, rows: Sequence[Mapping[str, Any]], findings: Sequence[Finding], failed: Sequence[str]) -> None:
+    """Write the page. rows: as `asterism process` has them. failed: files and persons that could not be processed."""
+    walks = [row for row in rows if row.get("kind") == "walk"]
+    to_look_at = [row for row in rows if row.get("look_at")]
+    persons = list(dict.fromkeys(row["person"] for row in rows))
+    seen = sum(finding.severity > Severity.NOTE for finding in findings)
+    merits = [
+        (str(len(rows)), "recordings", ""),
+        (str(len(persons)), "persons", ""),
+        (str(len(walks)), "walks analysed", ""),
+        (str(len(to_look_at)), "recordings to look at", "warn" if to_look_at else "good"),
+        (str(len(failed)), "failed", "bad" if failed else "good"),
+    ]
+    sections = [
+        Section("Persons", "Each name leads to the person's report.", table=_persons(rows, persons)),
+        Section("Recordings", table=_recordings(rows)),
+    ]
+    if failed:
+        sections.insert(
+            0, Section("Failed", "These could not be processed; the terminal says why.", table=Table(["what"], [[one] for one in failed]))
+        )
+    if findings:
+        sections.append(Section("What to know", table=findings_table(findings)))
+    lead = f"{seen} findings to read below." if seen else "Nothing was found that needs a look."
+    write_page(path, Page(f"Session of {len(persons)} persons", lead, {}, merits, sections))
+
+
+def _persons(rows: Sequence[Mapping[str, Any]], persons: Sequence[str]) -> Table:
+    lines = list[list[str | Cell]]()
+    for person in persons:
+        own = [row for row in rows if row["person"] == person]
+        report = next((row["report"] for row in own if row.get("report")), "")
+        uses = Counter(str(row.get("use") or NOTHING) for row in own)
+        speeds = [row["speed"] for row in own if row.get("speed") is not None]
+        cadences = [row["cadence"] for row in own if row.get("cadence") is not None]
+        lines.append(
+            [
+                Cell(person, href=report),
+                ", ".join(f"{count} {use}" for use, count in uses.most_common()),
+                str(len(own)),
+                str(sum(row.get("cycles") or 0 for row in own)),
+                f"{sum(cadences) / len(cadences):.1f}" if cadences else NOTHING,
+                f"{sum(speeds) / len(speeds):.2f}" if speeds else NOTHING,
+            ]
+        )
+    return Table(["person", "labels", "recordings", "cycles", "steps/min", "m/s"], lines, left=2)
+
+
+def _recordings(rows: Sequence[Mapping[str, Any]]) -> Table:
+    lines = list[list[str | Cell]]()
+    for row in rows:
+        labelled, look_at = row.get("labelled"), row.get("look_at")
+        lines.append(
+            [
+                str(row["file"]),
+                str(row.get("kind") or NOTHING),
+                str(row.get("use") or NOTHING),
+                NOTHING if labelled is None else f"{100 * labelled:.2f} %",
+                Cell(str(look_at or 0), tint=1.0 if look_at else 0.0),
+                str(row.get("cycles") or NOTHING),
+            ]
+        )
+    return Table(["file", "kind", "labels", "labelled", "to look at", "cycles"], lines, left=3)

@@ -1,0 +1,248 @@
+"""A function and its tasks in; what it gives for each, in the tasks' order, from this process, from several, or from a Dask cluster, out.
+
+A task costs a few hundred bytes of message each way: what is large stays on the disk. Nothing is promised twice: a task must come out the
+same however often it is begun, since one whose process was lost is begun again.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any, Generic, TypeVar
+
+from asterism.errors import AsterismError
+
+Task = TypeVar("Task")
+Value = TypeVar("Value")
+
+_QUEUED = 2
+"""Tasks that each worker of a cluster has: the one that it works on, and the next. With one it waits for each answer; with a hundred the
+scheduler holds what it need not."""
+_PATIENCE = 60.0
+"""s for which a scheduler that does not answer is called again: it starts anew in seconds. At half, a slow start is a failure."""
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[Value]):
+    """What became of one task: its value, or the problem in one sentence where it has none."""
+
+    value: Value | None
+    problem: str = ""
+
+
+def spread(
+    function: Callable[[Task], Value], tasks: Sequence[Task], *, workers: int = 1, dask: str | None = None
+) -> Iterator[tuple[int, Outcome[Value]]]:
+    """What the function gives for each task, with the task's place, in the order in which they end.
+
+    function  of a module, which may raise nothing that must be told apart: an error is the task's, and costs this task alone
+    workers   processes; with one, all is done in this process
+    dask      address of a scheduler ("tcp://host:8786"), or "local:N" for N processes of a cluster of this machine; in place of `workers`
+
+    A task whose process dies is done once more, alone, in a process of its own; if that dies, too, the outcome says so.
+    Raises AsterismError where the cluster cannot be used. O(tasks) messages; of tasks and values, `workers` are in flight.
+    """
+    if dask is not None:
+        yield from _on_cluster(function, tasks, dask)
+    elif workers < 2 or len(tasks) < 2:
+        for place, task in enumerate(tasks):
+            yield place, _outcome(function, task)
+    else:
+        yield from _in_processes(function, tasks, min(workers, len(tasks)))
+
+
+def in_order(outcomes: Iterator[tuple[int, Outcome[Value]]]) -> Iterator[Outcome[Value]]:
+    """The outcomes in the order of the tasks, each as soon as all before it are there."""
+    early: dict[int, Outcome[Value]] = {}
+    following = 0
+    for place, outcome in outcomes:
+        early[place] = outcome
+        while following in early:
+            yield early.pop(following)
+            following += 1
+
+
+def _outcome(function: Callable[[Task], Value], task: Task) -> Outcome[Value]:
+    try:
+        return Outcome(function(task))
+    except Exception as problem:
+        expected = isinstance(problem, AsterismError | OSError)
+        return Outcome(None, " ".join(str(problem).split()) if expected else f"{type(problem).__name__}: {problem}")
+
+
+@dataclass
+class _Worker(Generic[Task]):
+    """A process, the end of its pipe, and the place of the task that it works on."""
+
+    process: BaseProcess
+    pipe: Connection[Any, Any]
+    place: int = -1
+
+    @classmethod
+    def begin(cls, function: Callable[[Any], Any]) -> _Worker[Task]:
+        # a fork of this process would share locks that compiled kernels and threads of linear algebra hold
+        servers = "forkserver" in multiprocessing.get_all_start_methods()
+        context = multiprocessing.get_context("forkserver") if servers else multiprocessing.get_context("spawn")
+        if servers:
+            # what each process begins with is imported once
+            context.set_forkserver_preload([__name__, function.__module__])
+        here, there = context.Pipe()
+        process = context.Process(target=_serve, args=(there, function), daemon=True)
+        process.start()
+        # with our copy open, the end of the process would not end the pipe
+        there.close()
+        return cls(process, here)
+
+    def give(self, place: int, task: Task) -> None:
+        self.place = place
+        self.pipe.send(task)
+
+    def end(self) -> None:
+        self.pipe.close()
+        self.process.terminate()
+        self.process.join()
+
+
+def _serve(pipe: Connection[Any, Any], function: Callable[[Any], Any]) -> None:
+    """Work on tasks until the pipe is closed."""
+    # Ctrl-C reaches all processes of a terminal: the first one decides
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    while True:
+        try:
+            task = pipe.recv()
+        except EOFError:
+            return
+        pipe.send(_outcome(function, task))
+
+
+def _in_processes(function: Callable[[Task], Value], tasks: Sequence[Task], workers: int) -> Iterator[tuple[int, Outcome[Value]]]:
+    waiting, again = deque(enumerate(tasks)), list[int]()
+    working: list[_Worker[Task]] = []
+    try:
+        for _ in range(workers):
+            working.append(_Worker.begin(function))
+            working[-1].give(*waiting.popleft())
+        while working:
+            ready = set(wait([worker.pipe for worker in working]))
+            for worker in [worker for worker in working if worker.pipe in ready]:
+                try:
+                    outcome = worker.pipe.recv()
+                except (EOFError, OSError):
+                    again.append(worker.place)
+                    worker.end()
+                    working.remove(worker)
+                    if waiting:
+                        working.append(_Worker.begin(function))
+                        working[-1].give(*waiting.popleft())
+                    continue
+                place = worker.place
+                if waiting:
+                    worker.give(*waiting.popleft())
+                else:
+                    worker.end()
+                    working.remove(worker)
+                yield place, outcome
+    finally:
+        for worker in working:
+            worker.end()
+    for place in again:
+        yield place, _alone(function, tasks[place])
+
+
+def _alone(function: Callable[[Task], Value], task: Task) -> Outcome[Value]:
+    """What a task gives in a process of its own, whose end costs nothing else."""
+    worker = _Worker[Task].begin(function)
+    try:
+        worker.give(0, task)
+        outcome: Outcome[Value] = worker.pipe.recv()
+        return outcome
+    except (EOFError, OSError):
+        worker.process.join()
+        code = worker.process.exitcode or 0
+        how = f"by {signal.Signals(-code).name}" if code < 0 else f"with status {code}"
+        return Outcome(None, f"the process that worked on it ended twice, {how}; it needs more memory, or it is a fault of Asterism.")
+    finally:
+        worker.end()
+
+
+def _on_cluster(function: Callable[[Task], Value], tasks: Sequence[Task], address: str) -> Iterator[tuple[int, Outcome[Value]]]:
+    number = _number(address) if address.startswith("local:") else 0
+    try:
+        from distributed import Client, LocalCluster, as_completed  # type: ignore[import-not-found, unused-ignore]
+        from distributed.scheduler import KilledWorker  # type: ignore[import-not-found, unused-ignore]
+    except ImportError:
+        raise AsterismError("--dask needs Dask; install it with `pip install 'asterism[cluster]'`.") from None
+    left, killed = dict(enumerate(tasks)), list[int]()
+    cluster = None
+    try:
+        if number:
+            cluster = LocalCluster(n_workers=number, threads_per_worker=1, dashboard_address=None)
+        lost = time.monotonic()
+        while left:
+            try:
+                with Client(cluster or address, timeout=_PATIENCE / 6) as client:
+                    for place, outcome in _through(client, as_completed, KilledWorker, function, left, killed):
+                        lost = time.monotonic()
+                        yield place, outcome
+            # the scheduler has gone: what it had not answered is asked again
+            except (OSError, TimeoutError, _Lost) as problem:
+                if time.monotonic() - lost > _PATIENCE:
+                    raise AsterismError(f"the scheduler {address} does not answer ({problem}); run the same command again.") from problem
+                time.sleep(1.0)
+    finally:
+        if cluster is not None:
+            cluster.close()
+    for place in killed:
+        yield place, _alone(function, tasks[place])
+
+
+class _Lost(Exception):
+    """The scheduler has gone with the tasks that it held."""
+
+
+def _through(
+    client: Any, as_completed: Any, gone: type[Exception], function: Callable[[Task], Value], left: dict[int, Task], killed: list[int]
+) -> Iterator[tuple[int, Outcome[Value]]]:
+    """The outcomes of the tasks that are left, which leave `left`; those that killed their workers go to `killed`."""
+    waiting = deque(left.items())
+    running: dict[Any, int] = {}
+    answers = as_completed()
+
+    def submit() -> None:
+        place, task = waiting.popleft()
+        # a worker that is lost costs its task one more beginning, not the run
+        future = client.submit(_outcome, function, task, pure=False)
+        running[future] = place
+        answers.add(future)
+
+    for _ in range(min(len(waiting), _QUEUED * max(len(client.scheduler_info()["workers"]), 1))):
+        submit()
+    for future in answers:
+        place = running.pop(future)
+        if future.status in ("cancelled", "lost"):
+            raise _Lost("it has forgotten its tasks")
+        problem = future.exception()
+        outcome = None if problem is not None else future.result()
+        del left[place]
+        if waiting:
+            submit()
+        if isinstance(problem, gone):
+            killed.append(place)
+        elif outcome is None:
+            yield place, Outcome(None, f"{type(problem).__name__}: {problem}")
+        else:
+            yield place, outcome
+        future.release()
+
+
+def _number(address: str) -> int:
+    number = address.removeprefix("local:")
+    if not number.isdecimal() or int(number) < 1:
+        raise AsterismError(f"--dask {address} is no cluster; write local:2 for two processes, or a scheduler such as tcp://host:8786.")
+    return int(number)

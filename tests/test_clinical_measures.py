@@ -1,0 +1,126 @@
+"""Measures of a person: from tables, .mp and .vsk; with a standing trial; and those of another person."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import asterism
+from asterism import AsterismError, Recording, formats
+from asterism.cli import main
+from asterism.motion.clinical import clinical_angles, gathered_measures
+from asterism.motion.clinical.measure_files import measures_of_person, read_measures
+from asterism.motion.clinical.measures import computed_by_the_file
+from asterism.simulation import simulate_walks
+
+VSK = """<?xml version="1.0" encoding="UTF-8"?>
+<KinematicModel MODEL="PlugInGait"><Parameters>
+<StaticParameter NAME="LeftKneeWidth" PRIOR="120" QUANTITY="length" VALUE="105"/>
+<StaticParameter NAME="RightAnkleWidth" PRIOR="100" QUANTITY="length"/>
+<StaticParameter NAME="LeftTibialTorsion" PRIOR="0" QUANTITY="angle" VALUE="-0.2"/>
+<StaticParameter NAME="Bodymass" QUANTITY="mass" VALUE="75"/>
+<StaticParameter NAME="InterAsisDistance" QUANTITY="length" VALUE="0"/>
+<StaticParameter NAME="LeftSoleDelta" QUANTITY="length" VALUE="3"/>
+</Parameters></KinematicModel>"""
+
+
+def test_a_vsk_has_radians_and_an_mp_degrees_and_what_nobody_measured_is_absent(tmp_path: Path) -> None:
+    (tmp_path / "ann.vsk").write_text(VSK)
+    known = read_measures(tmp_path / "ann.vsk")[""]
+    assert known == {"LKneeWidth": 105.0, "LTibialTorsion": pytest.approx(np.degrees(-0.2)), "Bodymass": 75.0}
+    lines = "$Bodymass = 67\r\r\n$LKneeWidth=102,5\r\n$RKneeWidth = 0\n$RWristWidth = 0\npelvis_RASI_x = 4.1e-05\n$LTibialTorsion = -12\n"
+    (tmp_path / "ann.mp").write_bytes(lines.encode())
+    assert read_measures(tmp_path / "ann.mp")[""] == {"Bodymass": 67.0, "LKneeWidth": 102.5, "RWristWidth": 0.0, "LTibialTorsion": -12.0}
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_a_table_has_a_row_for_each_person_or_one_for_each_measure(tmp_path: Path, separator: str) -> None:
+    rows = [["person", "LKneeWidth (cm)", "Left Tibial Torsion [rad]", "shoe"], ["ann", "10.2", "0.1", "38"], ["bob", "9.9", "", "44"]]
+    (tmp_path / "all.csv").write_text("\n".join(separator.join(row) for row in rows) + "\n")
+    [recording] = simulate_walks(1, frames=5, seed=0)
+    for file, width in (("data/ann/walk1.c3d", 102.0), ("data/bob_walk.c3d", 99.0)):
+        own = measures_of_person(tmp_path / "all.csv", replace(recording, metadata={"file": file}))
+        assert own["LKneeWidth"] == pytest.approx(width) and ("LeftTibialTorsion" in own or "LTibialTorsion" in own) == (width == 102.0)
+    with pytest.raises(AsterismError, match=r"2 people \(ann, bob\).*of none of them"):
+        measures_of_person(tmp_path / "all.csv", replace(recording, metadata={"file": "data/eve/walk.c3d"}))
+    (tmp_path / "one.csv").write_text(f"measure{separator}mm\nLKneeWidth{separator}101\nRKneeWidth{separator}\n")
+    assert read_measures(tmp_path / "one.csv") == {"": {"LKneeWidth": 101.0}}
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.vsk", "<KinematicModel><Param", "no whole XML"),
+        ("a.vsk", "<KinematicModel/>", "no measure"),
+        ("a.mp", "$LKneeWidth = broad", "no number"),
+        ("a.csv", "person,LKneeWidth (inch)\nann,4\n", "is in inch"),
+        ("a.csv", "person,LKneeWidth\nann,100\nann,101\n", "twice"),
+        ("a.csv", "\n", "empty"),
+    ],
+)
+def test_a_damaged_file_of_measures_is_refused_by_name(tmp_path: Path, name: str, content: str, said: str) -> None:
+    (tmp_path / name).write_text(content)
+    with pytest.raises(AsterismError, match=rf"(?s){name}.*{said}"):
+        read_measures(tmp_path / name)
+
+
+def held(recording: Recording, **numbers: float) -> Recording:
+    """The recording, as if its file held these parameters: mm, rad."""
+    parameters = SimpleNamespace(number=lambda group, name: {key.upper(): value for key, value in numbers.items()}.get(name))
+    return replace(recording, source=SimpleNamespace(parameters=parameters, labels=(), coordinates=None))
+
+
+def test_given_measures_go_before_the_standing_trials_and_these_before_the_files() -> None:
+    [walk] = simulate_walks(1, frames=30, markers="helen-hayes", seed=0)
+    own = held(walk, LKneeWidth=90, RKneeWidth=91, LAnkleWidth=60, BodyMass=50)
+    static = held(walk, RKneeWidth=95, LAnkleWidth=61, MarkerDiameter=9)
+    measures, found = gathered_measures(own, static, {"LAnkleWidth": 62})
+    assert (measures.left.knee_width, measures.right.knee_width, measures.left.ankle_width) == (0.090, 0.095, 0.062)
+    assert (measures.mass, measures.marker_radius) == (50, pytest.approx(0.0045))
+    assert not found
+    assert "foot_flexion" in measures.left.from_file
+    assert gathered_measures(own, static, {"MarkerDiameter": 16})[0].marker_radius == 0.008
+
+
+def test_measures_and_standing_trials_of_another_person_are_told() -> None:
+    """Half a head smaller is another person; a foot that lifts or a knee that bends is not."""
+    walk, other = simulate_walks(2, frames=60, markers="helen-hayes", seed=1)
+    apart = np.linalg.norm(np.diff(walk.positions[:, [walk.labels.index(name) for name in ("LASI", "LKNE", "LANK")]], axis=1), axis=2)
+    length = 1000 * (np.percentile(apart[:, 0], 95) + np.median(apart[:, 1]))
+    for share, told in ((1.0, 0), (0.95, 0), (1.15, 1), (0.85, 1)):
+        found = gathered_measures(walk, given={"LLegLength": length * share})[1]
+        assert [finding.code for finding in found] == ["clinical-other-person"] * told
+    assert not gathered_measures(walk, walk.frames(slice(0, 10)))[1]
+    child = replace(other, positions=0.8 * other.positions)
+    codes = [finding.code for finding in gathered_measures(walk, child)[1]]
+    assert codes == ["clinical-other-person"]
+
+
+def test_an_adults_measure_is_never_taken_in_silence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also where some measures are given: the others are named."""
+    [walk] = simulate_walks(1, frames=120, markers="helen-hayes", seed=0)
+    formats.write(tmp_path / "walk.c3d", walk)
+    (tmp_path / "ann.mp").write_text("$LKneeWidth = 102\n$RKneeWidth = 103\n")
+    words = [str(tmp_path / "walk.c3d"), "--vertical", "z", "--measure", str(tmp_path / "ann.mp"), "--measure", "LAnkleWidth=70"]
+    for command in (["gait"], ["motion", "--limbs", "2"]):
+        main([*command, *words])
+        told = "".join(capsys.readouterr())
+        assert "no leg length of the left leg" in told and "no ankle width, leg length of the right leg" in told
+    assert main(["gait", *words[:3], "--measure", "LKneeWidth"]) == 2
+    assert "neither a name with its value" in capsys.readouterr().err
+
+
+def test_the_measures_of_a_vsk_make_the_vendors_own_angles(data: Path) -> None:
+    """A standing trial whose C3D file holds no measures."""
+    recording = asterism.read(data / "movement/pig39/rom_static.c3d")
+    given = measures_of_person(data / "movement/pig39/rom.vsk", recording)
+    clinical = clinical_angles(recording, measures=gathered_measures(recording, given=given)[0])
+    for name in ("LHip", "RKnee", "LShoulder", "RElbow", "LWrist", "RWrist"):
+        theirs = computed_by_the_file(recording, f"{name}Angles")
+        assert theirs is not None
+        apart = (np.degrees(clinical.outputs[f"{name}Angles"]) - theirs + 180.0) % 360.0 - 180.0
+        assert np.sqrt(np.nanmean(apart**2, axis=0)).max() < 0.1, name

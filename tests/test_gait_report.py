@@ -1,0 +1,224 @@
+"""The gait report: what a clinician reads first is first, curves are drawn as they are, and each number leads to its frames."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import in_node, needs_chromium, needs_node, opened
+
+import asterism
+from asterism.cli import main
+from asterism.findings import Finding, Severity
+from asterism.gait import GaitAnalysis, analyse_gait, band_of, compare_sessions
+from asterism.gait.parameters import Parameter
+from asterism.recording import ForcePlate
+from asterism.report.cycle_panels import CurvesOfSide, CycleCurve, CyclePanel, drawn_panels
+from asterism.report.gait import gait_report
+from asterism.report.player import ShownRecording, pack_recordings
+from asterism.report.recording import labelling_by_names
+from asterism.simulation import simulate_walks
+
+
+@pytest.fixture(scope="module")
+def walks() -> list[GaitAnalysis]:
+    return [analyse_gait(walk) for walk in simulate_walks(3, frames=300, markers="helen-hayes", seed=5)]
+
+
+def headings(page: str) -> list[str]:
+    return re.findall(r"<h2>(.*?)</h2>", page)
+
+
+def test_the_person_and_the_parameters_come_first_and_the_player_last(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
+    band = band_of(walks, ["a", "b", "c"])
+    slow = replace(walks[0], parameters=tuple(replace(one, value=3 * one.value) for one in walks[0].parameters))
+    gait_report(tmp_path / "p.html", [("walk.c3d", slow)], band=band)
+    page = (tmp_path / "p.html").read_text()
+    wanted = "The person|Parameters|Angles over the gait cycle|Scores|Quality|What to know|Each cycle|Events|The recordings"
+    assert headings(page) == wanted.split("|")
+    assert len(re.findall('<figure class="panel"', page)) == 12 and page.count('class="off left"') == 12
+    row = page[page.index('<td class="text">cadence, steps/min<') :].split("</tr>")[0]
+    usual, spread = band.parameters["cadence"]
+    assert f"{usual:.1f} ± {spread:.1f}" in row and row.count("--warn-rgb") == 2, "both sides are far from the controls"
+    assert 'id="plotly"' not in page and len(page) < 400_000
+
+
+def test_what_was_found_stands_once_without_the_path_that_pushed_it_out_of_view(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
+    results = []
+    for number in range(2):
+        file = f"/a/very/long/path/of/a/laboratory/walk{number}.c3d"
+        finding = Finding("clinical-marker-diameter", Severity.WARNING, file, f"{file}: its markers are large.", "Measure <b>one</b>.")
+        recording = replace(walks[0].recording, metadata={"file": file})
+        results.append((f"walk{number}.c3d", replace(walks[0], recording=recording, findings=(finding,))))
+    gait_report(tmp_path / "p.html", results)
+    table = (tmp_path / "p.html").read_text().split("<h2>What to know</h2>")[1].split("</section>")[0]
+    assert table.count("Its markers are large.") == 1 and "walk0.c3d, walk1.c3d" in table
+    assert "/a/very" not in table and "&lt;b&gt;" in table and "<b>" not in table
+
+
+def test_a_number_leads_to_the_frames_of_its_cycle(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
+    gait_report(tmp_path / "p.html", [("first", walks[1]), ("second", walks[0])])
+    page = (tmp_path / "p.html").read_text()
+    rate = walks[0].recording.rate
+    frames = {(one.side, round(one.strike.time * rate), round(one.next_strike.time * rate)) for one in walks[0].cycles}
+    names = dict(L="left", R="right")
+    for side, begin, end in frames:
+        assert re.search(
+            rf'class="cycle {names[side]}" d="[^"]+" data-name="{names[side]}, second, cycle \d" data-go="1:{begin}:{end}"', page
+        )
+    for row in re.findall(r'<td class="text" data-go="1:(\d+):(\d+)">(left|right), second, cycle', page):
+        assert (row[2][0].upper(), int(row[0]), int(row[1])) in frames
+    stance = page[page.index('<td class="text">stance, %<') :].split("</tr>")[0]
+    assert len(re.findall(r'data-go="[01]:\d+:\d+"', stance)) == 2
+
+
+@needs_node
+def test_a_curve_is_drawn_as_it_is_and_broken_where_it_is_unknown(tmp_path: Path) -> None:
+    """What the page's own script reads out of a line is the curve, to a thousandth of the axis."""
+    values = 50 * np.sin(np.linspace(0, 7, 101))
+    values[40:50] = np.nan
+    drawing = drawn_panels([CyclePanel("knee", "°", [CurvesOfSide("left", [CycleCurve(values, "<walk>")], 60.0)])])
+    assert "&lt;walk&gt;" in drawing and drawing.count("<figure") == drawing.count("</figure>") == 1
+    (path,) = re.findall(r'class="cycle left" d="([^"]+)"', drawing)
+    low, high = (float(re.findall(rf'data-{name}="([^"]+)"', drawing)[0]) for name in ("low", "high"))
+    script = (Path(__file__).parent.parent / "src/asterism/report/templates/panels.js").read_text()
+    function = script[script.index("  function heightsOf") : script.index('  const tip = make("div"')]
+    constants = re.findall(r"const LEFT.*;", script)[0]
+    heights = in_node(f"{constants}{function} return [...heightsOf({{ getAttribute: () => path }})];", tmp_path, path=path)
+    read = np.array([np.nan if height is None else low + (1660 - height) / 1600 * (high - low) for height in heights])
+    np.testing.assert_allclose(read, values, atol=(high - low) / 1000)
+
+
+def test_bands_of_controls_and_of_the_measurement_are_told_apart() -> None:
+    curve = np.linspace(0, 1, 101)
+    side = CurvesOfSide("right", [CycleCurve(curve)], interval=(curve - 1, curve + 1))
+    drawing = drawn_panels([CyclePanel("knee", "°", [side], (curve - 2, curve + 2))])
+    assert (
+        'class="control"' in drawing and 'class="interval right"' in drawing and "controls, mean" in drawing and "95 % interval" in drawing
+    )
+    bare = drawn_panels([CyclePanel("knee", "°", [CurvesOfSide("right", [CycleCurve(curve)])])])
+    assert 'class="control"' not in bare and "95 % interval" not in bare
+
+
+def test_a_difference_counts_where_it_is_larger_than_chance() -> None:
+    def cycles(values: list[float], sigma: float) -> list[Parameter]:
+        return [Parameter("stance", "L", value, sigma, 0.0, 1.0) for value in values]
+
+    same = compare_sessions(cycles([60.0, 62.0, 64.0], 0.1), cycles([61.0, 63.0, 65.0], 0.1))[0]
+    assert same.difference == pytest.approx(1.0) and same.interval > 3 and not same.exceeds
+    changed = compare_sessions(cycles([60.0, 62.0, 64.0], 0.1), cycles([71.0, 73.0, 75.0], 0.1))[0]
+    assert changed.exceeds
+    # cycles that agree by chance are as far off as their events may be
+    lucky = compare_sessions(cycles([60.0], 2.0), cycles([62.0, 62.0], 2.0))[0]
+    assert lucky.interval == pytest.approx(1.96 * np.sqrt(4 + 2), rel=1e-3) and not lucky.exceeds
+    assert compare_sessions(cycles([60.0], 2.0), []) == []
+
+
+@pytest.fixture(scope="module")
+def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """before/a.c3d and after/a.c3d, the second of a person who walks with the same steps a quarter faster."""
+    folder = tmp_path_factory.mktemp("sessions")
+    walk = replace(simulate_walks(1, frames=500, markers="helen-hayes", seed=5)[0], metadata={"subject": "ann"})
+    for name, rate in (("before", walk.rate), ("after", 1.25 * walk.rate)):
+        (folder / name).mkdir()
+        asterism.write(folder / name / "a.c3d", replace(walk, rate=rate, metadata={"subject": "ann"}))
+    return folder
+
+
+def test_two_sessions_are_compared_and_what_changed_is_marked(sessions: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = (str(sessions / name / "a.c3d") for name in ("before", "after"))
+    words = ["gait", first, "--compare", second, "--report", str(tmp_path / "p.html"), "--json", str(tmp_path / "p.json")]
+    assert main(words) == 0
+    assert "Two sessions" in capsys.readouterr().out
+    changes = {(one["parameter"], one["side"]): one for one in json.loads((tmp_path / "p.json").read_text())["changes"]}
+    for side in "LR":
+        speed, length = changes["walking speed", side], changes["stride length", side]
+        assert speed["second"] == pytest.approx(1.25 * speed["first"], rel=0.02) and speed["exceeds"]
+        assert not length["exceeds"] and length["difference"] == pytest.approx(0.0, abs=0.03)
+    page = (tmp_path / "p.html").read_text()
+    assert "left, before" in page and "right, after" in page and headings(page)[:2] == ["The person", "Parameters of two sessions"]
+    assert 'data-go="0:' in page and 'data-go="1:' in page and 'class="mean left earlier"' in page
+
+
+def test_sessions_that_cannot_be_told_apart_are_refused(sessions: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = (str(sessions / name / "a.c3d") for name in ("before", "after"))
+    for words, said in (
+        ([first, "--compare", second, first], "is in both sessions"),
+        ([first, "--compare", str(sessions)], "is in both sessions"),
+        ([first, "--static", first, "--compare", second], "--compare-static"),
+        ([first, "--compare-static", second], "there is none"),
+    ):
+        assert main(["gait", *words]) == 2
+        assert said in capsys.readouterr().err
+
+
+def test_walks_of_several_people_in_one_report_are_said(sessions: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    walk = asterism.read(sessions / "before" / "a.c3d")
+    asterism.write(tmp_path / "other.c3d", replace(walk, source=None, metadata={"subject": "ben"}))
+    words = ["gait", str(sessions / "before" / "a.c3d"), str(tmp_path / "other.c3d"), "--report", str(tmp_path / "p.html")]
+    assert main(words) == 1
+    assert "ann, ben" in capsys.readouterr().err
+
+
+@needs_chromium
+def test_a_report_is_printed_or_the_browser_that_is_missing_named(
+    sessions: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    walk, pdf = str(sessions / "before" / "a.c3d"), tmp_path / "p.pdf"
+    assert main(["gait", walk, "--pdf", str(pdf)]) == 0
+    assert pdf.read_bytes().startswith(b"%PDF") and sorted(tmp_path.iterdir()) == [pdf]
+    monkeypatch.setattr("asterism.report.pdf.shutil.which", lambda name: None)
+    monkeypatch.setattr("asterism.report.pdf._PLACES", {})
+    capsys.readouterr()
+    assert main(["gait", walk, "--pdf", str(tmp_path / "q.pdf")]) == 2
+    assert "Chromium" in capsys.readouterr().err and not (tmp_path / "q.pdf").exists()
+
+
+def plate(frames: int) -> ForcePlate:
+    """Half a metre square, loaded from the tenth frame on by 700 N upwards and 50 N ahead, 10 cm beside its middle."""
+    force = np.zeros((10 * frames, 3))
+    force[100:] = [50.0, 0.0, 700.0]
+    corners = np.array([[0.25, 0.25, 0], [-0.25, 0.25, 0], [-0.25, -0.25, 0], [0.25, -0.25, 0]])
+    moment = np.cross([0.1, 0.0, 0.0], force)
+    return ForcePlate(1, corners, force, moment, 1000.0, np.array([0.0, 0.0, 1.0]))
+
+
+@needs_node
+def test_the_player_has_each_frames_force_where_it_acts(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
+    recording = walks[0].recording
+    shown = ShownRecording("walk", labelling_by_names(recording), recording.clouds(), plates=[plate(len(recording))])
+    (packed,) = pack_recordings([shown])
+    sent: dict[str, Any] = json.loads(json.dumps(packed, default=lambda value: value.tolist()))
+    code = "const r = await Asterism.unpack(packed); return [5, 200].map(t => r.plates[0].at(t)).concat([r.plates[0].corners]);"
+    before, loaded, corners = in_node(code, tmp_path, packed=sent)
+    assert before is None and loaded["force"] == [50, 0, 700]
+    np.testing.assert_allclose(loaded["from"], [0.1, 0.0, 0.0], atol=5e-4)
+    np.testing.assert_allclose(corners, plate(300).corners)
+
+
+@needs_chromium
+def test_a_click_shows_the_frames_and_the_player_goes_backwards(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
+    gait_report(tmp_path / "p.html", [("first", walks[1]), ("second", walks[0])])
+    page = (tmp_path / "p.html").read_text()
+    begin = round(walks[0].cycles[0].strike.time * walks[0].recording.rate)
+    act = f"""<script>setTimeout(async () => {{
+      const cell = document.querySelector('td[data-go^="1:{begin}:"] button'), shown = Asterism.shownRecordings[0];
+      cell.click();
+      await new Promise(done => setTimeout(done, 300));
+      const at = shown.player.frame, where = shown.where.textContent, lines = document.querySelectorAll('.panel .now[d^="M"]').length;
+      // The browser's clock is virtual here, and paints nothing.
+      let clock = 0;
+      globalThis.requestAnimationFrame = tick => setTimeout(() => tick(clock += 16), 1);
+      shown.player.toggle(-1);
+      for (let i = 0; i < 40 && shown.player.frame === at; i++) await new Promise(done => setTimeout(done, 20));
+      const {{ frame, playing }} = shown.player;
+      document.body.append(`ACTED ${{shown.current}} ${{at}} ${{frame - at}} ${{playing}} ${{lines > 11}} ${{where}}`);
+    }}, 300)</script></body>"""
+    (tmp_path / "p.html").write_text(page.replace("</body>", act))
+    elements = opened((tmp_path / "p.html").as_uri(), tmp_path, "ACTED")
+    assert re.search(rf"ACTED 1 {begin} -[1-9][0-9]* -1 true .* 0 % of its cycle, on the floor", elements), elements[-500:]

@@ -1,0 +1,220 @@
+"""A whole session in one command: what it writes, that it goes on, what depends on what, and the processes that share it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import signal
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import asterism
+from asterism import AsterismError
+from asterism.cli import main
+from asterism.recording import Recording
+from asterism.session import FolderSettings, in_order, plan_session, spread
+from asterism.simulation import simulate_walks
+
+
+@cache
+def walk(person: int) -> Recording:
+    (recording,) = simulate_walks(1, frames=300, markers="helen-hayes", seed=person)
+    return recording
+
+
+def standing(person: int) -> Recording:
+    """A person who stands as in one frame of the walk, and sways."""
+    sway = np.random.default_rng(person).normal(0.0, 0.0005, (40, 15, 3))
+    return replace(walk(person), positions=walk(person).positions[40] + sway, events=())
+
+
+def anonymous(recording: Recording) -> Recording:
+    return replace(recording, labels=tuple(f"*{m + 1}" for m in range(len(recording.labels))))
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two persons, each with a standing trial and a walk, without names."""
+    folder = tmp_path_factory.mktemp("session") / "people"
+    for person in (1, 2):
+        (folder / f"p{person}").mkdir(parents=True)
+        asterism.write(folder / f"p{person}" / "static.c3d", anonymous(standing(person)))
+        asterism.write(folder / f"p{person}" / "walk.c3d", anonymous(walk(person)))
+    return folder
+
+
+def run(*words: str | Path) -> int:
+    return main(["process", *map(str, words)])
+
+
+def times(folder: Path) -> dict[str, int]:
+    """When each result was written; the pages and tables of all are written with each run."""
+    below = ("labelled", "gait", "reports")
+    return {path.relative_to(folder).as_posix(): path.stat().st_mtime_ns for one in below for path in (folder / one).rglob("*.*")}
+
+
+@pytest.fixture(scope="module")
+def done(session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("done") / "out"
+    assert run(session, "-o", out, "--markers", "helen-hayes", "--json", out.parent / "all.json") in (0, 1)
+    return out
+
+
+def test_a_session_is_labelled_analysed_and_reported(done: Path) -> None:
+    with (done / "session.csv").open(newline="") as file:
+        rows = {Path(row["file"]).relative_to(Path(row["file"]).parents[1]).as_posix(): row for row in csv.DictReader(file)}
+    assert sorted(rows) == ["p1/static.c3d", "p1/walk.c3d", "p2/static.c3d", "p2/walk.c3d"]
+    assert {(row["kind"], row["person"]) for row in rows.values()} == {(k, p) for k in ("standing", "walk") for p in ("p1", "p2")}
+    for person in (1, 2):
+        row = rows[f"p{person}/walk.c3d"]
+        assert float(row["labelled"]) > 0.99 and int(row["cycles"]) >= 2 and 50 < float(row["cadence"]) < 200
+        labelled = asterism.read(done / "labelled" / f"p{person}" / "walk.c3d")
+        np.testing.assert_allclose(labelled.select(walk(person).labels).positions, walk(person).positions, atol=1e-6)
+        outputs = asterism.read(done / "gait" / f"p{person}" / "walk.c3d")
+        assert len(outputs) == len(walk(person))
+        assert f"p{person}" in (done / row["report"]).read_text(encoding="utf-8")
+        assert row["report"] in (done / "index.html").read_text(encoding="utf-8")
+    with (done / "parameters.csv").open(newline="") as file:
+        assert len({row["file"] for row in csv.DictReader(file)}) == 2
+    told = json.loads((done.parent / "all.json").read_text())
+    assert len(told["files"]) == 4 and told["failed"] == []
+
+
+def test_a_second_run_does_nothing_and_says_the_same(session: Path, done: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before, first = times(done), json.loads((done.parent / "all.json").read_text())
+    assert len(before) > 8
+    run(session, "-o", done, "--markers", "helen-hayes", "--json", "-")
+    again = json.loads(capsys.readouterr().out)
+    assert times(done) == before
+    assert again["findings"] == first["findings"]
+    shown = ("file", "person", "kind", "labelled", "use", "look_at", "cycles", "cadence", "speed", "report")
+    assert [[row.get(name) for name in shown] for row in again["files"]] == [[row.get(name) for name in shown] for row in first["files"]]
+
+
+def test_what_was_corrected_stays_and_only_its_person_is_made_anew(session: Path, tmp_path: Path, done: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(done, out)
+    target = out / "labelled" / "p1" / "walk.c3d"
+    corrected = asterism.read(target).frames(slice(0, 250))
+    asterism.write(target, corrected)
+    before, content = times(out), target.read_bytes()
+    run(session, "-o", out, "--markers", "helen-hayes")
+    changed = {name for name, when in times(out).items() if when != before[name]}
+    assert target.read_bytes() == content
+    assert changed and all("p1" in name for name in changed), changed
+    # other options would label it anew: what a person has made is not replaced
+    assert run(session, "-o", out, "--markers", "helen-hayes", "--vertical", "z") == 1
+    assert target.read_bytes() == content
+
+
+def test_two_processes_give_the_same_bytes(session: Path, done: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run(session, "-o", out, "--markers", "helen-hayes", "--workers", "2")
+    for folder in ("labelled", "gait"):
+        one, other = ({path.relative_to(at): path.read_bytes() for path in (at / folder).rglob("*.c3d")} for at in (done, out))
+        assert len(one) >= 2 and one == other
+
+
+def test_a_dry_run_says_what_would_be_done(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(session, "-o", tmp_path / "out", "--dry-run", "--json", "-") == 0
+    persons = json.loads(capsys.readouterr().out)["persons"]
+    assert [(one["person"], len(one["recordings"]), Path(one["static"]).name) for one in persons] == [
+        ("p1", 2, "static.c3d"),
+        ("p2", 2, "static.c3d"),
+    ]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_that_fails_costs_itself(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "people").mkdir()
+    (tmp_path / "people" / "broken.c3d").write_bytes(b"\x02\x50" + bytes(600))
+    asterism.write(tmp_path / "people" / "walk.c3d", anonymous(walk(1)).frames(slice(0, 60)))
+    assert run(tmp_path / "people", "-o", tmp_path / "out", "--markers", "helen-hayes") == 1
+    out, err = capsys.readouterr()
+    assert "broken.c3d" in err and "walk.c3d" in out
+    assert (tmp_path / "out" / "labelled" / "walk.c3d").exists()
+
+
+def test_two_runs_do_not_write_to_one_folder(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fcntl = pytest.importorskip("fcntl")
+    with (tmp_path / "asterism-process.lock").open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        assert run(session, "-o", tmp_path) == 2
+    assert "another run" in capsys.readouterr().err
+
+
+def test_settings_of_a_folder_hold_below_it(tmp_path: Path) -> None:
+    inner = tmp_path / "people" / "ann"
+    inner.mkdir(parents=True)
+    (tmp_path / "people" / "session.toml").write_text('markers = "cmu"\nleave_out = ["wand*"]\nperson = "x"\n[measures]\nBodyMass = 50')
+    (inner / "session.toml").write_text('markers = "helen-hayes"\n[measures]\nLKneeWidth = 102.5\n')
+    files = [(inner / name, Path("ann") / name) for name in ("wand 1.c3d", "walk.c3d")]
+    (person,) = plan_session(files, [tmp_path / "people"])
+    assert [trial.path.name for trial in person.trials] == ["walk.c3d"]
+    assert person.name == "ann", "what a folder calls its person is not what those below it are called"
+    assert person.settings.markers == "helen-hayes"
+    assert person.settings.measures == {"BodyMass": 50.0, "LKneeWidth": 102.5}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('marker = "cmu"', "did you mean markers"),
+        ("markers = 3", "markers must be a text"),
+        ('[measures]\nBodyMass = "fifty"', "measures must be a table of numbers"),
+        ('model = "none.model"', "does not exist"),
+        ("[", "no TOML"),
+    ],
+)
+def test_settings_that_cannot_be_used_are_told(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "session.toml").write_text(text)
+    with pytest.raises(AsterismError, match=said):
+        plan_session([(tmp_path / "walk.c3d", Path("walk.c3d"))], [tmp_path])
+
+
+def test_people_of_one_folder_are_told_by_their_standing_trials() -> None:
+    names = ("ann-static", "ann-walk", "bob-static", "bob-walk 1", "bob-walk 2")
+    persons = plan_session([(Path("all") / f"{name}.c3d", Path(f"{name}.c3d")) for name in names], [Path("all")])
+    assert [(person.name, len(person.trials)) for person in persons] == [("all ann", 2), ("all bob", 3)]
+    assert [person.standing for person in persons] == [Path("all/ann-static.c3d"), Path("all/bob-static.c3d")]
+    assert persons[0].settings == FolderSettings()
+
+
+def square(task: tuple[int, Path]) -> int:
+    """A task; 3 fails, 5 kills its process once, 7 each time."""
+    number, folder = task
+    if number == 3:
+        raise AsterismError("three is none.")
+    if number == 7 or (number == 5 and not (folder / "five").exists()):
+        (folder / "five").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number**2
+
+
+@pytest.mark.skipif(os.name != "posix", reason="processes are killed by a signal")
+@pytest.mark.parametrize("how", ["workers", pytest.param("dask", marks=pytest.mark.slow)])
+def test_a_task_that_kills_its_process_costs_itself(how: str, tmp_path: Path) -> None:
+    pytest.importorskip("distributed") if how == "dask" else None
+    tasks = [(number, tmp_path) for number in (2, 3, 5, 7, 8)]
+    shared = {"workers": 2} if how == "workers" else {"dask": "local:2"}
+    found = list(in_order(spread(square, tasks, **shared)))  # type: ignore[arg-type]
+    assert [outcome.value for outcome in found] == [4, None, 25, None, 64]
+    assert found[1].problem == "three is none."
+    assert "SIGKILL" in found[3].problem
+
+
+def test_one_process_gives_what_each_task_gives(tmp_path: Path) -> None:
+    found = list(spread(square, [(number, tmp_path) for number in range(4)]))
+    assert [(place, outcome.value) for place, outcome in found] == [(0, 0), (1, 1), (2, 4), (3, None)]
+
+
+@pytest.mark.parametrize("address", ["local:", "local:0", "local:two"])
+def test_a_cluster_that_is_none_is_told(address: str) -> None:
+    with pytest.raises(AsterismError, match="local:2"):
+        list(spread(abs, [1, 2], dask=address))
