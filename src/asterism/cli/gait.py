@@ -113,8 +113,8 @@ def gait(options: GaitOptions) -> None:
     --compare sets a second session of the person beside the first, before and after a treatment.
     """
     from asterism.cli._folders import trials
+    from asterism.files.tables import check_table
     from asterism.gait import Band
-    from asterism.gait.tables import check_table
 
     tables = [options.table, options.output, options.curves]
     inputs = [options.static, options.compare_static, options.band]

@@ -10,7 +10,7 @@ from asterism.gait.feet import Feet, feet_of
 from asterism.gait.intervals import AngleBand, angle_bands
 from asterism.gait.outputs import analysis_values, model_points, write_gait_c3d
 from asterism.gait.parameters import PARAMETERS, Parameter, ParameterSummary, Symmetry, parameters_of, summarise, symmetries
-from asterism.gait.tables import GaitTable, gait_table
+from asterism.gait.tables import gait_table
 
 __all__ = [
     "PARAMETERS",
@@ -24,7 +24,6 @@ __all__ = [
     "Feet",
     "GaitAnalysis",
     "GaitEvent",
-    "GaitTable",
     "Parameter",
     "ParameterChange",
     "ParameterSummary",
