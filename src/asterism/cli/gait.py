@@ -113,8 +113,8 @@ def gait(options: GaitOptions) -> None:
     --compare sets a second session of the person beside the first, before and after a treatment.
     """
     from asterism.cli._folders import trials
+    from asterism.files.tables import check_table
     from asterism.gait import Band
-    from asterism.gait.tables import check_table
 
     tables = [options.table, options.output, options.curves]
     inputs = [options.static, options.compare_static, options.band]
@@ -386,7 +386,7 @@ def show(path: Path, analysis: GaitAnalysis) -> None:
             )
     where = "treadmill" if analysis.walking.treadmill else "floor"
     sides = [sum(cycle.side == side for cycle in analysis.cycles) for side in "LR"]
-    plates = sum(event.source != "markers" for event in analysis.walking.events)
+    plates = sum(event.source.startswith("plate") for event in analysis.walking.events)
     _console.result(
         f"{path}: {sides[0]} left and {sides[1]} right cycles, on a {where}; {len(analysis.walking.events)} events, "
         f"{plates} of them by force plates; {last_filter(analysis.recording)}."
@@ -436,5 +436,14 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
         "curves_deg": {name: np.round(np.degrees(curves), 3) for name, curves in analysis.curves.items()},
         "loads": {name: np.round(curves, 4) for name, curves in analysis.loads.items()},
         "loads_per_kg": analysis.kinetics is not None and analysis.kinetics.per_kg,
+        "emg": [
+            {
+                **dataclasses.asdict(channel),
+                "cycles": {
+                    side: [[float(f"{value:.4g}") for value in curve] for curve in curves] for side, curves in channel.cycles.items()
+                },
+            }
+            for channel in analysis.emg
+        ],
         "measures": {} if analysis.clinical is None else dataclasses.asdict(analysis.clinical.subject),
     }

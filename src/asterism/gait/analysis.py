@@ -12,9 +12,11 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
+from asterism.gait.emg import EmgChannel, emg_of
 from asterism.gait.events import Walking, find_events, plate_contacts
 from asterism.gait.fills import angles_with_fills, drawn_fills, events_with_fills
 from asterism.gait.parameters import Parameter, parameters_of
+from asterism.gait.said import walking_as_said
 from asterism.motion.clinical import (
     ClinicalAngles,
     Kinetics,
@@ -44,6 +46,7 @@ class GaitAnalysis:
     loads       name such as "LKneeMoment" or "LKneePower" -> (cycles of that side whose forces are known, 101, 3 or 1)
     loaded      the same names -> these cycles
     fill_sigmas as `curves`, rad: the standard deviation that filled samples add; 0 where none takes part, empty where nothing was filled
+    emg         the muscles that the file holds, with their envelopes over the cycles
     """
 
     recording: Recording
@@ -57,6 +60,7 @@ class GaitAnalysis:
     loads: Mapping[str, Floats] = field(default_factory=dict)
     loaded: Mapping[str, tuple[Cycle, ...]] = field(default_factory=dict)
     fill_sigmas: Mapping[str, Floats] = field(default_factory=dict)
+    emg: tuple[EmgChannel, ...] = ()
 
     @cached_property
     def bands(self) -> Mapping[str, AngleBand]:
@@ -80,6 +84,7 @@ def analyse_gait(
     measures  of the person, such as `gathered_measures` gives; by default those of the recording's file
     static    a standing trial, and model of the lower body, see `clinical_angles`
 
+    Strikes and offs that a person set, as the recording's log says, are taken in place of those that are found.
     Samples that the recording's log calls filled make events and angles less certain, as far as these depend on them.
     What can be computed is: without the markers of a body's model there are parameters and no angles, without a whole cycle events alone.
     Raises AsterismError where feet or pelvis have no markers. O(T).
@@ -94,9 +99,10 @@ def analyse_gait(
     draws = list(drawn_fills(recording, deviation)) if np.isfinite(deviation).any() else []
     if draws:
         walking = events_with_fills(walking, draws, lambda draw: find_events(draw, plates))
+    walking = walking_as_said(recording, walking)
     cycles = tuple(cycles_of(walking))
     file, found = str(recording.metadata.get("file", "the recording")), exchanged_finding(recording)
-    if walking.feet.backwards:
+    if walking.feet.backwards and not walking.events:
         sentence = f"{file}: the person goes where the heels point, so that no events are given; they are told of people who walk forwards."
         mend = "Look whether heels and toes carry each other's names, or the time runs backwards; a walk backwards has no events here."
         found.append(Finding("gait-backwards", Severity.WARNING, file, sentence, mend))
@@ -142,7 +148,11 @@ def analyse_gait(
     loads, loaded = ({}, {}) if kinetics is None else _loads(recording, cycles, kinetics)
     found += () if kinetics is None else kinetics.findings
     parameters = tuple(parameters_of(walking, cycles))
-    return GaitAnalysis(recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads, loaded, fill_sigmas)
+    muscles, told = emg_of(recording, cycles)
+    found += told
+    return GaitAnalysis(
+        recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads, loaded, fill_sigmas, muscles
+    )
 
 
 def _curves(values: Mapping[str, Floats], rate: float, cycles: Sequence[Cycle]) -> dict[str, Floats]:

@@ -87,7 +87,9 @@ def angle_bands(
             # Gaps differ from cycle to cycle: of independent ones the mean is known better.
             filled = np.nan_to_num(analysis.fill_sigmas[name])
             spread["fills"] = np.sqrt((filled**2).sum(axis=0)) / len(filled)
-        centre = np.nanmean(curves[name], axis=0) + _over(_apart(middle, reported)[name], times, own)
+        seen = np.isfinite(curves[name])
+        mean = np.where(seen.any(axis=0), np.nansum(curves[name], axis=0) / np.maximum(seen.sum(axis=0), 1), np.nan)
+        centre = mean + _over(_apart(middle, reported)[name], times, own)
         wide = COVERAGE * np.sqrt(sum(part**2 for part in spread.values()))
         found[name] = AngleBand(centre - wide, centre + wide, spread)
     return found

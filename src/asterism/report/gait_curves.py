@@ -1,4 +1,4 @@
-"""Sessions in; panels of angles, moments, powers and muscles over the gait cycle, left over left cycles and right over right, out."""
+"""Sessions in; panels of angles, moments and powers over the gait cycle, left over left cycles and right over right, out."""
 
 from __future__ import annotations
 
