@@ -9,7 +9,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
-from asterism.motion.clinical.landmark_body import worn_landmarks
+from asterism.motion.clinical.landmark_body import with_plug_in_gait_names, worn_landmarks
 from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures
 from asterism.motion.clinical.plug_in_gait import Leg, along, joint_centre, lower_body, marker_of, turns
 from asterism.motion.clinical.upper_body import head_axes
@@ -43,7 +43,7 @@ def with_static_offsets(static: Recording, measures: SubjectMeasures, rules: Sta
     Raises AsterismError where neither leg shows its markers.
     """
     rules = rules or StaticRules()
-    static = with_knee_markers(static)
+    static = with_knee_markers(with_plug_in_gait_names(static))
     found = {}
     for side in SIDES:
         needed = [f"{side}{name}" for name in ("THI", "KNE", "TIB", "ANK")]
