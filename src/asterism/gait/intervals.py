@@ -12,6 +12,7 @@ from asterism.gait.cycles import POINTS, Cycle
 from asterism.geometry import rotate_z_up
 from asterism.motion.clinical import LegMeasures, SubjectMeasures, complete_legs
 from asterism.motion.clinical.estimated import MeasurePriors, WalkEstimator
+from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
 from asterism.motion.clinical.plug_in_gait import LowerBody, angles_of, lower_body, radius_by_the_file
 from asterism.motion.joints.anatomy import sacrum_markers
 from asterism.recording import Floats, Recording
@@ -96,7 +97,7 @@ def angle_bands(
 
 def _some(analysis: GaitAnalysis) -> tuple[Recording, Floats]:
     """The recording at `_ROWS` frames at most, from the first strike to the last, and their times in s."""
-    recording, cycles = analysis.recording, analysis.cycles
+    recording, cycles = with_plug_in_gait_names(analysis.recording), analysis.cycles
     begin = min(cycle.strike.time for cycle in cycles) * recording.rate
     end = max(cycle.next_strike.time for cycle in cycles) * recording.rate
     first, last = max(int(begin), 0), min(int(np.ceil(end)), len(recording) - 1)
