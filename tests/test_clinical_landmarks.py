@@ -132,6 +132,53 @@ def test_what_can_be_computed_is_and_the_rest_is_named() -> None:
         clinical_angles(whole, model="cgm")
 
 
+def test_other_spellings_of_plug_in_gaits_markers_make_the_same_angles() -> None:
+    """As Cortex writes them, and behind a subject's name. A thigh's other markers are no wands."""
+    from asterism.motion.clinical import complete_legs, with_static_offsets
+    from asterism.recording.marker_set import shipped_sets
+    from asterism.simulation import simulate_walks
+
+    [walk] = simulate_walks(1, frames=60, markers="helen-hayes", seed=0)
+    aliases = shipped_sets()["helen-hayes"].aliases
+    theirs = clinical_angles(walk, measures=with_static_offsets(walk, SubjectMeasures()))
+    for labels in ([aliases[name][0] for name in walk.labels], [f"Ann:{name}" for name in walk.labels]):
+        other = replace(walk, labels=tuple(labels))
+        own = clinical_angles(other, measures=with_static_offsets(other, SubjectMeasures()))
+        assert complete_legs(other) == ("L", "R") and own.outputs.keys() == theirs.outputs.keys()
+        for name, values in theirs.outputs.items():
+            np.testing.assert_array_equal(own.outputs[name], values)
+    wands = {"LTHI": "LTH1", "RTHI": "RTH1", "LTIB": "LSK1", "RTIB": "RSK1"}
+    without = clinical_angles(replace(walk, labels=tuple(wands.get(name, name) for name in walk.labels)))
+    assert not without.joints and without.model.name == "landmarks"
+
+
+@pytest.mark.parametrize("missing", [(), ("LSM", "RSM")])
+def test_a_walk_with_the_names_of_rizzoli_has_events(missing: tuple[str, ...]) -> None:
+    """Without the second metatarsal's head the middle of the first and the fifth is the toe."""
+    from asterism.gait import find_events
+    from asterism.simulation import simulate_walks
+
+    [walk] = simulate_walks(1, frames=300, seed=0)
+    columns = {"LASIS": ("LASI", 0), "RASIS": ("RASI", 0), "LPSIS": ("SACR", 0), "RPSIS": ("SACR", 0)}
+    for side in "LR":
+        columns |= {f"{side}CA": (f"{side}HEE", 0), f"{side}SM": (f"{side}TOE", 0)}
+        columns |= {f"{side}FM": (f"{side}TOE", 0.04), f"{side}VM": (f"{side}TOE", -0.04)}
+    worn = {
+        name: walk.positions[:, walk.labels.index(own)] + [0, beside, 0] for name, (own, beside) in columns.items() if name not in missing
+    }
+    ours = find_events(Recording(np.stack(list(worn.values()), axis=1), tuple(worn), walk.rate, vertical=walk.vertical)).events
+    theirs = find_events(walk.select(["LASI", "RASI", "SACR", "LHEE", "RHEE", "LTOE", "RTOE"])).events
+    assert len(ours) == len(theirs) > 4
+    assert max(abs(one.time - other.time) for one, other in zip(ours, theirs, strict=True)) < 0.001
+
+
+def test_a_marker_that_one_leg_lacks_is_a_gap_and_one_that_both_lack_is_another_set() -> None:
+    whole = person(BENT, BACK)
+    for absent, severity in ((("LMM",), "warning"), (("LMM", "RMM"), "note")):
+        clinical = clinical_angles(whole.select([name for name in whole.labels if name not in absent]), model="landmarks")
+        assert {finding.severity.name.lower() for finding in clinical.findings if finding.code == "clinical-left-out"} == {severity}
+
+
 def test_hip_centres_are_those_of_their_regressions() -> None:
     """By hand, in millimetres from midway between the spines: ahead, up, to the right."""
     walk = person(UPRIGHT)

@@ -125,3 +125,26 @@ def turned_wand(recording: asterism.Recording, turn: float) -> asterism.Recordin
     positions = recording.positions.copy()
     positions[:, column] = leg.knee + along + np.cos(turn) * across + np.sin(turn) * np.cross(line, across)
     return replace(recording, positions=positions)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("hidden", "without", "all_the_same"),
+    [
+        ("LKNE", ["LHip", "LKnee", "LAnkle"], ["LPelvis", "RHip", "RKnee", "RAnkle"]),
+        ("LHEE", [], ["LHip", "LKnee", "LAnkle", "RAnkle"]),
+        ("SACR", ["LPelvis", "LHip", "RKnee"], []),
+        ("RTIB", ["RKnee", "RAnkle"], ["RHip", "LKnee", "LAnkle"]),
+    ],
+)
+def test_markers_that_no_cycle_shows_leave_their_angles_without_a_band(hidden: str, without: list[str], all_the_same: list[str]) -> None:
+    recording, clinical = walk().recording, walk().clinical
+    assert clinical is not None
+    positions = recording.positions.copy()
+    positions[12:, recording.labels.index(hidden)] = np.nan
+    blind = replace(walk(), recording=replace(recording, positions=positions), clinical=replace(clinical, subject=SubjectMeasures()))
+    for name in without:
+        assert np.isnan(blind.bands[f"{name}Angles"].low).all(), name
+    for name in all_the_same:
+        band = blind.bands[f"{name}Angles"]
+        assert np.isfinite(band.low).all() and (band.high > band.low).all(), name

@@ -113,8 +113,8 @@ def gait(options: GaitOptions) -> None:
     --compare sets a second session of the person beside the first, before and after a treatment.
     """
     from asterism.cli._folders import trials
+    from asterism.files.tables import check_table
     from asterism.gait import Band
-    from asterism.gait.tables import check_table
 
     tables = [options.table, options.output, options.curves]
     inputs = [options.static, options.compare_static, options.band]
@@ -435,6 +435,16 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
         },
         "curves_deg": {name: np.round(np.degrees(curves), 3) for name, curves in analysis.curves.items()},
         "loads": {name: np.round(curves, 4) for name, curves in analysis.loads.items()},
+        "load_sigmas": {name: np.round(sigmas, 4) for name, sigmas in analysis.load_sigmas.items()},
         "loads_per_kg": analysis.kinetics is not None and analysis.kinetics.per_kg,
+        "emg": [
+            {
+                **dataclasses.asdict(channel),
+                "cycles": {
+                    side: [[float(f"{value:.4g}") for value in curve] for curve in curves] for side, curves in channel.cycles.items()
+                },
+            }
+            for channel in analysis.emg
+        ],
         "measures": {} if analysis.clinical is None else dataclasses.asdict(analysis.clinical.subject),
     }

@@ -12,6 +12,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
+from asterism.gait.emg import EmgChannel, emg_of
 from asterism.gait.events import Walking, find_events, plate_contacts
 from asterism.gait.fills import angles_with_fills, drawn_fills, events_with_fills
 from asterism.gait.parameters import Parameter, parameters_of
@@ -45,6 +46,7 @@ class GaitAnalysis:
     loads       name such as "LKneeMoment" or "LKneePower" -> (cycles of that side whose forces are known, 101, 3 or 1)
     loaded      the same names -> these cycles
     fill_sigmas as `curves`, rad: the standard deviation that filled samples add; 0 where none takes part, empty where nothing was filled
+    emg         the muscles that the file holds, with their envelopes over the cycles
     """
 
     recording: Recording
@@ -58,6 +60,16 @@ class GaitAnalysis:
     loads: Mapping[str, Floats] = field(default_factory=dict)
     loaded: Mapping[str, tuple[Cycle, ...]] = field(default_factory=dict)
     fill_sigmas: Mapping[str, Floats] = field(default_factory=dict)
+    emg: tuple[EmgChannel, ...] = ()
+
+    @cached_property
+    def load_sigmas(self) -> Mapping[str, Floats]:
+        """As `loads`, of moments and powers: the standard uncertainty of each cycle's curve (`KineticErrors`). Cycles share most of it."""
+        if self.kinetics is None:
+            return {}
+        rate, sigmas = self.recording.rate, self.kinetics.sigmas
+        known = {name: values.reshape(len(values), -1) for name, values in sigmas.items() if name in self.loaded}
+        return {name: np.stack([over_cycle(values, rate, cycle) for cycle in self.loaded[name]]) for name, values in known.items()}
 
     @cached_property
     def bands(self) -> Mapping[str, AngleBand]:
@@ -145,7 +157,11 @@ def analyse_gait(
     loads, loaded = ({}, {}) if kinetics is None else _loads(recording, cycles, kinetics)
     found += () if kinetics is None else kinetics.findings
     parameters = tuple(parameters_of(walking, cycles))
-    return GaitAnalysis(recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads, loaded, fill_sigmas)
+    muscles, told = emg_of(recording, cycles)
+    found += told
+    return GaitAnalysis(
+        recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads, loaded, fill_sigmas, muscles
+    )
 
 
 def _curves(values: Mapping[str, Floats], rate: float, cycles: Sequence[Cycle]) -> dict[str, Floats]:

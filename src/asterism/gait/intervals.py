@@ -12,6 +12,7 @@ from asterism.gait.cycles import POINTS, Cycle
 from asterism.geometry import rotate_z_up
 from asterism.motion.clinical import LegMeasures, SubjectMeasures, complete_legs
 from asterism.motion.clinical.estimated import MeasurePriors, WalkEstimator
+from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
 from asterism.motion.clinical.plug_in_gait import LowerBody, angles_of, lower_body, radius_by_the_file
 from asterism.motion.joints.anatomy import sacrum_markers
 from asterism.recording import Floats, Recording
@@ -86,7 +87,9 @@ def angle_bands(
             # Gaps differ from cycle to cycle: of independent ones the mean is known better.
             filled = np.nan_to_num(analysis.fill_sigmas[name])
             spread["fills"] = np.sqrt((filled**2).sum(axis=0)) / len(filled)
-        centre = np.nanmean(curves[name], axis=0) + _over(_apart(middle, reported)[name], times, own)
+        seen = np.isfinite(curves[name])
+        mean = np.where(seen.any(axis=0), np.nansum(curves[name], axis=0) / np.maximum(seen.sum(axis=0), 1), np.nan)
+        centre = mean + _over(_apart(middle, reported)[name], times, own)
         wide = COVERAGE * np.sqrt(sum(part**2 for part in spread.values()))
         found[name] = AngleBand(centre - wide, centre + wide, spread)
     return found
@@ -94,7 +97,7 @@ def angle_bands(
 
 def _some(analysis: GaitAnalysis) -> tuple[Recording, Floats]:
     """The recording at `_ROWS` frames at most, from the first strike to the last, and their times in s."""
-    recording, cycles = analysis.recording, analysis.cycles
+    recording, cycles = with_plug_in_gait_names(analysis.recording), analysis.cycles
     begin = min(cycle.strike.time for cycle in cycles) * recording.rate
     end = max(cycle.next_strike.time for cycle in cycles) * recording.rate
     first, last = max(int(begin), 0), min(int(np.ceil(end)), len(recording) - 1)

@@ -11,6 +11,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Severity
 from asterism.report.gait_curves import angle_section, load_sections
+from asterism.report.gait_muscles import muscle_section
 from asterism.report.gait_session import SIDE, GaitSession
 from asterism.report.gait_tables import comparison_section, cycle_section, parameter_section, person_section, score_sections
 from asterism.report.page import Cell, Page, Section, Table, decimal, percent, write_page
@@ -48,6 +49,7 @@ def gait_report(
         parameter_section(first, band) if second is None else comparison_section(first, second, band),
         *angle_section(both, band),
         *load_sections(both),
+        *muscle_section(both),
         *score_sections(both, band),
         _quality(both),
         *_findings(both),

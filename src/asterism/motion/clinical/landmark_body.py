@@ -7,7 +7,7 @@ Istituto Ortopedico Rizzoli (Leardini et al. 2007), and CAST (Cappozzo et al. 19
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
@@ -120,10 +120,25 @@ def worn_landmarks(recording: Recording) -> Worn:
     return Worn(found, segments, order[0] if order else "")
 
 
-def medial_legs(recording: Recording, static: Recording | None = None) -> tuple[str, ...]:
-    """The sides, "L" and "R", whose landmarks of pelvis and knee are known, from the recording or carried over from a standing trial."""
-    made = landmark_body(recording, SubjectMeasures(), static)
-    return tuple(side for side in SIDES if made is not None and np.isfinite(made.body.legs[side].thigh).all(axis=(1, 2)).any())
+_NAMES = {"LE": "KNE", "LM": "ANK", "CA": "HEE", "SM": "TOE"}
+"""Landmarks that Plug-in-Gait calls otherwise."""
+
+
+def with_plug_in_gait_names(recording: Recording) -> Recording:
+    """The recording with Plug-in-Gait's names, where its own are other ones of the shipped sets for the same places, such as R.ASIS."""
+    labels, known = list(recording.labels), shipped_sets()["plug-in-gait"]
+    if {"LASI", "RASI", "LTHI", "LKNE", "LTIB", "LANK", "LHEE", "LTOE"} <= set(labels):
+        return recording
+    for role, column in worn_landmarks(recording).roles.items():
+        name = role if role == "SACR" else role[0] + _NAMES.get(role[1:], role[1:])
+        if name not in labels and name in (*known.names, "SACR") and labels[column] not in known.names:
+            labels[column] = name
+    for column, label in enumerate(labels):
+        # thighs and shanks have many markers, of which only these are wands
+        name = shipped_sets()["helen-hayes"].name_of(label) or known.name_of(label) or label
+        if name not in labels:
+            labels[column] = name
+    return recording if tuple(labels) == tuple(recording.labels) else replace(recording, labels=tuple(labels))
 
 
 def landmark_body(recording: Recording, measures: SubjectMeasures, static: Recording | None = None) -> LandmarkBody | None:
@@ -176,7 +191,8 @@ def landmark_angles(made: LandmarkBody) -> dict[str, Floats]:
             f"{side}KneeAngles": turns(leg.thigh, leg.shank) * joint * [-1.0, 1.0, 1.0],
             f"{side}AnkleAngles": turns(leg.shank, made.feet[side]) * joint,
             f"{side}PelvisAngles": turns(room, body.pelvis) * seen,
-            f"{side}FootProgressAngles": turns(room, made.feet[side]) * joint,
+            # the vendor's first counts from a foot that points down, the second the other way
+            f"{side}FootProgressAngles": turns(room, made.feet[side]) * [1.0, left, -left] - [np.pi / 2, 0.0, 0.0],
         }
     wrapped = {name: (angles + np.pi) % (2 * np.pi) - np.pi for name, angles in found.items()}
     return {name: angles for name, angles in wrapped.items() if np.isfinite(angles).any()}
