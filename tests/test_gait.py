@@ -25,6 +25,7 @@ from asterism.gait import (
     band_of,
     cycles_of,
     find_events,
+    gait_table,
     midstances,
     over_cycle,
     parameters_of,
@@ -193,13 +194,42 @@ def test_gait_writes_tables_and_a_page(tmp_path: Path, capsys: pytest.CaptureFix
     assert "walking speed" in capsys.readouterr().out
     found = json.loads((tmp_path / "gait.json").read_text())["files"][0]
     assert found["measures"]["left"]["knee_width"] == pytest.approx(0.102)
+    assert {"low", "high", "standard"} == set(found["bands_deg"]["LKneeAngles"]) and "95 % interval" in page.read_text()
     with table.open() as lines:
         rows = list(csv.DictReader(lines))
-    assert {row["parameter"] for row in rows} >= {"cadence", "step width", "double support"} and len(rows) == len(found["parameters"])
+    each = [row for row in rows if row["kind"] == "parameter"]
+    assert {row["name"] for row in each} >= {"cadence", "step width", "double support"} and len(each) == len(found["parameters"])
+    assert {row["kind"] for row in rows} == {"parameter", "mean", "symmetry"} and all(float(row["uncertainty"]) > 0 for row in rows)
     with curves.open() as lines:
-        knee = [row for row in csv.DictReader(lines) if (row["side"], row["curve"], row["cycle"]) == ("L", "Knee", "1")]
-    assert [int(row["percent"]) for row in knee] == list(range(101))
+        knee = [row for row in csv.DictReader(lines) if (row["name"], row["cycle"], row["axis"]) == ("LKneeAngles", "1", "x")]
+    flexion = [row for row in knee if row["kind"] == "curve"]
+    assert [int(row["percent"]) for row in flexion] == list(range(101))
+    highest = next(row for row in knee if row["kind"] == "maximum")
+    assert float(highest["value"]) == max(float(row["value"]) for row in flexion) and 1 < float(highest["uncertainty"]) < 20
+    # the frame, of which the recording knows the angle, is beside the time
+    assert int(highest["first_frame"]) - 1 <= float(highest["begins_s"]) * 100 <= int(highest["last_frame"]) - 1
     assert "knee flexion" in page.read_text() and "foot progression" in page.read_text()
+
+
+def test_a_table_is_refused_before_the_work_where_it_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    for name, said in (("walk.xlsx", r".csv or .parquet"), ("walk.parquet", "pip install pyarrow")):
+        assert main(["gait", "no-such-walk.c3d", "--table", str(tmp_path / name)]) == 2
+        assert said in capsys.readouterr().err and not (tmp_path / name).exists()
+
+
+def test_a_table_of_other_libraries_has_the_same_cells(tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    table = gait_table([("walk", analyse_gait(simulate_walks(1, frames=300, markers="helen-hayes", seed=3)[0]))])
+    table.write(tmp_path / "walk.parquet")
+    frame, read = table.to_dataframe(), pandas.read_parquet(tmp_path / "walk.parquet")
+    assert list(read) == list(frame) and len(frame) == len(read) == len(table.rows)
+    for column in ("kind", "value", "last_frame"):
+        assert read[column].tolist() == frame[column].tolist() == [row[list(frame).index(column)] for row in table.rows]
+    assert frame["percent"].isna().sum() == len(table.rows) - len(table.of("curve", "maximum", "minimum").rows)
 
 
 def test_a_measure_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

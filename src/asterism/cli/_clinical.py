@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -42,32 +43,45 @@ def given_measures(words: list[str]) -> tuple[dict[str, float], list[Path]]:
 
 
 def measures_of(
-    recording: Recording, static: Recording | None, words: list[str], rules: StaticRules | None = None
+    recording: Recording, static: Recording | None, words: list[str], hip: str | None = None, rules: StaticRules | None = None
 ) -> tuple[SubjectMeasures | None, tuple[Finding, ...]]:
     """The measures of the recording's person, by the words of --measure and the standing trial; None where neither is given."""
     from asterism.motion.clinical import gathered_measures
     from asterism.motion.clinical.measure_files import measures_of_person
 
-    if static is None and not words:
+    if static is None and not words and hip is None:
         return None, ()
     named, files = given_measures(words)
     given: dict[str, float] = {}
     for file in files:
         given |= measures_of_person(file, recording)
-    return gathered_measures(recording, static, given | named, rules)
+    measures, found = gathered_measures(recording, static, given | named, rules)
+    return replace(measures, hip_regression=None if hip is None else str(hip)), found
 
 
-def find(recording: Recording, wanted: bool | None, measures: SubjectMeasures | None = None) -> ClinicalAngles | None:
-    """The clinical angles; where they are not asked for (None), only those of legs with all markers.
+def find(
+    recording: Recording,
+    wanted: bool | None,
+    measures: SubjectMeasures | None = None,
+    static: Recording | None = None,
+    model: str | None = None,
+) -> ClinicalAngles | None:
+    """The clinical angles; where they are not asked for (None), None for a recording without a joint of theirs.
 
-    Raises AsterismError where they are asked for and neither leg has all markers.
+    Raises AsterismError where they are asked for and there is none.
     """
     from asterism.motion.clinical import clinical_angles, complete_legs
 
     # asked for, a missing marker is an error; not asked for, it is no leg
-    if wanted is False or (wanted is None and not complete_legs(recording)):
+    try:
+        clinical = None if wanted is False else clinical_angles(recording, measures=measures, static=static, model=model)
+    except AsterismError:
+        if wanted or model is not None:
+            raise
         return None
-    return clinical_angles(recording, measures=measures)
+    if clinical is None or wanted or (clinical.joints and (clinical.model.name == "landmarks" or complete_legs(recording))):
+        return clinical
+    return None
 
 
 class MonteCarloOptions(TypedDict):
@@ -85,7 +99,10 @@ def certain(
     """How certain the angles are."""
     from asterism.motion.clinical import clinical_uncertainty
 
-    if clinical is None:
+    if clinical is None or not clinical.joints:
+        return None
+    if clinical.model.name == "landmarks":
+        _console.notice(f"{recording.metadata.get('file', 'the recording')}: no intervals of angles by {clinical.model.title(recording)}.")
         return None
     return clinical_uncertainty(recording, clinical, errors, seed=seed, **trials)
 

@@ -1,4 +1,4 @@
-"""Shared by `convert` and `gait`: what --fill asks for and a recording in; the filled recording, and what is to be said, out."""
+"""Shared by `convert` and `gait`: what --fill and --filter ask for and a recording in; the clean one, and what is to be said, out."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from asterism.cli import _console
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
+    from asterism.motion.filters import FilterChoice, FilteredRecording
     from asterism.motion.gaps import Filled
     from asterism.recording import Recording
 
@@ -21,6 +22,14 @@ Fill = Annotated[
     typer.Option(
         metavar="none|auto|MM",
         help="Fill the gaps of named markers whose 95 % interval is within MM to either side; auto is 10 mm.",
+    ),
+]
+Filter = Annotated[
+    str,
+    typer.Option(
+        "--filter",
+        metavar="none|spline|butterworth[:HZ]",
+        help="Low-pass filter without lag: a spline by cross-validation, or Butterworth at HZ, else by residual analysis.",
     ),
 ]
 _AUTO = 0.010
@@ -53,6 +62,35 @@ def filled(recording: Recording, limit: float, trials: Iterable[Path], vertical:
     others = [] if recording.visible.all() else [one for path in trials if (one := _read(path, vertical)) is not None]
     with _console.progress("filling gaps") as progress:
         return fill_gaps(recording, limit=limit, others=others, by=f"asterism {__version__}", progress=progress)
+
+
+def cleaned(recording: Recording, choice: FilterChoice) -> FilteredRecording:
+    """The recording filtered as asked, and its spikes."""
+    from asterism import __version__
+    from asterism.motion.filters import filter_trajectories
+
+    return filter_trajectories(recording, choice, f"asterism {__version__}")
+
+
+def filter_choice(text: str) -> FilterChoice:
+    """What --filter says. Raises AsterismError where it is none of the choices."""
+    from asterism.motion.filters import FilterChoice
+
+    return FilterChoice.of(text)
+
+
+def filter_values(effect: FilteredRecording) -> dict[str, Any]:
+    """As JSON has it."""
+    markers = [
+        {
+            "marker": one.label,
+            "rms_change_m": one.moved,
+            "cut_off_hz": None if math.isnan(one.cut_off) else one.cut_off,
+            "spikes": one.spikes,
+        }
+        for one in effect.effects
+    ]
+    return {"filter": str(effect.choice), "markers": markers}
 
 
 def _read(path: Path, vertical: Any) -> Recording | None:

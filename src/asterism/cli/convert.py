@@ -10,12 +10,24 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
-from asterism.cli._filling import Fill, as_values, fill_limit, filled, filled_text, trials_beside
+from asterism.cli._filling import (
+    Fill,
+    Filter,
+    as_values,
+    cleaned,
+    fill_limit,
+    filled,
+    filled_text,
+    filter_choice,
+    filter_values,
+    trials_beside,
+)
 from asterism.cli._options import ForProgram, Json, Markers, Overwrite, Vertical, marker_names, vertical_axis
 from asterism.errors import AsterismError
 from asterism.findings import Finding, exit_status
 
 if TYPE_CHECKING:
+    from asterism.motion.filters import FilteredRecording
     from asterism.motion.gaps import Filled
 
 
@@ -37,6 +49,7 @@ class ConvertOptions:
             help="Other recordings of the person that tell --fill; auto takes those beside IN that show the same person.",
         ),
     ] = field(default_factory=lambda: ["auto"])
+    filter: Filter = "none"
     overwrite: Overwrite = False
     json: Json = None
 
@@ -52,7 +65,7 @@ def convert(options: ConvertOptions) -> None:
     For opensim the force plates of a C3D file go beside it: OUT_grf.mot, and OUT_grf.xml with the foot on which each acts.
     --fill fills gaps from the markers around them, and from other trials of the person, which --trials names. In C3D a filled sample has
     the residual 0 or, where measured samples have that, too, its standard deviation, and no camera; the processing log names all filled
-    gaps. What is too uncertain stays missing, and is said.
+    gaps. What is too uncertain stays missing, and is said. --filter smooths named markers, after gaps are filled; the log says how far.
     """
     from asterism import formats
     from asterism.cli._recordings import is_rig, not_carried
@@ -63,39 +76,40 @@ def convert(options: ConvertOptions) -> None:
     for beside in formats.companions(target) if options.program is not None and options.program.value == "opensim" else ():
         _console.check_new(beside, options.overwrite)
     axis, wanted, limit = vertical_axis(options.vertical), marker_names(options.markers), fill_limit(options.fill)
+    choice = None if options.filter == "none" else filter_choice(options.filter)
     fill: Filled | None = None
-    findings: list[Finding] = []
+    done, findings = list[str](), list[Finding]()
+    clean: FilteredRecording | None = None
+    changes = (wanted, options.program, limit, choice)
     # rigs and recordings share suffixes, so that this is asked first
     if is_rig(source):
-        findings, lost = _convert_rig(
-            source, target, axis, next((one for one in (wanted, options.program, limit) if one is not None), None)
-        )
-    elif limit is not None:
-        recording = formats.read(source, wanted, axis)
-        fill = filled(recording, limit, _trials(options), axis)
-        findings = [*recording.warnings, *fill.findings]
-        if options.program is not None:
-            lost = formats.write_for_program(fill.recording, options.program.value, target)
-        else:
-            lost = formats.write(target, fill.recording)
-        # Tables have no place for it, and a guess that looks measured misleads.
-        if fill.gaps and target.suffix.lower() not in (".c3d", ".npz"):
-            lost = [*lost, "which samples were filled"]
-    elif options.program is not None:
-        recording = formats.read(source, wanted, axis)
-        findings = list(recording.warnings)
-        lost = formats.write_for_program(recording, options.program.value, target)
+        findings, lost = _convert_rig(source, target, axis, next((one for one in changes if one is not None), None))
     # the whole file, with all that the formats have in common
-    elif wanted is None:
+    elif all(one is None for one in changes):
         findings, lost = formats.convert_and_tell(source, target, axis)
     else:
         recording = formats.read(source, wanted, axis)
-        findings, lost = list(recording.warnings), formats.write(target, recording)
+        findings = list(recording.warnings)
+        if limit is not None:
+            fill = filled(recording, limit, _trials(options), axis)
+            recording, done = fill.recording, [filled_text(fill)]
+            findings += fill.findings
+        if choice is not None:
+            clean = cleaned(recording, choice)
+            recording, done = clean.recording, [*done, str(clean)]
+            findings += clean.findings
+        if options.program is not None:
+            lost = formats.write_for_program(recording, options.program.value, target)
+        else:
+            lost = formats.write(target, recording)
+        # Tables have no place for it, and a guess that looks measured misleads.
+        if fill is not None and fill.gaps and target.suffix.lower() not in (".c3d", ".npz"):
+            lost = [*lost, "which samples were filled"]
     findings += not_carried(target, lost)
     for finding in findings:
         _console.report(finding)
     if options.json != "-":
-        _console.result(f"{source} -> {target}{'' if fill is None else ': ' + filled_text(fill)}")
+        _console.result(f"{source} -> {target}{': ' if done else ''}{'; '.join(done)}")
     _console.write_json(
         options.json,
         {
@@ -104,6 +118,7 @@ def convert(options: ConvertOptions) -> None:
             "output": target,
             "for": options.program,
             "filled": None if fill is None else as_values(fill),
+            "filter": None if clean is None else filter_values(clean),
             "not_carried": lost,
             "findings": [finding.to_dict() for finding in findings],
         },
@@ -131,7 +146,7 @@ def _convert_rig(source: Path, target: Path, vertical: Any, markers: Any) -> tup
     from asterism.recording import as_vertical
 
     if markers is not None:
-        raise AsterismError(f"{source} is a rig and has no markers; leave out --markers, --for and --fill.")
+        raise AsterismError(f"{source} is a rig and has no markers; leave out --markers, --for, --fill and --filter.")
     rig = read_rig(source)
     # a guess that is written down looks like a fact in the next program
     findings = assumptions(source, rig)

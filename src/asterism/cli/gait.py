@@ -12,8 +12,8 @@ import typer
 
 from asterism.cli import _clinical, _console
 from asterism.cli._command import takes
-from asterism.cli._filling import Fill, fill_limit, filled, filled_text
-from asterism.cli._options import Files, Json, Measure, Overwrite, Report, Static, Vertical
+from asterism.cli._filling import Fill, Filter, cleaned, fill_limit, filled, filled_text, filter_choice, filter_values
+from asterism.cli._options import Files, Hip, Json, LowerBodyChoice, Measure, Overwrite, Report, Static, Vertical
 
 if TYPE_CHECKING:
     from asterism.cli._folders import Trial
@@ -29,20 +29,31 @@ class GaitOptions:
     files: Files
     static: Static = None
     measure: Measure = field(default_factory=list)
+    lower_body: LowerBodyChoice = None
+    hip: Hip = None
     sloped_foot: Annotated[
         bool, typer.Option("--sloped-foot", help="With --static: heel and toe marker count as high as they are, not as equally high.")
     ] = False
     level_head: Annotated[
         bool, typer.Option("--level-head", help="With --static: the person looks straight ahead; the head's tilt is taken off.")
     ] = False
+    table: Annotated[
+        Path | None,
+        typer.Option(
+            "--table",
+            metavar="FILE",
+            help="Write all numbers, with their uncertainty and frames: events, parameters, curves, extremes; CSV or .parquet.",
+            show_default=False,
+        ),
+    ] = None
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write the parameters of each cycle as CSV.", show_default=False),
+        typer.Option("--output", "-o", metavar="FILE", help="Of this table, write the parameters alone.", show_default=False),
     ] = None
     curves: Annotated[
         Path | None,
         typer.Option(
-            "--curves", metavar="FILE", help="Write angles, moments and powers of each cycle, 0 to 100 %, as CSV.", show_default=False
+            "--curves", metavar="FILE", help="Of this table, write angles, moments and powers from 0 to 100 % alone.", show_default=False
         ),
     ] = None
     c3d: Annotated[
@@ -77,6 +88,7 @@ class GaitOptions:
         typer.Option("--compare-static", metavar="FILE", help="The standing trial of the second session.", show_default=False),
     ] = None
     fill: Fill = "none"
+    filter: Filter = "none"
     vertical: Vertical = None
     overwrite: Overwrite = False
     report: Report = None
@@ -97,18 +109,25 @@ def gait(options: GaitOptions) -> None:
     that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass. --c3d writes all of it into copies of
     the walks.
     --fill fills gaps of markers first, with what the other files of the same person show; events and angles that depend on filled samples
-    are as much less certain, and flagged. --compare sets a second session of the person beside the first, before and after a treatment.
+    are as much less certain, and flagged. --filter smooths markers; by default nothing is filtered, because angles and events need it not.
+    --compare sets a second session of the person beside the first, before and after a treatment.
     """
     from asterism.cli._folders import trials
+    from asterism.files.tables import check_table
     from asterism.gait import Band
 
+    tables = [options.table, options.output, options.curves]
     inputs = [options.static, options.compare_static, options.band]
-    outputs = [options.report, options.json, options.output, options.curves, options.save_band, options.pdf]
+    outputs = [options.report, options.json, *tables, options.save_band, options.pdf]
     _console.check_outputs(outputs, [*options.files, *options.compare, *inputs], options.overwrite)
+    for given in tables:
+        if given is not None:
+            check_table(given)
     _check_sessions(options)
     # what is wrong with the options is told before any file is read
     _clinical.given_measures(options.measure)
     fill_limit(options.fill)
+    filter_choice(options.filter)
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
     walks = trials([*options.files, *options.compare], batch, without=options.c3d)
@@ -156,7 +175,7 @@ def analysed(
     from asterism.gait import analyse_gait, write_gait_c3d
     from asterism.motion.clinical import StaticRules
 
-    limit = fill_limit(options.fill)
+    limit, choice = fill_limit(options.fill), filter_choice(options.filter)
     static = None if options.static is None else _read(options.static, options, batch)
     rules = StaticRules(flat_foot=not options.sloped_foot, level_head=options.level_head)
     results: list[tuple[Path, GaitAnalysis]] = []
@@ -172,9 +191,11 @@ def analysed(
                 recording, found = fill.recording, (*found, *fill.findings)
                 if options.json != "-" and (fill.gaps or fill.findings):
                     _console.result(f"{path}: {filled_text(fill)}.")
-            measures, doubtful = _clinical.measures_of(recording, static, options.measure, rules)
+            clean = cleaned(recording, choice)
+            recording, found = clean.recording, (*found, *clean.findings)
+            measures, doubtful = _clinical.measures_of(recording, static, options.measure, options.hip, rules)
             found = (*found, *doubtful)
-            analysis = analyse_gait(recording, plates, measures)
+            analysis = analyse_gait(recording, plates, measures, static=static, model=options.lower_body)
             for finding in [*found, *analysis.findings]:
                 batch.found(finding)
             if path in copies:
@@ -207,11 +228,7 @@ def write_results(
     if options.save_band is not None:
         people = [subject_of(analysis.recording) or str(path.parent) for path, analysis in results]
         band_of(analyses, people).save(options.save_band)
-    if options.output is not None:
-        head = ["file", "side", "begins_s", "parameter", "value", "uncertainty", "unit"]
-        _console.write_csv(options.output, head, _parameter_rows([*results, *compared]))
-    if options.curves is not None:
-        _console.write_csv(options.curves, _CURVE_COLUMNS, _curve_rows([*results, *compared]))
+    _write_tables(options, [*results, *compared])
     changes = _changes(results, compared)
     if compared and options.json != "-":
         _show_changes(changes)
@@ -314,6 +331,18 @@ def _several_people(analyses: Sequence[GaitAnalysis]) -> Finding | None:
     return Finding("gait-several-people", Severity.WARNING, "report", sentence, "Give the walks of one person.")
 
 
+def _write_tables(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]]) -> None:
+    """The table of all numbers, and its parts, as far as they are asked for."""
+    from asterism.gait import gait_table
+
+    parts = {options.output: ("parameter", "mean", "symmetry"), options.curves: ("curve", "maximum", "minimum"), options.table: ()}
+    asked = {given: kinds for given, kinds in parts.items() if given is not None}
+    if asked:
+        everything = gait_table([(str(path), one) for path, one in results], curves=set(asked) != {options.output})
+        for given, kinds in asked.items():
+            (everything.of(*kinds) if kinds else everything).write(given)
+
+
 def _copies(walks: Sequence[Trial], folder: Path, others: Sequence[Path | None]) -> dict[Path, Path]:
     """Where the copy of each walk goes. Raises AsterismError where it would be an input, or two walks would have the same."""
     from asterism.cli._folders import outputs_of
@@ -344,6 +373,7 @@ def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:
 def show(path: Path, analysis: GaitAnalysis) -> None:
     """Print the parameters of one recording: mean, uncertainty and standard deviation of each side."""
     from asterism.gait import PARAMETERS, summarise, symmetries
+    from asterism.motion.filters import last_filter
 
     differ = {one.name: f"{one.value:+.1f} ± {one.sigma:.1f}" for one in symmetries(analysis.parameters)}
     summaries = {(one.name, one.side): one for one in summarise(analysis.parameters)}
@@ -356,51 +386,13 @@ def show(path: Path, analysis: GaitAnalysis) -> None:
             )
     where = "treadmill" if analysis.walking.treadmill else "floor"
     sides = [sum(cycle.side == side for cycle in analysis.cycles) for side in "LR"]
-    plates = sum(event.source != "markers" for event in analysis.walking.events)
+    plates = sum(event.source.startswith("plate") for event in analysis.walking.events)
     _console.result(
         f"{path}: {sides[0]} left and {sides[1]} right cycles, on a {where}; {len(analysis.walking.events)} events, "
-        f"{plates} of them by force plates."
+        f"{plates} of them by force plates; {last_filter(analysis.recording)}."
     )
     if rows:
         _console.table(f"{path}: gait parameters (cycles)", ["parameter", "unit", "left", "right", "left more, %"], rows)
-
-
-def _parameter_rows(results: list[tuple[Path, GaitAnalysis]]) -> list[list[Any]]:
-    from asterism.gait import PARAMETERS
-
-    return [
-        [path, one.side, f"{one.begins:.4f}", one.name, f"{one.value:.5g}", f"{one.sigma:.2g}", PARAMETERS[one.name]]
-        for path, analysis in results
-        for one in analysis.parameters
-    ]
-
-
-_CURVE_COLUMNS = ["file", "side", "cycle", "curve", "unit", "percent", "x", "y", "z"]
-
-
-def _curve_rows(results: list[tuple[Path, GaitAnalysis]]) -> list[list[Any]]:
-    """Angles, then moments, powers (x alone) and the ground's force; each over its own cycles."""
-    import numpy as np
-
-    rows: list[list[Any]] = []
-    for path, analysis in results:
-        per_kg = analysis.kinetics is not None and analysis.kinetics.per_kg
-        angles = {name: (np.degrees(curves), "deg") for name, curves in analysis.curves.items()}
-        loads = {name: (curves, load_unit(name, per_kg)) for name, curves in analysis.loads.items()}
-        for name, (curves, unit) in (angles | loads).items():
-            for number, curve in enumerate(curves):
-                for percent, values in enumerate(curve):
-                    cells = ["" if np.isnan(value) else f"{value:.3f}" for value in values]
-                    rows.append(
-                        [path, name[0], number + 1, name[1:].removesuffix("Angles"), unit, percent, *cells, *[""] * (3 - len(cells))]
-                    )
-    return rows
-
-
-def load_unit(name: str, per_kg: bool) -> str:
-    """The unit of a moment, power or force by Plug-in-Gait's name."""
-    unit = "N m" if name.endswith("Moment") else "W" if name.endswith("Power") else "N"
-    return f"{unit}/kg" if per_kg else unit
 
 
 def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
@@ -410,6 +402,7 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
     import numpy as np
 
     from asterism.gait import midstances, symmetries
+    from asterism.motion.filters import last_filter
     from asterism.recording import filled_samples
 
     deviation = filled_samples(analysis.recording)
@@ -422,6 +415,7 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
         ],
         "midstances": [dataclasses.asdict(event) for event in midstances(analysis.walking)],
         "parameters": [dataclasses.asdict(one) for one in analysis.parameters],
+        "filter": filter_values(last_filter(analysis.recording)),
         "symmetry_percent": [dataclasses.asdict(one) for one in symmetries(analysis.parameters)],
         "filled": {
             analysis.recording.labels[column]: {
@@ -431,8 +425,26 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
             for column in np.flatnonzero(np.isfinite(deviation).any(axis=0))
         },
         "fill_sigmas_deg": {name: np.round(np.degrees(sigmas), 3) for name, sigmas in analysis.fill_sigmas.items() if np.any(sigmas > 0.0)},
+        "bands_deg": {
+            name: {
+                "low": np.round(np.degrees(band.low), 3),
+                "high": np.round(np.degrees(band.high), 3),
+                "standard": {source: np.round(np.degrees(part), 3) for source, part in band.standard.items()},
+            }
+            for name, band in analysis.bands.items()
+        },
         "curves_deg": {name: np.round(np.degrees(curves), 3) for name, curves in analysis.curves.items()},
         "loads": {name: np.round(curves, 4) for name, curves in analysis.loads.items()},
+        "load_sigmas": {name: np.round(sigmas, 4) for name, sigmas in analysis.load_sigmas.items()},
         "loads_per_kg": analysis.kinetics is not None and analysis.kinetics.per_kg,
+        "emg": [
+            {
+                **dataclasses.asdict(channel),
+                "cycles": {
+                    side: [[float(f"{value:.4g}") for value in curve] for curve in curves] for side, curves in channel.cycles.items()
+                },
+            }
+            for channel in analysis.emg
+        ],
         "measures": {} if analysis.clinical is None else dataclasses.asdict(analysis.clinical.subject),
     }

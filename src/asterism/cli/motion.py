@@ -12,7 +12,7 @@ import typer
 
 from asterism.cli import _clinical, _console
 from asterism.cli._command import takes
-from asterism.cli._options import Files, Json, Markers, Measure, Overwrite, Report, Seed, Static, Vertical, Workers
+from asterism.cli._options import Files, Hip, Json, LowerBodyChoice, Markers, Measure, Overwrite, Report, Seed, Static, Vertical, Workers
 from asterism.cli.segment import LimbCount, read_points
 from asterism.errors import AsterismError
 
@@ -61,6 +61,8 @@ class MotionOptions:
     ] = None
     static: Static = None
     measure: Measure = field(default_factory=list)
+    lower_body: LowerBodyChoice = None
+    hip: Hip = None
     uncertainty: Annotated[bool, typer.Option("--uncertainty", help="Also say how uncertain each angle is, by Monte Carlo.")] = False
     trials: Annotated[int, typer.Option("--trials", metavar="N", min=10, help="Monte Carlo trials at most.")] = 1000
     rig: Annotated[
@@ -153,8 +155,8 @@ def _analysed(
 
     # unlabelled points serve: limbs are what moves together
     recording = one_person(read_points(path, options.vertical, batch), batch)
-    measures, doubtful = _clinical.measures_of(recording, static, options.measure)
-    limbs, clinical = _limbs(options, recording), _clinical.find(recording, options.anatomy, measures)
+    measures, doubtful = _clinical.measures_of(recording, static, options.measure, options.hip)
+    limbs, clinical = _limbs(options, recording), _clinical.find(recording, options.anatomy, measures, static, options.lower_body)
     with _console.progress("motion") as progress:
         analysis = analyse_motion(recording, limbs, rules=rules, progress=progress)
         certain, legs = None, None

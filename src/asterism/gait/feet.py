@@ -7,15 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import butter, sosfiltfilt
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
+from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
+from asterism.motion.filters import zero_lag_butterworth
 from asterism.recording import Floats, Recording
 
 SIDES = ("L", "R")
 HEEL = (("HEE",), ("HEEL",), ("CAL",), ("LCA",))
-TOE = (("TOE",), ("MT2",), ("D2M",), ("MT1", "MT5"), ("D1M", "D5M"), ("MT5",), ("5TH",), ("D5M",))
+TOE = (("TOE",), ("MT2",), ("D2M",), ("MT1", "MT5"), ("D1M", "D5M"), ("FM", "VM"), ("MT5",), ("5TH",), ("D5M",))
 """Names after the side, best first; of two names the middle counts. Points and underscores in names do not."""
 PELVIS = ("SACR", "LASI", "RASI", "LPSI", "RPSI", "LASIS", "RASIS", "LPSIS", "RPSIS")
 RATE = 200.0
@@ -68,7 +69,11 @@ def feet_of(recording: Recording) -> Feet:
     """
     positions = rotate_z_up(recording.positions, recording.vertical)
     names = [label.rpartition(":")[2].upper().replace(".", "").replace("_", "") for label in recording.labels]
-
+    # other spellings of the shipped sets
+    other = [label.upper() for label in with_plug_in_gait_names(recording).labels]
+    names = [
+        new if new != old.upper() and new not in names else name for new, old, name in zip(other, recording.labels, names, strict=True)
+    ]
     hidden = list[str]()
 
     def curve(name: str) -> Floats | None:
@@ -102,7 +107,7 @@ def feet_of(recording: Recording) -> Feet:
     middle[~np.isfinite(hips).any(axis=0)] = np.nan
     pelvis = _smooth(middle, recording.rate, times, 6.0)
     pointing = sum(toe - heel for heel, toe in smooth.values())[:, :2]  # type: ignore[index]
-    ahead = _unit(_low_pass(_unit(pointing), RATE, TURNING))
+    ahead = _unit(zero_lag_butterworth(_unit(pointing), RATE, TURNING))
     heels, toes = ({side: pair[which] for side, pair in smooth.items()} for which in (0, 1))
     floor = min(float(np.percentile(heel[:, 2], 5)) for heel in heels.values())
     return Feet(times, heels, toes, pelvis, ahead, float(np.median(pelvis[:, 2])) - floor)
@@ -112,16 +117,8 @@ def _unit(vectors: Floats) -> Floats:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))
 
 
-def _low_pass(values: Floats, rate: float, cut_off: float) -> Floats:
-    """Zero-lag Butterworth of second order, forwards and backwards."""
-    if cut_off >= 0.45 * rate:
-        return values
-    sections = butter(2, cut_off / (0.5 * rate), output="sos")
-    return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=min(len(values) - 1, int(2 * rate / cut_off))))
-
-
 def _smooth(points: Floats, rate: float, times: Floats, cut_off: float) -> Floats:
     """Points (F, 3) without gaps, filtered, at other times."""
     frames, known = np.arange(len(points)), np.isfinite(points).all(axis=1)
     filled = np.stack([np.interp(frames, frames[known], points[known, axis]) for axis in range(3)], axis=1)
-    return np.asarray(CubicSpline(frames / rate, _low_pass(filled, rate, cut_off), axis=0)(times))
+    return np.asarray(CubicSpline(frames / rate, zero_lag_butterworth(filled, rate, cut_off), axis=0)(times))

@@ -29,6 +29,11 @@ def quintic_spline(curve: Floats) -> BSpline:
     >>> bool(np.median(np.abs(again + 9 * np.sin(3 * times))[20:-20]) < 2.0)  # of up to 9
     True
     """
+    return quintic_spline_and_power(curve)[0]
+
+
+def quintic_spline_and_power(curve: Floats) -> tuple[BSpline, float]:
+    """`quintic_spline`, and the smoothness that was chosen: 10 ** power weighs the square of the third derivative per sample."""
     count = len(curve)
     if count < LEAST or not np.isfinite(curve).all():
         raise ValueError(f"a spline needs {LEAST} finite samples or more")
@@ -36,7 +41,7 @@ def quintic_spline(curve: Floats) -> BSpline:
     target = basis.T @ curve
     # What is left of a wave of each frequency; the trace of the smoothing is their sum.
     waves = np.pi * np.arange(count) / count
-    passed, stopped = (66 + 52 * np.cos(waves) + 2 * np.cos(2 * waves)) / 120, (2 - 2 * np.cos(waves)) ** 3
+    passed, stopped = _passed(waves)
 
     def solve(power: float) -> Floats:
         return np.asarray(solveh_banded(fit + 10.0**power * rough, target, lower=True))
@@ -50,7 +55,21 @@ def quintic_spline(curve: Floats) -> BSpline:
     tried = np.arange(-5.0, 6.1, 1.0)
     best = float(tried[int(np.argmin([criterion(power) for power in tried]))])
     found = minimize_scalar(criterion, bounds=(best - 1.0, best + 1.0), method="bounded", options={"xatol": 0.01})
-    return BSpline(knots, solve(float(found.x)), _DEGREE)
+    return BSpline(knots, solve(float(found.x)), _DEGREE), float(found.x)
+
+
+def spline_cut_off(power: float, rate: float) -> float:
+    """Hz of which 71 % is left (-3 dB) by a spline of this smoothness, away from its ends; half the rate where it keeps all."""
+    waves = np.linspace(1e-3, np.pi, 2000)
+    passed, stopped = _passed(waves)
+    left = passed / (passed + 10.0**power * stopped)
+    below = np.flatnonzero(left < np.sqrt(0.5))
+    return float(rate * waves[below[0]] / (2.0 * np.pi)) if len(below) else 0.5 * rate
+
+
+def _passed(waves: Floats) -> tuple[Floats, Floats]:
+    """For waves of each frequency, rad per sample: what the fit and what the roughness makes of them."""
+    return (66 + 52 * np.cos(waves) + 2 * np.cos(2 * waves)) / 120, (2 - 2 * np.cos(waves)) ** 3
 
 
 def second_derivative(curve: Floats, rate: float) -> Floats:

@@ -63,14 +63,19 @@ class CyclePanel:
     notes: Sequence[str] = field(default=())
 
 
-def drawn_panels(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None = None) -> str:
-    """The panels as HTML, three beside each other where there is room, below a legend of what they have. O(points)."""
+def drawn_panels(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None = None, interval: str = "95 % interval") -> str:
+    """The panels as HTML, three beside each other where there is room, below a legend of what they have. O(points).
+
+    sessions  the names of two; interval: what the legend calls the curves' intervals
+    """
     leads = any(cycle.place for panel in panels for one in panel.sides for cycle in one.cycles)
     hint = '<p class="screen">Click a curve: the player below goes to this moment of its cycle.</p>' if leads else ""
-    return f'<div class="keys">{_legend(panels, sessions)}</div>\n{hint}<div class="panels">\n{"".join(map(_panel, panels))}</div>'
+    return (
+        f'<div class="keys">{_legend(panels, sessions, interval)}</div>\n{hint}<div class="panels">\n{"".join(map(_panel, panels))}</div>'
+    )
 
 
-def _legend(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None) -> str:
+def _legend(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None, interval: str) -> str:
     """A swatch and a word for each kind of line and band that is drawn."""
     shown = [one for panel in panels for one in panel.sides if one.cycles]
     keys = []
@@ -86,7 +91,7 @@ def _legend(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None) -> s
         keys.append(('<rect width="26" height="12" fill="#64748b" opacity="0.25"/>', "controls, mean ± 1 SD"))
     if any(one.interval for one in shown):
         keys.append(
-            ('<rect width="26" height="12" fill="#d1344b" opacity="0.2"/><path d="M0 .5h26M0 11.5h26" stroke="#d1344b"/>', "95 % interval")
+            ('<rect width="26" height="12" fill="#d1344b" opacity="0.2"/><path d="M0 .5h26M0 11.5h26" stroke="#d1344b"/>', interval)
         )
     if any(one.off is not None for one in shown):
         keys.append(('<path d="M13 0v12" stroke="#5b6780" stroke-width="1.4"/>', "foot off"))

@@ -11,6 +11,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Severity
 from asterism.report.gait_curves import angle_section, load_sections
+from asterism.report.gait_muscles import muscle_section
 from asterism.report.gait_session import SIDE, GaitSession
 from asterism.report.gait_tables import comparison_section, cycle_section, parameter_section, person_section, score_sections
 from asterism.report.page import Cell, Page, Section, Table, decimal, percent, write_page
@@ -48,6 +49,7 @@ def gait_report(
         parameter_section(first, band) if second is None else comparison_section(first, second, band),
         *angle_section(both, band),
         *load_sections(both),
+        *muscle_section(both),
         *score_sections(both, band),
         _quality(both),
         *_findings(both),
@@ -96,6 +98,7 @@ def _merits(sessions: Sequence[GaitSession], band: Band | None) -> list[tuple[st
 
 def _quality(sessions: Sequence[GaitSession]) -> Section:
     """What the numbers rest on, a row for each recording, and when which foot was on the floor."""
+    from asterism.motion.filters import last_filter
     from asterism.recording import filled_samples
 
     rows: list[list[str | Cell]] = []
@@ -106,7 +109,7 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
             filled = filled_samples(recording)[:, named_columns(recording)]
             share = float(np.isfinite(filled).mean()) if filled.size else float("nan")
             missing = 1.0 - float(shown.mean()) if shown.size else float("nan")
-            by_plates = sum(event.source != "markers" for event in events)
+            by_plates = sum(event.source.startswith("plate") for event in events)
             left_out = sum(finding.code == "kinetics-step" for finding in analysis.findings)
             largest = f", up to ± {1000 * float(np.nanmax(filled)):.1f} mm" if np.isfinite(filled).any() else ""
             rows.append(
@@ -114,6 +117,7 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
                     Cell(name, place=(session.offset + number, 0, max(len(recording) - 1, 0))),
                     Cell(percent(missing), min(np.sqrt(missing) if np.isfinite(missing) else 0.0, 1.0)),
                     percent(share, 1) + largest,
+                    str(last_filter(recording)),
                     str(len(events) - by_plates),
                     str(by_plates),
                     Cell(str(left_out), 0.6 if left_out else 0.0),
@@ -124,6 +128,7 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
         "recording",
         "samples of markers missing",
         "samples filled",
+        "trajectories",
         "events by markers",
         "events by force plates",
         "steps on plates left out",

@@ -15,7 +15,7 @@ from asterism.report.page import NOTHING, Cell, Section, Table, decimal
 if TYPE_CHECKING:
     from asterism.gait import Band, ParameterSummary
 
-_DIGITS = {"m": 3, "s": 2, "m/s": 2, "": 2}
+_DIGITS = {"m": 3, "s": 3, "m/s": 2, "": 2}
 """Behind the point, by unit; one elsewhere."""
 _FAR = 2.0
 """Standard deviations of the controls from which a mean is marked: about one control of twenty is as far."""
@@ -83,11 +83,11 @@ def parameter_section(session: GaitSession, band: Band | None) -> Section:
     text = (
         "Means over the cycles. ± is how exactly strikes and offs tell the mean, one standard uncertainty; SD is the spread of the cycles. "
     )
-    text += "A number leads to the cycle that is nearest to it."
+
     head = ["parameter", "left", "SD", "right", "SD", "left more than right, %"]
     if controls and band is not None:
-        head += [f"{band.people} controls, mean ± SD", "against the controls"]
-        text += f" Marked: farther than {_FAR:g} SD from the controls' mean; the grey strip is that wide."
+        head += [f"{band.people} controls, mean ± SD", "position"]
+        text += f" Marked: farther than {_FAR:g} SD from the controls' mean; the grey strip is that wide. A circle is left, a square right."
     elif band is not None:
         text += " The band of controls has no parameters; save it again with --save-band."
     return Section("Parameters", text, table=Table(head, rows), drawing=_LEADS)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -102,10 +102,10 @@ class LabelledFile:
         """The labels, to be corrected by a person; of a recording that is in memory."""
         return Correction(self.models, self.about, first=FirstLabels(self.labeller, self.labelling, self.bodies, self.found))
 
-    def corrected(self, correction: Correction) -> LabelledFile:
-        """The same file under the labels that a person has corrected."""
+    def corrected(self, correction: Correction, finish: Callable[[Recording], Recording] | None = None) -> LabelledFile:
+        """The same file under the labels that a person has corrected; finish: what else is done to it before it is written."""
         # what was found and the verdict stay: they are on what the models said
-        return replace(self, labelling=correction.labelling, copy=self.copy.corrected(correction))
+        return replace(self, labelling=correction.labelling, copy=self.copy.corrected(correction, finish))
 
     def write(self, target: Path | str, *, program: str | None = None, drop_computed: bool = False) -> list[str]:
         """Write the labelled recording; returns what the file cannot hold.

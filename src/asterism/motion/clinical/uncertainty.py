@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asterism.motion.clinical.angles import ClinicalAngles, ClinicalJoint
+from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
 from asterism.motion.clinical.measures import SIDES
-from asterism.motion.clinical.plug_in_gait import angles_of, lower_body
 from asterism.motion.uncertainty.monte_carlo import MonteCarloRules, run_by_source
 from asterism.motion.uncertainty.sources import CalibrationErrors, CalibrationField, MeasurementNoise
 from asterism.progress import Progress
@@ -115,6 +115,7 @@ def clinical_uncertainty(
     change nothing; each source draws the same alone as with the others. Raises AsterismError where a calibration does not fit.
     O(trials T).
     """
+    recording = with_plug_in_gait_names(recording)
     errors = errors or ClinicalErrors()
     rules = rules or MonteCarloRules()
     legs = _Legs.of(recording, clinical, errors)
@@ -191,8 +192,7 @@ class _Legs:
         def run(rng: np.random.Generator) -> Floats:
             moved = replace(self.recording, positions=self._drawn(active, *rng.spawn(3)))
             letters = {name: letter for letter, name in SIDES.items()}
-            legs = "".join(letters[side] for side in self.clinical.measures)
-            outputs = angles_of(moved, lower_body(moved, self.clinical.subject, legs))
+            outputs = self.clinical.model.outputs(moved)
             joints = [outputs[f"{letters[joint.side]}{joint.joint.title()}Angles"] for joint in self.clinical.joints]
             # Differences, unrolled: an angle near half a turn must not jump by a whole one between trials.
             apart = np.array(joints) - np.array([joint.angles for joint in self.clinical.joints])
@@ -231,7 +231,7 @@ class _Legs:
 def _axes_of(recording: Recording, side: str, clinical: ClinicalAngles) -> Mapping[str, Floats]:
     """The axes (T, 3, 3) of the segments of one side, 0 where they are not known; the foot's are the shank's."""
     letter = next(letter for letter, name in SIDES.items() if name == side)
-    body = lower_body(recording, clinical.subject, letter)
+    body = clinical.model.body(recording)
     leg = body.legs[letter]
     shank = np.nan_to_num(leg.shank)
     return {"pelvis": np.nan_to_num(body.pelvis), "thigh": np.nan_to_num(leg.thigh), "shank": shank, "foot": shank}

@@ -200,7 +200,9 @@ def predict_gap(trials: Sequence[GapTrial], column: int, gap: Ints, rules: GapRu
         # Frames whose nearest mates are guesses teach guesses; where few others are left they have to do.
         observed = fewer if (frames.trial[fewer] == 0).sum() >= 30 or (own == 0 and len(fewer) >= 30) else observed
     found = _candidates(frames, column, gap, mates, observed, rules)
-    return _blended(found, min(len(observed), rules.frames), rules) if found else None
+    # One other trial cannot show how much trials differ: of that, the prior is all that is known.
+    least = 1.0 if own == 0 and len(np.unique(frames.trial[observed])) == 1 else 0.0
+    return _blended(found, min(len(observed), rules.frames), rules, least) if found else None
 
 
 def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: Ints, rules: GapRules) -> list[_Candidate]:
@@ -305,8 +307,11 @@ class _Process:
         return found
 
 
-def _blended(found: Sequence[_Candidate], learned: int, rules: GapRules) -> tuple[Floats, Floats]:
-    """The mean of the candidates, weighted by how they do on the blocks, and its deviation, scaled so that it holds the blocks' errors."""
+def _blended(found: Sequence[_Candidate], learned: int, rules: GapRules, least: float = 0.0) -> tuple[Floats, Floats]:
+    """The mean of the candidates, weighted by how they do on the blocks, and its deviation, scaled so that it holds the blocks' errors.
+
+    learned: frames that were learned from; least: of the scale
+    """
     errors = np.array([one.error for one in found]) + 1e-9
     weights = (errors.min() / errors) ** rules.power * (errors <= rules.worst * errors.min())
     weights /= weights.sum()
@@ -317,7 +322,7 @@ def _blended(found: Sequence[_Candidate], learned: int, rules: GapRules) -> tupl
     expected: Floats = sum(weight * one.expected for weight, one in chosen)
     ratios = np.abs(off) / np.sqrt(expected)[:, :, None]
     # By their mean square and by what holds 95 % of them: a few large errors speak as well as many small ones.
-    scale = max(float(np.sqrt((off**2).mean() / expected.mean())), float(np.quantile(ratios, 0.95)) / 1.96)
+    scale = max(least, float(np.sqrt((off**2).mean() / expected.mean())), float(np.quantile(ratios, 0.95)) / 1.96)
     # Few blocks tell the scale badly: as in Student's t, with three coordinates for each block that shares no frame with another.
     freedom = 3.0 * max(learned / expected.shape[1], 1.0)
     return positions, np.maximum(np.sqrt(variance) * scale * float(stdtrit(freedom, 0.975)) / 1.96, _LEAST)

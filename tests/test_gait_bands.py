@@ -1,0 +1,150 @@
+"""Bands of angles: hold the curve of known measures, widen with what is not known, by markers as drawn markers do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import asterism
+from asterism.gait import GaitAnalysis, analyse_gait, over_cycle
+from asterism.gait.intervals import COVERAGE, AngleBand, angle_bands
+from asterism.motion.clinical import LegMeasures, SubjectMeasures
+from asterism.motion.clinical.estimated import WalkEstimator
+from asterism.motion.clinical.measures import computed_by_the_file
+from asterism.simulation import simulate_walks
+
+LEGS = {"knee_width": 0.104, "ankle_width": 0.066, "leg_length": 0.86, "asis_trochanter": 0.072, "thigh_rotation": 0.05,
+        "shank_rotation": -0.1, "tibial_torsion": -0.2, "ankle_tilt": 0.05, "foot_flexion": 0.2, "foot_rotation": 0.03}  # fmt: skip
+KNOWN = SubjectMeasures(LegMeasures().with_values(LEGS), LegMeasures().with_values(LEGS))
+
+
+@cache
+def walk() -> GaitAnalysis:
+    return analyse_gait(simulate_walks(1, frames=220, markers="helen-hayes", seed=4)[0], measures=KNOWN)
+
+
+def inside(band: AngleBand, curve: np.ndarray) -> np.ndarray:
+    middle, half = (band.high + band.low) / 2, (band.high - band.low) / 2
+    return np.asarray(np.abs((curve - middle + np.pi) % (2 * np.pi) - np.pi) <= half + 1e-9)
+
+
+def test_bands_without_measures_hold_the_curves_of_the_files_own_program(data: Path) -> None:
+    recording = asterism.read(data / "movement" / "clinical-lower" / "fmc_dynamic15.c3d")
+    analysis = analyse_gait(replace(recording, source=None), measures=SubjectMeasures())
+    held, widths = [], {}
+    for name, band in angle_bands(analysis, ("measures",)).items():
+        theirs = computed_by_the_file(recording, name)
+        assert theirs is not None
+        cycles = [cycle for cycle in analysis.cycles if cycle.side == name[0]]
+        curve = np.nanmean([over_cycle(np.radians(theirs), recording.rate, cycle) for cycle in cycles], axis=0)
+        if "Pelvis" in name:
+            continue  # hangs on no measure
+        held.append(inside(band, curve).mean())
+        widths[name] = np.degrees(band.high - band.low).mean(axis=0)
+    assert np.mean(held) > 0.93 and len(held) == 8
+    assert widths["LHipAngles"][0] < 10 and widths["RKneeAngles"][0] < 16 and widths["RKneeAngles"][2] < 26
+
+
+def test_measures_that_are_known_leave_nothing_open_and_those_that_are_not_are_held() -> None:
+    for band in angle_bands(walk(), ("measures",)).values():
+        np.testing.assert_allclose(band.high, band.low, atol=1e-9)
+    recording = walk().recording
+    for lacking in ("thigh_rotation", "foot_flexion", "knee_width"):
+        legs = LegMeasures().with_values({name: value for name, value in LEGS.items() if name != lacking})
+        blind = analyse_gait(recording, measures=replace(KNOWN, left=legs, right=legs))
+        bands = angle_bands(blind, ("measures",))
+        name = "LAnkleAngles" if lacking == "foot_flexion" else "LHipAngles"
+        axis = {"thigh_rotation": 2, "foot_flexion": 0, "knee_width": 1}[lacking]
+        assert (bands[name].high - bands[name].low)[:, axis].min() > 0.01
+        assert inside(bands[name], walk().curves[name].mean(axis=0))[:, axis].mean() > 0.9, lacking
+
+
+def test_a_knee_that_nobody_has_is_not_held() -> None:
+    """Else a band could be so wide that it holds everything."""
+    legs = LegMeasures().with_values(LEGS | {"knee_width": 0.24, "foot_flexion": -0.3})
+    odd = analyse_gait(walk().recording, measures=replace(KNOWN, left=legs, right=legs))
+    bands = angle_bands(analyse_gait(walk().recording, measures=SubjectMeasures()), ("measures",))
+    assert not inside(bands["LKneeAngles"], odd.curves["LKneeAngles"].mean(axis=0))[:, 1].mean() > 0.5
+    assert not inside(bands["LAnkleAngles"], odd.curves["LAnkleAngles"].mean(axis=0))[:, 0].any()
+
+
+def test_placement_spreads_curves_as_markers_that_are_drawn_do() -> None:
+    recording, placed = walk().recording, 0.002
+    band = angle_bands(walk(), ("placement",), placed=placed)["RKneeAngles"]
+    # The offsets of the standing trial are known, so that wands and toes count as well placed.
+    free = [number for number, label in enumerate(recording.labels) if label[1:] not in ("THI", "TIB", "TOE")]
+    rng, curves = np.random.default_rng(5), []
+    for _ in range(60):
+        # Alike along all axes, so that it does not matter along whose.
+        positions = recording.positions.copy()
+        positions[:, free] += rng.normal(0, placed, (len(free), 3))
+        moved = replace(recording, positions=positions)
+        drawn = replace(analyse_gait(moved, measures=KNOWN), cycles=walk().cycles)
+        outputs = drawn.clinical.outputs["RKneeAngles"] if drawn.clinical is not None else np.zeros((0, 3))
+        curves.append(np.mean([over_cycle(outputs, recording.rate, one) for one in walk().cycles if one.side == "R"], axis=0))
+    spread = np.std(curves, axis=0)
+    np.testing.assert_allclose(band.standard["placement"].mean(axis=0), spread.mean(axis=0), rtol=0.25)
+    np.testing.assert_allclose(band.high - band.low, 2 * COVERAGE * band.standard["placement"], rtol=1e-9)
+
+
+def test_fills_widen_a_band_by_what_they_leave_open() -> None:
+    name = "LKneeAngles"
+    cycles = len(walk().curves[name])
+    filled = replace(walk(), fill_sigmas={name: np.full((cycles, 101, 3), 0.03)})
+    bands = filled.bands
+    np.testing.assert_allclose(bands[name].standard["fills"], 0.03 / np.sqrt(cycles))
+    assert (bands[name].high - bands[name].low > walk().bands[name].high - walk().bands[name].low).all()
+    assert "fills" not in bands["RKneeAngles"].standard
+
+
+@pytest.mark.parametrize("turn", [-0.3, 0.0, 0.25])
+def test_the_knee_shows_how_the_wand_of_the_thigh_stands(turn: float) -> None:
+    """The wand of a real leg is turned about the thigh, and the estimate with it."""
+    recording = walk().recording
+    known = replace(KNOWN, left=replace(KNOWN.left, from_file=tuple(name for name in LEGS if name != "thigh_rotation")))
+    shown = [WalkEstimator(one, known, "L").estimate().left.thigh_rotation for one in (recording, turned_wand(recording, turn))]
+    assert shown[1] - shown[0] == pytest.approx(turn, abs=0.05)
+
+
+def turned_wand(recording: asterism.Recording, turn: float) -> asterism.Recording:
+    """With LTHI turned backwards about the line from hip to knee, by rad."""
+    clinical = walk().clinical
+    assert clinical is not None
+    from asterism.motion.clinical import lower_body
+
+    leg = lower_body(recording, clinical.subject, "L").legs["L"]
+    column = recording.labels.index("LTHI")
+    arm = recording.positions[:, column] - leg.knee
+    line = leg.thigh[:, :, 2]
+    along = np.einsum("ti,ti->t", arm, line)[:, None] * line
+    across = arm - along
+    positions = recording.positions.copy()
+    positions[:, column] = leg.knee + along + np.cos(turn) * across + np.sin(turn) * np.cross(line, across)
+    return replace(recording, positions=positions)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("hidden", "without", "all_the_same"),
+    [
+        ("LKNE", ["LHip", "LKnee", "LAnkle"], ["LPelvis", "RHip", "RKnee", "RAnkle"]),
+        ("LHEE", [], ["LHip", "LKnee", "LAnkle", "RAnkle"]),
+        ("SACR", ["LPelvis", "LHip", "RKnee"], []),
+        ("RTIB", ["RKnee", "RAnkle"], ["RHip", "LKnee", "LAnkle"]),
+    ],
+)
+def test_markers_that_no_cycle_shows_leave_their_angles_without_a_band(hidden: str, without: list[str], all_the_same: list[str]) -> None:
+    recording, clinical = walk().recording, walk().clinical
+    assert clinical is not None
+    positions = recording.positions.copy()
+    positions[12:, recording.labels.index(hidden)] = np.nan
+    blind = replace(walk(), recording=replace(recording, positions=positions), clinical=replace(clinical, subject=SubjectMeasures()))
+    for name in without:
+        assert np.isnan(blind.bands[f"{name}Angles"].low).all(), name
+    for name in all_the_same:
+        band = blind.bands[f"{name}Angles"]
+        assert np.isfinite(band.low).all() and (band.high > band.low).all(), name
