@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from asterism.gait import Band, GaitAnalysis
     from asterism.recording import ForcePlate
 
+_LEFT_OUT = "kinetics-step"
+"""The code of a step on a force plate that moments and powers cannot use."""
+
 
 def gait_report(
     path: str | Path,
@@ -110,7 +113,7 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
             share = float(np.isfinite(filled).mean()) if filled.size else float("nan")
             missing = 1.0 - float(shown.mean()) if shown.size else float("nan")
             by_plates = sum(event.source.startswith("plate") for event in events)
-            left_out = sum(finding.code == "kinetics-step" for finding in analysis.findings)
+            left_out = sum(finding.code == _LEFT_OUT for finding in analysis.findings)
             largest = f", up to ± {1000 * float(np.nanmax(filled)):.1f} mm" if np.isfinite(filled).any() else ""
             rows.append(
                 [
@@ -167,24 +170,33 @@ def _filled(sessions: Sequence[GaitSession]) -> list[Section]:
 def _findings(sessions: Sequence[GaitSession]) -> list[Section]:
     """What was found out, once for all recordings that it is true of."""
     of: dict[tuple[str, str], list[str]] = {}
+    steps: list[list[str | Cell]] = []
     severe: dict[tuple[str, str], bool] = {}
     for session in sessions:
         for name, analysis in session.results:
             file = str(analysis.recording.metadata.get("file", "the recording"))
             for finding in analysis.findings:
+                if finding.code == _LEFT_OUT:
+                    steps.append([name, finding.sentence.removeprefix(f"{file}: "), finding.mend])
+                    continue
                 # The recording stands in a column of its own: paths would push the rest out of view.
                 what = finding.sentence.removeprefix(f"{file}: ").replace(file, "the recording")
                 key = (what[:1].upper() + what[1:], finding.mend)
                 of.setdefault(key, []).append(name)
                 severe[key] = severe.get(key, False) or finding.severity > Severity.NOTE
-    if not of:
-        return []
     rows: list[list[str | Cell]] = []
     for key in sorted(of, key=lambda one: not severe[one]):
         what, mend = key
         names = list(dict.fromkeys(of[key]))
         rows.append([Cell("look at this" if severe[key] else "note", 0.6 if severe[key] else 0.0), what, mend, ", ".join(names)])
-    return [Section("What to know", table=Table(["", "found", "what to do", "in"], rows, left=4))]
+    sections = [Section("What to know", table=Table(["", "found", "what to do", "in"], rows, left=4))] if rows else []
+    if steps:
+        # A treadmill has one of them in each second.
+        table = Table(["recording", "step", "what to do"], steps, left=3)
+        sections.append(
+            Section("Steps on plates left out", "They count in parameters and angles, not in moments and powers.", table=table, folded=True)
+        )
+    return sections
 
 
 def _events(sessions: Sequence[GaitSession]) -> list[Section]:
