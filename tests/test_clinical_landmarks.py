@@ -152,6 +152,26 @@ def test_other_spellings_of_plug_in_gaits_markers_make_the_same_angles() -> None
     assert not without.joints and without.model.name == "landmarks"
 
 
+@pytest.mark.parametrize("missing", [(), ("LSM", "RSM")])
+def test_a_walk_with_the_names_of_rizzoli_has_events(missing: tuple[str, ...]) -> None:
+    """Without the second metatarsal's head the middle of the first and the fifth is the toe."""
+    from asterism.gait import find_events
+    from asterism.simulation import simulate_walks
+
+    [walk] = simulate_walks(1, frames=300, seed=0)
+    columns = {"LASIS": ("LASI", 0), "RASIS": ("RASI", 0), "LPSIS": ("SACR", 0), "RPSIS": ("SACR", 0)}
+    for side in "LR":
+        columns |= {f"{side}CA": (f"{side}HEE", 0), f"{side}SM": (f"{side}TOE", 0)}
+        columns |= {f"{side}FM": (f"{side}TOE", 0.04), f"{side}VM": (f"{side}TOE", -0.04)}
+    worn = {
+        name: walk.positions[:, walk.labels.index(own)] + [0, beside, 0] for name, (own, beside) in columns.items() if name not in missing
+    }
+    ours = find_events(Recording(np.stack(list(worn.values()), axis=1), tuple(worn), walk.rate, vertical=walk.vertical)).events
+    theirs = find_events(walk.select(["LASI", "RASI", "SACR", "LHEE", "RHEE", "LTOE", "RTOE"])).events
+    assert len(ours) == len(theirs) > 4
+    assert max(abs(one.time - other.time) for one, other in zip(ours, theirs, strict=True)) < 0.001
+
+
 def test_a_marker_that_one_leg_lacks_is_a_gap_and_one_that_both_lack_is_another_set() -> None:
     whole = person(BENT, BACK)
     for absent, severity in ((("LMM",), "warning"), (("LMM", "RMM"), "note")):

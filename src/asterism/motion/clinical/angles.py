@@ -199,16 +199,19 @@ def _assumed(recording: Recording, measures: SubjectMeasures, sides: Sequence[st
     """A finding for each leg whose widths nobody gave: they move the joint by half of their error."""
     found = []
     for side in sides:
-        lacking = [name for name in ("knee_width", "ankle_width", "leg_length") if name not in measures.of(side).from_file]
+        needed = {"knee_width": "an adult's width", "ankle_width": "an adult's width", "leg_length": "the hip by the width of the pelvis"}
+        if measures.hip_regression is not None:
+            del needed["leg_length"]
+        lacking = [name for name in needed if name not in measures.of(side).from_file]
         if lacking:
             words = ", ".join(name.replace("_", " ") for name in lacking)
+            taken = " and ".join(dict.fromkeys(needed[name] for name in lacking))
             found.append(
                 Finding(
                     "clinical-measures",
                     Severity.NOTE,
                     _file(recording),
-                    f"{_file(recording)} has no {words} of the {SIDES[side]} leg; an adult's widths were taken, "
-                    "and the hip by the width of the pelvis.",
+                    f"{_file(recording)} has no {words} of the {SIDES[side]} leg; {taken} was taken.",
                     "Give the measures, or a standing trial that holds them.",
                 )
             )

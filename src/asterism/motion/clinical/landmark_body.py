@@ -127,7 +127,7 @@ _NAMES = {"LE": "KNE", "LM": "ANK", "CA": "HEE", "SM": "TOE"}
 def with_plug_in_gait_names(recording: Recording) -> Recording:
     """The recording with Plug-in-Gait's names, where its own are other ones of the shipped sets for the same places, such as R.ASIS."""
     labels, known = list(recording.labels), shipped_sets()["plug-in-gait"]
-    if {"LASI", "RASI", "LTHI", "LKNE", "LTIB", "LANK"} <= set(labels):
+    if {"LASI", "RASI", "LTHI", "LKNE", "LTIB", "LANK", "LHEE", "LTOE"} <= set(labels):
         return recording
     for role, column in worn_landmarks(recording).roles.items():
         name = role if role == "SACR" else role[0] + _NAMES.get(role[1:], role[1:])
@@ -191,7 +191,8 @@ def landmark_angles(made: LandmarkBody) -> dict[str, Floats]:
             f"{side}KneeAngles": turns(leg.thigh, leg.shank) * joint * [-1.0, 1.0, 1.0],
             f"{side}AnkleAngles": turns(leg.shank, made.feet[side]) * joint,
             f"{side}PelvisAngles": turns(room, body.pelvis) * seen,
-            f"{side}FootProgressAngles": turns(room, made.feet[side]) * joint,
+            # the vendor's first counts from a foot that points down, the second the other way
+            f"{side}FootProgressAngles": turns(room, made.feet[side]) * [1.0, left, -left] - [np.pi / 2, 0.0, 0.0],
         }
     wrapped = {name: (angles + np.pi) % (2 * np.pi) - np.pi for name, angles in found.items()}
     return {name: angles for name, angles in wrapped.items() if np.isfinite(angles).any()}
