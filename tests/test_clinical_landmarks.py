@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import asterism
 from asterism import AsterismError, Recording, formats
 from asterism.cli import main
+from asterism.gait import analyse_gait
 from asterism.motion.clinical import ClinicalAngles, SubjectMeasures, clinical_angles, gathered_measures
 from asterism.motion.clinical.measures import computed_by_the_file
 
@@ -132,6 +133,68 @@ def test_what_can_be_computed_is_and_the_rest_is_named() -> None:
         clinical_angles(whole, model="cgm")
 
 
+def test_other_spellings_of_plug_in_gaits_markers_make_the_same_angles() -> None:
+    """As Cortex writes them, and behind a subject's name. A thigh's other markers are no wands."""
+    from asterism.motion.clinical import complete_legs, with_static_offsets
+    from asterism.recording.marker_set import shipped_sets
+    from asterism.simulation import simulate_walks
+
+    [walk] = simulate_walks(1, frames=60, markers="helen-hayes", seed=0)
+    aliases = shipped_sets()["helen-hayes"].aliases
+    theirs = clinical_angles(walk, measures=with_static_offsets(walk, SubjectMeasures()))
+    for labels in ([aliases[name][0] for name in walk.labels], [f"Ann:{name}" for name in walk.labels]):
+        other = replace(walk, labels=tuple(labels))
+        own = clinical_angles(other, measures=with_static_offsets(other, SubjectMeasures()))
+        assert complete_legs(other) == ("L", "R") and own.outputs.keys() == theirs.outputs.keys()
+        for name, values in theirs.outputs.items():
+            np.testing.assert_array_equal(own.outputs[name], values)
+    wands = {"LTHI": "LTH1", "RTHI": "RTH1", "LTIB": "LSK1", "RTIB": "RSK1"}
+    without = clinical_angles(replace(walk, labels=tuple(wands.get(name, name) for name in walk.labels)))
+    assert not without.joints and without.model.name == "landmarks"
+
+
+@pytest.mark.parametrize("missing", [(), ("LSM", "RSM")])
+def test_a_walk_with_the_names_of_rizzoli_has_events(missing: tuple[str, ...]) -> None:
+    """Without the second metatarsal's head the middle of the first and the fifth is the toe."""
+    from asterism.gait import find_events
+    from asterism.simulation import simulate_walks
+
+    [walk] = simulate_walks(1, frames=300, seed=0)
+    columns = {"LASIS": ("LASI", 0), "RASIS": ("RASI", 0), "LPSIS": ("SACR", 0), "RPSIS": ("SACR", 0)}
+    for side in "LR":
+        columns |= {f"{side}CA": (f"{side}HEE", 0), f"{side}SM": (f"{side}TOE", 0)}
+        columns |= {f"{side}FM": (f"{side}TOE", 0.04), f"{side}VM": (f"{side}TOE", -0.04)}
+    worn = {
+        name: walk.positions[:, walk.labels.index(own)] + [0, beside, 0] for name, (own, beside) in columns.items() if name not in missing
+    }
+    ours = find_events(Recording(np.stack(list(worn.values()), axis=1), tuple(worn), walk.rate, vertical=walk.vertical)).events
+    theirs = find_events(walk.select(["LASI", "RASI", "SACR", "LHEE", "RHEE", "LTOE", "RTOE"])).events
+    assert len(ours) == len(theirs) > 4
+    assert max(abs(one.time - other.time) for one, other in zip(ours, theirs, strict=True)) < 0.001
+
+
+def test_a_marker_that_one_leg_lacks_is_a_gap_and_one_that_both_lack_is_another_set() -> None:
+    whole = person(BENT, BACK)
+    for absent, severity in ((("LMM",), "warning"), (("LMM", "RMM"), "note")):
+        clinical = clinical_angles(whole.select([name for name in whole.labels if name not in absent]), model="landmarks")
+        assert {finding.severity.name.lower() for finding in clinical.findings if finding.code == "clinical-left-out"} == {severity}
+
+
+@pytest.mark.parametrize("carried", [False, True])
+def test_landmarks_that_are_put_elsewhere_turn_the_knee_as_far_as_geometry_says(carried: bool) -> None:
+    """Of a leg that stands: 5 mm ahead or back, one of two epicondyles turns the thigh by 5 / 100, a malleolus the shank by 5 / 80.
+
+    Also where the medial ones are carried from the standing trial: the same hand felt for them.
+    """
+    whole = person(UPRIGHT, names=HELEN_HAYES if not carried else CAST)
+    static = person(UPRIGHT, UPRIGHT, names=CAST) if carried else None
+    walk = whole.select([name for name in whole.labels if not carried or name[1:] not in ("KNM", "MM")])
+    clinical = clinical_angles(walk, static=static)
+    apart = [moved["LKneeAngles"][0, 2] - clinical.outputs["LKneeAngles"][0, 2] for moved in clinical.model.placed_anew(walk, 1e-6)]
+    deviation = 0.005 * np.sqrt(np.sum(np.square(np.array(apart) / 1e-6)))
+    assert deviation == pytest.approx(np.sqrt(2.0) * np.hypot(0.005 / 0.10, 0.005 / 0.08), rel=1e-3)
+
+
 def test_hip_centres_are_those_of_their_regressions() -> None:
     """By hand, in millimetres from midway between the spines: ahead, up, to the right."""
     walk = person(UPRIGHT)
@@ -191,3 +254,6 @@ def test_landmarks_of_a_treadmill_walk_bend_as_the_vendors_model_does(data: Path
             assert theirs is not None
             apart = np.degrees(clinical.outputs[f"{side}{name}Angles"][:, 0]) - theirs[:, 0]
             assert np.nanstd(apart) < most, name
+    bands = analyse_gait(walk.frames(slice(0, 350))).bands
+    for name, (least, most) in {"LHipAngles": (2.0, 6.0), "LKneeAngles": (1.5, 5.0)}.items():
+        assert least < np.degrees(np.nanmax(bands[name].high - bands[name].low, axis=0))[0] / 2 < most, name

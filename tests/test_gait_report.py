@@ -17,9 +17,11 @@ from asterism.cli import main
 from asterism.findings import Finding, Severity
 from asterism.gait import GaitAnalysis, analyse_gait, band_of, compare_sessions
 from asterism.gait.parameters import Parameter
+from asterism.motion.analysis import analyse_motion
 from asterism.recording import ForcePlate
 from asterism.report.cycle_panels import CurvesOfSide, CycleCurve, CyclePanel, drawn_panels
 from asterism.report.gait import gait_report
+from asterism.report.limb_names import limb_names
 from asterism.report.player import ShownRecording, pack_recordings
 from asterism.report.recording import labelling_by_names
 from asterism.simulation import simulate_walks
@@ -222,3 +224,30 @@ def test_a_click_shows_the_frames_and_the_player_goes_backwards(tmp_path: Path, 
     (tmp_path / "p.html").write_text(page.replace("</body>", act))
     elements = opened((tmp_path / "p.html").as_uri(), tmp_path, "ACTED")
     assert re.search(rf"ACTED 1 {begin} -[1-9][0-9]* -1 true .* 0 % of its cycle, on the floor", elements), elements[-500:]
+
+
+def test_the_page_on_motion_has_cycles_first_and_no_numbers_of_limbs(tmp_path: Path) -> None:
+    """A walk's hips, knees and ankles over the cycle, then the limbs that were found, called by the markers on them."""
+    walk = simulate_walks(1, frames=300, markers="plug-in-gait", seed=1)[0]
+    asterism.write(tmp_path / "walk.c3d", walk)
+    assert main(["motion", str(tmp_path / "walk.c3d"), "--limbs", "5", "--report", str(tmp_path / "p.html")]) in (0, 1)
+    page = (tmp_path / "p.html").read_text()
+    found = headings(page)
+    assert (
+        found[0] == "walk.c3d: hips, knees and ankles over the gait cycle"
+        and "limb 1" not in page.split('<script type="application/json"')[0]
+    )
+    panels = page.split("<h2>")[1]
+    assert panels.count('<figure class="panel"') == 9 and panels.count('class="mean left"') == 9
+    assert any("left thigh" in one or "left shank" in one or "left foot" in one for one in re.findall("<figcaption>(.*?) <small>", page))
+
+
+def test_limbs_of_points_without_known_names_are_called_by_their_points() -> None:
+    walk = simulate_walks(1, frames=80, markers="plug-in-gait", seed=1)[0]
+    analysis = analyse_motion(
+        walk, {"limb 1": ["LTHI", "LKNE", "LASI"], "my arm": ["LELB", "LWRA", "LWRB"], "limb 3": ["LTIB", "LANK", "LHEE"]}
+    )
+    assert limb_names(analysis) == ["left thigh and pelvis", "my arm", "left shank and left foot"]
+    plain = replace(analysis, recording=replace(analysis.recording, labels=tuple(f"P{n}" for n in range(len(walk.labels)))))
+    names = limb_names(plain)
+    assert names[1] == "my arm" and re.match(r"P\d+", names[0]) and len(set(names)) == 3

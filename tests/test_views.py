@@ -333,9 +333,9 @@ def test_markers_that_are_there_but_in_doubt_are_not_said_to_be_absent() -> None
     doubted = replace(found, labels=np.where(found.labels == one, -1, found.labels))
     assert (doubted.candidates == one).any()
     none = CameraAgreement(RULES.noise, np.empty(0, dtype=np.int64), 0.0, {})
-    assert [(each.code, each.where) for each in checks.findings(doubted, none)] == [("views-markers-in-doubt", "LTIB")]
+    assert [(each.code, each.where) for each in checks.findings(doubted, none, np.zeros(4))] == [("views-markers-in-doubt", "LTIB")]
     gone = replace(doubted, candidates=doubted.labels)
-    assert [(each.code, each.where) for each in checks.findings(gone, none)] == [("views-markers-absent", "LTIB")]
+    assert [(each.code, each.where) for each in checks.findings(gone, none, np.zeros(4))] == [("views-markers-absent", "LTIB")]
 
 
 def test_a_mirrored_body_and_one_with_exchanged_names_are_refused() -> None:

@@ -70,7 +70,7 @@ def find(
 
     Raises AsterismError where they are asked for and there is none.
     """
-    from asterism.motion.clinical import clinical_angles
+    from asterism.motion.clinical import clinical_angles, complete_legs
 
     # asked for, a missing marker is an error; not asked for, it is no leg
     try:
@@ -79,7 +79,9 @@ def find(
         if wanted or model is not None:
             raise
         return None
-    return clinical if clinical is None or clinical.joints or wanted else None
+    if clinical is None or wanted or (clinical.joints and (clinical.model.name == "landmarks" or complete_legs(recording))):
+        return clinical
+    return None
 
 
 class MonteCarloOptions(TypedDict):

@@ -63,6 +63,15 @@ class GaitAnalysis:
     emg: tuple[EmgChannel, ...] = ()
 
     @cached_property
+    def load_sigmas(self) -> Mapping[str, Floats]:
+        """As `loads`, of moments and powers: the standard uncertainty of each cycle's curve (`KineticErrors`). Cycles share most of it."""
+        if self.kinetics is None:
+            return {}
+        rate, sigmas = self.recording.rate, self.kinetics.sigmas
+        known = {name: values.reshape(len(values), -1) for name, values in sigmas.items() if name in self.loaded}
+        return {name: np.stack([over_cycle(values, rate, cycle) for cycle in self.loaded[name]]) for name, values in known.items()}
+
+    @cached_property
     def bands(self) -> Mapping[str, AngleBand]:
         """95 % bands of the angles, see `angle_bands`; computed when they are first asked for."""
         from asterism.gait.intervals import angle_bands

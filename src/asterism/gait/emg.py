@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -135,6 +136,13 @@ def emg_of(recording: Recording, cycles: Sequence[Cycle], rules: EmgRules | None
     return tuple(channels), found
 
 
+@lru_cache(maxsize=8)
+def _filters(rate: float, low: float, high: float, smooth: float) -> tuple[Floats, Floats]:
+    """Band-pass and low-pass, which all channels of a recording share."""
+    band = butter(2, [low, min(high, 0.45 * rate)], "bandpass", fs=rate, output="sos")
+    return band, butter(2, smooth, "lowpass", fs=rate, output="sos")
+
+
 def envelope(samples: Floats, rate: float, rules: EmgRules | None = None) -> Floats:
     """(S,) the linear envelope of samples (S,), in their unit and at their rate; never below zero. O(S).
 
@@ -145,8 +153,7 @@ def envelope(samples: Floats, rate: float, rules: EmgRules | None = None) -> Flo
     (True, True)
     """
     rules = rules or EmgRules()
-    band = butter(2, [rules.low, min(rules.high, 0.45 * rate)], "bandpass", fs=rate, output="sos")
-    smooth = butter(2, rules.smooth, "lowpass", fs=rate, output="sos")
+    band, smooth = _filters(rate, rules.low, rules.high, rules.smooth)
     # An offset would ring through the band-pass at both ends.
     rectified = np.abs(sosfiltfilt(band, samples - samples.mean()))
     return np.asarray(np.maximum(sosfiltfilt(smooth, rectified), 0.0))

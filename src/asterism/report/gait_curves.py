@@ -100,16 +100,34 @@ def load_sections(sessions: Sequence[GaitSession]) -> list[Section]:
             continue
         of = {id(one): Curves(_inwards(one.loads), lambda name, one=one: one.loaded.get(name, ())) for one in chosen}  # type: ignore[misc]
         per = "/kg" if per_kg else ""
-        panels = [CyclePanel(title, unit + per, curves_of_sides(sessions, of, name, which)) for name, which, title, unit in LOADS]
+        panels = [
+            CyclePanel(title, unit + per, _with_load_intervals(curves_of_sides(sessions, of, name, which), sessions, name, which))
+            for name, which, title, unit in LOADS
+        ]
         counted = {side: sum(len(one.loads.get(f"{side}HipMoment", ())) for one in chosen) for side in SIDE}
         text = (
             f"Over {counted['L']} left and {counted['R']} right cycles in which one foot alone was on a plate. Moments are those that the "
-            "muscles and ligaments of the person make; a power above zero is work that they do, below zero work that they take up."
+            "muscles and ligaments of the person make; a power above zero is work that they do, below zero work that they take up. "
+            "The 95 % interval is what forces, centres of pressure, joint centres, masses and turning speeds leave open."
         )
         if not per_kg:
             text += " Nobody gave the mass of the person, so that they are not per kg and leave out the leg's inertia."
         sections.append(Section("Moments and powers over the gait cycle", text, drawing=drawn_panels(panels, session_names(sessions))))
     return sections
+
+
+def _with_load_intervals(sides: Sequence[CurvesOfSide], sessions: Sequence[GaitSession], curve: str, which: int) -> list[CurvesOfSide]:
+    """With what is uncertain of each session's mean: cycles share their joint centres and plates, so that many are no better than one."""
+    letters = {side: letter for letter, side in SIDE.items()}
+    found = []
+    for number, one in enumerate(sides):
+        name = letters[one.side] + curve
+        known = [analysis.load_sigmas[name] for analysis in sessions[number // len(SIDE)].analyses if name in analysis.load_sigmas]
+        if known and one.cycles:
+            half = 1.96 * np.concatenate(known)[:, :, which].mean(axis=0)
+            one = replace(one, interval=(one.mean - half, one.mean + half))
+        found.append(one)
+    return found
 
 
 def _inwards(loads: Mapping[str, Floats]) -> dict[str, Floats]:

@@ -5,6 +5,7 @@ from asterism.motion.clinical.exchanged import exchanged_finding, exchanged_pair
 from asterism.motion.clinical.gathered import gathered_measures
 from asterism.motion.clinical.kinetics import (
     ABOUT_CENTRE,
+    KineticErrors,
     KineticRules,
     Kinetics,
     PlateContact,
@@ -34,6 +35,7 @@ __all__ = [
     "ClinicalModel",
     "ClinicalUncertainty",
     "JointUncertainty",
+    "KineticErrors",
     "KineticRules",
     "Kinetics",
     "Leg",

@@ -10,7 +10,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.motion.clinical.gathered import gathered_measures
-from asterism.motion.clinical.landmark_body import landmark_body, worn_landmarks
+from asterism.motion.clinical.landmark_body import landmark_body, with_plug_in_gait_names, worn_landmarks
 from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures
 from asterism.motion.clinical.model import MODELS, ClinicalModel, wears_medial_markers
 from asterism.motion.clinical.plug_in_gait import lower_body
@@ -65,6 +65,7 @@ def complete_legs(recording: Recording) -> tuple[str, ...]:
 
     These are, after Helen Hayes and Plug-in-Gait: LASI, RASI, SACR or both LPSI and RPSI; and of the side THI, KNE, TIB, ANK.
     """
+    recording = with_plug_in_gait_names(recording)
     return tuple(side for side in SIDES if not _missing(recording, side) and _seen_together(recording, side))
 
 
@@ -98,7 +99,8 @@ def clinical_angles(
     """
     if model is not None and model not in MODELS:
         raise AsterismError(f"{model} is no model; take {' or '.join(MODELS)}.")
-    legs = "".join(side for side in SIDES if _has_hip(recording, side))
+    named = with_plug_in_gait_names(recording)
+    legs = "".join(side for side in SIDES if _has_hip(named, side))
     model = model or ("landmarks" if wears_medial_markers(recording) or not legs else "plug-in-gait")
     found: Sequence[Finding] = ()
     if measures is None:
@@ -108,7 +110,7 @@ def clinical_angles(
         if side not in SIDES:
             raise AsterismError(f"{side} is no side; give L or R.")
         if model == "plug-in-gait":
-            _demand(recording, side)
+            _demand(named, side)
     chosen = ClinicalModel(model, measures, "".join(sides) if sides is not None else legs if model == "plug-in-gait" else "LR", static)
     outputs = chosen.outputs(recording) if chosen.sides and (model != "plug-in-gait" or legs) else {}
     joints = tuple(
@@ -118,7 +120,7 @@ def clinical_angles(
         if (name := f"{side}{joint.title()}Angles") in outputs
     )
     if not joints and (sides is not None or "LPelvisAngles" not in outputs):
-        raise AsterismError(_nothing(recording))
+        raise AsterismError(_nothing(named))
     if model == "plug-in-gait":
         found = [*_assumed(recording, measures, chosen.sides), *_assumed_arms(recording, measures, outputs), *found]
     else:
@@ -159,18 +161,23 @@ def _left_out(recording: Recording, model: ClinicalModel, outputs: Mapping[str, 
     roles = {role for role, column in worn_landmarks(recording).roles.items() if recording.labels[column] in seen}
     roles |= set(() if made is None else made.carried)
     # of a set with wands these are missed first, but where medial markers are worn
-    wands = any(side + name in recording.labels for side in SIDES for name in ("THI", "TIB")) and not roles & {"LME", "RME", "LMM", "RMM"}
+    named = with_plug_in_gait_names(recording)
+    shown = {label for column, label in enumerate(named.labels) if recording.visible[:, column].any()}
+    wands = any(side + name in named.labels for side in SIDES for name in ("THI", "TIB")) and not roles & {"LME", "RME", "LMM", "RMM"}
     for side in sides:
         absent = [joint for joint in JOINTS if f"{side}{joint.title()}Angles" not in outputs]
-        lacking = [side + role for role in ("LE", "ME", "LM", "MM", "CA") if side + role not in roles]
+        known, lacking = roles, [side + role for role in ("LE", "ME", "LM", "MM", "CA") if side + role not in roles]
         if model.name == "plug-in-gait" or wands:
-            lacking = [name for name in _needed(recording, side) if name not in seen]
+            known, lacking = shown, [name for name in _needed(named, side) if name not in shown]
             # a set that has no toe has no ankle, which is no loss
-            lacking += [f"{side}TOE"] if f"{side}TOE" in {*recording.labels} - seen else []
+            lacking += [f"{side}TOE"] if f"{side}TOE" in {*named.labels} - shown else []
         if absent and lacking:
             sentence = f"{_file(recording)}: no angles of the {SIDES[side]} {', '.join(absent)}: {', '.join(lacking)} cannot be seen."
+            # a set without this marker on either side is no leg with a gap
+            gap = {*lacking} & {*named.labels} or {{"L": "R", "R": "L"}.get(name[0], "") + name[1:] for name in lacking} & known
             mend = "Fill its gaps (--fill), or give a standing trial with markers on both sides of knee and ankle (--static)."
-            found.append(Finding("clinical-left-out", Severity.WARNING, _file(recording), sentence, mend))
+            severity = Severity.WARNING if gap else Severity.NOTE
+            found.append(Finding("clinical-left-out", severity, _file(recording), sentence, mend))
     return found
 
 
@@ -192,16 +199,19 @@ def _assumed(recording: Recording, measures: SubjectMeasures, sides: Sequence[st
     """A finding for each leg whose widths nobody gave: they move the joint by half of their error."""
     found = []
     for side in sides:
-        lacking = [name for name in ("knee_width", "ankle_width", "leg_length") if name not in measures.of(side).from_file]
+        needed = {"knee_width": "an adult's width", "ankle_width": "an adult's width", "leg_length": "the hip by the width of the pelvis"}
+        if measures.hip_regression is not None:
+            del needed["leg_length"]
+        lacking = [name for name in needed if name not in measures.of(side).from_file]
         if lacking:
             words = ", ".join(name.replace("_", " ") for name in lacking)
+            taken = " and ".join(dict.fromkeys(needed[name] for name in lacking))
             found.append(
                 Finding(
                     "clinical-measures",
                     Severity.NOTE,
                     _file(recording),
-                    f"{_file(recording)} has no {words} of the {SIDES[side]} leg; an adult's widths were taken, "
-                    "and the hip by the width of the pelvis.",
+                    f"{_file(recording)} has no {words} of the {SIDES[side]} leg; {taken} was taken.",
                     "Give the measures, or a standing trial that holds them.",
                 )
             )

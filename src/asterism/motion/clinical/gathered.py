@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from asterism.findings import Finding, Severity
+from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
 from asterism.motion.clinical.measures import MARKER_RADIUS, SIDES, SubjectMeasures, subject_measures
 from asterism.motion.clinical.plug_in_gait import radius_by_the_file
 from asterism.motion.clinical.static import StaticRules, with_static_offsets
-from asterism.recording import Recording, without_subject
+from asterism.recording import Recording
 from asterism.recording.arrays import nan_median
 
 _SAME_LEG = 0.07
@@ -48,7 +49,7 @@ def gathered_measures(
     measures = measures.with_values(given)
     if static is not None:
         # a set without wands has no such offsets
-        if any(label.endswith(("THI", "TIB")) for label in recording.labels):
+        if any(label in ("LTHI", "RTHI") for label in with_plug_in_gait_names(recording).labels):
             measures = with_static_offsets(static, measures, rules).with_values(given)
         found += _other_person(recording, static)
     return measures, (*found, *_other_length(recording, measures))
@@ -86,15 +87,16 @@ def _another_radius(recording: Recording, named: float, fitted: float) -> Findin
 
 def _distance(recording: Recording, one: str, other: str, most: bool = False) -> float:
     """m: median between two markers, or what 95 of 100 frames stay below; NaN where they are never seen together."""
-    places = [next((at for at, label in enumerate(recording.labels) if without_subject(label) == name), None) for name in (one, other)]
-    if None in places:
+    if one not in recording.labels or other not in recording.labels:
         return float("nan")
+    places = [recording.labels.index(name) for name in (one, other)]
     apart = np.linalg.norm(recording.positions[:, places[0]] - recording.positions[:, places[1]], axis=1)
     seen = apart[np.isfinite(apart)]
     return float("nan") if not len(seen) else float(np.percentile(seen, 95) if most else nan_median(seen, axis=0))
 
 
 def _other_person(recording: Recording, static: Recording) -> list[Finding]:
+    recording, static = with_plug_in_gait_names(recording), with_plug_in_gait_names(static)
     pairs = [("LASI", "RASI"), *((side + one, side + other) for side in SIDES for one, other in _SEGMENTS)]
     ratios = [_distance(recording, *pair) / _distance(static, *pair) for pair in pairs]
     known = np.log([ratio for ratio in ratios if np.isfinite(ratio) and ratio > 0.0])
@@ -108,7 +110,7 @@ def _other_person(recording: Recording, static: Recording) -> list[Finding]:
 
 def _other_length(recording: Recording, measures: SubjectMeasures) -> list[Finding]:
     """Where a leg is as long as no leg that wears these markers."""
-    found = []
+    found, recording = [], with_plug_in_gait_names(recording)
     for side, word in SIDES.items():
         given = measures.of(side).leg_length
         shown = _distance(recording, f"{side}ASI", f"{side}KNE", most=True) + _distance(recording, f"{side}KNE", f"{side}ANK")

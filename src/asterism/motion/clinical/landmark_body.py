@@ -6,9 +6,9 @@ Istituto Ortopedico Rizzoli (Leardini et al. 2007), and CAST (Cappozzo et al. 19
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cache
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -47,13 +47,11 @@ _LEAST = 3
 class Worn:
     """Which column of a recording is which landmark, such as "LLE" (left, lateral epicondyle) or "SACR", and which markers are on a limb.
 
-    roles     landmark -> column; segments  "left thigh" -> columns
-    set_name  the shipped set that has most of the recording's names
+    roles  landmark -> column; segments  "left thigh" -> columns
     """
 
     roles: Mapping[str, int] = field(default_factory=dict)
     segments: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    set_name: str = ""
 
 
 @dataclass(frozen=True)
@@ -100,30 +98,47 @@ def _spellings() -> Mapping[str, tuple[Mapping[str, str], Mapping[str, str]]]:
 
 def worn_landmarks(recording: Recording) -> Worn:
     """Which landmarks and limbs the recording's names are, by the shipped sets; where two sets disagree, the one with more of the names."""
-    spelled = {canonical(without_subject(label)): column for column, label in enumerate(recording.labels)}
-    known = {name: sum(one in (*roles, *limbs) for one in spelled) for name, (roles, limbs) in _spellings().items()}
+    return _worn(tuple(recording.labels))
+
+
+@lru_cache(maxsize=32)
+def _worn(labels: tuple[str, ...]) -> Worn:
+    spelled = {canonical(without_subject(label)): column for column, label in enumerate(labels)}
+    known = {name: sum(one in roles or one in limbs for one in spelled) for name, (roles, limbs) in _spellings().items()}
     found: dict[str, int] = {}
     limb_of: dict[str, str] = {}
-    taken: set[int] = set()
-    order = sorted(known, key=lambda name: (-known[name], name))
-    for name in order:
+    for name in sorted(known, key=lambda name: (-known[name], name)):
         roles, limbs = _spellings()[name]
+        limb_of = {one: limbs[one] for one in spelled if one in limbs} | limb_of
         for spelling, column in spelled.items():
-            limb_of.setdefault(spelling, limbs.get(spelling, "")) if spelling in limbs else None
             role = roles.get(spelling)
-            if role is not None and role not in found and column not in taken:
+            if role is not None and role not in found and column not in found.values():
                 found[role] = column
-                taken.add(column)
     segments: dict[str, tuple[int, ...]] = {}
     for spelling, limb in limb_of.items():
         segments[limb] = (*segments.get(limb, ()), spelled[spelling])
-    return Worn(found, segments, order[0] if order else "")
+    return Worn(found, segments)
 
 
-def medial_legs(recording: Recording, static: Recording | None = None) -> tuple[str, ...]:
-    """The sides, "L" and "R", whose landmarks of pelvis and knee are known, from the recording or carried over from a standing trial."""
-    made = landmark_body(recording, SubjectMeasures(), static)
-    return tuple(side for side in SIDES if made is not None and np.isfinite(made.body.legs[side].thigh).all(axis=(1, 2)).any())
+_NAMES = {"LE": "KNE", "LM": "ANK", "CA": "HEE", "SM": "TOE"}
+"""Landmarks that Plug-in-Gait calls otherwise."""
+
+
+def with_plug_in_gait_names(recording: Recording) -> Recording:
+    """The recording with Plug-in-Gait's names, where its own are other ones of the shipped sets for the same places, such as R.ASIS."""
+    labels, known = list(recording.labels), shipped_sets()["plug-in-gait"]
+    if {"LASI", "RASI", "LTHI", "LKNE", "LTIB", "LANK", "LHEE", "LTOE"} <= set(labels):
+        return recording
+    for role, column in worn_landmarks(recording).roles.items():
+        name = role if role == "SACR" else role[0] + _NAMES.get(role[1:], role[1:])
+        if name not in labels and name in (*known.names, "SACR") and labels[column] not in known.names:
+            labels[column] = name
+    for column, label in enumerate(labels):
+        # thighs and shanks have many markers, of which only these are wands
+        name = shipped_sets()["helen-hayes"].name_of(label) or known.name_of(label) or label
+        if name not in labels:
+            labels[column] = name
+    return recording if tuple(labels) == tuple(recording.labels) else replace(recording, labels=tuple(labels))
 
 
 def landmark_body(recording: Recording, measures: SubjectMeasures, static: Recording | None = None) -> LandmarkBody | None:
@@ -160,6 +175,48 @@ def landmark_body(recording: Recording, measures: SubjectMeasures, static: Recor
     return LandmarkBody(LowerBody(pelvis, origin, legs), feet, tuple(carried), clusters, shanks)
 
 
+_PELVIS = ("LASI", "RASI", "LPSI", "RPSI", "SACR")
+_FOOT = ("CA", "FM", "SM", "VM", "TOE")
+
+
+def landmarks_displaced(
+    recording: Recording, measures: SubjectMeasures, static: Recording | None, step: float
+) -> Iterator[tuple[Recording, Recording | None]]:
+    """Recording and standing trial with one landmark's marker `step` m along one axis of its segment, in both; those of both legs at once.
+
+    What a landmark does that is put elsewhere on the skin, in all trials of a session alike.
+    """
+    trials = [trial for trial in (recording, static) if trial is not None]
+    made = [landmark_body(trial, measures, static) for trial in trials]
+    groups: list[tuple[str, ...]] = [(role,) for role in _PELVIS]
+    groups += [("L" + role, "R" + role) for role in (*_ON["thigh"], *_ON["shank"], *_FOOT)]
+    for group in groups:
+        for axis in range(3):
+            moved = [_moved(trial, one, group, axis, step) for trial, one in zip(trials, made, strict=True)]
+            if all(new is old for new, old in zip(moved, trials, strict=True)):
+                break
+            yield moved[0], moved[1] if len(moved) > 1 else None
+
+
+def _moved(trial: Recording, made: LandmarkBody | None, group: tuple[str, ...], axis: int, step: float) -> Recording:
+    worn = worn_landmarks(trial).roles
+    if made is None or not any(role in worn for role in group):
+        return trial
+    positions = rotate_z_up(trial.positions, trial.vertical).copy()
+    for role in group:
+        if role in worn:
+            positions[:, worn[role]] += step * np.nan_to_num(_axes_of(made, role))[:, :, axis]
+    return replace(trial, positions=positions, vertical=np.array([0.0, 0.0, 1.0]), source=None, origin=None)
+
+
+def _axes_of(made: LandmarkBody, role: str) -> Floats:
+    """(T, 3, 3) of its segment; the foot's are the shank's."""
+    if role in _PELVIS:
+        return made.body.pelvis
+    leg = made.body.legs[role[0]]
+    return leg.thigh if role[1:] in _ON["thigh"] else leg.shank
+
+
 def landmark_angles(made: LandmarkBody) -> dict[str, Floats]:
     """Angles (T, 3) rad of hip, knee, ankle, pelvis and foot by the names of Plug-in-Gait: Grood and Suntay (1983), the same signs.
 
@@ -176,7 +233,8 @@ def landmark_angles(made: LandmarkBody) -> dict[str, Floats]:
             f"{side}KneeAngles": turns(leg.thigh, leg.shank) * joint * [-1.0, 1.0, 1.0],
             f"{side}AnkleAngles": turns(leg.shank, made.feet[side]) * joint,
             f"{side}PelvisAngles": turns(room, body.pelvis) * seen,
-            f"{side}FootProgressAngles": turns(room, made.feet[side]) * joint,
+            # the vendor's first counts from a foot that points down, the second the other way
+            f"{side}FootProgressAngles": turns(room, made.feet[side]) * [1.0, left, -left] - [np.pi / 2, 0.0, 0.0],
         }
     wrapped = {name: (angles + np.pi) % (2 * np.pi) - np.pi for name, angles in found.items()}
     return {name: angles for name, angles in wrapped.items() if np.isfinite(angles).any()}

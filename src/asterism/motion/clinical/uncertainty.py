@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asterism.motion.clinical.angles import ClinicalAngles, ClinicalJoint
+from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
 from asterism.motion.clinical.measures import SIDES
 from asterism.motion.uncertainty.monte_carlo import MonteCarloRules, run_by_source
 from asterism.motion.uncertainty.sources import CalibrationErrors, CalibrationField, MeasurementNoise
@@ -114,6 +115,7 @@ def clinical_uncertainty(
     change nothing; each source draws the same alone as with the others. Raises AsterismError where a calibration does not fit.
     O(trials T).
     """
+    recording = with_plug_in_gait_names(recording)
     errors = errors or ClinicalErrors()
     rules = rules or MonteCarloRules()
     legs = _Legs.of(recording, clinical, errors)
