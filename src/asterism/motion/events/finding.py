@@ -129,7 +129,7 @@ def find_movement(recording: Recording, rules: MovementRules, markers: Mapping[s
     >>> foot = np.stack([np.cos(7 * times), 0 * times, np.sin(7 * times)], axis=1)
     >>> found = find_movement(Recording(foot[:, None], ("LTOE",), 100.0), MovementRules.load("pedalling"))
     >>> [(event.name, round(event.time, 2)) for event in found.events][:2]
-    [('Top', 0.22), ('Bottom', 0.67)]
+    [('Bottom', 0.67), ('Top', 1.12)]
     """
     file = str(recording.metadata.get("file", "the recording"))
     places, sides = places_of(recording, rules, markers or {}), rules.sides or ("",)

@@ -54,7 +54,7 @@ def places_of(recording: Recording, rules: MovementRules, given: Mapping[str, st
     labels = {canonical(without_subject(label)): column for column, label in reversed(list(enumerate(recording.labels)))}
     for name, label in given.items():
         if name not in rules.markers:
-            raise AsterismError(f"--marker {name}={label}: {name} is no marker of these rules, which are {', '.join(rules.markers)}.")
+            raise AsterismError(f"--marker {name}={label}: {name} is no marker of these rules; theirs are {', '.join(rules.markers)}.")
         if canonical(label) not in labels:
             raise AsterismError(f"--marker {name}={label}: {recording.metadata.get('file', 'the recording')} has no marker {label}.")
     positions = rotate_z_up(recording.positions, recording.vertical)
