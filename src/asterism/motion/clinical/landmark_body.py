@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -100,7 +100,12 @@ def _spellings() -> Mapping[str, tuple[Mapping[str, str], Mapping[str, str]]]:
 
 def worn_landmarks(recording: Recording) -> Worn:
     """Which landmarks and limbs the recording's names are, by the shipped sets; where two sets disagree, the one with more of the names."""
-    spelled = {canonical(without_subject(label)): column for column, label in enumerate(recording.labels)}
+    return _worn_by(recording.labels)
+
+
+@lru_cache(maxsize=64)
+def _worn_by(labels: tuple[str, ...]) -> Worn:
+    spelled = {canonical(without_subject(label)): column for column, label in enumerate(labels)}
     known = {name: sum(one in (*roles, *limbs) for one in spelled) for name, (roles, limbs) in _spellings().items()}
     found: dict[str, int] = {}
     limb_of: dict[str, str] = {}
