@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import asterism
 from asterism import AsterismError, Recording, formats
 from asterism.cli import main
+from asterism.gait import analyse_gait
 from asterism.motion.clinical import ClinicalAngles, SubjectMeasures, clinical_angles, gathered_measures
 from asterism.motion.clinical.measures import computed_by_the_file
 
@@ -179,6 +180,21 @@ def test_a_marker_that_one_leg_lacks_is_a_gap_and_one_that_both_lack_is_another_
         assert {finding.severity.name.lower() for finding in clinical.findings if finding.code == "clinical-left-out"} == {severity}
 
 
+@pytest.mark.parametrize("carried", [False, True])
+def test_landmarks_that_are_put_elsewhere_turn_the_knee_as_far_as_geometry_says(carried: bool) -> None:
+    """Of a leg that stands: 5 mm ahead or back, one of two epicondyles turns the thigh by 5 / 100, a malleolus the shank by 5 / 80.
+
+    Also where the medial ones are carried from the standing trial: the same hand felt for them.
+    """
+    whole = person(UPRIGHT, names=HELEN_HAYES if not carried else CAST)
+    static = person(UPRIGHT, UPRIGHT, names=CAST) if carried else None
+    walk = whole.select([name for name in whole.labels if not carried or name[1:] not in ("KNM", "MM")])
+    clinical = clinical_angles(walk, static=static)
+    apart = [moved["LKneeAngles"][0, 2] - clinical.outputs["LKneeAngles"][0, 2] for moved in clinical.model.placed_anew(walk, 1e-6)]
+    deviation = 0.005 * np.sqrt(np.sum(np.square(np.array(apart) / 1e-6)))
+    assert deviation == pytest.approx(np.sqrt(2.0) * np.hypot(0.005 / 0.10, 0.005 / 0.08), rel=1e-3)
+
+
 def test_hip_centres_are_those_of_their_regressions() -> None:
     """By hand, in millimetres from midway between the spines: ahead, up, to the right."""
     walk = person(UPRIGHT)
@@ -238,3 +254,6 @@ def test_landmarks_of_a_treadmill_walk_bend_as_the_vendors_model_does(data: Path
             assert theirs is not None
             apart = np.degrees(clinical.outputs[f"{side}{name}Angles"][:, 0]) - theirs[:, 0]
             assert np.nanstd(apart) < most, name
+    bands = analyse_gait(walk.frames(slice(0, 350))).bands
+    for name, (least, most) in {"LHipAngles": (2.0, 6.0), "LKneeAngles": (1.5, 5.0)}.items():
+        assert least < np.degrees(np.nanmax(bands[name].high - bands[name].low, axis=0))[0] / 2 < most, name

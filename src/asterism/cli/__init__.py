@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import glob
 import os
 import re
@@ -10,6 +11,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from inspect import cleandoc
+from threading import Timer
 from typing import Annotated, Any
 
 import typer
@@ -181,6 +183,7 @@ def _run(args: Sequence[str] | None) -> int:
             # only for a process of its own: a caller in Python has its own warnings
             _first_compile.prepare(words)
             warnings.showwarning = _show_warning
+            sys.unraisablehook = _interrupted_elsewhere
         status = command_line(words)(args=words or ["--help"], prog_name="asterism", standalone_mode=False)
     except (BrokenPipeError, StandardOutputError):
         raise
@@ -205,6 +208,15 @@ def _run(args: Sequence[str] | None) -> int:
     if status == 130:
         _console.error("interrupted; finished files stay, and no half-written file is left.")
     return status if isinstance(status, int) else 0
+
+
+def _interrupted_elsewhere(lost: sys.UnraisableHookArgs) -> None:
+    """Ctrl-C within a library's callback, as while kernels are loaded, is lost there: it is raised again where it ends the run."""
+    if issubclass(lost.exc_type, KeyboardInterrupt):
+        # from another thread, and a moment later: within this function it would be lost as well
+        Timer(0.01, _thread.interrupt_main).start()
+    else:
+        sys.__unraisablehook__(lost)
 
 
 def _command_of(problem: Exception) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from asterism.gait.analysis import CURVES, GaitAnalysis
 from asterism.gait.cycles import POINTS, Cycle
 from asterism.geometry import rotate_z_up
-from asterism.motion.clinical import LegMeasures, SubjectMeasures, complete_legs
+from asterism.motion.clinical import ClinicalModel, LegMeasures, SubjectMeasures, complete_legs
 from asterism.motion.clinical.estimated import MeasurePriors, WalkEstimator
 from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
 from asterism.motion.clinical.plug_in_gait import LowerBody, angles_of, lower_body, radius_by_the_file
@@ -57,15 +57,18 @@ def angle_bands(
     measured. How soft tissue moves is the same in both sessions and no part of it; see `clinical_uncertainty` for bones.
 
     What is not measured is estimated from the walk (`WalkEstimator`). Measures with which the file's program computed its own angles count
-    as known. Without angles or whole cycles, and of angles by landmarks, there are no bands. O(1): some 200 times the angles of 80 frames.
+    as known. Without angles or whole cycles there are no bands. O(1): some 200 times the angles of 80 frames.
     """
     clinical = analysis.clinical
     curves = {name: values for name, values in analysis.curves.items() if name.removesuffix("Angles")[1:] in CURVES[:5]}
+    wands = clinical is not None and clinical.model.name == "plug-in-gait"
     # The measures that nobody gave, and the markers that are moved, are those of Plug-in-Gait's whole legs.
-    sides = "".join(complete_legs(analysis.recording))
+    sides = "".join(complete_legs(analysis.recording)) if wands else "LR"
     curves = {name: values for name, values in curves.items() if name[0] in sides}
-    if clinical is None or not curves or clinical.model.name != "plug-in-gait":
+    if clinical is None or not curves:
         return {}
+    if not wands:
+        return _of_landmarks(analysis, clinical.model, curves, sources, placed)
     recording, times = _some(analysis)
     reported = _angles(recording, clinical.subject, sides)
     middle, parts = reported, {source: {name: np.zeros_like(values) for name, values in reported.items()} for source in SOURCES}
@@ -79,6 +82,31 @@ def angle_bands(
     if "placement" in sources:
         for moved in _displaced(recording, lower_body(recording, subject, sides), clinical.subject):
             _add(parts["placement"], _apart(_angles(moved, subject, sides), middle), placed / _STEP)
+    return _bands(analysis, curves, sources, times, parts, _apart(middle, reported))
+
+
+def _of_landmarks(
+    analysis: GaitAnalysis, model: ClinicalModel, curves: Mapping[str, Floats], sources: Sequence[str], placed: float
+) -> dict[str, AngleBand]:
+    """Bands of angles that come from landmarks: of no measures, but of where each landmark was felt."""
+    recording, times = _some(analysis)
+    middle = model.outputs(recording)
+    curves = {name: values for name, values in curves.items() if name in middle}
+    parts = {source: {name: np.zeros_like(middle[name]) for name in curves} for source in SOURCES}
+    for moved in model.placed_anew(recording, _STEP) if "placement" in sources else ():
+        _add(parts["placement"], _apart({name: moved[name] for name in curves}, middle), placed / _STEP)
+    return _bands(analysis, curves, sources, times, parts, {name: np.zeros_like(middle[name]) for name in curves})
+
+
+def _bands(
+    analysis: GaitAnalysis,
+    curves: Mapping[str, Floats],
+    sources: Sequence[str],
+    times: Floats,
+    parts: Mapping[str, Mapping[str, Floats]],
+    shift: Mapping[str, Floats],
+) -> dict[str, AngleBand]:
+    """Variances (T, 3) rad2 of each source, and by how much the middle differs from what was reported, over the cycle."""
     found = {}
     for name in curves:
         own = [cycle for cycle in analysis.cycles if cycle.side == name[0]]
@@ -89,7 +117,7 @@ def angle_bands(
             spread["fills"] = np.sqrt((filled**2).sum(axis=0)) / len(filled)
         seen = np.isfinite(curves[name])
         mean = np.where(seen.any(axis=0), np.nansum(curves[name], axis=0) / np.maximum(seen.sum(axis=0), 1), np.nan)
-        centre = mean + _over(_apart(middle, reported)[name], times, own)
+        centre = mean + _over(shift[name], times, own)
         wide = COVERAGE * np.sqrt(sum(part**2 for part in spread.values()))
         found[name] = AngleBand(centre - wide, centre + wide, spread)
     return found
@@ -97,7 +125,9 @@ def angle_bands(
 
 def _some(analysis: GaitAnalysis) -> tuple[Recording, Floats]:
     """The recording at `_ROWS` frames at most, from the first strike to the last, and their times in s."""
-    recording, cycles = with_plug_in_gait_names(analysis.recording), analysis.cycles
+    recording, cycles = analysis.recording, analysis.cycles
+    if analysis.clinical is not None and analysis.clinical.model.name == "plug-in-gait":
+        recording = with_plug_in_gait_names(recording)
     begin = min(cycle.strike.time for cycle in cycles) * recording.rate
     end = max(cycle.next_strike.time for cycle in cycles) * recording.rate
     first, last = max(int(begin), 0), min(int(np.ceil(end)), len(recording) - 1)

@@ -17,6 +17,9 @@ _LEFT, _TOP, _BOTTOM, _PER_PERCENT = 430, 60, 1660, 31
 """Where the axes are: 0 % at the left, the highest and the lowest value, and the units of one percent."""
 _RIGHT = _LEFT + 100 * _PER_PERCENT
 
+_FEW = 10
+"""Cycles of a side that are drawn as they are; more of them are fainter, so that all together are as dark. At half, six walks are pale."""
+
 
 @dataclass(frozen=True)
 class CycleCurve:
@@ -99,6 +102,9 @@ def _legend(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None, inte
 
 
 def _panel(panel: CyclePanel) -> str:
+    unit = f" <small>{escape(panel.unit)}</small>" if panel.unit else ""
+    if not any(np.isfinite(cycle.values).any() for one in panel.sides for cycle in one.cycles):
+        return f'<figure class="panel"><figcaption>{escape(panel.title)} <small>not known in any cycle</small></figcaption></figure>\n'
     low, high, ticks = _axis(panel)
     scale = _Scale(low, high)
     parts = [_grid(scale, ticks)]
@@ -114,13 +120,15 @@ def _panel(panel: CyclePanel) -> str:
         if one.off is not None:
             at = _LEFT + round(_PER_PERCENT * one.off)
             parts.append(f'<path class="off {one.side}{age}" d="M{at} {_TOP}V{_BOTTOM}"/>')
+        # Many cycles would hide their mean.
+        parts.append(f'<g opacity="{min(1.0, _FEW / max(len(one.cycles), 1)):.2g}">')
         for cycle in one.cycles:
             go = "" if cycle.place is None else ' data-go="{}:{}:{}"'.format(*cycle.place)
             parts.append(f'<path class="cycle {one.side}{age}" d="{scale.path(cycle.values)}" data-name="{escape(cycle.name)}"{go}/>')
+        parts.append("</g>")
     for one in sides:
         parts.append(f'<path class="mean {one.side}{" earlier" if one.earlier else ""}" d="{scale.path(one.mean)}"/>')
     notes = "".join(f"<small>{escape(note)}</small>" for note in panel.notes)
-    unit = f" <small>{escape(panel.unit)}</small>" if panel.unit else ""
     return (
         f'<figure class="panel" data-low="{low:g}" data-high="{high:g}" data-unit="{escape(panel.unit)}">'
         f"<figcaption>{escape(panel.title)}{unit}{notes}</figcaption>"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +14,7 @@ from asterism.report.page import NOTHING, Cell, Section, Table, decimal
 if TYPE_CHECKING:
     from asterism.gait import Band, ParameterSummary
 
-_DIGITS = {"m": 3, "s": 3, "m/s": 2, "": 2}
+_DIGITS = {"m": 3, "s": 3, "m/s": 3, "": 3}
 """Behind the point, by unit; one elsewhere."""
 _FAR = 2.0
 """Standard deviations of the controls from which a mean is marked: about one control of twenty is as far."""
@@ -26,17 +25,15 @@ _MEASURES = {"leg_length": "leg length", "knee_width": "knee width", "ankle_widt
 def person_section(sessions: Sequence[GaitSession]) -> Section:
     """Who walked, and the measures that the angles rest on, a column for each session."""
     columns = [_person(session) for session in sessions]
-    rows: list[list[str | Cell]] = [[title, *(column[title] for column in columns)] for title in columns[0]]
+    titles = dict.fromkeys(title for column in columns for title in column)
+    rows: list[list[str | Cell]] = [[title, *(column.get(title, NOTHING) for column in columns)] for title in titles]
     assumed = any(isinstance(cell, Cell) and "assumed" in cell.text for row in rows for cell in row)
     note = "An assumed measure is an adult's: give the person's own with --measure." if assumed else ""
     return Section("The person", table=Table(["", *(session.name for session in sessions)], rows, left=1 + len(sessions)), note=note)
 
 
 def _person(session: GaitSession) -> dict[str, str | Cell]:
-    from asterism.recording import subject_of
-
-    names = [str(one.recording.metadata.get("subject") or "") or Path(subject_of(one.recording)).name for one in session.analyses]
-    people = [name for name in dict.fromkeys(names) if name]
+    people = list(dict.fromkeys(str(name) for one in session.analyses if (name := one.recording.metadata.get("subject"))))
     found: dict[str, str | Cell] = {
         "person": Cell(", ".join(people) or NOTHING, 0.6 if len(people) > 1 else 0.0),
         "walks": ", ".join(name for name, _ in session.results),
@@ -44,7 +41,9 @@ def _person(session: GaitSession) -> dict[str, str | Cell]:
     clinical = next((one.clinical for one in session.analyses if one.clinical is not None), None)
     mass = None if clinical is None else clinical.subject.mass
     found["body mass"] = NOTHING if mass is None else f"{mass:.1f} kg"
-    for name, title in _MEASURES.items():
+    # Other models take no widths: their markers stand on both sides of a joint.
+    plug_in_gait = clinical is None or clinical.model.name == "plug-in-gait"
+    for name, title in _MEASURES.items() if plug_in_gait else ():
         told, doubtful = [], False
         for letter, side in SIDE.items():
             leg = None if clinical is None else clinical.subject.of(letter)

@@ -6,7 +6,7 @@ Istituto Ortopedico Rizzoli (Leardini et al. 2007), and CAST (Cappozzo et al. 19
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 
@@ -47,13 +47,11 @@ _LEAST = 3
 class Worn:
     """Which column of a recording is which landmark, such as "LLE" (left, lateral epicondyle) or "SACR", and which markers are on a limb.
 
-    roles     landmark -> column; segments  "left thigh" -> columns
-    set_name  the shipped set that has most of the recording's names
+    roles  landmark -> column; segments  "left thigh" -> columns
     """
 
     roles: Mapping[str, int] = field(default_factory=dict)
     segments: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    set_name: str = ""
 
 
 @dataclass(frozen=True)
@@ -100,29 +98,26 @@ def _spellings() -> Mapping[str, tuple[Mapping[str, str], Mapping[str, str]]]:
 
 def worn_landmarks(recording: Recording) -> Worn:
     """Which landmarks and limbs the recording's names are, by the shipped sets; where two sets disagree, the one with more of the names."""
-    return _worn_by(recording.labels)
+    return _worn(tuple(recording.labels))
 
 
-@lru_cache(maxsize=64)
-def _worn_by(labels: tuple[str, ...]) -> Worn:
+@lru_cache(maxsize=32)
+def _worn(labels: tuple[str, ...]) -> Worn:
     spelled = {canonical(without_subject(label)): column for column, label in enumerate(labels)}
-    known = {name: sum(one in (*roles, *limbs) for one in spelled) for name, (roles, limbs) in _spellings().items()}
+    known = {name: sum(one in roles or one in limbs for one in spelled) for name, (roles, limbs) in _spellings().items()}
     found: dict[str, int] = {}
     limb_of: dict[str, str] = {}
-    taken: set[int] = set()
-    order = sorted(known, key=lambda name: (-known[name], name))
-    for name in order:
+    for name in sorted(known, key=lambda name: (-known[name], name)):
         roles, limbs = _spellings()[name]
+        limb_of = {one: limbs[one] for one in spelled if one in limbs} | limb_of
         for spelling, column in spelled.items():
-            limb_of.setdefault(spelling, limbs.get(spelling, "")) if spelling in limbs else None
             role = roles.get(spelling)
-            if role is not None and role not in found and column not in taken:
+            if role is not None and role not in found and column not in found.values():
                 found[role] = column
-                taken.add(column)
     segments: dict[str, tuple[int, ...]] = {}
     for spelling, limb in limb_of.items():
         segments[limb] = (*segments.get(limb, ()), spelled[spelling])
-    return Worn(found, segments, order[0] if order else "")
+    return Worn(found, segments)
 
 
 _NAMES = {"LE": "KNE", "LM": "ANK", "CA": "HEE", "SM": "TOE"}
@@ -178,6 +173,48 @@ def landmark_body(recording: Recording, measures: SubjectMeasures, static: Recor
         legs[side], feet[side], shank = _leg(at, side, hip, missing)
         shanks |= shank
     return LandmarkBody(LowerBody(pelvis, origin, legs), feet, tuple(carried), clusters, shanks)
+
+
+_PELVIS = ("LASI", "RASI", "LPSI", "RPSI", "SACR")
+_FOOT = ("CA", "FM", "SM", "VM", "TOE")
+
+
+def landmarks_displaced(
+    recording: Recording, measures: SubjectMeasures, static: Recording | None, step: float
+) -> Iterator[tuple[Recording, Recording | None]]:
+    """Recording and standing trial with one landmark's marker `step` m along one axis of its segment, in both; those of both legs at once.
+
+    What a landmark does that is put elsewhere on the skin, in all trials of a session alike.
+    """
+    trials = [trial for trial in (recording, static) if trial is not None]
+    made = [landmark_body(trial, measures, static) for trial in trials]
+    groups: list[tuple[str, ...]] = [(role,) for role in _PELVIS]
+    groups += [("L" + role, "R" + role) for role in (*_ON["thigh"], *_ON["shank"], *_FOOT)]
+    for group in groups:
+        for axis in range(3):
+            moved = [_moved(trial, one, group, axis, step) for trial, one in zip(trials, made, strict=True)]
+            if all(new is old for new, old in zip(moved, trials, strict=True)):
+                break
+            yield moved[0], moved[1] if len(moved) > 1 else None
+
+
+def _moved(trial: Recording, made: LandmarkBody | None, group: tuple[str, ...], axis: int, step: float) -> Recording:
+    worn = worn_landmarks(trial).roles
+    if made is None or not any(role in worn for role in group):
+        return trial
+    positions = rotate_z_up(trial.positions, trial.vertical).copy()
+    for role in group:
+        if role in worn:
+            positions[:, worn[role]] += step * np.nan_to_num(_axes_of(made, role))[:, :, axis]
+    return replace(trial, positions=positions, vertical=np.array([0.0, 0.0, 1.0]), source=None, origin=None)
+
+
+def _axes_of(made: LandmarkBody, role: str) -> Floats:
+    """(T, 3, 3) of its segment; the foot's are the shank's."""
+    if role in _PELVIS:
+        return made.body.pelvis
+    leg = made.body.legs[role[0]]
+    return leg.thigh if role[1:] in _ON["thigh"] else leg.shank
 
 
 def landmark_angles(made: LandmarkBody) -> dict[str, Floats]:

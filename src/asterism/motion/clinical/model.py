@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.motion.clinical.hip import REGRESSIONS, regression_of
-from asterism.motion.clinical.landmark_body import landmark_angles, landmark_body, with_plug_in_gait_names, worn_landmarks
+from asterism.motion.clinical.landmark_body import (
+    landmark_angles,
+    landmark_body,
+    landmarks_displaced,
+    with_plug_in_gait_names,
+    worn_landmarks,
+)
 from asterism.motion.clinical.measures import SIDES, SubjectMeasures
 from asterism.motion.clinical.plug_in_gait import LowerBody, angles_of, lower_body, walking_axes
 from asterism.motion.clinical.upper_body import upper_body_angles
@@ -17,6 +24,8 @@ from asterism.recording import Floats, Recording
 MODELS = ("plug-in-gait", "landmarks")
 _LEG = ("KNE", "TIB", "ANK")
 """Markers of Plug-in-Gait without which a leg still has a hip: LTHI and LKNE tell the thigh; the others the shank."""
+_STANDING = 20
+"""Frames of a standing trial that are enough to see what a marker does."""
 _MEDIAL = ("LE", "ME", "LM", "MM")
 
 
@@ -64,6 +73,14 @@ class ClinicalModel:
             body, found = made.body, landmark_angles(made)
         found |= upper_body_angles(with_plug_in_gait_names(recording), self.measures, walking_axes(body))
         return {name: angles for name, angles in found.items() if np.isfinite(angles).any()}
+
+    def placed_anew(self, recording: Recording, step: float) -> Iterator[dict[str, Floats]]:
+        """The outputs with one landmark after the other `step` m along each axis of its segment, in the standing trial, too."""
+        still = self.static
+        if still is not None and len(still) > _STANDING:
+            still = still.frames(np.unique(np.linspace(0, len(still) - 1, _STANDING).astype(int)))
+        for moved, static in landmarks_displaced(recording, self.measures, still, step):
+            yield replace(self, static=static).outputs(moved)
 
     def with_feet_named(self, recording: Recording) -> Recording:
         """The recording whose heels and toes have Plug-in-Gait's names, by which inverse dynamics asks for them."""
