@@ -41,6 +41,9 @@ def _person(session: GaitSession) -> dict[str, str | Cell]:
     clinical = next((one.clinical for one in session.analyses if one.clinical is not None), None)
     mass = None if clinical is None else clinical.subject.mass
     found["body mass"] = NOTHING if mass is None else f"{mass:.1f} kg"
+    if clinical is not None:
+        walk = next(one.recording for one in session.analyses if one.clinical is clinical)
+        found["angles by"] = f"{clinical.model.title(walk)}; hip centres by {clinical.model.hip}"
     # Other models take no widths: their markers stand on both sides of a joint.
     plug_in_gait = clinical is None or clinical.model.name == "plug-in-gait"
     for name, title in _MEASURES.items() if plug_in_gait else ():
