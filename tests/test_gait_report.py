@@ -106,9 +106,15 @@ def test_what_no_cycle_shows_has_no_axes_and_many_cycles_leave_their_mean_in_vie
                 r'<g opacity="([^"]+)"', drawn_panels([CyclePanel("knee", "°", [CurvesOfSide("left", [CycleCurve(known)] * many)])])
             )[0]
         )
-        for many in (4, 100)
+        for many in (4, 50)
     ]
-    assert faint == [1.0, 0.1]
+    assert faint == [1.0, 0.2]
+    curves = [CycleCurve(np.full(101, float(n))) for n in range(500)]
+    crowded = drawn_panels([CyclePanel("knee", "°", [CurvesOfSide("left", curves)])])
+    assert 40 < crowded.count('class="cycle left"') <= 60 and "60 of them at most" in crowded
+    low, high = (float(re.findall(rf'data-{name}="([^"]+)"', crowded)[0]) for name in ("low", "high"))
+    mean = int(re.findall(r'class="mean left" d="M430 (\d+)', crowded)[0])
+    assert low + (1660 - mean) / 1600 * (high - low) == pytest.approx(249.5, abs=1.0), "of all cycles"
 
 
 def test_labels_are_as_certain_as_their_file_says(tmp_path: Path) -> None:

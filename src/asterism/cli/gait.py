@@ -428,5 +428,6 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
             }
             for channel in analysis.emg
         ],
+        "lower_body": None if analysis.clinical is None else {"model": analysis.clinical.model.name, "hip": analysis.clinical.model.hip},
         "measures": {} if analysis.clinical is None else dataclasses.asdict(analysis.clinical.subject),
     }

@@ -124,8 +124,7 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
                     Cell(percent(missing), min(np.sqrt(missing) if np.isfinite(missing) else 0.0, 1.0)),
                     percent(share, 1) + largest,
                     str(last_filter(recording)),
-                    str(len(events) - by_plates),
-                    str(by_plates),
+                    f"{len(events) - by_plates} | {by_plates}",
                     Cell(str(left_out), 0.6 if left_out else 0.0),
                     " | ".join(str(sum(cycle.side == side for cycle in analysis.cycles)) for side in "LR"),
                 ]
@@ -133,11 +132,10 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
     head = [
         "recording",
         "labels",
-        "samples of markers missing",
+        "samples missing",
         "samples filled",
         "trajectories",
-        "events by markers",
-        "events by force plates",
+        "events by markers | plates",
         "steps on plates left out",
         "cycles left | right",
     ]
