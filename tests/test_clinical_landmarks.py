@@ -107,16 +107,37 @@ def test_a_standing_trial_carries_medial_markers_that_the_walk_does_not_show(nam
     medial = [name for name in whole.labels if name[1:] in ("ME", "KNM", "MM")]
     walk = whole.select([name for name in whole.labels if name not in medial])
     static = person(((8.0, 2.0, -3.0), (5.0, 1.0, 2.0), (4.0, 0.0, 6.0)), UPRIGHT, names=names, heading=70.0)
+    # of another file: with a subject's name before the markers', and y up
+    turned = static.positions @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    up = np.array([0.0, 1.0, 0.0])
+    static = replace(static, positions=turned, labels=tuple(f"Ann:{name}" for name in static.labels), vertical=up)
     clinical = clinical_angles(walk, static=static)
     agree(clinical, 0, BENT)
     agree(clinical, 1, BACK)
     told = next(finding.sentence for finding in clinical.findings if finding.code == "clinical-model")
-    assert ("CAST" in told) == (names is CAST) and "LME, LMM, RME, RMM are carried over" in told
+    assert ("CAST" in told) == (names is CAST) and "carried over from the standing trial: LME, LMM, RME, RMM" in told
     shifted = walk.positions.copy()
     shifted[0, walk.labels.index("LFLE" if names else "LGT")] += 0.05
     moved = clinical_angles(replace(walk, positions=shifted), static=static)
     off = np.degrees(moved.outputs["LHipAngles"][0] - clinical.outputs["LHipAngles"][0])
     assert (np.abs(off).max() < 1e-6) == (names is CAST), "of CAST only the cluster counts"
+
+
+def test_a_marker_of_the_pelvis_that_a_walk_never_shows_is_carried_too() -> None:
+    whole, static = person(BENT, BACK), person(UPRIGHT)
+    for name in ("LASIS", "RPSIS"):
+        hidden = whole.positions.copy()
+        hidden[:, whole.labels.index(name)] = np.nan
+        agree(clinical_angles(replace(whole, positions=hidden), static=static), 1, BACK)
+
+
+@pytest.mark.parametrize("name", ["LHF", "RTT", "LVM"])
+def test_a_marker_that_one_leg_lacks_leaves_both_legs_one_definition(name: str) -> None:
+    """Legs that are bent alike have the same angles, whatever the definition."""
+    whole = person(BENT)
+    found = clinical_angles(whole.select([label for label in whole.labels if label != name])).outputs
+    for joint in ("Hip", "Knee", "Ankle"):
+        np.testing.assert_allclose(found[f"L{joint}Angles"], found[f"R{joint}Angles"], atol=1e-9)
 
 
 def test_what_can_be_computed_is_and_the_rest_is_named() -> None:

@@ -68,6 +68,7 @@ _EXAMPLES = {
     "segment": "asterism segment walk.c3d --report limbs.html",
     "motion": "asterism motion walk.c3d --uncertainty --report motion.html",
     "gait": "asterism gait walk*.c3d --static static.c3d --report gait.html",
+    "events": "asterism events squats.c3d --rules squat",
     "label-views": "asterism label-views 2d.csv --rig rig.toml --body gait15 -o labelled.c3d",
 }
 """Each verb, which is a function in a module of its name, and its example."""
@@ -75,7 +76,7 @@ _HEADINGS = {
     "Every day": ("demo", "name", "train", "label", "process", "review", "learn", "evaluate", "info", "convert", "warm-up"),
     "Labels and marker sets under test": ("audit", "mend", "capturability"),
     "From your own cameras": ("detect", "calibrate", "reconstruct", "rig", "label-views", "body"),
-    "Movement": ("gait", "segment", "motion"),
+    "Movement": ("gait", "events", "segment", "motion"),
     "Garments": ("garment",),
 }
 """The headings under which the help lists the commands."""
@@ -226,8 +227,9 @@ def _command_of(problem: Exception) -> str:
 
 
 def _respelled(args: Sequence[str]) -> list[str]:
-    """The arguments with the present names of options in place of earlier ones."""
-    return ["=".join([_RENAMED.get(name, name), *value]) for name, *value in (arg.split("=", 1) for arg in args)]
+    """The arguments with the present names of options in place of earlier ones; `--compare=a b` is `--compare a b`."""
+    parts = ([_RENAMED.get(name, name), *value] for name, *value in (arg.split("=", 1) for arg in args))
+    return [word for part in parts for word in (part if part[0] in _FILE_LISTS else ["=".join(part)])]
 
 
 def _globbed(args: Sequence[str]) -> list[str]:

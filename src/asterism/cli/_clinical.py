@@ -179,7 +179,7 @@ def as_dict(clinical: ClinicalAngles | None, known: ClinicalUncertainty | None) 
     if known is not None:
         trials = {"trials": known.trials, "converged": known.converged, "intervals_tried_on": TRIED_ON}
     measures = {side: dataclasses.asdict(one) for side, one in clinical.measures.items()}
-    return {"clinical": {"joints": joints, "measures": measures, **trials}}
+    return {"clinical": {"model": clinical.model.name, "hip": clinical.model.hip, "joints": joints, "measures": measures, **trials}}
 
 
 def _certain_dict(one: JointUncertainty) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from asterism.cli._filling import Fill, Filter, cleaned, fill_limit, filled, fil
 from asterism.cli._options import Files, Hip, Json, LowerBodyChoice, Measure, Overwrite, Report, Static, Vertical
 
 if TYPE_CHECKING:
-    from asterism.cli._folders import Trial
     from asterism.findings import Finding
     from asterism.gait import Band, GaitAnalysis
     from asterism.recording import Recording
@@ -112,7 +111,7 @@ def gait(options: GaitOptions) -> None:
     are as much less certain, and flagged. --filter smooths markers; by default nothing is filtered, because angles and events need it not.
     --compare sets a second session of the person beside the first, before and after a treatment.
     """
-    from asterism.cli._folders import trials
+    from asterism.cli._folders import copies_of, trials
     from asterism.files.tables import check_table
     from asterism.gait import Band
 
@@ -131,7 +130,7 @@ def gait(options: GaitOptions) -> None:
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
     walks = trials([*options.files, *options.compare], batch, without=options.c3d)
-    copies = {} if options.c3d is None else _copies(walks, options.c3d, inputs)
+    copies = {} if options.c3d is None else copies_of(walks, options.c3d, inputs)
     later = _paths_below(options.compare)
     results = analysed(options, [walk.path for walk in walks if _console.real_path(walk.path) not in later], batch, copies)
     second = replace(options, static=options.compare_static)
@@ -343,23 +342,6 @@ def _write_tables(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]]
             (everything.of(*kinds) if kinds else everything).write(given)
 
 
-def _copies(walks: Sequence[Trial], folder: Path, others: Sequence[Path | None]) -> dict[Path, Path]:
-    """Where the copy of each walk goes. Raises AsterismError where it would be an input, or two walks would have the same."""
-    from asterism.cli._folders import outputs_of
-    from asterism.errors import AsterismError
-
-    targets = {walk.path: target.with_suffix(".c3d") for walk, target in zip(walks, outputs_of(walks, folder), strict=True)}
-    inputs = {_console.real_path(path): path for path in (*targets, *others) if path is not None}
-    taken: dict[str, Path] = {}
-    for path, target in targets.items():
-        if (one := inputs.get(_console.real_path(target))) is not None:
-            raise AsterismError(f"the copy of {path} would replace {one}, which is an input; give --c3d another folder.")
-        # walk.trc and walk.c3d have one copy between them
-        if (other := taken.setdefault(str(target).casefold(), path)) != path:
-            raise AsterismError(f"{other} and {path} would both become {target}; give them one after the other.")
-    return targets
-
-
 def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:
     """A file's recording; its warnings are told."""
     from asterism.cli._recordings import one_person, report_warnings
@@ -446,5 +428,6 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
             }
             for channel in analysis.emg
         ],
+        "lower_body": None if analysis.clinical is None else {"model": analysis.clinical.model.name, "hip": analysis.clinical.model.hip},
         "measures": {} if analysis.clinical is None else dataclasses.asdict(analysis.clinical.subject),
     }

@@ -17,6 +17,7 @@ from asterism.findings import Finding, Severity
 from asterism.formats import AnalogChannel, analog_channels
 from asterism.gait.cycles import Cycle, over_cycle
 from asterism.recording import Floats, Recording
+from asterism.recording.display import listed
 
 _VOLTS = {"V", "MV", "UV", "µV", "VOLT", "VOLTS", "MICROVOLTS", "MILLIVOLTS"}
 _OTHER_SENSORS = re.compile(
@@ -97,33 +98,17 @@ def emg_of(recording: Recording, cycles: Sequence[Cycle], rules: EmgRules | None
     forwards and backwards.
     """
     rules = rules or EmgRules()
-    file, found, channels = str(recording.metadata.get("file", "the recording")), list[Finding](), list[EmgChannel]()
+    channels, left_out, clipped = list[EmgChannel](), dict[str, list[str]](), list[str]()
     for channel in analog_channels(recording):
         why = _why(channel)
         if why is None:
             continue
         problem = _unusable(channel.samples, channel.rate, rules)
         if problem:
-            found.append(
-                Finding(
-                    "emg-channel",
-                    Severity.NOTE,
-                    channel.name,
-                    f"{file}: EMG channel {channel.name} is left out: {problem}.",
-                    "Look at its electrode and cable.",
-                )
-            )
+            left_out.setdefault(problem, []).append(channel.name)
             continue
         if _cut_off(channel.samples) > rules.clipped:
-            found.append(
-                Finding(
-                    "emg-clipped",
-                    Severity.WARNING,
-                    channel.name,
-                    f"{file}: EMG channel {channel.name} is cut off at the ends of its range; its peaks are too low.",
-                    "Record it with a smaller gain.",
-                )
-            )
+            clipped.append(channel.name)
         side, muscle = side_and_muscle(channel.name)
         values = envelope(channel.samples, channel.rate, rules)
         over = {
@@ -133,7 +118,19 @@ def emg_of(recording: Recording, cycles: Sequence[Cycle], rules: EmgRules | None
         }
         if over:
             channels.append(EmgChannel(channel.name, muscle, side, why, channel.unit, over))
-    return tuple(channels), found
+    return tuple(channels), _findings(str(recording.metadata.get("file", "the recording")), left_out, clipped)
+
+
+def _findings(file: str, left_out: Mapping[str, Sequence[str]], clipped: Sequence[str]) -> list[Finding]:
+    """One for each reason: electrodes of one amplifier fail together."""
+    found = []
+    for problem, names in left_out.items():
+        sentence = f"{file}: EMG of {listed(names)} is left out: {problem}."
+        found.append(Finding("emg-channel", Severity.NOTE, listed(names), sentence, "Look at electrodes and cables."))
+    if clipped:
+        sentence = f"{file}: EMG of {listed(clipped)} is cut off at the ends of its range; its peaks are too low."
+        found.append(Finding("emg-clipped", Severity.WARNING, listed(clipped), sentence, "Record it with a smaller gain."))
+    return found
 
 
 @lru_cache(maxsize=8)
@@ -209,12 +206,12 @@ def _unusable(samples: Floats, rate: float, rules: EmgRules) -> str:
     if rate < rules.least_rate:
         return f"{rate:g} samples per second are too few for a muscle, which needs {rules.least_rate:g}"
     if not np.isfinite(samples).all():
-        return "some of its samples are no numbers"
+        return "some samples are no numbers"
     # filters need some samples before and behind each
     if len(samples) < rate:
         return "it is shorter than a second"
     if np.ptp(samples) == 0:
-        return "all its samples are equal"
+        return "all samples of a channel are equal"
     return "it swings from end to end of its range, as a loose cable does" if _cut_off(samples) > rules.loose else ""
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -70,12 +70,18 @@ def angle_section(sessions: Sequence[GaitSession], band: Band | None) -> list[Se
             control = (usual - spread, usual + spread)
         sides = curves_of_sides(sessions, of, f"{quantity}Angles", which)
         panels.append(CyclePanel(title, "°", _with_intervals(sides, sessions, f"{quantity}Angles", which), control))
+    models = dict.fromkeys(
+        one.clinical.model.title(one.recording) for session in sessions for one in session.analyses if one.clinical is not None
+    )
     text = (
         "From one strike of a foot to its next. Thin lines are single cycles, thick ones their means; upright lines are where the foot "
-        "leaves the floor. Angles of Plug-in-Gait, by the measures of the file or those given. The 95 % interval says where the "
-        "mean would be in another session with this person: with markers placed anew, and measured where nobody did. It is no spread of "
-        "the cycles."
+        f"leaves the floor. Angles of {' and '.join(models)}, by the measures of the file or those given."
     )
+    if any(one.interval for panel in panels for one in panel.sides):
+        text += (
+            " The 95 % interval says where the mean would be in another session with this person: with markers placed anew, and measured "
+            "where nobody did. It is no spread of the cycles."
+        )
     return [Section("Angles over the gait cycle", text, drawing=drawn_panels(panels, session_names(sessions)))]
 
 
@@ -101,7 +107,7 @@ def load_sections(sessions: Sequence[GaitSession]) -> list[Section]:
         of = {id(one): Curves(_inwards(one.loads), lambda name, one=one: one.loaded.get(name, ())) for one in chosen}  # type: ignore[misc]
         per = "/kg" if per_kg else ""
         panels = [
-            CyclePanel(title, unit + per, _with_load_intervals(curves_of_sides(sessions, of, name, which), sessions, name, which))
+            CyclePanel(title, unit + per, _with_load_intervals(curves_of_sides(sessions, of, name, which), sessions, set(of), name, which))
             for name, which, title, unit in LOADS
         ]
         counted = {side: sum(len(one.loads.get(f"{side}HipMoment", ())) for one in chosen) for side in SIDE}
@@ -116,13 +122,17 @@ def load_sections(sessions: Sequence[GaitSession]) -> list[Section]:
     return sections
 
 
-def _with_load_intervals(sides: Sequence[CurvesOfSide], sessions: Sequence[GaitSession], curve: str, which: int) -> list[CurvesOfSide]:
+def _with_load_intervals(
+    sides: Sequence[CurvesOfSide], sessions: Sequence[GaitSession], chosen: Collection[int], curve: str, which: int
+) -> list[CurvesOfSide]:
     """With what is uncertain of each session's mean: cycles share their joint centres and plates, so that many are no better than one."""
     letters = {side: letter for letter, side in SIDE.items()}
     found = []
     for number, one in enumerate(sides):
         name = letters[one.side] + curve
-        known = [analysis.load_sigmas[name] for analysis in sessions[number // len(SIDE)].analyses if name in analysis.load_sigmas]
+        # only those in the same unit: see `load_sections`
+        own = [analysis for analysis in sessions[number // len(SIDE)].analyses if id(analysis) in chosen]
+        known = [analysis.load_sigmas[name] for analysis in own if name in analysis.load_sigmas]
         if known and one.cycles:
             half = 1.96 * np.concatenate(known)[:, :, which].mean(axis=0)
             one = replace(one, interval=(one.mean - half, one.mean + half))

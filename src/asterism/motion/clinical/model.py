@@ -94,10 +94,17 @@ class ClinicalModel:
 
 
 def wears_medial_markers(recording: Recording) -> bool:
+    """Whether a recording itself shows the pelvis, and both sides of a knee and of its ankle."""
+    return wears_both_sides(recording) and {"LASI", "RASI"} <= _shown(recording)
+
+
+def wears_both_sides(recording: Recording) -> bool:
     """Whether a recording itself shows both sides of a knee and of its ankle."""
-    roles = worn_landmarks(recording).roles
-    shown = {role for role, column in roles.items() if recording.visible[:, column].any()}
-    return any(all(side + role in shown for role in _MEDIAL) for side in SIDES) and {"LASI", "RASI"} <= shown
+    return any(all(side + role in _shown(recording) for role in _MEDIAL) for side in SIDES)
+
+
+def _shown(recording: Recording) -> set[str]:
+    return {role for role, column in worn_landmarks(recording).roles.items() if recording.visible[:, column].any()}
 
 
 def with_leg_markers(recording: Recording, sides: str) -> Recording:

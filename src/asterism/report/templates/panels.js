@@ -30,7 +30,9 @@
   document.querySelector("main").append(tip);
 
   for (const panel of document.querySelectorAll(".panel")) {
-    const svg = panel.querySelector("svg"), paths = [...panel.querySelectorAll("path.cycle")], { low, high, unit } = panel.dataset;
+    const svg = panel.querySelector("svg");
+    if (!svg) continue;
+    const paths = [...panel.querySelectorAll("path.cycle")], { low, high, unit } = panel.dataset;
     const digits = high - low > 20 ? 1 : 2;
     const nearest = event => {
       const box = svg.getBoundingClientRect(), scale = 3600 / box.width;
