@@ -191,6 +191,21 @@ def test_two_sessions_are_compared_and_what_changed_is_marked(sessions: Path, tm
     assert 'data-go="0:' in page and 'data-go="1:' in page and 'class="mean left earlier"' in page
 
 
+def test_all_files_behind_compare_are_of_the_second_session(sessions: Path, tmp_path: Path) -> None:
+    """However it is written: as words, with a sign of equality, as a folder, or as a pattern that the shell left alone."""
+    few = replace(asterism.read(sessions / "before" / "a.c3d").frames(slice(40)), source=None)
+    (tmp_path / "after").mkdir()
+    first, *both = (str(tmp_path / name) for name in ("a.c3d", "after/b.c3d", "after/c.c3d"))
+    for path in (first, *both):
+        asterism.write(path, few)
+    after, found = tmp_path / "after", tmp_path / "found.json"
+    for words in (["--compare", *both], [f"--compare={both[0]}", both[1]], [f"--compare={after}"], ["--compare", f"{after}/*.c3d"]):
+        main(["gait", first, *words, "--json", str(found), "--overwrite"])
+        content = json.loads(found.read_text())
+        assert [Path(one["file"]).name for one in content["compared"]] == ["b.c3d", "c.c3d"], words
+        assert [one["file"] for one in content["files"]] == [first]
+
+
 def test_sessions_that_cannot_be_told_apart_are_refused(sessions: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = (str(sessions / name / "a.c3d") for name in ("before", "after"))
     for words, said in (
