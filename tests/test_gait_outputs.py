@@ -160,6 +160,16 @@ def test_events_and_parameters_replace_those_of_the_same_name(tmp_path: Path) ->
     assert told_of["Cadence"].startswith("+- ") and "cycle" in told_of["Cadence"] and told_of["GDI"] == "by hand"
 
 
+def test_events_are_at_their_frames_where_a_file_begins_at_another_time(tmp_path: Path) -> None:
+    """As a TRC file whose frame 1 is at 20.3 s: a C3D file has no other clock than its frames."""
+    walk = simulate_walks(1, frames=300, markers="helen-hayes", seed=3)[0]
+    analysis = analyse_gait(replace(walk, events=(), metadata={"first_time": 20.3}))
+    write_gait_c3d(tmp_path / "out.c3d", analysis)
+    written = asterism.read(tmp_path / "out.c3d")
+    expected = sorted(event.time for event in (*analysis.walking.events, *midstances(analysis.walking)))
+    np.testing.assert_allclose([event.time - written.times[0] for event in written.events], expected, atol=1e-5)
+
+
 def test_its_own_output_gives_the_same_file(tmp_path: Path) -> None:
     walk_file(tmp_path / "walk.c3d")
     once, twice = tmp_path / "once", tmp_path / "twice"

@@ -21,6 +21,8 @@ from asterism.motion.analysis import analyse_motion
 from asterism.recording import ForcePlate, Recording
 from asterism.report.cycle_panels import CurvesOfSide, CycleCurve, CyclePanel, drawn_panels
 from asterism.report.gait import gait_report
+from asterism.report.gait_session import GaitSession
+from asterism.report.gait_steps import drawn_steps
 from asterism.report.limb_names import limb_names
 from asterism.report.player import ShownRecording, pack_recordings
 from asterism.report.recording import labelling_by_names
@@ -77,6 +79,20 @@ def test_a_number_leads_to_the_frames_of_its_cycle(tmp_path: Path, walks: list[G
         assert (row[2][0].upper(), int(row[0]), int(row[1])) in frames
     stance = page[page.index('<td class="text">stance, %<') :].split("</tr>")[0]
     assert len(re.findall(r'data-go="[01]:\d+:\d+"', stance)) == 2
+
+
+def test_steps_stand_where_the_foot_is_on_the_floor_and_lead_there(walks: list[GaitAnalysis]) -> None:
+    drawing = drawn_steps([GaitSession("", [("first", walks[1]), ("<second>", walks[0])])])
+    assert drawing.count("<figure>") == 2 and "&lt;second&gt;" in drawing and "plates" not in drawing.split('class="steps"')[1]
+    rate, seconds = walks[0].recording.rate, len(walks[0].recording) / walks[0].recording.rate
+    bars = re.findall(r'x="([\d.]+)" y="2" width="([\d.]+)" height="12" fill="#d1344b" data-go="1:(\d+):(\d+)"', drawing)
+    strikes, offs = (walks[0].walking.of("L", label) for label in ("Foot Strike", "Foot Off"))
+    wanted = [(strike.time, next(off.time for off in offs if off.time > strike.time)) for strike in strikes if strike.time < offs[-1].time]
+    assert len(bars) == len(wanted) > 1
+    for (x, wide, first, last), (begins, ends) in zip(bars, wanted, strict=True):
+        assert (int(first), int(last)) == (round(rate * begins), round(rate * ends))
+        assert float(x) == pytest.approx(60 + 940 * begins / seconds, abs=0.1)
+        assert float(wide) == pytest.approx(940 * (ends - begins) / seconds, abs=0.1)
 
 
 @needs_node
@@ -189,6 +205,21 @@ def test_two_sessions_are_compared_and_what_changed_is_marked(sessions: Path, tm
     page = (tmp_path / "p.html").read_text()
     assert "left, before" in page and "right, after" in page and headings(page)[:2] == ["The person", "Parameters of two sessions"]
     assert 'data-go="0:' in page and 'data-go="1:' in page and 'class="mean left earlier"' in page
+
+
+def test_all_files_behind_compare_are_of_the_second_session(sessions: Path, tmp_path: Path) -> None:
+    """However it is written: as words, with a sign of equality, as a folder, or as a pattern that the shell left alone."""
+    few = replace(asterism.read(sessions / "before" / "a.c3d").frames(slice(40)), source=None)
+    (tmp_path / "after").mkdir()
+    first, *both = (str(tmp_path / name) for name in ("a.c3d", "after/b.c3d", "after/c.c3d"))
+    for path in (first, *both):
+        asterism.write(path, few)
+    after, found = tmp_path / "after", tmp_path / "found.json"
+    for words in (["--compare", *both], [f"--compare={both[0]}", both[1]], [f"--compare={after}"], ["--compare", f"{after}/*.c3d"]):
+        main(["gait", first, *words, "--json", str(found), "--overwrite"])
+        content = json.loads(found.read_text())
+        assert [Path(one["file"]).name for one in content["compared"]] == ["b.c3d", "c.c3d"], words
+        assert [one["file"] for one in content["files"]] == [first]
 
 
 def test_sessions_that_cannot_be_told_apart_are_refused(sessions: Path, capsys: pytest.CaptureFixture[str]) -> None:

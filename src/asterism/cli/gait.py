@@ -153,7 +153,7 @@ def _check_sessions(options: GaitOptions) -> None:
             "same file where nothing was moved."
         )
     if options.compare_static is not None and not options.compare:
-        raise AsterismError("--compare-static is of a second session, and there is none; name its walks behind --compare.")
+        raise AsterismError("--compare-static is of a second session, whose walks are missing; name them behind --compare.")
     if options.pdf is not None:
         from asterism.report.pdf import find_browser
 
