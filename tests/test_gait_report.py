@@ -21,6 +21,8 @@ from asterism.motion.analysis import analyse_motion
 from asterism.recording import ForcePlate, Recording
 from asterism.report.cycle_panels import CurvesOfSide, CycleCurve, CyclePanel, drawn_panels
 from asterism.report.gait import gait_report
+from asterism.report.gait_session import GaitSession
+from asterism.report.gait_steps import drawn_steps
 from asterism.report.limb_names import limb_names
 from asterism.report.player import ShownRecording, pack_recordings
 from asterism.report.recording import labelling_by_names
@@ -77,6 +79,20 @@ def test_a_number_leads_to_the_frames_of_its_cycle(tmp_path: Path, walks: list[G
         assert (row[2][0].upper(), int(row[0]), int(row[1])) in frames
     stance = page[page.index('<td class="text">stance, %<') :].split("</tr>")[0]
     assert len(re.findall(r'data-go="[01]:\d+:\d+"', stance)) == 2
+
+
+def test_steps_stand_where_the_foot_is_on_the_floor_and_lead_there(walks: list[GaitAnalysis]) -> None:
+    drawing = drawn_steps([GaitSession("", [("first", walks[1]), ("<second>", walks[0])])])
+    assert drawing.count("<figure>") == 2 and "&lt;second&gt;" in drawing and "plates" not in drawing.split('class="steps"')[1]
+    rate, seconds = walks[0].recording.rate, len(walks[0].recording) / walks[0].recording.rate
+    bars = re.findall(r'x="([\d.]+)" y="2" width="([\d.]+)" height="12" fill="#d1344b" data-go="1:(\d+):(\d+)"', drawing)
+    strikes, offs = (walks[0].walking.of("L", label) for label in ("Foot Strike", "Foot Off"))
+    wanted = [(strike.time, next(off.time for off in offs if off.time > strike.time)) for strike in strikes if strike.time < offs[-1].time]
+    assert len(bars) == len(wanted) > 1
+    for (x, wide, first, last), (begins, ends) in zip(bars, wanted, strict=True):
+        assert (int(first), int(last)) == (round(rate * begins), round(rate * ends))
+        assert float(x) == pytest.approx(60 + 940 * begins / seconds, abs=0.1)
+        assert float(wide) == pytest.approx(940 * (ends - begins) / seconds, abs=0.1)
 
 
 @needs_node
@@ -212,7 +228,7 @@ def test_sessions_that_cannot_be_told_apart_are_refused(sessions: Path, capsys: 
         ([first, "--compare", second, first], "is in both sessions"),
         ([first, "--compare", str(sessions)], "is in both sessions"),
         ([first, "--static", first, "--compare", second], "--compare-static"),
-        ([first, "--compare-static", second], "there is none"),
+        ([first, "--compare-static", second], "whose walks are missing"),
     ):
         assert main(["gait", *words]) == 2
         assert said in capsys.readouterr().err

@@ -15,6 +15,7 @@ from asterism.recording.shares import SURE
 from asterism.report.gait_curves import angle_section, load_sections
 from asterism.report.gait_muscles import muscle_section
 from asterism.report.gait_session import SIDE, GaitSession
+from asterism.report.gait_steps import drawn_steps
 from asterism.report.gait_tables import comparison_section, cycle_section, parameter_section, person_section, score_sections
 from asterism.report.page import Cell, Page, Section, Table, decimal, percent, write_page
 from asterism.report.player import ShownRecording, pack_recordings
@@ -143,7 +144,7 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
         "Labels without a confidence are taken as the files have them. A step on a plate is left out where it is not one foot alone, or "
         "not the whole foot."
     )
-    return Section("Quality", text, table=Table(head, rows, left=2))
+    return Section("Quality", text, table=Table(head, rows, left=2), drawing=drawn_steps(sessions))
 
 
 def _labels(recording: Recording) -> str | Cell:
