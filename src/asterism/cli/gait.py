@@ -223,7 +223,8 @@ def write_results(
     scores = [] if band is None else profile_scores(analyses, band)
     for score in scores if options.json != "-" else ():
         side = "left" if score.side == "L" else "right"
-        _console.result(f"Gait Profile Score, {side}: {math.degrees(score.gps):.1f}° from the mean of the band.")
+        index = "" if score.gdi is None else f" Gait Deviation Index by this score: {score.gdi:.0f}."
+        _console.result(f"Gait Profile Score, {side}: {math.degrees(score.gps):.1f}° from the mean of the band.{index}")
     if options.save_band is not None:
         people = [subject_of(analysis.recording) or str(path.parent) for path, analysis in results]
         band_of(analyses, people).save(options.save_band)
@@ -240,6 +241,7 @@ def write_results(
             {
                 "side": score.side,
                 "gps_deg": math.degrees(score.gps),
+                "gdi": score.gdi,
                 "variables_deg": {name: math.degrees(value) for name, value in score.variables.items()},
             }
             for score in scores
