@@ -21,6 +21,8 @@ from asterism.motion.analysis import analyse_motion
 from asterism.recording import ForcePlate, Recording
 from asterism.report.cycle_panels import CurvesOfSide, CycleCurve, CyclePanel, drawn_panels
 from asterism.report.gait import gait_report
+from asterism.report.gait_session import GaitSession
+from asterism.report.gait_steps import drawn_steps
 from asterism.report.limb_names import limb_names
 from asterism.report.player import ShownRecording, pack_recordings
 from asterism.report.recording import labelling_by_names
@@ -79,6 +81,20 @@ def test_a_number_leads_to_the_frames_of_its_cycle(tmp_path: Path, walks: list[G
     assert len(re.findall(r'data-go="[01]:\d+:\d+"', stance)) == 2
 
 
+def test_steps_stand_where_the_foot_is_on_the_floor_and_lead_there(walks: list[GaitAnalysis]) -> None:
+    drawing = drawn_steps([GaitSession("", [("first", walks[1]), ("<second>", walks[0])])])
+    assert drawing.count("<figure>") == 2 and "&lt;second&gt;" in drawing and "plates" not in drawing.split('class="steps"')[1]
+    rate, seconds = walks[0].recording.rate, len(walks[0].recording) / walks[0].recording.rate
+    bars = re.findall(r'x="([\d.]+)" y="2" width="([\d.]+)" height="12" fill="#d1344b" data-go="1:(\d+):(\d+)"', drawing)
+    strikes, offs = (walks[0].walking.of("L", label) for label in ("Foot Strike", "Foot Off"))
+    wanted = [(strike.time, next(off.time for off in offs if off.time > strike.time)) for strike in strikes if strike.time < offs[-1].time]
+    assert len(bars) == len(wanted) > 1
+    for (x, wide, first, last), (begins, ends) in zip(bars, wanted, strict=True):
+        assert (int(first), int(last)) == (round(rate * begins), round(rate * ends))
+        assert float(x) == pytest.approx(60 + 940 * begins / seconds, abs=0.1)
+        assert float(wide) == pytest.approx(940 * (ends - begins) / seconds, abs=0.1)
+
+
 @needs_node
 def test_a_curve_is_drawn_as_it_is_and_broken_where_it_is_unknown(tmp_path: Path) -> None:
     """What the page's own script reads out of a line is the curve, to a thousandth of the axis."""
@@ -106,9 +122,15 @@ def test_what_no_cycle_shows_has_no_axes_and_many_cycles_leave_their_mean_in_vie
                 r'<g opacity="([^"]+)"', drawn_panels([CyclePanel("knee", "°", [CurvesOfSide("left", [CycleCurve(known)] * many)])])
             )[0]
         )
-        for many in (4, 100)
+        for many in (4, 50)
     ]
-    assert faint == [1.0, 0.1]
+    assert faint == [1.0, 0.2]
+    curves = [CycleCurve(np.full(101, float(n))) for n in range(500)]
+    crowded = drawn_panels([CyclePanel("knee", "°", [CurvesOfSide("left", curves)])])
+    assert 40 < crowded.count('class="cycle left"') <= 60 and "60 of them at most" in crowded
+    low, high = (float(re.findall(rf'data-{name}="([^"]+)"', crowded)[0]) for name in ("low", "high"))
+    mean = int(re.findall(r'class="mean left" d="M430 (\d+)', crowded)[0])
+    assert low + (1660 - mean) / 1600 * (high - low) == pytest.approx(249.5, abs=1.0), "of all cycles"
 
 
 def test_labels_are_as_certain_as_their_file_says(tmp_path: Path) -> None:
@@ -185,13 +207,28 @@ def test_two_sessions_are_compared_and_what_changed_is_marked(sessions: Path, tm
     assert 'data-go="0:' in page and 'data-go="1:' in page and 'class="mean left earlier"' in page
 
 
+def test_all_files_behind_compare_are_of_the_second_session(sessions: Path, tmp_path: Path) -> None:
+    """However it is written: as words, with a sign of equality, as a folder, or as a pattern that the shell left alone."""
+    few = replace(asterism.read(sessions / "before" / "a.c3d").frames(slice(40)), source=None)
+    (tmp_path / "after").mkdir()
+    first, *both = (str(tmp_path / name) for name in ("a.c3d", "after/b.c3d", "after/c.c3d"))
+    for path in (first, *both):
+        asterism.write(path, few)
+    after, found = tmp_path / "after", tmp_path / "found.json"
+    for words in (["--compare", *both], [f"--compare={both[0]}", both[1]], [f"--compare={after}"], ["--compare", f"{after}/*.c3d"]):
+        main(["gait", first, *words, "--json", str(found), "--overwrite"])
+        content = json.loads(found.read_text())
+        assert [Path(one["file"]).name for one in content["compared"]] == ["b.c3d", "c.c3d"], words
+        assert [one["file"] for one in content["files"]] == [first]
+
+
 def test_sessions_that_cannot_be_told_apart_are_refused(sessions: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = (str(sessions / name / "a.c3d") for name in ("before", "after"))
     for words, said in (
         ([first, "--compare", second, first], "is in both sessions"),
         ([first, "--compare", str(sessions)], "is in both sessions"),
         ([first, "--static", first, "--compare", second], "--compare-static"),
-        ([first, "--compare-static", second], "there is none"),
+        ([first, "--compare-static", second], "whose walks are missing"),
     ):
         assert main(["gait", *words]) == 2
         assert said in capsys.readouterr().err

@@ -227,8 +227,9 @@ def _command_of(problem: Exception) -> str:
 
 
 def _respelled(args: Sequence[str]) -> list[str]:
-    """The arguments with the present names of options in place of earlier ones."""
-    return ["=".join([_RENAMED.get(name, name), *value]) for name, *value in (arg.split("=", 1) for arg in args)]
+    """The arguments with the present names of options in place of earlier ones; `--compare=a b` is `--compare a b`."""
+    parts = ([_RENAMED.get(name, name), *value] for name, *value in (arg.split("=", 1) for arg in args))
+    return [word for part in parts for word in (part if part[0] in _FILE_LISTS else ["=".join(part)])]
 
 
 def _globbed(args: Sequence[str]) -> list[str]:

@@ -101,8 +101,11 @@ def certain(
 
     if clinical is None or not clinical.joints:
         return None
-    if clinical.model.name == "landmarks":
-        _console.notice(f"{recording.metadata.get('file', 'the recording')}: no intervals of angles by {clinical.model.title(recording)}.")
+    if clinical.model.carries(recording):
+        file = recording.metadata.get("file", "the recording")
+        _console.notice(
+            f"{file}: no intervals of angles whose landmarks a standing trial carries; `asterism gait` has those of its cycles."
+        )
         return None
     return clinical_uncertainty(recording, clinical, errors, seed=seed, **trials)
 
@@ -179,7 +182,7 @@ def as_dict(clinical: ClinicalAngles | None, known: ClinicalUncertainty | None) 
     if known is not None:
         trials = {"trials": known.trials, "converged": known.converged, "intervals_tried_on": TRIED_ON}
     measures = {side: dataclasses.asdict(one) for side, one in clinical.measures.items()}
-    return {"clinical": {"joints": joints, "measures": measures, **trials}}
+    return {"clinical": {"model": clinical.model.name, "hip": clinical.model.hip, "joints": joints, "measures": measures, **trials}}
 
 
 def _certain_dict(one: JointUncertainty) -> dict[str, Any]:

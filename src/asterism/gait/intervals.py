@@ -9,10 +9,10 @@ import numpy as np
 
 from asterism.gait.analysis import CURVES, GaitAnalysis
 from asterism.gait.cycles import POINTS, Cycle
+from asterism.gait.feet import SIDES
 from asterism.geometry import rotate_z_up
 from asterism.motion.clinical import ClinicalModel, LegMeasures, SubjectMeasures, complete_legs
 from asterism.motion.clinical.estimated import MeasurePriors, WalkEstimator
-from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
 from asterism.motion.clinical.plug_in_gait import LowerBody, angles_of, lower_body, radius_by_the_file
 from asterism.motion.joints.anatomy import sacrum_markers
 from asterism.recording import Floats, Recording
@@ -25,8 +25,8 @@ PLACED = 0.005
 """m, standard deviation of a marker's place along each direction from session to session. By propagation that is 2 to 5 degrees, as between
 sessions of one laboratory (McGinley et al. 2009); between examiners of several it is double (Della Croce et al. 1999). Bands are in
 proportion to it where all measures are known"""
-_ROWS = 80
-"""Frames at which angles are computed again: a cycle of 1 s at 40 of them shows its curve to a tenth of a degree."""
+_CYCLES, _ROWS = 2, 40
+"""Cycles of each side, and frames of each, at which angles are computed again: cycles of one walk differ by less than a tenth of a band."""
 _STEP = 0.001
 """m, by which a marker is moved to see what it does."""
 _CALIBRATED = {"THI": "thigh_rotation", "TIB": "shank_rotation", "TOE": "foot_flexion"}
@@ -57,7 +57,7 @@ def angle_bands(
     measured. How soft tissue moves is the same in both sessions and no part of it; see `clinical_uncertainty` for bones.
 
     What is not measured is estimated from the walk (`WalkEstimator`). Measures with which the file's program computed its own angles count
-    as known. Without angles or whole cycles there are no bands. O(1): some 200 times the angles of 80 frames.
+    as known. Without angles or whole cycles there are no bands. O(1): some 200 times the angles of 160 frames.
     """
     clinical = analysis.clinical
     curves = {name: values for name, values in analysis.curves.items() if name.removesuffix("Angles")[1:] in CURVES[:5]}
@@ -109,7 +109,7 @@ def _bands(
     """Variances (T, 3) rad2 of each source, and by how much the middle differs from what was reported, over the cycle."""
     found = {}
     for name in curves:
-        own = [cycle for cycle in analysis.cycles if cycle.side == name[0]]
+        own = _shown(analysis, name[0])
         spread = {source: np.sqrt(_over(parts[source][name], times, own)) for source in sources if source != "fills"}
         if "fills" in sources and name in analysis.fill_sigmas:
             # Gaps differ from cycle to cycle: of independent ones the mean is known better.
@@ -123,17 +123,24 @@ def _bands(
     return found
 
 
+def _shown(analysis: GaitAnalysis, side: str) -> list[Cycle]:
+    """`_CYCLES` cycles of a side at most, those in which most is known of the knee."""
+    own = [cycle for cycle in analysis.cycles if cycle.side == side]
+    knee = analysis.curves.get(f"{side}KneeAngles", np.zeros((len(own), 1)))
+    known = [int(np.isfinite(curve).sum()) for curve in knee]
+    return [own[place] for place in sorted(range(len(own)), key=lambda place: -known[place])[:_CYCLES]]
+
+
 def _some(analysis: GaitAnalysis) -> tuple[Recording, Floats]:
-    """The recording at `_ROWS` frames at most, from the first strike to the last, and their times in s."""
-    recording, cycles = analysis.recording, analysis.cycles
-    if analysis.clinical is not None and analysis.clinical.model.name == "plug-in-gait":
-        recording = with_plug_in_gait_names(recording)
-    begin = min(cycle.strike.time for cycle in cycles) * recording.rate
-    end = max(cycle.next_strike.time for cycle in cycles) * recording.rate
-    first, last = max(int(begin), 0), min(int(np.ceil(end)), len(recording) - 1)
-    rows = np.unique(np.linspace(first, last, min(_ROWS, last - first + 1)).astype(int))
-    positions = rotate_z_up(recording.positions[rows], recording.vertical)
-    return replace(recording, positions=positions, vertical=np.array([0.0, 0.0, 1.0]), source=None, origin=None), rows / recording.rate
+    """The recording at `_ROWS` frames of each cycle that is shown, and their times in s."""
+    recording, last = analysis.recording, len(analysis.recording) - 1
+    rows = set[int]()
+    for cycle in (cycle for side in SIDES for cycle in _shown(analysis, side)):
+        begin, end = (min(max(round(event.time * recording.rate), 0), last) for event in (cycle.strike, cycle.next_strike))
+        rows.update(np.linspace(begin, end, _ROWS).astype(int).tolist())
+    chosen = np.array(sorted(rows))
+    positions = rotate_z_up(recording.positions[chosen], recording.vertical)
+    return replace(recording, positions=positions, vertical=np.array([0.0, 0.0, 1.0]), source=None, origin=None), chosen / recording.rate
 
 
 def _as_known(analysis: GaitAnalysis) -> SubjectMeasures:

@@ -19,6 +19,9 @@ _RIGHT = _LEFT + 100 * _PER_PERCENT
 
 _FEW = 10
 """Cycles of a side that are drawn as they are; more of them are fainter, so that all together are as dark. At half, six walks are pale."""
+_MOST = 60
+"""Cycles of a side that are drawn, evenly chosen of more; means are of all. At half, one minute on a treadmill has too few, at double the
+page of ten such walks is twice as large."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,8 @@ def _legend(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None, inte
                 name = side if sessions is None else f"{side}, {sessions[0] if earlier else sessions[1]}"
                 look = f'stroke="{style["color"]}" stroke-width="{1.4 if earlier else 2.6}" opacity="{0.65 if earlier else 1}"'
                 keys.append((f'<path d="M0 6h26" {look}{dash}/>', name))
-    keys.append(('<path d="M0 6h26" stroke="#5b6780" stroke-width="0.8" opacity="0.6"/>', "each cycle"))
+    thin = f"single cycles, {_MOST} of them at most" if any(len(one.cycles) > _MOST for one in shown) else "each cycle"
+    keys.append(('<path d="M0 6h26" stroke="#5b6780" stroke-width="0.8" opacity="0.6"/>', thin))
     if any(panel.control for panel in panels):
         keys.append(('<rect width="26" height="12" fill="#64748b" opacity="0.25"/>', "controls, mean ± 1 SD"))
     if any(one.interval for one in shown):
@@ -120,9 +124,10 @@ def _panel(panel: CyclePanel) -> str:
         if one.off is not None:
             at = _LEFT + round(_PER_PERCENT * one.off)
             parts.append(f'<path class="off {one.side}{age}" d="M{at} {_TOP}V{_BOTTOM}"/>')
-        # Many cycles would hide their mean.
-        parts.append(f'<g opacity="{min(1.0, _FEW / max(len(one.cycles), 1)):.2g}">')
-        for cycle in one.cycles:
+        # Many cycles would hide their mean, and more than a page can hold would make it slow.
+        shown = one.cycles[:: -(-len(one.cycles) // _MOST)]
+        parts.append(f'<g opacity="{min(1.0, _FEW / len(shown)):.2g}">')
+        for cycle in shown:
             go = "" if cycle.place is None else ' data-go="{}:{}:{}"'.format(*cycle.place)
             parts.append(f'<path class="cycle {one.side}{age}" d="{scale.path(cycle.values)}" data-name="{escape(cycle.name)}"{go}/>')
         parts.append("</g>")

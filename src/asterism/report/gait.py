@@ -15,6 +15,7 @@ from asterism.recording.shares import SURE
 from asterism.report.gait_curves import angle_section, load_sections
 from asterism.report.gait_muscles import muscle_section
 from asterism.report.gait_session import SIDE, GaitSession
+from asterism.report.gait_steps import drawn_steps
 from asterism.report.gait_tables import comparison_section, cycle_section, parameter_section, person_section, score_sections
 from asterism.report.page import Cell, Page, Section, Table, decimal, percent, write_page
 from asterism.report.player import ShownRecording, pack_recordings
@@ -124,8 +125,7 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
                     Cell(percent(missing), min(np.sqrt(missing) if np.isfinite(missing) else 0.0, 1.0)),
                     percent(share, 1) + largest,
                     str(last_filter(recording)),
-                    str(len(events) - by_plates),
-                    str(by_plates),
+                    f"{len(events) - by_plates} | {by_plates}",
                     Cell(str(left_out), 0.6 if left_out else 0.0),
                     " | ".join(str(sum(cycle.side == side for cycle in analysis.cycles)) for side in "LR"),
                 ]
@@ -133,11 +133,10 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
     head = [
         "recording",
         "labels",
-        "samples of markers missing",
+        "samples missing",
         "samples filled",
         "trajectories",
-        "events by markers",
-        "events by force plates",
+        "events by markers | plates",
         "steps on plates left out",
         "cycles left | right",
     ]
@@ -145,7 +144,7 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
         "Labels without a confidence are taken as the files have them. A step on a plate is left out where it is not one foot alone, or "
         "not the whole foot."
     )
-    return Section("Quality", text, table=Table(head, rows, left=2))
+    return Section("Quality", text, table=Table(head, rows, left=2), drawing=drawn_steps(sessions))
 
 
 def _labels(recording: Recording) -> str | Cell:

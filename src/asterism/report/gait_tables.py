@@ -41,6 +41,9 @@ def _person(session: GaitSession) -> dict[str, str | Cell]:
     clinical = next((one.clinical for one in session.analyses if one.clinical is not None), None)
     mass = None if clinical is None else clinical.subject.mass
     found["body mass"] = NOTHING if mass is None else f"{mass:.1f} kg"
+    if clinical is not None:
+        walk = next(one.recording for one in session.analyses if one.clinical is clinical)
+        found["angles by"] = f"{clinical.model.title(walk)}; hip centres by {clinical.model.hip}"
     # Other models take no widths: their markers stand on both sides of a joint.
     plug_in_gait = clinical is None or clinical.model.name == "plug-in-gait"
     for name, title in _MEASURES.items() if plug_in_gait else ():
@@ -70,25 +73,26 @@ def parameter_section(session: GaitSession, band: Band | None) -> Section:
             continue
         digits = _DIGITS.get(unit, 1)
         row: list[str | Cell] = [f"{name}, {unit}" if unit else name]
-        for side, one in own.items():
-            row += [_mean(session, one, name, side, controls), decimal(one.deviation, digits) if one else NOTHING]
-        more = apart.get(name)
-        row.append("" if more is None else f"{round(more.value, 1) + 0.0:+.1f} ± {more.sigma:.1f}")
+        row += [_mean(session, one, name, side, controls) for side, one in own.items()]
         if controls:
             usual = controls.get(name)
             row.append(NOTHING if usual is None else f"{usual[0]:.{digits}f} ± {usual[1]:.{digits}f}")
             row.append(Cell("", drawing="" if usual is None else _strip(usual, own)))
+        more = apart.get(name)
+        row.append("" if more is None else f"{round(more.value, 1) + 0.0:+.1f} ± {more.sigma:.1f}")
+        row.append(" | ".join(decimal(one.deviation, digits) if one else NOTHING for one in own.values()))
         rows.append(row)
     text = (
         "Means over the cycles. ± is how exactly strikes and offs tell the mean, one standard uncertainty; SD is the spread of the cycles. "
     )
 
-    head = ["parameter", "left", "SD", "right", "SD", "left more than right, %"]
+    head = ["parameter", "left", "right"]
     if controls and band is not None:
         head += [f"{band.people} controls, mean ± SD", "position"]
         text += f" Marked: farther than {_FAR:g} SD from the controls' mean; the grey strip is that wide. A circle is left, a square right."
     elif band is not None:
         text += " The band of controls has no parameters; save it again with --save-band."
+    head += ["left more than right, %", "SD left | right"]
     return Section("Parameters", text, table=Table(head, rows), drawing=_LEADS)
 
 
@@ -183,6 +187,10 @@ def score_sections(sessions: Sequence[GaitSession], band: Band | None) -> list[S
     rows.append(["Gait Profile Score", *(decimal(float(np.degrees(of[one].gps)), 1) if one in of else NOTHING for one in columns)])
     head = ["angle", *(", ".join(filter(None, (SIDE[side], sessions[number].name))) for number, side in columns)]
     text = f"Degrees from the mean of {band.people} people, root mean square over the cycle (Baker et al. 2009)."
+    indices = {one: score.gdi for one, score in of.items() if score.gdi is not None}
+    if indices:
+        rows.append(["Gait Deviation Index", *(decimal(indices[one], 0) if one in indices else NOTHING for one in columns)])
+        text += " The index is 100 for the mean of these people, and 10 less for each standard deviation of theirs (GDI*)."
     return [Section("Scores", text, table=Table(head, rows))]
 
 

@@ -13,6 +13,8 @@
     button.addEventListener("click", () => go(placeOf(cell)));
   }
 
+  for (const step of document.querySelectorAll(".steps [data-go]")) step.addEventListener("click", () => go(placeOf(step)));
+
   // The heights of a line at 0 to 100 %; NaN where it is broken.
   function heightsOf(path) {
     if (path.heights) return path.heights;
