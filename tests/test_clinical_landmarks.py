@@ -13,8 +13,16 @@ import asterism
 from asterism import AsterismError, Recording, formats
 from asterism.cli import main
 from asterism.gait import analyse_gait
-from asterism.motion.clinical import ClinicalAngles, SubjectMeasures, clinical_angles, gathered_measures
+from asterism.motion.clinical import (
+    ClinicalAngles,
+    ClinicalErrors,
+    SubjectMeasures,
+    clinical_angles,
+    clinical_uncertainty,
+    gathered_measures,
+)
 from asterism.motion.clinical.measures import computed_by_the_file
+from asterism.motion.uncertainty import MonteCarloRules
 
 WIDTH, DEPTH = 0.24, 0.15
 TO_ROOM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -213,7 +221,13 @@ def test_landmarks_that_are_put_elsewhere_turn_the_knee_as_far_as_geometry_says(
     clinical = clinical_angles(walk, static=static)
     apart = [moved["LKneeAngles"][0, 2] - clinical.outputs["LKneeAngles"][0, 2] for moved in clinical.model.placed_anew(walk, 1e-6)]
     deviation = 0.005 * np.sqrt(np.sum(np.square(np.array(apart) / 1e-6)))
-    assert deviation == pytest.approx(np.sqrt(2.0) * np.hypot(0.005 / 0.10, 0.005 / 0.08), rel=1e-3)
+    by_hand = np.sqrt(2.0) * np.hypot(0.005 / 0.10, 0.005 / 0.08)
+    assert deviation == pytest.approx(by_hand, rel=1e-3)
+    assert clinical.model.carries(walk) == carried
+    if not carried:
+        errors = ClinicalErrors(skin=None, placement_m=0.005)
+        drawn = clinical_uncertainty(walk, clinical, errors, rules=MonteCarloRules(most=400, block=400), budget_trials=4)
+        assert drawn.joints[1].standard[0, 2] == pytest.approx(by_hand, rel=0.15)
 
 
 def test_hip_centres_are_those_of_their_regressions() -> None:

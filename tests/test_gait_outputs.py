@@ -133,6 +133,19 @@ def test_another_library_reads_outputs_beside_all_that_the_file_held(tmp_path: P
     assert new["parameters"]["PROCESSING"]["LKneeWidth"]["value"] == [102.0]
 
 
+def test_points_of_other_programs_without_the_subject_do_not_hide_a_stale_angle(tmp_path: Path) -> None:
+    walk = asterism.read(walk_file(tmp_path / "walk.c3d", prefix="Ann:"))
+    file = ezc3d.c3d(str(tmp_path / "walk.c3d"))
+    labels = file["parameters"]["POINT"]["LABELS"]["value"]
+    file["parameters"]["POINT"]["LABELS"]["value"] = [*labels[:-1], "TABLE"]
+    file.write(str(tmp_path / "mixed.c3d"))
+    mixed = asterism.read(tmp_path / "mixed.c3d")
+    new = ModelPoint("LKneeAngles", "ANGLES", np.ones((len(walk), 3)))
+    write_model_outputs(tmp_path / "out.c3d", mixed, [new], [])
+    written = ezc3d.c3d(str(tmp_path / "out.c3d"))["parameters"]["POINT"]["LABELS"]["value"]
+    assert written == [*labels[:-1], "TABLE"]
+
+
 def test_events_and_parameters_replace_those_of_the_same_name(tmp_path: Path) -> None:
     analysis = analysis_of(walk_file(tmp_path / "walk.c3d"))
     write_gait_c3d(tmp_path / "out.c3d", analysis)

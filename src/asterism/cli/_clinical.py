@@ -101,8 +101,11 @@ def certain(
 
     if clinical is None or not clinical.joints:
         return None
-    if clinical.model.name == "landmarks":
-        _console.notice(f"{recording.metadata.get('file', 'the recording')}: no intervals of angles by {clinical.model.title(recording)}.")
+    if clinical.model.carries(recording):
+        file = recording.metadata.get("file", "the recording")
+        _console.notice(
+            f"{file}: no intervals of angles whose landmarks a standing trial carries; `asterism gait` has those of its cycles."
+        )
         return None
     return clinical_uncertainty(recording, clinical, errors, seed=seed, **trials)
 

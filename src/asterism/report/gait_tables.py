@@ -187,6 +187,10 @@ def score_sections(sessions: Sequence[GaitSession], band: Band | None) -> list[S
     rows.append(["Gait Profile Score", *(decimal(float(np.degrees(of[one].gps)), 1) if one in of else NOTHING for one in columns)])
     head = ["angle", *(", ".join(filter(None, (SIDE[side], sessions[number].name))) for number, side in columns)]
     text = f"Degrees from the mean of {band.people} people, root mean square over the cycle (Baker et al. 2009)."
+    indices = {one: score.gdi for one, score in of.items() if score.gdi is not None}
+    if indices:
+        rows.append(["Gait Deviation Index", *(decimal(indices[one], 0) if one in indices else NOTHING for one in columns)])
+        text += " The index is 100 for the mean of these people, and 10 less for each standard deviation of theirs (GDI*)."
     return [Section("Scores", text, table=Table(head, rows))]
 
 

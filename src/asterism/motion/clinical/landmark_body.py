@@ -215,12 +215,17 @@ def _moved(trial: Recording, made: LandmarkBody | None, group: tuple[str, ...], 
     return replace(trial, positions=positions, vertical=np.array([0.0, 0.0, 1.0]), source=None, origin=None)
 
 
+def segment_of(role: str) -> str:
+    """ "pelvis", "thigh", "shank" or "foot"."""
+    return "pelvis" if role in _PELVIS else next((limb for limb, names in _ON.items() if role[1:] in names), "foot")
+
+
 def _axes_of(made: LandmarkBody, role: str) -> Floats:
     """(T, 3, 3) of its segment; the foot's are the shank's."""
     if role in _PELVIS:
         return made.body.pelvis
     leg = made.body.legs[role[0]]
-    return leg.thigh if role[1:] in _ON["thigh"] else leg.shank
+    return leg.thigh if segment_of(role) == "thigh" else leg.shank
 
 
 def landmark_angles(made: LandmarkBody) -> dict[str, Floats]:

@@ -13,6 +13,7 @@ from asterism.motion.clinical.landmark_body import (
     landmark_angles,
     landmark_body,
     landmarks_displaced,
+    segment_of,
     with_plug_in_gait_names,
     worn_landmarks,
 )
@@ -24,6 +25,9 @@ from asterism.recording import Floats, Recording
 MODELS = ("plug-in-gait", "landmarks")
 _LEG = ("KNE", "TIB", "ANK")
 """Markers of Plug-in-Gait without which a leg still has a hip: LTHI and LKNE tell the thigh; the others the shank."""
+_ON = {"ASI": "pelvis", "PSI": "pelvis", "THI": "thigh", "KNE": "thigh", "TIB": "shank", "ANK": "shank", "TOE": "foot"}
+_SEGMENT_OF = {"SACR": "pelvis", **{side + name: segment for side in SIDES for name, segment in _ON.items()}}
+"""Of Plug-in-Gait's markers."""
 _STANDING = 20
 """Frames of a standing trial that are enough to see what a marker does."""
 _MEDIAL = ("LE", "ME", "LM", "MM")
@@ -73,6 +77,18 @@ class ClinicalModel:
             body, found = made.body, landmark_angles(made)
         found |= upper_body_angles(with_plug_in_gait_names(recording), self.measures, walking_axes(body))
         return {name: angles for name, angles in found.items() if np.isfinite(angles).any()}
+
+    def carries(self, recording: Recording) -> bool:
+        """Whether a landmark comes from the standing trial alone."""
+        made = landmark_body(recording, self.measures, self.static) if self.name == "landmarks" else None
+        return made is not None and bool(made.carried or made.clusters)
+
+    def markers(self, recording: Recording) -> dict[int, tuple[str, str]]:
+        """Column -> name and segment ("pelvis", "thigh", "shank", "foot") of each marker that the recording's angles come from."""
+        if self.name == "plug-in-gait":
+            named = enumerate(with_plug_in_gait_names(recording).labels)
+            return {column: (name, _SEGMENT_OF[name]) for column, name in named if name in _SEGMENT_OF}
+        return {column: (role, segment_of(role)) for role, column in worn_landmarks(recording).roles.items()}
 
     def placed_anew(self, recording: Recording, step: float) -> Iterator[dict[str, Floats]]:
         """The outputs with one landmark after the other `step` m along each axis of its segment, in the standing trial, too."""
