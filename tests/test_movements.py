@@ -16,6 +16,7 @@ import asterism
 from asterism import AsterismError, Event, Recording
 from asterism.cli import main
 from asterism.motion.events import FoundMovement, MovementRules, find_movement, movement_table, shipped_movements
+from asterism.simulation import simulate_walks
 
 RATE = 100.0
 NOISE = 0.0005
@@ -148,10 +149,14 @@ def test_markers_that_are_not_worn_cost_their_signals_alone() -> None:
             find_movement(other, rules, given)
 
 
-def test_a_still_person_shows_none() -> None:
-    still = replace(pedalling(), positions=np.repeat(pedalling().positions[:1], 200, axis=0))
-    movement = find_movement(still, MovementRules.load("pedalling"))
-    assert movement.events == () and [one.code for one in movement.findings][-1] == "movement-none"
+def test_a_person_who_stands_or_walks_does_not_squat_or_pedal() -> None:
+    """A share of the range alone would make movements of sway and noise."""
+    still = pedalling()
+    positions = np.repeat(still.positions[:1], 400, axis=0) + NOISE * np.random.default_rng(2).standard_normal(still.positions.shape)
+    walk = simulate_walks(1, frames=300, markers="helen-hayes", seed=0)[0]
+    for recording, rules in ((replace(still, positions=positions), "pedalling"), (walk, "squat"), (walk, "pedalling")):
+        movement = find_movement(recording, MovementRules.load(rules))
+        assert movement.events == () and movement.findings[-1].code == "movement-none"
 
 
 GOOD = """

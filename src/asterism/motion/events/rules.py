@@ -58,7 +58,7 @@ class EventRule:
     """When something happens.
 
     find           "maximum" or "minimum" of the signal, or it crosses `level`, "rising" or "falling"
-    prominence     of an extremum: by how much the signal comes back on both sides, at least
+    prominence     of an extremum: by how much the signal comes back on both sides, at least; of several amounts the largest counts
     after, before  earlier rules: the next such moment behind each of their events, or the last one before; "" for none
     which          without these: "every", "first", "last", or the one with the "largest" prominence
     """
@@ -67,7 +67,7 @@ class EventRule:
     signal: str
     find: str
     level: Amount = Amount(0.0)
-    prominence: Amount = Amount(0.1, of_range=True)
+    prominence: tuple[Amount, ...] = (Amount(0.1, of_range=True),)
     after: str = ""
     before: str = ""
     which: str = "every"
@@ -251,7 +251,8 @@ class _Reader:
         if crossing != ("level" in table) or (crossing and "prominence" in table):
             raise self.wrong(where, "rising and falling cross a level, and have one; maximum and minimum have a prominence")
         level = self.amount(table.get("level", 0.0), f"{where}, level")
-        prominence = self.amount(table.get("prominence", "10 %"), f"{where}, prominence")
+        given = table.get("prominence", "10 %")
+        prominence = tuple(self.amount(one, f"{where}, prominence") for one in (given if isinstance(given, list) else [given]))
         anchors = {key: self.one_of(table[key], earlier, f"{where}, {key}") for key in ("after", "before") if key in table}
         which = self.one_of(table.get("which", "every"), _WHICH, f"{where}, which")
         if anchors and which not in ("every", "largest"):
