@@ -12,9 +12,9 @@ from typing import Any
 from asterism.errors import AsterismError
 from asterism.files.toml import read_toml, tables_of_toml
 
-UNITS = {"along": "m", "distance": "m", "speed": "m/s", "bend": "deg", "turn": "deg", "spin": "deg/s"}
+UNITS = {"along": "m", "distance": "m", "speed": "m/s", "bend": "deg", "lean": "deg", "turn": "deg", "spin": "deg/s"}
 """What a signal can be, and its unit."""
-_POINTS = {"along": 1, "distance": 2, "speed": 1, "bend": 3, "turn": 2, "spin": 2}
+_POINTS = {"along": 1, "distance": 2, "speed": 1, "bend": 3, "lean": 2, "turn": 2, "spin": 2}
 _DIRECTIONS = ("up", "ahead")
 _FINDS = ("maximum", "minimum", "rising", "falling")
 _WHICH = ("every", "first", "last", "largest")
@@ -33,8 +33,8 @@ class SignalRule:
     """A curve over time.
 
     kind       "along": m, the place of a marker along a direction, "up", or "ahead", the way along which it moves most on the floor;
-               "distance": m between two; "speed": m/s of one; "bend": deg by which three are off a straight line; "turn": deg of the line
-               from one to another about the vertical; "spin": deg/s at which that line turns in space
+               "distance": m between two; "speed": m/s of one; "bend": deg by which three are off a straight line; "lean": deg of the line
+               from one to another off the vertical; "turn": deg of it about the vertical; "spin": deg/s at which it turns in space
     markers    one to three names of the table `markers`
     relative   of "along", the marker whose place is taken off; "" for none
     side       "L" or "R", for "{side}" in names of markers where the movement as a whole has no sides
@@ -158,7 +158,7 @@ def shipped_movements() -> tuple[str, ...]:
     """Names of the movements whose rules come with Asterism.
 
     >>> shipped_movements()
-    ('golf-swing', 'pedalling', 'squat')
+    ('golf-swing', 'lifting', 'pedalling', 'squat')
     """
     folder = resources.files("asterism").joinpath("movements")
     return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml")))
