@@ -76,6 +76,10 @@ class GaitOptions:
             "--save-band", metavar="FILE", help="Write the band of these walks, of people without complaints.", show_default=False
         ),
     ] = None
+    emg: Annotated[
+        list[str],
+        typer.Option("--emg", metavar="CHANNEL=MUSCLE", help="The muscle of an EMG channel, and its side: EMG1=LRF.", show_default=False),
+    ] = field(default_factory=list)
     compare: Annotated[
         list[Path],
         typer.Option(
@@ -113,16 +117,17 @@ def gait(options: GaitOptions) -> None:
     """
     from asterism.cli._folders import copies_of, trials
     from asterism.files.tables import check_table
-    from asterism.gait import Band
+    from asterism.gait import Band, muscles_by_channel
 
     tables = [options.table, options.output, options.curves]
-    inputs = [options.static, options.compare_static, options.band]
+    inputs = [options.static, options.compare_static, options.band, *_clinical.measure_files(options.measure)]
     outputs = [options.report, options.json, *tables, options.save_band, options.pdf]
     _console.check_outputs(outputs, [*options.files, *options.compare, *inputs], options.overwrite)
     for given in tables:
         if given is not None:
             check_table(given)
     _check_sessions(options)
+    muscles_by_channel(options.emg)
     # what is wrong with the options is told before any file is read
     _clinical.given_measures(options.measure)
     fill_limit(options.fill)
@@ -171,12 +176,13 @@ def analysed(
     """The analyses of the files that can be analysed, whose copies are written; what is found on them goes to the batch."""
     from asterism.cli._folders import check_output
     from asterism.formats import force_plates
-    from asterism.gait import analyse_gait, write_gait_c3d
+    from asterism.gait import analyse_gait, muscles_by_channel, named_channels, write_gait_c3d
     from asterism.motion.clinical import StaticRules
 
     limit, choice = fill_limit(options.fill), filter_choice(options.filter)
     static = None if options.static is None else _read(options.static, options, batch)
     rules = StaticRules(flat_foot=not options.sloped_foot, level_head=options.level_head)
+    muscles = muscles_by_channel(options.emg)
     results: list[tuple[Path, GaitAnalysis]] = []
     trials = files if options.static is None else [*files, options.static]
     for path in files:
@@ -195,6 +201,7 @@ def analysed(
             measures, doubtful = _clinical.measures_of(recording, static, options.measure, options.hip, rules)
             found = (*found, *doubtful)
             analysis = analyse_gait(recording, plates, measures, static=static, model=options.lower_body)
+            analysis = replace(analysis, emg=named_channels(analysis.emg, muscles))
             for finding in [*found, *analysis.findings]:
                 batch.found(finding)
             if path in copies:
