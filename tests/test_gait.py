@@ -466,3 +466,18 @@ def test_gait_fills_gaps_first_and_says_so(tmp_path: Path, capsys: pytest.Captur
         assert ("Filled markers" in (tmp_path / "page.html").read_text()) == (fill == "40")
     assert told[0] < told[1] == 1.0
     assert np.max(content["fill_sigmas_deg"]["LKneeAngles"]) > 0.05 and main([*words, "--fill", "much"]) == 2
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_points_that_are_no_walk_break_nothing(seed: int) -> None:
+    """Events of noise may leave a stance of one sample."""
+    labels = simulate_walks(1, 20, 50.0, markers="helen-hayes", seed=5)[0].labels
+    noise = np.random.default_rng(seed).normal(0.0, 1.0, (60 * (1 + seed), len(labels), 3))
+    for parameter in analyse_gait(Recording(noise, labels, 50.0)).parameters:
+        assert parameter.sigma > 0.0
+
+
+def test_a_recording_of_less_than_a_step_is_refused() -> None:
+    walk = simulate_walks(1, 60, 50.0, markers="helen-hayes", seed=5)[0]
+    with pytest.raises(AsterismError, match=r"lasts 0\.0006 s by its rate"):
+        analyse_gait(replace(walk, rate=1e5))
