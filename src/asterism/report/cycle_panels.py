@@ -97,6 +97,7 @@ def _legend(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None, inte
     if any(panel.control for panel in panels):
         keys.append(('<rect width="26" height="12" fill="#64748b" opacity="0.25"/>', "controls, mean ± 1 SD"))
     if any(one.interval for one in shown):
+        interval = interval if sessions is None else f"{interval}, {sessions[1]}"
         keys.append(
             ('<rect width="26" height="12" fill="#d1344b" opacity="0.2"/><path d="M0 .5h26M0 11.5h26" stroke="#d1344b"/>', interval)
         )

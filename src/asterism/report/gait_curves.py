@@ -86,8 +86,8 @@ def angle_section(sessions: Sequence[GaitSession], band: Band | None) -> list[Se
     sections = [Section("Angles over the gait cycle", text, drawing=drawn_panels(panels, names))]
     if names is not None and (rows := _differences(panels)):
         said = (
-            f"Of the mean curves, {names[1]} less {names[0]}. The interval holds 95 % of the differences that two sessions would show of the "
-            "same walk, with markers placed anew. Where a difference exceeds it, the walk has changed."
+            f"Of the mean curves, {names[1]} less {names[0]}. The interval holds 95 % of the differences that two sessions would show of "
+            "the same walk, with markers placed anew. Where a difference exceeds it, the walk has changed."
         )
         head = ["angle", "side", "mean difference, °", "largest, °", "at", "± 95 % there, °", "exceeds it over"]
         sections.append(Section("Angles of two sessions", said, table=Table(head, rows, left=2)))
