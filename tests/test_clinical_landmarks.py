@@ -12,8 +12,17 @@ from scipy.spatial.transform import Rotation
 import asterism
 from asterism import AsterismError, Recording, formats
 from asterism.cli import main
-from asterism.motion.clinical import ClinicalAngles, SubjectMeasures, clinical_angles, gathered_measures
+from asterism.gait import analyse_gait
+from asterism.motion.clinical import (
+    ClinicalAngles,
+    ClinicalErrors,
+    SubjectMeasures,
+    clinical_angles,
+    clinical_uncertainty,
+    gathered_measures,
+)
 from asterism.motion.clinical.measures import computed_by_the_file
+from asterism.motion.uncertainty import MonteCarloRules
 
 WIDTH, DEPTH = 0.24, 0.15
 TO_ROOM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -106,16 +115,37 @@ def test_a_standing_trial_carries_medial_markers_that_the_walk_does_not_show(nam
     medial = [name for name in whole.labels if name[1:] in ("ME", "KNM", "MM")]
     walk = whole.select([name for name in whole.labels if name not in medial])
     static = person(((8.0, 2.0, -3.0), (5.0, 1.0, 2.0), (4.0, 0.0, 6.0)), UPRIGHT, names=names, heading=70.0)
+    # of another file: with a subject's name before the markers', and y up
+    turned = static.positions @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    up = np.array([0.0, 1.0, 0.0])
+    static = replace(static, positions=turned, labels=tuple(f"Ann:{name}" for name in static.labels), vertical=up)
     clinical = clinical_angles(walk, static=static)
     agree(clinical, 0, BENT)
     agree(clinical, 1, BACK)
     told = next(finding.sentence for finding in clinical.findings if finding.code == "clinical-model")
-    assert ("CAST" in told) == (names is CAST) and "LME, LMM, RME, RMM are carried over" in told
+    assert ("CAST" in told) == (names is CAST) and "carried over from the standing trial: LME, LMM, RME, RMM" in told
     shifted = walk.positions.copy()
     shifted[0, walk.labels.index("LFLE" if names else "LGT")] += 0.05
     moved = clinical_angles(replace(walk, positions=shifted), static=static)
     off = np.degrees(moved.outputs["LHipAngles"][0] - clinical.outputs["LHipAngles"][0])
     assert (np.abs(off).max() < 1e-6) == (names is CAST), "of CAST only the cluster counts"
+
+
+def test_a_marker_of_the_pelvis_that_a_walk_never_shows_is_carried_too() -> None:
+    whole, static = person(BENT, BACK), person(UPRIGHT)
+    for name in ("LASIS", "RPSIS"):
+        hidden = whole.positions.copy()
+        hidden[:, whole.labels.index(name)] = np.nan
+        agree(clinical_angles(replace(whole, positions=hidden), static=static), 1, BACK)
+
+
+@pytest.mark.parametrize("name", ["LHF", "RTT", "LVM"])
+def test_a_marker_that_one_leg_lacks_leaves_both_legs_one_definition(name: str) -> None:
+    """Legs that are bent alike have the same angles, whatever the definition."""
+    whole = person(BENT)
+    found = clinical_angles(whole.select([label for label in whole.labels if label != name])).outputs
+    for joint in ("Hip", "Knee", "Ankle"):
+        np.testing.assert_allclose(found[f"L{joint}Angles"], found[f"R{joint}Angles"], atol=1e-9)
 
 
 def test_what_can_be_computed_is_and_the_rest_is_named() -> None:
@@ -179,6 +209,27 @@ def test_a_marker_that_one_leg_lacks_is_a_gap_and_one_that_both_lack_is_another_
         assert {finding.severity.name.lower() for finding in clinical.findings if finding.code == "clinical-left-out"} == {severity}
 
 
+@pytest.mark.parametrize("carried", [False, True])
+def test_landmarks_that_are_put_elsewhere_turn_the_knee_as_far_as_geometry_says(carried: bool) -> None:
+    """Of a leg that stands: 5 mm ahead or back, one of two epicondyles turns the thigh by 5 / 100, a malleolus the shank by 5 / 80.
+
+    Also where the medial ones are carried from the standing trial: the same hand felt for them.
+    """
+    whole = person(UPRIGHT, names=HELEN_HAYES if not carried else CAST)
+    static = person(UPRIGHT, UPRIGHT, names=CAST) if carried else None
+    walk = whole.select([name for name in whole.labels if not carried or name[1:] not in ("KNM", "MM")])
+    clinical = clinical_angles(walk, static=static)
+    apart = [moved["LKneeAngles"][0, 2] - clinical.outputs["LKneeAngles"][0, 2] for moved in clinical.model.placed_anew(walk, 1e-6)]
+    deviation = 0.005 * np.sqrt(np.sum(np.square(np.array(apart) / 1e-6)))
+    by_hand = np.sqrt(2.0) * np.hypot(0.005 / 0.10, 0.005 / 0.08)
+    assert deviation == pytest.approx(by_hand, rel=1e-3)
+    assert clinical.model.carries(walk) == carried
+    if not carried:
+        errors = ClinicalErrors(skin=None, placement_m=0.005)
+        drawn = clinical_uncertainty(walk, clinical, errors, rules=MonteCarloRules(most=400, block=400), budget_trials=4)
+        assert drawn.joints[1].standard[0, 2] == pytest.approx(by_hand, rel=0.15)
+
+
 def test_hip_centres_are_those_of_their_regressions() -> None:
     """By hand, in millimetres from midway between the spines: ahead, up, to the right."""
     walk = person(UPRIGHT)
@@ -238,3 +289,6 @@ def test_landmarks_of_a_treadmill_walk_bend_as_the_vendors_model_does(data: Path
             assert theirs is not None
             apart = np.degrees(clinical.outputs[f"{side}{name}Angles"][:, 0]) - theirs[:, 0]
             assert np.nanstd(apart) < most, name
+    bands = analyse_gait(walk.frames(slice(0, 350))).bands
+    for name, (least, most) in {"LHipAngles": (2.0, 6.0), "LKneeAngles": (1.5, 5.0)}.items():
+        assert least < np.degrees(np.nanmax(bands[name].high - bands[name].low, axis=0))[0] / 2 < most, name

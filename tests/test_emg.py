@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import asterism
+from asterism import AsterismError
+from asterism.cli import main
 from asterism.formats import AnalogChannel
-from asterism.gait import EmgRules, GaitAnalysis, analyse_gait, emg_of, envelope
+from asterism.gait import EmgRules, GaitAnalysis, analyse_gait, emg_of, envelope, muscles_by_channel, named_channels
 from asterism.gait.emg import peak, side_and_muscle
 from asterism.report.gait import gait_report
 from asterism.simulation import simulate_walks
@@ -98,6 +100,20 @@ def test_sides_and_muscles_are_read_as_laboratories_write_them() -> None:
         "EMG7": (None, ""), "": (None, ""), "VL_R": ("R", "vastus lateralis"), "Left": ("L", ""),
     }  # fmt: skip
     assert {name: side_and_muscle(name) for name in wanted} == wanted
+
+
+def test_a_person_names_what_the_file_does_not(
+    monkeypatch: pytest.MonkeyPatch, walk: GaitAnalysis, capsys: pytest.CaptureFixture[str]
+) -> None:
+    channels, _ = found_in(monkeypatch, walk, channel(bursts(walk, "R", 1.0), "EMG1.v"), channel(bursts(walk, "L", 1.0), "L TA"))
+    muscles = muscles_by_channel(["EMG1=right soleus", "EMG9=LRF"])
+    first, second = named_channels(channels, muscles)
+    assert (first.side, first.muscle, set(first.cycles)) == ("R", "soleus", {"R"}) and second == channels[1]
+    with pytest.raises(AsterismError, match="other side"):
+        named_channels(channels, muscles_by_channel(["L TA=RTA"]))
+    for word in ("EMG1", "EMG1=soleus", "EMG1=L", "=LRF"):
+        assert main(["gait", "walk.c3d", "--emg", word]) == 2
+        assert word in capsys.readouterr().err
 
 
 def test_channels_that_cannot_be_used_are_left_out_and_said(monkeypatch: pytest.MonkeyPatch, walk: GaitAnalysis) -> None:

@@ -468,6 +468,10 @@ def test_the_command_labels_a_file(tmp_path: Path, capsys: pytest.CaptureFixture
     assert np.nanmedian(apart) < 0.02 and np.isfinite(apart).mean() > 0.9
     assert main([*words, *out]) == 2
     assert "exists" in capsys.readouterr().err
+    # a table without a line
+    (tmp_path / "2d.csv").write_text("frame,camera,x,y\n", encoding="utf-8")
+    assert main([*words, "-o", str(tmp_path / "none.c3d")]) == 2
+    assert "2d.csv holds no image" in capsys.readouterr().err
 
 
 def test_blobs_and_recordings_are_left_as_they_came() -> None:

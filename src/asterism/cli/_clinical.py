@@ -24,6 +24,11 @@ if TYPE_CHECKING:
     from asterism.recording import Floats, Recording
 
 
+def measure_files(words: list[str]) -> list[Path]:
+    """The words of --measure that are files."""
+    return [Path(word) for word in words if "=" not in word or Path(word).is_file()]
+
+
 def given_measures(words: list[str]) -> tuple[dict[str, float], list[Path]]:
     """The measures that --measure names, and the files of measures that it gives.
 
@@ -32,7 +37,7 @@ def given_measures(words: list[str]) -> tuple[dict[str, float], list[Path]]:
     from asterism.motion.clinical import SubjectMeasures
     from asterism.motion.clinical.measure_files import measures_by_name, read_measures
 
-    files = [Path(word) for word in words if "=" not in word or Path(word).is_file()]
+    files = measure_files(words)
     for file in files:
         if not file.suffix:
             raise AsterismError(f"--measure {file} is neither a name with its value, such as LKneeWidth=102, nor a file of measures.")
@@ -101,8 +106,11 @@ def certain(
 
     if clinical is None or not clinical.joints:
         return None
-    if clinical.model.name == "landmarks":
-        _console.notice(f"{recording.metadata.get('file', 'the recording')}: no intervals of angles by {clinical.model.title(recording)}.")
+    if clinical.model.carries(recording):
+        file = recording.metadata.get("file", "the recording")
+        _console.notice(
+            f"{file}: no intervals of angles whose landmarks a standing trial carries; `asterism gait` has those of its cycles."
+        )
         return None
     return clinical_uncertainty(recording, clinical, errors, seed=seed, **trials)
 
@@ -179,7 +187,7 @@ def as_dict(clinical: ClinicalAngles | None, known: ClinicalUncertainty | None) 
     if known is not None:
         trials = {"trials": known.trials, "converged": known.converged, "intervals_tried_on": TRIED_ON}
     measures = {side: dataclasses.asdict(one) for side, one in clinical.measures.items()}
-    return {"clinical": {"joints": joints, "measures": measures, **trials}}
+    return {"clinical": {"model": clinical.model.name, "hip": clinical.model.hip, "joints": joints, "measures": measures, **trials}}
 
 
 def _certain_dict(one: JointUncertainty) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from asterism.cli._filling import Fill, Filter, cleaned, fill_limit, filled, fil
 from asterism.cli._options import Files, Hip, Json, LowerBodyChoice, Measure, Overwrite, Report, Static, Vertical
 
 if TYPE_CHECKING:
-    from asterism.cli._folders import Trial
     from asterism.findings import Finding
     from asterism.gait import Band, GaitAnalysis
     from asterism.recording import Recording
@@ -77,6 +76,10 @@ class GaitOptions:
             "--save-band", metavar="FILE", help="Write the band of these walks, of people without complaints.", show_default=False
         ),
     ] = None
+    emg: Annotated[
+        list[str],
+        typer.Option("--emg", metavar="CHANNEL=MUSCLE", help="The muscle of an EMG channel, and its side: EMG1=LRF.", show_default=False),
+    ] = field(default_factory=list)
     compare: Annotated[
         list[Path],
         typer.Option(
@@ -112,18 +115,19 @@ def gait(options: GaitOptions) -> None:
     are as much less certain, and flagged. --filter smooths markers; by default nothing is filtered, because angles and events need it not.
     --compare sets a second session of the person beside the first, before and after a treatment.
     """
-    from asterism.cli._folders import trials
+    from asterism.cli._folders import copies_of, trials
     from asterism.files.tables import check_table
-    from asterism.gait import Band
+    from asterism.gait import Band, muscles_by_channel
 
     tables = [options.table, options.output, options.curves]
-    inputs = [options.static, options.compare_static, options.band]
+    inputs = [options.static, options.compare_static, options.band, *_clinical.measure_files(options.measure)]
     outputs = [options.report, options.json, *tables, options.save_band, options.pdf]
     _console.check_outputs(outputs, [*options.files, *options.compare, *inputs], options.overwrite)
     for given in tables:
         if given is not None:
             check_table(given)
     _check_sessions(options)
+    muscles_by_channel(options.emg)
     # what is wrong with the options is told before any file is read
     _clinical.given_measures(options.measure)
     fill_limit(options.fill)
@@ -131,7 +135,7 @@ def gait(options: GaitOptions) -> None:
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
     walks = trials([*options.files, *options.compare], batch, without=options.c3d)
-    copies = {} if options.c3d is None else _copies(walks, options.c3d, inputs)
+    copies = {} if options.c3d is None else copies_of(walks, options.c3d, inputs)
     later = _paths_below(options.compare)
     results = analysed(options, [walk.path for walk in walks if _console.real_path(walk.path) not in later], batch, copies)
     second = replace(options, static=options.compare_static)
@@ -154,7 +158,7 @@ def _check_sessions(options: GaitOptions) -> None:
             "same file where nothing was moved."
         )
     if options.compare_static is not None and not options.compare:
-        raise AsterismError("--compare-static is of a second session, and there is none; name its walks behind --compare.")
+        raise AsterismError("--compare-static is of a second session, whose walks are missing; name them behind --compare.")
     if options.pdf is not None:
         from asterism.report.pdf import find_browser
 
@@ -172,12 +176,13 @@ def analysed(
     """The analyses of the files that can be analysed, whose copies are written; what is found on them goes to the batch."""
     from asterism.cli._folders import check_output
     from asterism.formats import force_plates
-    from asterism.gait import analyse_gait, write_gait_c3d
+    from asterism.gait import analyse_gait, muscles_by_channel, named_channels, write_gait_c3d
     from asterism.motion.clinical import StaticRules
 
     limit, choice = fill_limit(options.fill), filter_choice(options.filter)
     static = None if options.static is None else _read(options.static, options, batch)
     rules = StaticRules(flat_foot=not options.sloped_foot, level_head=options.level_head)
+    muscles = muscles_by_channel(options.emg)
     results: list[tuple[Path, GaitAnalysis]] = []
     trials = files if options.static is None else [*files, options.static]
     for path in files:
@@ -196,6 +201,7 @@ def analysed(
             measures, doubtful = _clinical.measures_of(recording, static, options.measure, options.hip, rules)
             found = (*found, *doubtful)
             analysis = analyse_gait(recording, plates, measures, static=static, model=options.lower_body)
+            analysis = replace(analysis, emg=named_channels(analysis.emg, muscles))
             for finding in [*found, *analysis.findings]:
                 batch.found(finding)
             if path in copies:
@@ -224,7 +230,8 @@ def write_results(
     scores = [] if band is None else profile_scores(analyses, band)
     for score in scores if options.json != "-" else ():
         side = "left" if score.side == "L" else "right"
-        _console.result(f"Gait Profile Score, {side}: {math.degrees(score.gps):.1f}° from the mean of the band.")
+        index = "" if score.gdi is None else f" Gait Deviation Index by this score: {score.gdi:.0f}."
+        _console.result(f"Gait Profile Score, {side}: {math.degrees(score.gps):.1f}° from the mean of the band.{index}")
     if options.save_band is not None:
         people = [subject_of(analysis.recording) or str(path.parent) for path, analysis in results]
         band_of(analyses, people).save(options.save_band)
@@ -241,6 +248,7 @@ def write_results(
             {
                 "side": score.side,
                 "gps_deg": math.degrees(score.gps),
+                "gdi": score.gdi,
                 "variables_deg": {name: math.degrees(value) for name, value in score.variables.items()},
             }
             for score in scores
@@ -343,23 +351,6 @@ def _write_tables(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]]
             (everything.of(*kinds) if kinds else everything).write(given)
 
 
-def _copies(walks: Sequence[Trial], folder: Path, others: Sequence[Path | None]) -> dict[Path, Path]:
-    """Where the copy of each walk goes. Raises AsterismError where it would be an input, or two walks would have the same."""
-    from asterism.cli._folders import outputs_of
-    from asterism.errors import AsterismError
-
-    targets = {walk.path: target.with_suffix(".c3d") for walk, target in zip(walks, outputs_of(walks, folder), strict=True)}
-    inputs = {_console.real_path(path): path for path in (*targets, *others) if path is not None}
-    taken: dict[str, Path] = {}
-    for path, target in targets.items():
-        if (one := inputs.get(_console.real_path(target))) is not None:
-            raise AsterismError(f"the copy of {path} would replace {one}, which is an input; give --c3d another folder.")
-        # walk.trc and walk.c3d have one copy between them
-        if (other := taken.setdefault(str(target).casefold(), path)) != path:
-            raise AsterismError(f"{other} and {path} would both become {target}; give them one after the other.")
-    return targets
-
-
 def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:
     """A file's recording; its warnings are told."""
     from asterism.cli._recordings import one_person, report_warnings
@@ -446,5 +437,6 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
             }
             for channel in analysis.emg
         ],
+        "lower_body": None if analysis.clinical is None else {"model": analysis.clinical.model.name, "hip": analysis.clinical.model.hip},
         "measures": {} if analysis.clinical is None else dataclasses.asdict(analysis.clinical.subject),
     }

@@ -4,7 +4,7 @@ from asterism.gait.analysis import GaitAnalysis, analyse_gait
 from asterism.gait.bands import Band, ProfileScore, band_of, profile_scores
 from asterism.gait.comparison import ParameterChange, compare_sessions
 from asterism.gait.cycles import POINTS, Cycle, cycles_of, midstances, over_cycle
-from asterism.gait.emg import EmgChannel, EmgRules, emg_of, envelope
+from asterism.gait.emg import EmgChannel, EmgRules, emg_of, envelope, muscles_by_channel, named_channels
 from asterism.gait.events import EventRules, GaitEvent, Walking, find_events, plate_contacts
 from asterism.gait.feet import Feet, feet_of
 from asterism.gait.intervals import AngleBand, angle_bands
@@ -43,6 +43,8 @@ __all__ = [
     "gait_table",
     "midstances",
     "model_points",
+    "muscles_by_channel",
+    "named_channels",
     "over_cycle",
     "parameters_of",
     "plate_contacts",

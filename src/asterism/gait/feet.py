@@ -102,6 +102,9 @@ def feet_of(recording: Recording) -> Feet:
     if not hips:
         raise AsterismError(f"{file} has no marker of the pelvis ({', '.join(PELVIS[:5])}); gait events need one.")
     times = np.arange(0.0, (len(recording) - 1) / recording.rate + 1e-9, 1.0 / RATE)
+    # a speed needs a sample on either side
+    if len(times) < 3:
+        raise AsterismError(f"{file} lasts {len(recording) / recording.rate:.3g} s by its rate; gait events need steps.")
     smooth = {side: [_smooth(part, recording.rate, times, CUT_OFF) for part in pair] for side, pair in feet.items()}
     middle = np.nansum(hips, axis=0) / np.maximum(np.isfinite(hips).sum(axis=0), 1)
     middle[~np.isfinite(hips).any(axis=0)] = np.nan

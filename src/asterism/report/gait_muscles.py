@@ -7,7 +7,6 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from asterism.gait.emg import EmgRules, peak
 from asterism.recording import Floats
 from asterism.report.cycle_panels import CurvesOfSide, CycleCurve, CyclePanel, drawn_panels
 from asterism.report.gait_curves import session_names
@@ -17,6 +16,8 @@ from asterism.report.page import Section
 
 def muscle_section(sessions: Sequence[GaitSession]) -> list[Section]:
     """Envelopes of muscles, both sides of a muscle in one panel; none where no recording has them."""
+    from asterism.gait import EmgRules
+
     named: dict[str, dict[str, None]] = {}
     channels = [channel for session in sessions for analysis in session.analyses for channel in analysis.emg]
     for channel in channels:
@@ -44,6 +45,8 @@ def muscle_section(sessions: Sequence[GaitSession]) -> list[Section]:
 
 def _sides(session: GaitSession, names: Collection[str], earlier: bool) -> list[CurvesOfSide]:
     """The cycles of both feet of the channels with these names, % of their peaks."""
+    from asterism.gait.emg import peak
+
     own = [(analysis, channel) for analysis in session.analyses for channel in analysis.emg if channel.name in names]
     highest = {name: peak([channel for _, channel in own if channel.name == name]) for name in names}
     found = []

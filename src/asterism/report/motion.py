@@ -166,7 +166,7 @@ def points_figure(
         marker, hover = {"size": 7, "color": "#16213a", "symbol": "diamond"}, "joint centres<extra></extra>"
         data.append(figures.in_space(centres[:, frame], 4, name="joint centres", marker=marker, text=None, hovertemplate=hover))
     scene = {"aspectmode": "data", **{axis: figures.titled(f"{axis[0]} (m)") for axis in ("xaxis", "yaxis", "zaxis")}}
-    scene["camera"] = {"eye": {"x": 1.8, "y": -1.8, "z": 0.5}}
+    scene["camera"] = {"eye": {"x": 2.3, "y": -2.3, "z": 0.6}}
     return figures.figure(data, height=560, scene=scene)
 
 

@@ -32,8 +32,9 @@ def clinical_section(name: str, recording: Recording, clinical: ClinicalAngles, 
     from asterism.motion.clinical.uncertainty import TRIED_ON
 
     measured = sorted({measure for one in clinical.measures.values() for measure in one.from_file})
-    taken = f"Measures from the file: {', '.join(measured).replace('_', ' ')}." if measured else "The file has no measures: an adult's."
-    text = "Of Grood and Suntay, by the markers of Helen Hayes or Plug-in-Gait. Flexion, adduction and internal rotation are positive."
+    taken = f"Measures that are known: {', '.join(measured).replace('_', ' ')}." if measured else "No measure is known: an adult's."
+    model = clinical.model
+    text = f"By {model.title(recording)}, hip centres by {model.hip}. Flexion, adduction and internal rotation are positive."
     cycles = gait_cycles(recording)
     if cycles:
         counted = " and ".join(f"{sum(one.side == letter for one in cycles)} {side}" for letter, side in SIDE.items())
@@ -44,7 +45,7 @@ def clinical_section(name: str, recording: Recording, clinical: ClinicalAngles, 
         figure=None if cycles else _over_time(recording.times, clinical, known),
         drawing=_over_cycles(recording, cycles, clinical, known) if cycles else "",
         table=_clinical_budget(known) if known is not None else None,
-        note=f"{taken} The foot is a line from ankle to toe, which tells no adduction.",
+        note=f"{taken} The foot is a line from ankle to toe, which tells no adduction." if clinical.model.name == "plug-in-gait" else "",
     )
 
 

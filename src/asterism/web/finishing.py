@@ -30,7 +30,8 @@ _DIGITS = 5
 class Finishing:
     """What is proposed for a trial. Its gaps and events are found when they are asked for, and again when its labels have changed."""
 
-    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _filling: threading.Lock = field(default_factory=threading.Lock)
+    _seeking: threading.Lock = field(default_factory=threading.Lock)
     _gaps: tuple[Labelling, Filled] | None = None
     _events: tuple[Labelling, tuple[GaitEvent, ...]] | None = None
 
@@ -38,7 +39,7 @@ class Finishing:
         """The recording, its gaps filled as far as that is certain enough. Raises AsterismError where no marker has a name."""
         labelling = labelled.labelling
         # One at a time: two tabs would do the work of seconds twice.
-        with self._lock:
+        with self._filling:
             if self._gaps is None or self._gaps[0] is not labelling:
                 self._gaps = labelling, fill_gaps(labelled.recording, by=_by())
             return self._gaps[1]
@@ -46,7 +47,7 @@ class Finishing:
     def events(self, labelled: LabelledFile) -> tuple[GaitEvent, ...]:
         """Strikes and offs of the recording. Raises AsterismError where feet or pelvis have no markers."""
         labelling = labelled.labelling
-        with self._lock:
+        with self._seeking:
             if self._events is None or self._events[0] is not labelling:
                 recording = labelled.recording
                 plates, _ = formats.force_plates(recording)

@@ -128,13 +128,19 @@ def _plate(file: C3DFile, number: int, samples: Floats, rate: float, scale: floa
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     # The surface is above the sensors. Some programs write the vector the other way round, or moments in another unit than they name.
     below = -origin if origin[2] > 0 else origin
-    ways = [(below, factor), (-below, factor), (below, 0.001 * factor), (below, 1000.0 * factor)]
-    plates = [ForcePlate(number + 1, corners, *_in_the_room(kind, values, *way, matrix, axes, vertical), rate, vertical) for way in ways]
-    # The first way is the specification's. Another one counts only where that takes people off the plate.
+
+    def put(origin: Floats, factor: float) -> ForcePlate:
+        return ForcePlate(number + 1, corners, *_in_the_room(kind, values, origin, factor, matrix, axes, vertical), rate, vertical)
+
+    # The specification's way. Another one counts only where this takes people off the plate.
+    usual = put(below, factor)
+    if _share_inside(usual) > 0.5:
+        return usual
+    plates = [usual, put(-below, factor), put(below, 0.001 * factor), put(below, 1000.0 * factor)]
     shares = [_share_inside(plate) for plate in plates]
-    if max(shares) <= 0.5 and (plates[0].load > 5 * LOADED).any():
+    if max(shares) <= 0.5 and (usual.load > 5 * LOADED).any():
         raise _Unusable(f"{100 * (1 - max(shares)):.0f} % of its centres of pressure lie outside its corners")
-    return plates[0] if shares[0] > 0.5 else plates[int(np.argmax(shares))]
+    return plates[int(np.argmax(shares))]
 
 
 def _in_the_room(

@@ -12,7 +12,7 @@ from asterism.findings import Finding, Severity
 from asterism.motion.clinical.gathered import gathered_measures
 from asterism.motion.clinical.landmark_body import landmark_body, with_plug_in_gait_names, worn_landmarks
 from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures
-from asterism.motion.clinical.model import MODELS, ClinicalModel, wears_medial_markers
+from asterism.motion.clinical.model import MODELS, ClinicalModel, wears_both_sides, wears_medial_markers
 from asterism.motion.clinical.plug_in_gait import lower_body
 from asterism.motion.clinical.upper_body import arm_measures_needed
 from asterism.motion.joints.anatomy import AnatomicalFrames, sacrum_markers
@@ -138,6 +138,9 @@ def _has_hip(recording: Recording, side: str) -> bool:
 
 def _nothing(recording: Recording) -> str:
     missing = min((_missing(recording, side) for side in SIDES), key=len)
+    if wears_both_sides(recording):
+        seen = {label for column, label in enumerate(recording.labels) if recording.visible[:, column].any()}
+        missing = [name for name in ("LASI", "RASI", *sacrum_markers(recording)) if name not in seen]
     said = f"has no marker {', '.join(missing)}" if missing else "never shows all markers of a leg in one frame"
     return (
         f"{_file(recording)} {said}; clinical angles need the markers of Helen Hayes or Plug-in-Gait, or pelvis, epicondyles and "
@@ -148,7 +151,7 @@ def _nothing(recording: Recording) -> str:
 def _told(recording: Recording, model: ClinicalModel) -> Finding:
     """Which model it is: not everybody expects another one than Plug-in-Gait."""
     carried = landmark_body(recording, model.measures, model.static)
-    names = "" if carried is None or not carried.carried else f"; {', '.join(carried.carried)} are carried over from the standing trial"
+    names = "" if carried is None or not carried.carried else f"; carried over from the standing trial: {', '.join(carried.carried)}"
     sentence = f"{_file(recording)}: angles by {model.title(recording)}, hip centres by {model.hip}{names}."
     return Finding("clinical-model", Severity.NOTE, _file(recording), sentence, "Another model can be asked for with --lower-body.")
 
@@ -166,17 +169,22 @@ def _left_out(recording: Recording, model: ClinicalModel, outputs: Mapping[str, 
     wands = any(side + name in named.labels for side in SIDES for name in ("THI", "TIB")) and not roles & {"LME", "RME", "LMM", "RMM"}
     for side in sides:
         absent = [joint for joint in JOINTS if f"{side}{joint.title()}Angles" not in outputs]
-        known, lacking = roles, [side + role for role in ("LE", "ME", "LM", "MM", "CA") if side + role not in roles]
+        back = "SACR" in roles or {"LPSI", "RPSI"} <= roles
+        pelvis = [name for name in ("LASI", "RASI", *(() if back else ("LPSI", "RPSI"))) if name not in roles]
+        known, lacking = roles, [*pelvis, *(side + role for role in ("LE", "ME", "LM", "MM", "CA") if side + role not in roles)]
         if model.name == "plug-in-gait" or wands:
             known, lacking = shown, [name for name in _needed(named, side) if name not in shown]
             # a set that has no toe has no ankle, which is no loss
             lacking += [f"{side}TOE"] if f"{side}TOE" in {*named.labels} - shown else []
-        if absent and lacking:
-            sentence = f"{_file(recording)}: no angles of the {SIDES[side]} {', '.join(absent)}: {', '.join(lacking)} cannot be seen."
+        if absent and (lacking or absent != ["ankle"]):
+            why = f"{', '.join(lacking)} cannot be seen" if lacking else "its markers are never seen together, or lie in one place"
+            sentence = f"{_file(recording)}: no angles of the {SIDES[side]} {', '.join(absent)}: {why}."
             # a set without this marker on either side is no leg with a gap
             gap = {*lacking} & {*named.labels} or {{"L": "R", "R": "L"}.get(name[0], "") + name[1:] for name in lacking} & known
             mend = "Fill its gaps (--fill), or give a standing trial with markers on both sides of knee and ankle (--static)."
-            severity = Severity.WARNING if gap else Severity.NOTE
+            if model.static is not None and model.name == "landmarks":
+                mend = "The standing trial carries a landmark by three markers that both trials show on the limb."
+            severity = Severity.WARNING if gap or not lacking else Severity.NOTE
             found.append(Finding("clinical-left-out", severity, _file(recording), sentence, mend))
     return found
 

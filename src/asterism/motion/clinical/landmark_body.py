@@ -6,9 +6,9 @@ Istituto Ortopedico Rizzoli (Leardini et al. 2007), and CAST (Cappozzo et al. 19
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -38,6 +38,8 @@ ROLES = {
     "TOE": "toe",
 }
 """Landmarks by the letters of Leardini et al., and their names in `asterism.recording.place`."""
+_PELVIS = ("LASI", "RASI", "LPSI", "RPSI", "SACR")
+_FOOT = ("CA", "FM", "SM", "VM", "TOE")
 _ON = {"thigh": ("LE", "ME"), "shank": ("HF", "TT", "LM", "MM")}
 _LEAST = 3
 """Markers that carry a landmark: fewer leave a turn open."""
@@ -47,13 +49,11 @@ _LEAST = 3
 class Worn:
     """Which column of a recording is which landmark, such as "LLE" (left, lateral epicondyle) or "SACR", and which markers are on a limb.
 
-    roles     landmark -> column; segments  "left thigh" -> columns
-    set_name  the shipped set that has most of the recording's names
+    roles  landmark -> column; segments  "left thigh" -> columns
     """
 
     roles: Mapping[str, int] = field(default_factory=dict)
     segments: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    set_name: str = ""
 
 
 @dataclass(frozen=True)
@@ -100,24 +100,26 @@ def _spellings() -> Mapping[str, tuple[Mapping[str, str], Mapping[str, str]]]:
 
 def worn_landmarks(recording: Recording) -> Worn:
     """Which landmarks and limbs the recording's names are, by the shipped sets; where two sets disagree, the one with more of the names."""
-    spelled = {canonical(without_subject(label)): column for column, label in enumerate(recording.labels)}
-    known = {name: sum(one in (*roles, *limbs) for one in spelled) for name, (roles, limbs) in _spellings().items()}
+    return _worn(tuple(recording.labels))
+
+
+@lru_cache(maxsize=32)
+def _worn(labels: tuple[str, ...]) -> Worn:
+    spelled = {canonical(without_subject(label)): column for column, label in enumerate(labels)}
+    known = {name: sum(one in roles or one in limbs for one in spelled) for name, (roles, limbs) in _spellings().items()}
     found: dict[str, int] = {}
     limb_of: dict[str, str] = {}
-    taken: set[int] = set()
-    order = sorted(known, key=lambda name: (-known[name], name))
-    for name in order:
+    for name in sorted(known, key=lambda name: (-known[name], name)):
         roles, limbs = _spellings()[name]
+        limb_of = {one: limbs[one] for one in spelled if one in limbs} | limb_of
         for spelling, column in spelled.items():
-            limb_of.setdefault(spelling, limbs.get(spelling, "")) if spelling in limbs else None
             role = roles.get(spelling)
-            if role is not None and role not in found and column not in taken:
+            if role is not None and role not in found and column not in found.values():
                 found[role] = column
-                taken.add(column)
-    segments: dict[str, tuple[int, ...]] = {}
+    segments = {"pelvis": tuple(found[role] for role in _PELVIS if role in found)}
     for spelling, limb in limb_of.items():
         segments[limb] = (*segments.get(limb, ()), spelled[spelling])
-    return Worn(found, segments, order[0] if order else "")
+    return Worn(found, segments)
 
 
 _NAMES = {"LE": "KNE", "LM": "ANK", "CA": "HEE", "SM": "TOE"}
@@ -152,15 +154,18 @@ def landmark_body(recording: Recording, measures: SubjectMeasures, static: Recor
     else z points to the knee and y along the malleoli. Foot: x from heel to second metatarsal head, in the plane of heel, first and fifth;
     else from heel to toe, y near the ankle's axis.
     """
-    worn = worn_landmarks(recording)
+    worn = _seen_landmarks(recording)
     at = _positions(recording, worn)
     missing = np.full((len(recording), 3), np.nan)
-    sacrum = at["SACR"] if "SACR" in at else (at.get("LPSI", missing) + at.get("RPSI", missing)) / 2
+    still = None if static is None else _standing(static, measures)
+    told = _carried(recording, worn, still, "pelvis", _PELVIS, {})
+    at |= told.positions
+    carried = list(told.positions)
     if not {"LASI", "RASI"} <= at.keys():
         return None
+    sacrum = _sacrum(at, missing)
     pelvis, origin = _pelvis(at, sacrum)
-    still = None if static is None else _standing(static, measures)
-    legs, feet, carried, clusters, shanks = {}, {}, [], False, False
+    hips, legs, feet, clusters = dict[str, Floats](), dict[str, Leg](), dict[str, Floats](), False
     for side, word in SIDES.items():
         hip = origin + pelvis @ hip_centre(measures, side, at["LASI"], at["RASI"], sacrum, davis=False)
         for limb, names in _ON.items():
@@ -170,9 +175,57 @@ def landmark_body(recording: Recording, measures: SubjectMeasures, static: Recor
             clusters |= told.clusters
             at |= told.positions
             carried += [name for name in told.positions if name not in worn.roles]
-        legs[side], feet[side], shank = _leg(at, side, hip, missing)
-        shanks |= shank
-    return LandmarkBody(LowerBody(pelvis, origin, legs), feet, tuple(carried), clusters, shanks)
+        hips[side] = hip
+    # One definition for both legs: a marker that one lacks must not make them differ.
+    legged = [side for side in SIDES if {f"{side}LM", f"{side}MM"} & at.keys()]
+    bones = bool(legged) and all({f"{side}HF", f"{side}TT"} <= at.keys() for side in legged)
+    sole = all({f"{side}FM", f"{side}VM"} <= at.keys() for side in SIDES if f"{side}CA" in at)
+    for side, hip in hips.items():
+        legs[side], feet[side] = _leg(at, side, hip, missing, bones, sole)
+    return LandmarkBody(LowerBody(pelvis, origin, legs), feet, tuple(carried), clusters, bones)
+
+
+def landmarks_displaced(
+    recording: Recording, measures: SubjectMeasures, static: Recording | None, step: float
+) -> Iterator[tuple[Recording, Recording | None]]:
+    """Recording and standing trial with one landmark's marker `step` m along one axis of its segment, in both; those of both legs at once.
+
+    What a landmark does that is put elsewhere on the skin, in all trials of a session alike.
+    """
+    trials = [trial for trial in (recording, static) if trial is not None]
+    made = [landmark_body(trial, measures, static) for trial in trials]
+    groups: list[tuple[str, ...]] = [(role,) for role in _PELVIS]
+    groups += [("L" + role, "R" + role) for role in (*_ON["thigh"], *_ON["shank"], *_FOOT)]
+    for group in groups:
+        for axis in range(3):
+            moved = [_moved(trial, one, group, axis, step) for trial, one in zip(trials, made, strict=True)]
+            if all(new is old for new, old in zip(moved, trials, strict=True)):
+                break
+            yield moved[0], moved[1] if len(moved) > 1 else None
+
+
+def _moved(trial: Recording, made: LandmarkBody | None, group: tuple[str, ...], axis: int, step: float) -> Recording:
+    worn = worn_landmarks(trial).roles
+    if made is None or not any(role in worn for role in group):
+        return trial
+    positions = rotate_z_up(trial.positions, trial.vertical).copy()
+    for role in group:
+        if role in worn:
+            positions[:, worn[role]] += step * np.nan_to_num(_axes_of(made, role))[:, :, axis]
+    return replace(trial, positions=positions, vertical=np.array([0.0, 0.0, 1.0]), source=None, origin=None)
+
+
+def segment_of(role: str) -> str:
+    """ "pelvis", "thigh", "shank" or "foot"."""
+    return "pelvis" if role in _PELVIS else next((limb for limb, names in _ON.items() if role[1:] in names), "foot")
+
+
+def _axes_of(made: LandmarkBody, role: str) -> Floats:
+    """(T, 3, 3) of its segment; the foot's are the shank's."""
+    if role in _PELVIS:
+        return made.body.pelvis
+    leg = made.body.legs[role[0]]
+    return leg.thigh if segment_of(role) == "thigh" else leg.shank
 
 
 def landmark_angles(made: LandmarkBody) -> dict[str, Floats]:
@@ -198,6 +251,14 @@ def landmark_angles(made: LandmarkBody) -> dict[str, Floats]:
     return {name: angles for name, angles in wrapped.items() if np.isfinite(angles).any()}
 
 
+def _seen_landmarks(recording: Recording) -> Worn:
+    """Without what the recording never shows."""
+    worn = worn_landmarks(recording)
+    seen = set(np.nonzero(recording.visible.any(axis=0))[0].tolist())
+    roles = {role: column for role, column in worn.roles.items() if column in seen}
+    return Worn(roles, {limb: tuple(column for column in columns if column in seen) for limb, columns in worn.segments.items()})
+
+
 def _positions(recording: Recording, worn: Worn) -> dict[str, Floats]:
     upright = rotate_z_up(recording.positions, recording.vertical)
     return {role: upright[:, column] for role, column in worn.roles.items()}
@@ -210,7 +271,11 @@ def _pelvis(at: Mapping[str, Floats], sacrum: Floats) -> tuple[Floats, Floats]:
     return np.stack([np.cross(y, z), y, z], axis=2), origin
 
 
-def _leg(at: Mapping[str, Floats], side: str, hip: Floats, missing: Floats) -> tuple[Leg, Floats, bool]:
+def _sacrum(at: Mapping[str, Floats], missing: Floats) -> Floats:
+    return at["SACR"] if "SACR" in at else (at.get("LPSI", missing) + at.get("RPSI", missing)) / 2
+
+
+def _leg(at: Mapping[str, Floats], side: str, hip: Floats, missing: Floats, bones: bool, sole: bool) -> tuple[Leg, Floats]:
     left = 1.0 if side == "L" else -1.0
 
     def mark(role: str) -> Floats:
@@ -219,16 +284,15 @@ def _leg(at: Mapping[str, Floats], side: str, hip: Floats, missing: Floats) -> t
     knee, ankle = (mark("LE") + mark("ME")) / 2, (mark("LM") + mark("MM")) / 2
     thigh = along(hip - knee, left * (mark("LE") - mark("ME")))
     outwards = left * (mark("LM") - mark("MM"))
-    shank, by_bones = along(knee - ankle, outwards), False
-    if side + "HF" in at and side + "TT" in at:
+    shank = along(knee - ankle, outwards)
+    if bones:
         ahead = unit_vectors(np.cross(outwards, mark("HF") - ankle))
         shin = mark("TT") - ankle
         up = unit_vectors(shin - np.einsum("ti,ti->t", shin, ahead)[:, None] * ahead)
-        by_bones = bool(np.isfinite(up).any())
-        shank = np.stack([ahead, np.cross(up, ahead), up], axis=2) if by_bones else shank
+        shank = np.stack([ahead, np.cross(up, ahead), up], axis=2)
     foot = np.full_like(shank, np.nan)
     if side + "CA" in at:
-        if side + "FM" in at and side + "VM" in at:
+        if sole:
             up = left * unit_vectors(np.cross(mark("FM") - mark("CA"), mark("VM") - mark("CA")))
             second = mark("SM") if side + "SM" in at else (mark("FM") + mark("VM")) / 2
             reach = second - mark("CA")
@@ -241,7 +305,7 @@ def _leg(at: Mapping[str, Floats], side: str, hip: Floats, missing: Floats) -> t
     # as Plug-in-Gait has it: x up, z backwards
     backwards = np.stack([foot[:, :, 2], foot[:, :, 1], -foot[:, :, 0]], axis=2)
     known = backwards if np.isfinite(foot).any() else None
-    return Leg(hip, knee, ankle, thigh, shank, shank, known), foot, by_bones
+    return Leg(hip, knee, ankle, thigh, shank, shank, known), foot
 
 
 @dataclass(frozen=True)
@@ -260,12 +324,12 @@ class _Told:
 
 
 def _standing(static: Recording, measures: SubjectMeasures) -> _Still:
-    worn = worn_landmarks(static)
+    worn = _seen_landmarks(static)
     at = _positions(static, worn)
     missing = np.full((len(static), 3), np.nan)
     hips = {side: missing for side in SIDES}
     if {"LASI", "RASI"} <= at.keys():
-        sacrum = at["SACR"] if "SACR" in at else (at.get("LPSI", missing) + at.get("RPSI", missing)) / 2
+        sacrum = _sacrum(at, missing)
         pelvis, origin = _pelvis(at, sacrum)
         hips = {side: origin + pelvis @ hip_centre(measures, side, at["LASI"], at["RASI"], sacrum, davis=False) for side in SIDES}
     return _Still(static, worn, hips)
@@ -275,8 +339,11 @@ def _carried(recording: Recording, worn: Worn, still: _Still | None, limb: str, 
     """Landmarks of a limb that markers of both trials carry over from the standing one; none without one."""
     if still is None:
         return _Told()
-    names = {recording.labels[column]: column for column in worn.segments.get(limb, ())}
-    places = {still.recording.labels[column]: column for column in still.worn.segments.get(limb, ())}
+    # a subject's name before a label may differ between two files
+    names, places = (
+        {canonical(without_subject(trial.labels[column])): column for column in own.segments.get(limb, ())}
+        for trial, own in ((recording, worn), (still.recording, still.worn))
+    )
     common = [name for name in names if name in places]
     own = [name for name in common if names[name] not in [worn.roles.get(role) for role in roles]]
     clusters = len(own) >= _LEAST

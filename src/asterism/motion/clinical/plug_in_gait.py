@@ -273,7 +273,10 @@ def radius_by_the_file(recording: Recording, measures: SubjectMeasures) -> float
         while (best := best_of(_RADII[max(place - 1, 0) : place + 2])) != _RADII[place]:
             place = int(np.argmin(np.abs(_RADII - best)))
         # The stated one may lie between those that are tried, and explain the angles best.
-        best = best_of(np.array([measures.marker_radius]))
+        stated = measures.marker_radius
+        best = best_of(np.array([stated]))
     except AsterismError:
         return None
+    # One that differs by rounding is the stated one.
+    best = stated if abs(best - stated) < 1e-6 else best
     return float(best) if errors[best] < _FITS else None

@@ -24,7 +24,6 @@ TRIED_ON = (
 """What stands beside intervals wherever they are shown."""
 """What makes clinical angles uncertain; each can be looked at alone."""
 
-_SEGMENT_OF = {"ASI": "pelvis", "PSI": "pelvis", "THI": "thigh", "KNE": "thigh", "TIB": "shank", "ANK": "shank", "TOE": "foot"}
 _BENT_BY = {"pelvis": ("hip",), "thigh": ("hip", "knee"), "shank": ("knee", "ankle"), "foot": ("ankle",)}
 _OFFSET_OF = {"THI": "thigh_rotation", "TIB": "shank_rotation", "TOE": "foot_flexion"}
 """The measure that a static trial takes of a marker, see `LegMeasures`."""
@@ -115,7 +114,8 @@ def clinical_uncertainty(
     change nothing; each source draws the same alone as with the others. Raises AsterismError where a calibration does not fit.
     O(trials T).
     """
-    recording = with_plug_in_gait_names(recording)
+    if clinical.model.name == "plug-in-gait":
+        recording = with_plug_in_gait_names(recording)
     errors = errors or ClinicalErrors()
     rules = rules or MonteCarloRules()
     legs = _Legs.of(recording, clinical, errors)
@@ -165,12 +165,11 @@ class _Legs:
         bent = {joint.name: np.nan_to_num(joint.angles[:, 0]) / _FULL_BEND for joint in clinical.joints}
         still = np.zeros(len(recording))
         columns, turns, skin, courses, placed = [], [], [], [], []
-        for column, label in enumerate(recording.labels):
-            segment = "pelvis" if label == "SACR" else _SEGMENT_OF.get(label[1:], "")
-            side = SIDES.get(label[0], "") if label != "SACR" else ""
+        for column, (label, segment) in clinical.model.markers(recording).items():
             # The pelvis has no side; it takes the axes of any leg, which hold the same pelvis.
+            side = SIDES.get(label[0], "") if label != "SACR" else ""
             side = side if side in axes else next(iter(axes))
-            if not segment or (segment != "pelvis" and SIDES.get(label[0]) != side):
+            if segment != "pelvis" and SIDES.get(label[0]) != side:
                 continue
             columns.append(column)
             turns.append(axes[side][segment])

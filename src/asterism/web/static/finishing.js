@@ -90,14 +90,16 @@
       this.about.textContent = ["A fill is made where its 95 % interval is within 10 mm.", ...gone].join(" ");
       at("gaps-left").textContent = answer.left.map(text => plainText(text, 400)).join(" ");
       const same = before ? this.rows.findIndex(row => row.marker === before.marker && row.first === before.first) : -1, open = this.rows.findIndex(row => !row.accepted);
-      this.select(same >= 0 && !this.rows[same].accepted ? same : open >= 0 ? open : Math.min(0, this.rows.length - 1), false);
+      // the picture goes with the selection: to the next gap after one is accepted
+      this.select(same >= 0 && !this.rows[same].accepted ? same : open >= 0 ? open : Math.min(0, this.rows.length - 1));
     }
 
-    select(i, seek = true) {
+    select(i) {
       this.at = i;
       this.show();
-      if (this.row && seek) this.page.seek(this.row.first);
-      if (this.row) this.graph(this.row);
+      if (!this.row) return;
+      this.page.seek(this.row.first);
+      this.graph(this.row);
     }
 
     async graph(row) {

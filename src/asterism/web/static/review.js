@@ -450,7 +450,7 @@
       if (typing || event.ctrlKey || event.metaKey || event.altKey || !this.labels) return;
       if (event.key === "Tab") { this.tab(event); return; }
       if (event.key === "e") { event.preventDefault(); this.edit({ labels: "gaps", gaps: "events", events: "labels" }[this.mode]); return; }
-      if (this.mode !== "labels" && !target.matches("button, summary, a") && this.panels[this.mode].keys(event)) return;
+      if (this.mode !== "labels" && !target.matches("button:not(.line), summary, a") && this.panels[this.mode].keys(event)) return;
       const naming = Boolean(this.labels.state.naming);
       const acts = {
         n: () => { if (this.place(this.selected) >= 0) { at("name").focus(); at("name").select(); } else this.touch(); }, s: () => this.swap(), c: () => this.cut(),
