@@ -207,6 +207,19 @@ def test_two_sessions_are_compared_and_what_changed_is_marked(sessions: Path, tm
     assert 'data-go="0:' in page and 'data-go="1:' in page and 'class="mean left earlier"' in page
 
 
+def test_angles_of_two_sessions_differ_where_they_exceed_their_intervals(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
+    """A knee that is bent by 40 degrees more in the first half of the cycle, and a walk that is the same."""
+    more = np.where(np.arange(101) <= 50, np.radians(40.0), 0.0)[:, None] * [1.0, 0.0, 0.0]
+    bent = replace(walks[0], curves={name: curves + more if name == "LKneeAngles" else curves for name, curves in walks[0].curves.items()})
+    bent.__dict__["bands"] = walks[0].bands
+    gait_report(tmp_path / "p.html", [("first", walks[0])], compare=[("second", bent)])
+    section = (tmp_path / "p.html").read_text().split("<h2>Angles of two sessions</h2>")[1].split("</section>")[0]
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", section, re.DOTALL)[1:]]
+    (changed,) = [row for row in rows if row[6] != "no part"]
+    assert changed[:2] == ["knee flexion", "left"] and changed[3] == "+40.0" and changed[6] == "50 % of the cycle"
+    assert float(changed[2]) == pytest.approx(40 * 51 / 101, abs=0.1) and len(rows) > 12
+
+
 def test_all_files_behind_compare_are_of_the_second_session(sessions: Path, tmp_path: Path) -> None:
     """However it is written: as words, with a sign of equality, as a folder, or as a pattern that the shell left alone."""
     few = replace(asterism.read(sessions / "before" / "a.c3d").frames(slice(40)), source=None)
