@@ -29,7 +29,7 @@ def gait_table(analyses: Sequence[tuple[str, GaitAnalysis]], *, curves: bool = T
     curves  False: without the curves over the cycle and their extremes, which take most of the time and of the rows
 
     Angles of legs and pelvis are as uncertain as their bands (`angle_bands`), and as what was filled in this cycle; of other angles only
-    fills are known, and of moments and powers nothing. O(cycles).
+    fills are known. Moments and powers have the uncertainty of `KineticErrors`, the ground's force none. O(cycles).
 
     >>> from asterism.gait import analyse_gait
     >>> from asterism.simulation import simulate_walks
@@ -106,7 +106,8 @@ def _curves(analysis: GaitAnalysis) -> Iterator[tuple[str, Cycle, Floats, Floats
     per_kg = analysis.kinetics is not None and analysis.kinetics.per_kg
     for name, loads in analysis.loads.items():
         for number, cycle in enumerate(analysis.loaded[name]):
-            yield name, cycle, loads[number], np.full(loads[number].shape, np.nan), load_unit(name, per_kg)
+            sigma = analysis.load_sigmas[name][number] if name in analysis.load_sigmas else np.full(loads[number].shape, np.nan)
+            yield name, cycle, loads[number], sigma, load_unit(name, per_kg)
     for channel in analysis.emg:
         for side, envelopes in channel.cycles.items():
             for cycle, curve in zip(_of_side(analysis.cycles, side), envelopes, strict=True):
