@@ -119,6 +119,9 @@ def test_an_adults_measure_is_never_taken_in_silence(tmp_path: Path, capsys: pyt
         main([*command, *words])
         told = "".join(capsys.readouterr())
         assert "no leg length of the left leg" in told and "no ankle width, leg length of the right leg" in told
+    kept = (tmp_path / "ann.mp").read_text()
+    assert main(["gait", *words, "-o", str(tmp_path / "ann.mp"), "--overwrite"]) == 2 and (tmp_path / "ann.mp").read_text() == kept
+    capsys.readouterr()
     assert main(["gait", *words[:3], "--measure", "LKneeWidth"]) == 2
     assert "neither a name with its value" in capsys.readouterr().err
 

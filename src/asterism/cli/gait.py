@@ -120,7 +120,7 @@ def gait(options: GaitOptions) -> None:
     from asterism.gait import Band, muscles_by_channel
 
     tables = [options.table, options.output, options.curves]
-    inputs = [options.static, options.compare_static, options.band]
+    inputs = [options.static, options.compare_static, options.band, *_clinical.measure_files(options.measure)]
     outputs = [options.report, options.json, *tables, options.save_band, options.pdf]
     _console.check_outputs(outputs, [*options.files, *options.compare, *inputs], options.overwrite)
     for given in tables:
