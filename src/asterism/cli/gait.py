@@ -177,7 +177,7 @@ def analysed(
     static = None if options.static is None else _read(options.static, options, batch)
     rules = StaticRules(flat_foot=not options.sloped_foot, level_head=options.level_head)
     results: list[tuple[Path, GaitAnalysis]] = []
-    trials = files if options.static is None else [*files, options.static]
+    trials = list(files) if options.static is None else [options.static, *files]
     for path in files:
         with batch.file(path):
             if path in copies:

@@ -60,12 +60,21 @@ class GapRules:
 
     mates: tuple[int, ...] = (3, 4, 6, 10, 99)
     kernels: tuple[Kernel, ...] = (
-        Kernel(8.0, 6.0, 2.0, 0.1, 0.1, 0.3),
-        Kernel(8.0, 0.0, 12.0, 0.2, 0.1),
-        Kernel(8.0, 10.0, 2.0, 0.1, 0.3, 2.5, rough=True),
-        Kernel(20.0, 10.0, 4.0, 0.2, 0.1, 1.15, rough=True),
+        Kernel(20.0, 3.0, 1.0, 0.05, 0.3, 4.0),
+        Kernel(20.0, 3.0, 1.0, 0.5, 0.3, 0.3),
+        Kernel(50.0, 20.0, 2.0, 0.5, 0.03, 0.6),
+        Kernel(20.0, 10.0, 12.0, 0.2, 0.1, 1.15, rough=True),
+        Kernel(8.0, 6.0, 2.0, 0.1, 0.1, 0.3, rough=True),
     )
     times: tuple[Kernel, ...] = (Kernel(0.0, 0.0, 300.0, 0.25, 0.1),)
+    brief: float = 0.2
+    brief_kernels: tuple[Kernel, ...] = (
+        Kernel(50.0, 6.0, 12.0, 0.5, 0.01, 0.3),
+        Kernel(8.0, 10.0, 2.0, 0.1, 0.3, 2.5, rough=True),
+        Kernel(50.0, 0.0, 20.0, 0.3, 0.01),
+        Kernel(20.0, 10.0, 1.0, 0.5, 0.1, 2.5),
+    )
+    brief_times: tuple[Kernel, ...] = (Kernel(0.0, 0.0, 300.0, 0.25, 0.1), Kernel(0.0, 0.0, 300.0, 0.5, 0.03))
     pose: int = 4
     local: float = 3.0
     scores: int = 30
@@ -220,7 +229,8 @@ def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: 
     points = frames.points[every, column]
     process = _Process(apart, blocks, learned, pose=None if pose is None else pose[every])
     found = []
-    for kernel in () if absent else rules.times:
+    brief = frames.time[gap[-1]] - frames.time[gap[0]] <= rules.brief
+    for kernel in () if absent else rules.brief_times if brief else rules.times:
         found += process.candidates(kernel, points[None], None)
     if pose is None:
         return found
@@ -232,7 +242,7 @@ def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: 
     if axes:
         rotations, places = np.array([r for r, _ in axes]), np.array([t for _, t in axes])
         local = np.matmul((points - places)[:, :, None], rotations)[:, :, 0]
-        for kernel in rules.kernels:
+        for kernel in rules.brief_kernels if brief else rules.kernels:
             found += process.candidates(kernel, local, (rotations, places))
     return found
 
