@@ -14,6 +14,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
+import pytest
 from models import trained
 
 import asterism
@@ -130,3 +131,23 @@ def served(session: Any) -> Iterator[Browser]:
 def longest(ids: Sequence[int], first: Sequence[int], last: Sequence[int]) -> int:
     """The id of the longest piece."""
     return int(ids[int(np.argmax(np.asarray(last) - np.asarray(first)))])
+
+
+def drive(monkeypatch: pytest.MonkeyPatch, script: str) -> None:
+    """Let the page of the server load a script that stands for the person, after its own."""
+    from starlette.responses import Response
+
+    from asterism.web import app
+
+    static = app._static
+
+    def driven(name: str) -> Response:
+        if name == "driver.js":
+            return Response(script, media_type="text/javascript")
+        answer = static(name)
+        if name != "review.html":
+            return answer
+        page = bytes(answer.body).replace(b"</body>", b'<script src="/static/driver.js"></script></body>')
+        return Response(page, media_type="text/html; charset=utf-8")
+
+    monkeypatch.setattr(app, "_static", driven)

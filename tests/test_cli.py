@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -471,6 +472,27 @@ def test_interrupting_leaves_no_half_file(tmp_path: Path) -> None:
     assert list((tmp_path / "demo").iterdir()) == []
     process.stdout.close()
     process.stderr.close()
+
+
+def test_an_interruption_within_a_callback_of_a_library_is_not_lost() -> None:
+    """Python only prints what a C library's callback raises: a batch went on after Ctrl-C."""
+    from ctypes import CFUNCTYPE
+
+    from asterism.cli import _interrupted_elsewhere
+
+    @CFUNCTYPE(None)
+    def callback() -> None:
+        raise KeyboardInterrupt
+
+    before, sys.unraisablehook = sys.unraisablehook, _interrupted_elsewhere
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            callback()
+            # the signal is taken between steps of Python
+            for _ in range(1000):
+                time.sleep(0.01)
+    finally:
+        sys.unraisablehook = before
 
 
 @pytest.mark.parametrize("width", [60, 80, 200])

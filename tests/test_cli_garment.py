@@ -148,3 +148,9 @@ def test_a_view_that_breaks_off_is_named(place: Path, tmp_path: Path, capsys: py
     assert status == 1 and "001.png cannot be read as an image" in told and told.count("001.png") == 1
     found = DenseTrajectories.load(output)
     assert np.isfinite(found.positions[0, :, 0]).sum() > 60 and not np.isfinite(found.positions[1, :, 0]).any()
+
+
+def test_a_size_that_no_sheet_has_is_refused_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """10,000 million circles took all memory before they were counted."""
+    assert run("garment", "print", "--rows", 100_000, "--cols", 100_000, "-o", tmp_path / "suit.svg") == 2
+    assert "9999" in capsys.readouterr().err

@@ -201,11 +201,16 @@ def test_a_gap_is_a_gap_of_the_angles_that_need_the_marker() -> None:
 def test_legs_without_their_markers_are_named_and_left_out() -> None:
     given = standing((0, 0, 0), (0, 0, 0))
     left = given.select([name for name in given.labels if name not in ("RTIB", "LTOE")])
-    assert complete_legs(left) == ("L",) and [joint.name for joint in clinical_angles(left).joints] == ["left hip", "left knee"]
+    partly = clinical_angles(left)
+    assert complete_legs(left) == ("L",) and [joint.name for joint in partly.joints] == ["left hip", "left knee", "right hip"]
+    said = [finding.sentence for finding in partly.findings if finding.code == "clinical-left-out"]
+    assert len(said) == 1 and "right knee, ankle: RTIB" in said[0]
     assert leg_measures(left, "L") == LegMeasures()
     hidden = given.positions.copy()
     hidden[:, given.labels.index("SACR")] = np.nan
-    cases = [(left, "R", "RTIB"), (left, "X", "no side"), (given.select(["LASI", "RASI", "SACR"]), None, "LTHI, LKNE, LTIB, LANK")]
+    pelvis = clinical_angles(given.select(["LASI", "RASI", "SACR"]))
+    assert not pelvis.joints and set(pelvis.outputs) == {"LPelvisAngles", "RPelvisAngles"} and len(pelvis.findings) == 3
+    cases = [(left, "R", "RTIB"), (left, "X", "no side"), (given.select(["LASI", "LTHI"]), None, "RASI, SACR, LKNE, LTIB, LANK")]
     for recording, side, sentence in [*cases, (replace(given, positions=hidden), None, "never shows")]:
         with pytest.raises(AsterismError, match=sentence):
             clinical_angles(recording, side)
@@ -267,7 +272,7 @@ def test_motion_gives_clinical_angles_where_the_markers_are(walk: Path, tmp_path
     page, table, found = tmp_path / "page.html", tmp_path / "angles.csv", tmp_path / "found.json"
     words = ["motion", str(walk), "--vertical", "z", "--limbs", "3"]
     assert main([*words, "--report", str(page), "-o", str(table), "--json", str(found)]) == 0
-    told = capsys.readouterr().out
+    told = "".join(capsys.readouterr())
     assert "clinical angles" in told and "right ankle" in told and "no knee width, ankle width, leg length of the left leg" in told
     clinical = json.loads(found.read_text())["files"][0]["clinical"]
     knee = next(joint for joint in clinical["joints"] if (joint["side"], joint["joint"]) == ("right", "knee"))

@@ -98,6 +98,15 @@ def test_measures_and_standing_trials_of_another_person_are_told() -> None:
     child = replace(other, positions=0.8 * other.positions)
     codes = [finding.code for finding in gathered_measures(walk, child)[1]]
     assert codes == ["clinical-other-person"]
+    sliding = walk.positions.copy()
+    sliding[:, walk.labels.index("LTHI"), 2] += np.linspace(-0.05, 0.05, len(sliding))
+    still = walk.positions.copy()
+    still[:, walk.labels.index("LTHI"), 2] += 0.08
+    for positions, told in ((sliding, 0), (still, 1)):
+        moved = gathered_measures(replace(walk, positions=positions), walk)[1]
+        assert [finding.code for finding in moved] == ["clinical-other-person"] * told, (
+            "what slides tells no person; what was put anew is said"
+        )
 
 
 def test_an_adults_measure_is_never_taken_in_silence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -110,6 +119,9 @@ def test_an_adults_measure_is_never_taken_in_silence(tmp_path: Path, capsys: pyt
         main([*command, *words])
         told = "".join(capsys.readouterr())
         assert "no leg length of the left leg" in told and "no ankle width, leg length of the right leg" in told
+    kept = (tmp_path / "ann.mp").read_text()
+    assert main(["gait", *words, "-o", str(tmp_path / "ann.mp"), "--overwrite"]) == 2 and (tmp_path / "ann.mp").read_text() == kept
+    capsys.readouterr()
     assert main(["gait", *words[:3], "--measure", "LKneeWidth"]) == 2
     assert "neither a name with its value" in capsys.readouterr().err
 

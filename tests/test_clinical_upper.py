@@ -109,3 +109,16 @@ def test_what_has_its_markers_is_computed_and_the_rest_left_out() -> None:
     assert (
         np.isnan(gap["LElbowAngles"][1]).any() and np.isfinite(gap["LElbowAngles"][[0, 2]]).all() and np.isfinite(gap["LHeadAngles"]).all()
     )
+
+
+def test_angles_of_the_whole_body_know_how_far_a_fill_makes_them_uncertain() -> None:
+    """A filled marker of the head counts in the head's angles, not in the arms'."""
+    from asterism.gait import analyse_gait
+    from asterism.motion.gaps import fill_gaps
+    from asterism.simulation import simulate_walks
+
+    [walk] = simulate_walks(1, frames=220, markers="plug-in-gait", seed=0)
+    positions = walk.positions.copy()
+    positions[60:90, walk.labels.index("LFHD")] = np.nan
+    analysis = analyse_gait(fill_gaps(replace(walk, positions=positions), limit=1.0).recording)
+    assert np.nanmax(analysis.fill_sigmas["LHeadAngles"]) > 0.0 == np.nanmax(analysis.fill_sigmas["LElbowAngles"])

@@ -47,10 +47,15 @@ def channels(kind: int, load: float) -> np.ndarray:
     return np.array([*sides, *z])
 
 
-def written(path: Path, kind: int, *, sign: float = 1.0, unit: str = "Nmm", origin_sign: float = 1.0, corners: bool = True) -> Path:
-    """A C3D file of one plate on which nobody stands, then somebody, then nobody."""
-    share = np.concatenate([np.zeros(100), np.ones(200), np.zeros(100)])
+def written(
+    path: Path, kind: int, *, sign: float = 1.0, unit: str = "Nmm", origin_sign: float = 1.0, corners: bool = True, bits: int = 0
+) -> Path:
+    """A C3D file of one plate on which nobody stands, then somebody, then nobody; `bits`: of the whole numbers that it is kept in."""
+    ramp = np.linspace(0, 1, 42)[1:-1] if bits else np.zeros(0)
+    share = np.concatenate([np.zeros(100), ramp, np.ones(200 - 2 * len(ramp)), ramp[::-1], np.zeros(100)])
     samples = np.array([channels(kind, load) for load in share])
+    if bits:
+        samples = (np.round(samples) + 2 ** (bits - 1)) % 2**bits - 2 ** (bits - 1)
     # a place has no sign
     samples[:, [place for place in range(samples.shape[1]) if kind != 1 or place not in (3, 4)]] *= sign
     file = ezc3d.c3d()
@@ -94,6 +99,19 @@ def test_a_known_load_is_found_on_every_type_of_plate(tmp_path: Path, kind: int,
 @pytest.mark.parametrize("given", [{"unit": "Nm"}, {"origin_sign": -1.0}])
 def test_a_unit_or_origin_that_takes_people_off_the_plate_is_not_believed(tmp_path: Path, given: dict) -> None:
     [plate], _ = force_plates(asterism.read(written(tmp_path / "plate.c3d", 2, **given)))
+    np.testing.assert_allclose(plate.pressure[200], AT, atol=1e-4)
+
+
+def test_moments_that_ran_over_sixteen_bits_are_continued(tmp_path: Path) -> None:
+    """35 N m are more than 32,767 N mm: the exporter went on from the other end."""
+    recording = asterism.read(written(tmp_path / "plate.c3d", 2, bits=16))
+    assert recording.source.analog.min() < -30000
+    [plate], [finding] = force_plates(recording)
+    assert finding.code == "format-analog-overflow" and "channels 4, 5" in finding.sentence
+    np.testing.assert_allclose(plate.pressure[200], AT, atol=1e-4)
+    # In 24 bits nothing runs over.
+    [plate], found = force_plates(asterism.read(written(tmp_path / "wide.c3d", 2, bits=24)))
+    assert not found
     np.testing.assert_allclose(plate.pressure[200], AT, atol=1e-4)
 
 

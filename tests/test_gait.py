@@ -265,6 +265,23 @@ def test_a_band_is_kept_and_a_person_is_as_far_from_it_as_their_curves(tmp_path:
         band_of(walks, ["a", "a", "a"])
 
 
+def test_the_deviation_index_counts_standard_deviations_of_the_controls(tmp_path: Path) -> None:
+    walks = [analyse_gait(walk) for walk in simulate_walks(4, frames=300, markers="helen-hayes", seed=5)]
+    band = band_of(walks[:3], ["a", "b", "c"])
+    band.save(tmp_path / "controls.band")
+    kept = Band.load(tmp_path / "controls.band")
+    assert kept.log_score == band.log_score and band.log_score is not None
+    # each control is scored by the other two
+    others = [walks[:3][:n] + walks[:3][n + 1 :] for n in range(3)]
+    logs = [np.log(score.gps) for n in range(3) for score in profile_scores([walks[n]], band_of(others[n], ["x", "y"]))]
+    assert band.log_score == pytest.approx((np.mean(logs), np.std(logs, ddof=1)))
+    for score in profile_scores(walks[3:], kept):
+        scaled = replace(kept, log_score=(float(np.log(score.gps)) - np.log(2.0), 0.25))
+        assert {one.side: one.gdi for one in profile_scores(walks[3:], scaled)}[score.side] == pytest.approx(100 - 10 * np.log(2) / 0.25)
+    two = band_of(walks[:2], ["a", "b"])
+    assert two.log_score is None and all(score.gdi is None for score in profile_scores(walks[3:], two))
+
+
 @pytest.mark.parametrize(
     "content", ["", "{}", '{"format": "asterism gait band 9"}', '{"format": "asterism gait band 1", "angles": {"Hip": 3}}']
 )
@@ -449,3 +466,18 @@ def test_gait_fills_gaps_first_and_says_so(tmp_path: Path, capsys: pytest.Captur
         assert ("Filled markers" in (tmp_path / "page.html").read_text()) == (fill == "40")
     assert told[0] < told[1] == 1.0
     assert np.max(content["fill_sigmas_deg"]["LKneeAngles"]) > 0.05 and main([*words, "--fill", "much"]) == 2
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_points_that_are_no_walk_break_nothing(seed: int) -> None:
+    """Events of noise may leave a stance of one sample."""
+    labels = simulate_walks(1, 20, 50.0, markers="helen-hayes", seed=5)[0].labels
+    noise = np.random.default_rng(seed).normal(0.0, 1.0, (60 * (1 + seed), len(labels), 3))
+    for parameter in analyse_gait(Recording(noise, labels, 50.0)).parameters:
+        assert parameter.sigma > 0.0
+
+
+def test_a_recording_of_less_than_a_step_is_refused() -> None:
+    walk = simulate_walks(1, 60, 50.0, markers="helen-hayes", seed=5)[0]
+    with pytest.raises(AsterismError, match=r"lasts 0\.0006 s by its rate"):
+        analyse_gait(replace(walk, rate=1e5))

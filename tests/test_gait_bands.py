@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import asterism
-from asterism.gait import GaitAnalysis, analyse_gait, over_cycle
+from asterism.gait import Cycle, GaitAnalysis, GaitEvent, analyse_gait, over_cycle
 from asterism.gait.intervals import COVERAGE, AngleBand, angle_bands
 from asterism.motion.clinical import LegMeasures, SubjectMeasures
 from asterism.motion.clinical.estimated import WalkEstimator
@@ -125,3 +125,43 @@ def turned_wand(recording: asterism.Recording, turn: float) -> asterism.Recordin
     positions = recording.positions.copy()
     positions[:, column] = leg.knee + along + np.cos(turn) * across + np.sin(turn) * np.cross(line, across)
     return replace(recording, positions=positions)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("hidden", "without", "all_the_same"),
+    [
+        ("LKNE", ["LHip", "LKnee", "LAnkle"], ["LPelvis", "RHip", "RKnee", "RAnkle"]),
+        ("LHEE", [], ["LHip", "LKnee", "LAnkle", "RAnkle"]),
+        ("SACR", ["LPelvis", "LHip", "RKnee"], []),
+        ("RTIB", ["RKnee", "RAnkle"], ["RHip", "LKnee", "LAnkle"]),
+    ],
+)
+def test_markers_that_no_cycle_shows_leave_their_angles_without_a_band(hidden: str, without: list[str], all_the_same: list[str]) -> None:
+    recording, clinical = walk().recording, walk().clinical
+    assert clinical is not None
+    positions = recording.positions.copy()
+    positions[12:, recording.labels.index(hidden)] = np.nan
+    blind = replace(walk(), recording=replace(recording, positions=positions), clinical=replace(clinical, subject=SubjectMeasures()))
+    for name in without:
+        assert np.isnan(blind.bands[f"{name}Angles"].low).all(), name
+    for name in all_the_same:
+        band = blind.bands[f"{name}Angles"]
+        assert np.isfinite(band.low).all() and (band.high > band.low).all(), name
+
+
+def test_bands_of_a_minute_are_those_of_one_of_its_cycles() -> None:
+    """However many cycles there are, those that are looked at are seen in as many frames."""
+    recording, name = walk().recording, "LKneeAngles"
+    first = next(cycle for cycle in walk().cycles if cycle.side == "L")
+    begin, end = (round(event.time * recording.rate) for event in (first.strike, first.next_strike))
+
+    def later(event: GaitEvent, number: int) -> GaitEvent:
+        return replace(event, time=event.time + (number * (end - begin) - begin) / recording.rate)
+
+    cycles = tuple(Cycle("L", later(first.strike, k), later(first.off, k), later(first.next_strike, k)) for k in range(49))
+    one = replace(walk(), cycles=(first,), curves={name: walk().curves[name][:1]})
+    minute = replace(recording, positions=np.tile(recording.positions[begin:end], (50, 1, 1)))
+    many = replace(one, recording=minute, cycles=cycles, curves={name: np.repeat(walk().curves[name][:1], 49, axis=0)})
+    widths = [found.bands[name].standard["placement"] for found in (one, many)]
+    np.testing.assert_allclose(widths[1], widths[0], atol=0.05 * float(widths[0].max()))

@@ -133,6 +133,19 @@ def test_another_library_reads_outputs_beside_all_that_the_file_held(tmp_path: P
     assert new["parameters"]["PROCESSING"]["LKneeWidth"]["value"] == [102.0]
 
 
+def test_points_of_other_programs_without_the_subject_do_not_hide_a_stale_angle(tmp_path: Path) -> None:
+    walk = asterism.read(walk_file(tmp_path / "walk.c3d", prefix="Ann:"))
+    file = ezc3d.c3d(str(tmp_path / "walk.c3d"))
+    labels = file["parameters"]["POINT"]["LABELS"]["value"]
+    file["parameters"]["POINT"]["LABELS"]["value"] = [*labels[:-1], "TABLE"]
+    file.write(str(tmp_path / "mixed.c3d"))
+    mixed = asterism.read(tmp_path / "mixed.c3d")
+    new = ModelPoint("LKneeAngles", "ANGLES", np.ones((len(walk), 3)))
+    write_model_outputs(tmp_path / "out.c3d", mixed, [new], [])
+    written = ezc3d.c3d(str(tmp_path / "out.c3d"))["parameters"]["POINT"]["LABELS"]["value"]
+    assert written == [*labels[:-1], "TABLE"]
+
+
 def test_events_and_parameters_replace_those_of_the_same_name(tmp_path: Path) -> None:
     analysis = analysis_of(walk_file(tmp_path / "walk.c3d"))
     write_gait_c3d(tmp_path / "out.c3d", analysis)
@@ -158,6 +171,16 @@ def test_events_and_parameters_replace_those_of_the_same_name(tmp_path: Path) ->
     assert values["Single Support", "Left"] + values["Double Support", "Left"] == pytest.approx(stance, abs=2e-3)
     told_of = dict(zip(table["NAMES"]["value"], table["DESCRIPTIONS"]["value"], strict=True))
     assert told_of["Cadence"].startswith("+- ") and "cycle" in told_of["Cadence"] and told_of["GDI"] == "by hand"
+
+
+def test_events_are_at_their_frames_where_a_file_begins_at_another_time(tmp_path: Path) -> None:
+    """As a TRC file whose frame 1 is at 20.3 s: a C3D file has no other clock than its frames."""
+    walk = simulate_walks(1, frames=300, markers="helen-hayes", seed=3)[0]
+    analysis = analyse_gait(replace(walk, events=(), metadata={"first_time": 20.3}))
+    write_gait_c3d(tmp_path / "out.c3d", analysis)
+    written = asterism.read(tmp_path / "out.c3d")
+    expected = sorted(event.time for event in (*analysis.walking.events, *midstances(analysis.walking)))
+    np.testing.assert_allclose([event.time - written.times[0] for event in written.events], expected, atol=1e-5)
 
 
 def test_its_own_output_gives_the_same_file(tmp_path: Path) -> None:

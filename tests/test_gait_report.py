@@ -17,9 +17,13 @@ from asterism.cli import main
 from asterism.findings import Finding, Severity
 from asterism.gait import GaitAnalysis, analyse_gait, band_of, compare_sessions
 from asterism.gait.parameters import Parameter
-from asterism.recording import ForcePlate
+from asterism.motion.analysis import analyse_motion
+from asterism.recording import ForcePlate, Recording
 from asterism.report.cycle_panels import CurvesOfSide, CycleCurve, CyclePanel, drawn_panels
 from asterism.report.gait import gait_report
+from asterism.report.gait_session import GaitSession
+from asterism.report.gait_steps import drawn_steps
+from asterism.report.limb_names import limb_names
 from asterism.report.player import ShownRecording, pack_recordings
 from asterism.report.recording import labelling_by_names
 from asterism.simulation import simulate_walks
@@ -54,7 +58,7 @@ def test_what_was_found_stands_once_without_the_path_that_pushed_it_out_of_view(
         file = f"/a/very/long/path/of/a/laboratory/walk{number}.c3d"
         finding = Finding("clinical-marker-diameter", Severity.WARNING, file, f"{file}: its markers are large.", "Measure <b>one</b>.")
         recording = replace(walks[0].recording, metadata={"file": file})
-        results.append((f"walk{number}.c3d", replace(walks[0], recording=recording, findings=(finding,))))
+        results.append((f"walk{number}.c3d", replace(walks[0], recording=recording, findings=(finding,), curves={}, clinical=None)))
     gait_report(tmp_path / "p.html", results)
     table = (tmp_path / "p.html").read_text().split("<h2>What to know</h2>")[1].split("</section>")[0]
     assert table.count("Its markers are large.") == 1 and "walk0.c3d, walk1.c3d" in table
@@ -77,6 +81,20 @@ def test_a_number_leads_to_the_frames_of_its_cycle(tmp_path: Path, walks: list[G
     assert len(re.findall(r'data-go="[01]:\d+:\d+"', stance)) == 2
 
 
+def test_steps_stand_where_the_foot_is_on_the_floor_and_lead_there(walks: list[GaitAnalysis]) -> None:
+    drawing = drawn_steps([GaitSession("", [("first", walks[1]), ("<second>", walks[0])])])
+    assert drawing.count("<figure>") == 2 and "&lt;second&gt;" in drawing and "plates" not in drawing.split('class="steps"')[1]
+    rate, seconds = walks[0].recording.rate, len(walks[0].recording) / walks[0].recording.rate
+    bars = re.findall(r'x="([\d.]+)" y="2" width="([\d.]+)" height="12" fill="#d1344b" data-go="1:(\d+):(\d+)"', drawing)
+    strikes, offs = (walks[0].walking.of("L", label) for label in ("Foot Strike", "Foot Off"))
+    wanted = [(strike.time, next(off.time for off in offs if off.time > strike.time)) for strike in strikes if strike.time < offs[-1].time]
+    assert len(bars) == len(wanted) > 1
+    for (x, wide, first, last), (begins, ends) in zip(bars, wanted, strict=True):
+        assert (int(first), int(last)) == (round(rate * begins), round(rate * ends))
+        assert float(x) == pytest.approx(60 + 940 * begins / seconds, abs=0.1)
+        assert float(wide) == pytest.approx(940 * (ends - begins) / seconds, abs=0.1)
+
+
 @needs_node
 def test_a_curve_is_drawn_as_it_is_and_broken_where_it_is_unknown(tmp_path: Path) -> None:
     """What the page's own script reads out of a line is the curve, to a thousandth of the axis."""
@@ -92,6 +110,50 @@ def test_a_curve_is_drawn_as_it_is_and_broken_where_it_is_unknown(tmp_path: Path
     heights = in_node(f"{constants}{function} return [...heightsOf({{ getAttribute: () => path }})];", tmp_path, path=path)
     read = np.array([np.nan if height is None else low + (1660 - height) / 1600 * (high - low) for height in heights])
     np.testing.assert_allclose(read, values, atol=(high - low) / 1000)
+
+
+def test_what_no_cycle_shows_has_no_axes_and_many_cycles_leave_their_mean_in_view() -> None:
+    unknown, known = np.full(101, np.nan), np.linspace(0, 1, 101)
+    drawing = drawn_panels([CyclePanel("ankle", "°", [CurvesOfSide("left", [CycleCurve(unknown)] * 2)])])
+    assert "not known in any cycle" in drawing and "<path" not in drawing.split('class="panels"')[1]
+    faint = [
+        float(
+            re.findall(
+                r'<g opacity="([^"]+)"', drawn_panels([CyclePanel("knee", "°", [CurvesOfSide("left", [CycleCurve(known)] * many)])])
+            )[0]
+        )
+        for many in (4, 50)
+    ]
+    assert faint == [1.0, 0.2]
+    curves = [CycleCurve(np.full(101, float(n))) for n in range(500)]
+    crowded = drawn_panels([CyclePanel("knee", "°", [CurvesOfSide("left", curves)])])
+    assert 40 < crowded.count('class="cycle left"') <= 60 and "60 of them at most" in crowded
+    low, high = (float(re.findall(rf'data-{name}="([^"]+)"', crowded)[0]) for name in ("low", "high"))
+    mean = int(re.findall(r'class="mean left" d="M430 (\d+)', crowded)[0])
+    assert low + (1660 - mean) / 1600 * (high - low) == pytest.approx(249.5, abs=1.0), "of all cycles"
+
+
+def test_labels_are_as_certain_as_their_file_says(tmp_path: Path) -> None:
+    walk = simulate_walks(1, frames=100, markers="helen-hayes", seed=5)[0]
+    clouds = walk.clouds()
+    certain = np.full(walk.visible.shape, 1.0)
+    certain[:10] = 0.5
+    labelling = replace(labelling_by_names(walk), confidence=np.where(walk.visible, certain, 0.0))
+    asterism.write(tmp_path / "walk.c3d", Recording.from_clouds(clouds, labelling), labelling=labelling)
+    gait_report(tmp_path / "p.html", [("walk", analyse_gait(asterism.read(tmp_path / "walk.c3d")))])
+    quality = (tmp_path / "p.html").read_text().split("<h2>Quality</h2>")[1].split("</section>")[0]
+    assert "90.0 % of 99 % or more" in quality and "as in the file" not in quality
+
+
+def test_a_page_without_cycles_or_angles_is_a_page(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
+    standing = replace(walks[0].recording, positions=np.repeat(walks[0].recording.positions[:1], 60, axis=0), metadata={"file": "<b>.c3d"})
+    few = walks[0].recording.select(["LHEE", "LTOE", "SACR"])
+    gait_report(tmp_path / "p.html", [("<b>.c3d", analyse_gait(standing)), ("few", analyse_gait(few))], compare=[("third", walks[1])])
+    page = (tmp_path / "p.html").read_text()
+    assert "<b>.c3d" not in page.split("<script")[0] and "&lt;b&gt;.c3d" in page
+    assert "Angles over the gait cycle" in headings(page), "the third walk has some"
+    gait_report(tmp_path / "q.html", [("few", analyse_gait(standing))])
+    assert headings((tmp_path / "q.html").read_text())[-1] == "The recordings"
 
 
 def test_bands_of_controls_and_of_the_measurement_are_told_apart() -> None:
@@ -145,22 +207,51 @@ def test_two_sessions_are_compared_and_what_changed_is_marked(sessions: Path, tm
     assert 'data-go="0:' in page and 'data-go="1:' in page and 'class="mean left earlier"' in page
 
 
+def test_angles_of_two_sessions_differ_where_they_exceed_their_intervals(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
+    """A knee that is bent by 40 degrees more in the first half of the cycle, and a walk that is the same."""
+    more = np.where(np.arange(101) <= 50, np.radians(40.0), 0.0)[:, None] * [1.0, 0.0, 0.0]
+    bent = replace(walks[0], curves={name: curves + more if name == "LKneeAngles" else curves for name, curves in walks[0].curves.items()})
+    bent.__dict__["bands"] = walks[0].bands
+    gait_report(tmp_path / "p.html", [("first", walks[0])], compare=[("second", bent)])
+    section = (tmp_path / "p.html").read_text().split("<h2>Angles of two sessions</h2>")[1].split("</section>")[0]
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", section, re.DOTALL)[1:]]
+    (changed,) = [row for row in rows if row[6] != "no part"]
+    assert changed[:2] == ["knee flexion", "left"] and changed[3] == "+40.0" and changed[6] == "50 % of the cycle"
+    assert float(changed[2]) == pytest.approx(40 * 51 / 101, abs=0.1) and len(rows) > 12
+
+
+def test_all_files_behind_compare_are_of_the_second_session(sessions: Path, tmp_path: Path) -> None:
+    """However it is written: as words, with a sign of equality, as a folder, or as a pattern that the shell left alone."""
+    few = replace(asterism.read(sessions / "before" / "a.c3d").frames(slice(40)), source=None)
+    (tmp_path / "after").mkdir()
+    first, *both = (str(tmp_path / name) for name in ("a.c3d", "after/b.c3d", "after/c.c3d"))
+    for path in (first, *both):
+        asterism.write(path, few)
+    after, found = tmp_path / "after", tmp_path / "found.json"
+    for words in (["--compare", *both], [f"--compare={both[0]}", both[1]], [f"--compare={after}"], ["--compare", f"{after}/*.c3d"]):
+        main(["gait", first, *words, "--json", str(found), "--overwrite"])
+        content = json.loads(found.read_text())
+        assert [Path(one["file"]).name for one in content["compared"]] == ["b.c3d", "c.c3d"], words
+        assert [one["file"] for one in content["files"]] == [first]
+
+
 def test_sessions_that_cannot_be_told_apart_are_refused(sessions: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = (str(sessions / name / "a.c3d") for name in ("before", "after"))
     for words, said in (
         ([first, "--compare", second, first], "is in both sessions"),
         ([first, "--compare", str(sessions)], "is in both sessions"),
         ([first, "--static", first, "--compare", second], "--compare-static"),
-        ([first, "--compare-static", second], "there is none"),
+        ([first, "--compare-static", second], "whose walks are missing"),
     ):
         assert main(["gait", *words]) == 2
         assert said in capsys.readouterr().err
 
 
 def test_walks_of_several_people_in_one_report_are_said(sessions: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    walk = asterism.read(sessions / "before" / "a.c3d")
-    asterism.write(tmp_path / "other.c3d", replace(walk, source=None, metadata={"subject": "ben"}))
-    words = ["gait", str(sessions / "before" / "a.c3d"), str(tmp_path / "other.c3d"), "--report", str(tmp_path / "p.html")]
+    walk = asterism.read(sessions / "before" / "a.c3d").frames(slice(80))
+    for name in ("ann", "ben"):
+        asterism.write(tmp_path / f"{name}.c3d", replace(walk, source=None, metadata={"subject": name}))
+    words = ["gait", str(tmp_path / "ann.c3d"), str(tmp_path / "ben.c3d"), "--report", str(tmp_path / "p.html")]
     assert main(words) == 1
     assert "ann, ben" in capsys.readouterr().err
 
@@ -169,9 +260,10 @@ def test_walks_of_several_people_in_one_report_are_said(sessions: Path, tmp_path
 def test_a_report_is_printed_or_the_browser_that_is_missing_named(
     sessions: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    walk, pdf = str(sessions / "before" / "a.c3d"), tmp_path / "p.pdf"
-    assert main(["gait", walk, "--pdf", str(pdf)]) == 0
-    assert pdf.read_bytes().startswith(b"%PDF") and sorted(tmp_path.iterdir()) == [pdf]
+    walk, pdf, written = str(tmp_path / "short.c3d"), tmp_path / "p.pdf", asterism.read(sessions / "before" / "a.c3d").frames(slice(80))
+    asterism.write(walk, replace(written, source=None))
+    assert main(["gait", walk, "--pdf", str(pdf)]) == 1, "it shows no whole cycle"
+    assert pdf.read_bytes().startswith(b"%PDF") and len(list(tmp_path.iterdir())) == 2
     monkeypatch.setattr("asterism.report.pdf.shutil.which", lambda name: None)
     monkeypatch.setattr("asterism.report.pdf._PLACES", {})
     capsys.readouterr()
@@ -222,3 +314,30 @@ def test_a_click_shows_the_frames_and_the_player_goes_backwards(tmp_path: Path, 
     (tmp_path / "p.html").write_text(page.replace("</body>", act))
     elements = opened((tmp_path / "p.html").as_uri(), tmp_path, "ACTED")
     assert re.search(rf"ACTED 1 {begin} -[1-9][0-9]* -1 true .* 0 % of its cycle, on the floor", elements), elements[-500:]
+
+
+def test_the_page_on_motion_has_cycles_first_and_no_numbers_of_limbs(tmp_path: Path) -> None:
+    """A walk's hips, knees and ankles over the cycle, then the limbs that were found, called by the markers on them."""
+    walk = simulate_walks(1, frames=300, markers="plug-in-gait", seed=1)[0]
+    asterism.write(tmp_path / "walk.c3d", walk)
+    assert main(["motion", str(tmp_path / "walk.c3d"), "--limbs", "5", "--report", str(tmp_path / "p.html")]) in (0, 1)
+    page = (tmp_path / "p.html").read_text()
+    found = headings(page)
+    assert (
+        found[0] == "walk.c3d: hips, knees and ankles over the gait cycle"
+        and "limb 1" not in page.split('<script type="application/json"')[0]
+    )
+    panels = page.split("<h2>")[1]
+    assert panels.count('<figure class="panel"') == 9 and panels.count('class="mean left"') == 9
+    assert any("left thigh" in one or "left shank" in one or "left foot" in one for one in re.findall("<figcaption>(.*?) <small>", page))
+
+
+def test_limbs_of_points_without_known_names_are_called_by_their_points() -> None:
+    walk = simulate_walks(1, frames=80, markers="plug-in-gait", seed=1)[0]
+    analysis = analyse_motion(
+        walk, {"limb 1": ["LTHI", "LKNE", "LASI"], "my arm": ["LELB", "LWRA", "LWRB"], "limb 3": ["LTIB", "LANK", "LHEE"]}
+    )
+    assert limb_names(analysis) == ["left thigh and pelvis", "my arm", "left shank and left foot"]
+    plain = replace(analysis, recording=replace(analysis.recording, labels=tuple(f"P{n}" for n in range(len(walk.labels)))))
+    names = limb_names(plain)
+    assert names[1] == "my arm" and re.match(r"P\d+", names[0]) and len(set(names)) == 3

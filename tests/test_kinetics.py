@@ -15,6 +15,7 @@ from asterism.formats import force_plates
 from asterism.gait import analyse_gait
 from asterism.motion.clinical import (
     ABOUT_CENTRE,
+    KineticErrors,
     KineticRules,
     Kinetics,
     Leg,
@@ -122,6 +123,51 @@ def test_a_mirrored_person_has_the_same_moments(joint: str) -> None:
         sides[side] = np.column_stack([found.moments[f"{side}{joint}Moment"], found.powers[f"{side}{joint}Power"]])
     assert np.isfinite(sides["L"][20:-20]).all() and np.abs(sides["L"][50, :3]).min() > 0.01
     np.testing.assert_allclose(sides["L"], sides["R"], atol=1e-9)
+
+
+NOTHING = KineticErrors(0, 0, 0, 0, 0, 0, 0, 0)
+
+
+def pushed_leg(*, at: tuple[float, float] = (0.1, 0.13), gain: float = 1.0, hip: np.ndarray | None = None, mass: float = MASS,
+               errors: KineticErrors = NOTHING) -> Kinetics:  # fmt: skip
+    recording, body = leg(0.1 * np.sin(3 * TIMES))
+    own = body.legs["L"]
+    moved = body if hip is None else replace(body, legs={"L": replace(own, hip=own.hip + hip)})
+    under = plate(gain * np.array([40.0, 30.0, 500.0]), np.array([*at, 0.0]))
+    contact = PlateContact(1, "L", 0.0, FRAMES / RATE)
+    return inverse_dynamics(recording, moved, [under], [contact], {}, SubjectMeasures(mass=mass), errors=errors)
+
+
+def test_moments_are_as_uncertain_as_what_they_are_made_of() -> None:
+    """Against the moments of plates, centres and weights that are moved by a standard uncertainty."""
+    inner, usual = slice(20, -20), pushed_leg().moments
+    moved = [pushed_leg(at=at) for at in ((0.105, 0.13), (0.1, 0.135))]
+    told = pushed_leg(errors=replace(NOTHING, pressure=0.005)).sigmas
+    for name in ("LAnkleMoment", "LKneeMoment", "LHipMoment"):
+        by_hand = np.sqrt(sum((one.moments[name] - usual[name]) ** 2 for one in moved))
+        np.testing.assert_allclose(told[name][inner], by_hand[inner], atol=1e-9)
+    # Without weight a hip that is moved changes nothing but its lever.
+    light = pushed_leg(mass=1e-6).moments["LHipMoment"]
+    shifts = [pushed_leg(mass=1e-6, hip=0.01 * axis).moments["LHipMoment"] for axis in np.eye(3)]
+    by_hand = np.sqrt(sum((one - light) ** 2 for one in shifts))
+    centre = pushed_leg(mass=1e-6, errors=replace(NOTHING, hip=0.01)).sigmas
+    np.testing.assert_allclose(centre["LHipMoment"][inner], by_hand[inner], rtol=0.15)
+    assert not centre["LKneeMoment"][inner].any()
+    # What the plate reads is in proportion; the rest is inertia and weight.
+    gain = pushed_leg(errors=replace(NOTHING, plate=0.02)).sigmas["LKneeMoment"][inner]
+    np.testing.assert_allclose(gain, np.abs(pushed_leg(gain=1.02).moments["LKneeMoment"] - usual["LKneeMoment"])[inner], atol=1e-9)
+    rest = pushed_leg(errors=replace(NOTHING, inertia=1.0)).sigmas["LKneeMoment"][inner]
+    by_ground = (pushed_leg(gain=2.0).moments["LKneeMoment"] - usual["LKneeMoment"])[inner]
+    np.testing.assert_allclose(rest, np.abs(usual["LKneeMoment"][inner] - by_ground), atol=1e-9)
+
+
+def test_a_power_is_uncertain_by_its_moment_and_by_its_turning() -> None:
+    found = pushed_leg(errors=replace(NOTHING, turning=0.2))
+    size = np.linalg.norm(found.moments["LHipMoment"], axis=1)
+    np.testing.assert_allclose(found.sigmas["LHipPower"][20:-20], 0.2 * size[20:-20], rtol=1e-9)
+    usual = pushed_leg(errors=KineticErrors())
+    assert (usual.sigmas["LHipPower"][20:-20] > found.sigmas["LHipPower"][20:-20]).all()
+    assert set(usual.sigmas) == {*usual.moments, *usual.powers}
 
 
 def test_without_a_mass_moments_are_newton_metres_and_it_is_said() -> None:

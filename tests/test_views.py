@@ -333,9 +333,9 @@ def test_markers_that_are_there_but_in_doubt_are_not_said_to_be_absent() -> None
     doubted = replace(found, labels=np.where(found.labels == one, -1, found.labels))
     assert (doubted.candidates == one).any()
     none = CameraAgreement(RULES.noise, np.empty(0, dtype=np.int64), 0.0, {})
-    assert [(each.code, each.where) for each in checks.findings(doubted, none)] == [("views-markers-in-doubt", "LTIB")]
+    assert [(each.code, each.where) for each in checks.findings(doubted, none, np.zeros(4))] == [("views-markers-in-doubt", "LTIB")]
     gone = replace(doubted, candidates=doubted.labels)
-    assert [(each.code, each.where) for each in checks.findings(gone, none)] == [("views-markers-absent", "LTIB")]
+    assert [(each.code, each.where) for each in checks.findings(gone, none, np.zeros(4))] == [("views-markers-absent", "LTIB")]
 
 
 def test_a_mirrored_body_and_one_with_exchanged_names_are_refused() -> None:
@@ -468,6 +468,10 @@ def test_the_command_labels_a_file(tmp_path: Path, capsys: pytest.CaptureFixture
     assert np.nanmedian(apart) < 0.02 and np.isfinite(apart).mean() > 0.9
     assert main([*words, *out]) == 2
     assert "exists" in capsys.readouterr().err
+    # a table without a line
+    (tmp_path / "2d.csv").write_text("frame,camera,x,y\n", encoding="utf-8")
+    assert main([*words, "-o", str(tmp_path / "none.c3d")]) == 2
+    assert "2d.csv holds no image" in capsys.readouterr().err
 
 
 def test_blobs_and_recordings_are_left_as_they_came() -> None:

@@ -16,6 +16,7 @@ from asterism.simulation.cameras import ImagingSettings, simulate_blobs
 from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.views import ViewsLabelling, label_views, load_body
 from asterism.views.detection import detection_shares
+from asterism.views.lateness import in_step
 from asterism.views.rules import RULES
 
 BODY = load_body("gait15")
@@ -75,11 +76,13 @@ def test_a_rig_that_is_a_little_off_gives_fewer_labels_and_none_that_is_sure_and
 
 def test_two_cameras_of_which_one_was_moved_are_said_to_contradict_each_other() -> None:
     given = walk(2)
-    assert not codes(label_views(given.blobs, given.rig, BODY)) & {"views-rig-inexact", "views-camera-misfit"}
+    assert not codes(label_views(given.blobs, given.rig, BODY)) & {"views-rig-inexact", "views-camera-misfit", "views-camera-late"}
     for degrees in (1.0, 3.0):
         result = label_views(given.blobs, turned(given.rig, degrees, (1,), 3), BODY)
         _, sure, wrong = right_and_sure(result, given.identity)
         assert codes(result) & {"views-rig-inexact", "views-camera-misfit"}, f"{degrees} degrees: {codes(result)}"
+        # Lines of sight that miss each other by where a marker is, and not by how it moves, are not those of a late camera.
+        assert "views-camera-late" not in codes(result)
         assert wrong <= 0.01 * sure, f"{degrees} degrees: {wrong} of {sure} sure labels are wrong"
 
 
@@ -126,6 +129,16 @@ def test_a_person_who_lies_is_labelled_right(turn: tuple[int, int, int]) -> None
     assert right > 0.8 and wrong <= 0.02 * sure, f"{right:.3f} right, {wrong} of {sure} sure labels are wrong"
 
 
+def test_mirrored_images_are_named_and_give_no_label() -> None:
+    given = walk(2)
+    xy, own = given.blobs.xy.copy(), given.blobs.camera_of == 1
+    xy[own, 0] = given.rig.cameras[1].size[0] - 1 - xy[own, 0]
+    result = label_views(replace(given.blobs, xy=xy), given.rig, BODY)
+    named = [finding.where for finding in result.findings if finding.code == "views-images-mirrored"]
+    assert named == [given.rig.names[1]], f"{[str(finding) for finding in result.findings]}"
+    assert (result.labels == -1).all() and result.confidence.max() < 0.9
+
+
 def later(blobs: Blobs, identity: Ints, camera: int, frames: int) -> tuple[Blobs, Ints]:
     """The blobs of one camera, so many frames late; frames that not all cameras have are left out."""
     frame = blobs.frame_of + frames * (blobs.camera_of == camera)
@@ -138,11 +151,28 @@ def later(blobs: Blobs, identity: Ints, camera: int, frames: int) -> tuple[Blobs
     return made, identity[pick]
 
 
-@pytest.mark.slow
-def test_a_camera_that_is_late_is_named() -> None:
-    given = walk()
+def test_blobs_of_a_late_camera_go_to_the_frames_that_they_show() -> None:
+    given = walk(2)
     blobs, _ = later(given.blobs, given.identity, 1, 3)
+    moved, rows = in_step(blobs, np.array([0, 3]))
+    # Frame t of the moved blobs is frame t + 3 of the session; the late camera's last frames are not there.
+    truth = given.blobs.frames(slice(3, None))
+    for t in range(len(moved) - 3):
+        assert np.array_equal(
+            moved.xy[moved.offsets[2 * t] : moved.offsets[2 * t + 2]], truth.xy[truth.offsets[2 * t] : truth.offsets[2 * t + 2]]
+        )
+    assert np.array_equal(blobs.xy[rows], moved.xy) and (moved.counts[-3:, 1] == 0).all()
+
+
+@pytest.mark.parametrize(("cameras", "frames"), [(2, -1), pytest.param(4, 3, marks=pytest.mark.slow)])
+def test_a_camera_that_is_late_is_named_and_labelled_in_the_frames_that_it_shows(cameras: int, frames: int) -> None:
+    given = walk(cameras)
+    blobs, identity = later(given.blobs, given.identity, int(frames > 0), abs(frames))
     result = label_views(blobs, given.rig, BODY)
-    where = [finding.where for finding in result.findings if finding.code == "views-camera-late"]
-    assert where == [given.rig.names[1]], f"{[str(finding) for finding in result.findings]}"
-    assert "views-camera-late" not in codes(label_views(given.blobs, given.rig, BODY))
+    late = [finding for finding in result.findings if finding.code == "views-camera-late"]
+    assert [finding.where for finding in late] == [given.rig.names[1]], f"{[str(finding) for finding in result.findings]}"
+    assert f"{abs(frames):.1f} frames {'late' if frames > 0 else 'early'}" in late[0].sentence, late[0].sentence
+    assert result.late.tolist() == [0, frames, 0, 0][:cameras]
+    right, sure, wrong = right_and_sure(result, identity)
+    assert right > 0.93 and wrong <= 0.005 * sure, f"{right:.3f} right, {wrong} of {sure} sure labels are wrong"
+    assert (result.shown.sum(axis=1) == result.views).all()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import in_node, needs_chromium, needs_node, opened
-from correcting import Browser, recorded, served, walks
+from correcting import Browser, drive, recorded, served, walks
 from test_review_page import script
 
 from asterism import formats
@@ -242,22 +242,7 @@ DRIVER = """(async () => {
 def test_a_person_clicks_a_group_types_a_name_and_takes_its_mirror_image(
     walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from starlette.responses import Response
-
-    from asterism.web import app
-
-    static = app._static
-
-    def driven(name: str) -> Response:
-        if name == "driver.js":
-            return Response(DRIVER, media_type="text/javascript")
-        answer = static(name)
-        if name == "review.html":
-            page = bytes(answer.body).replace(b"</body>", b'<script src="/static/driver.js"></script></body>')
-            return Response(page, media_type="text/html; charset=utf-8")
-        return answer
-
-    monkeypatch.setattr(app, "_static", driven)
+    drive(monkeypatch, DRIVER)
     with served(sitting(walk, by_hand=True)) as browser:
         elements = opened(browser.address, tmp_path, "driven .* driven")
     assert "driven Lhip,Rhip false,false,true driven" in elements

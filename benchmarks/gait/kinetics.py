@@ -20,8 +20,8 @@ ASKED = {"Moment": (0.03, "N m/kg"), "Power": (0.1, "W/kg")}
 def kinetics(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """RMS of each curve of both legs over the frames at which the forces are known.
 
-    The rest of the 13 walks: that of NP1001, whose centres of pressure are up to 11 cm beside the feet, and the right leg of one of NP1012,
-    to which that program gave the plate that the left foot stands on.
+    The rest of the 13 walks: the right leg of one of NP1012, to which that program gave the plate that the left foot stands on; and single
+    curves of the hips of NP1001.
     """
     apart: dict[tuple[str, str], list[float]] = {}
     for path in sorted((folder() / "gait-events/plates").rglob("*.c3d"))[: 3 if benchmark.quick else None]:

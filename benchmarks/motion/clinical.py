@@ -58,7 +58,7 @@ def _off(path: Path) -> dict[tuple[Path, str], np.ndarray]:
     """degrees RMS of each curve of both sides, by quantity."""
     recording = _read(path)
     try:
-        outputs = {} if recording is None else clinical_angles(recording).outputs
+        outputs = {} if recording is None else clinical_angles(recording, model="plug-in-gait").outputs
     except AsterismError:
         return {}
     found: dict[tuple[Path, str], list[float]] = {}

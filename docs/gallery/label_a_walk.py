@@ -31,6 +31,9 @@ def main(picture: str = "label_a_walk.png", subjects: int = 6, frames: int = 400
     space.scatter(*clouds[frames // 2].T, color="black", s=12)
     space.set_aspect("equal")
     space.tick_params(labelsize=6)
+    # The body is narrow: more numbers would lie over each other.
+    space.locator_params(axis="x", nbins=2)
+    space.locator_params(axis="y", nbins=2)
 
     time = figure.add_subplot(1, 3, (2, 3), title="every marker in every frame", xlabel="time, s")
     state = np.select([wrong, right, hidden], [3, 1, 0], default=2)

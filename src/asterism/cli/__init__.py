@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import glob
 import os
 import re
@@ -10,6 +11,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from inspect import cleandoc
+from threading import Timer
 from typing import Annotated, Any
 
 import typer
@@ -66,6 +68,7 @@ _EXAMPLES = {
     "segment": "asterism segment walk.c3d --report limbs.html",
     "motion": "asterism motion walk.c3d --uncertainty --report motion.html",
     "gait": "asterism gait walk*.c3d --static static.c3d --report gait.html",
+    "events": "asterism events squats.c3d --rules squat",
     "label-views": "asterism label-views 2d.csv --rig rig.toml --body gait15 -o labelled.c3d",
 }
 """Each verb, which is a function in a module of its name, and its example."""
@@ -73,7 +76,7 @@ _HEADINGS = {
     "Every day": ("demo", "name", "train", "label", "process", "review", "learn", "evaluate", "info", "convert", "warm-up"),
     "Labels and marker sets under test": ("audit", "mend", "capturability"),
     "From your own cameras": ("detect", "calibrate", "reconstruct", "rig", "label-views", "body"),
-    "Movement": ("gait", "segment", "motion"),
+    "Movement": ("gait", "events", "segment", "motion"),
     "Garments": ("garment",),
 }
 """The headings under which the help lists the commands."""
@@ -181,6 +184,7 @@ def _run(args: Sequence[str] | None) -> int:
             # only for a process of its own: a caller in Python has its own warnings
             _first_compile.prepare(words)
             warnings.showwarning = _show_warning
+            sys.unraisablehook = _interrupted_elsewhere
         status = command_line(words)(args=words or ["--help"], prog_name="asterism", standalone_mode=False)
     except (BrokenPipeError, StandardOutputError):
         raise
@@ -207,6 +211,15 @@ def _run(args: Sequence[str] | None) -> int:
     return status if isinstance(status, int) else 0
 
 
+def _interrupted_elsewhere(lost: sys.UnraisableHookArgs) -> None:
+    """Ctrl-C within a library's callback, as while kernels are loaded, is lost there: it is raised again where it ends the run."""
+    if issubclass(lost.exc_type, KeyboardInterrupt):
+        # from another thread, and a moment later: within this function it would be lost as well
+        Timer(0.01, _thread.interrupt_main).start()
+    else:
+        sys.__unraisablehook__(lost)
+
+
 def _command_of(problem: Exception) -> str:
     """The command whose words were not understood: `asterism label`."""
     path = getattr(getattr(problem, "ctx", None), "command_path", "")
@@ -214,8 +227,9 @@ def _command_of(problem: Exception) -> str:
 
 
 def _respelled(args: Sequence[str]) -> list[str]:
-    """The arguments with the present names of options in place of earlier ones."""
-    return ["=".join([_RENAMED.get(name, name), *value]) for name, *value in (arg.split("=", 1) for arg in args)]
+    """The arguments with the present names of options in place of earlier ones; `--compare=a b` is `--compare a b`."""
+    parts = ([_RENAMED.get(name, name), *value] for name, *value in (arg.split("=", 1) for arg in args))
+    return [word for part in parts for word in (part if part[0] in _FILE_LISTS else ["=".join(part)])]
 
 
 def _globbed(args: Sequence[str]) -> list[str]:

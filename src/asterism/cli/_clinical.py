@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -23,6 +24,11 @@ if TYPE_CHECKING:
     from asterism.recording import Floats, Recording
 
 
+def measure_files(words: list[str]) -> list[Path]:
+    """The words of --measure that are files."""
+    return [Path(word) for word in words if "=" not in word or Path(word).is_file()]
+
+
 def given_measures(words: list[str]) -> tuple[dict[str, float], list[Path]]:
     """The measures that --measure names, and the files of measures that it gives.
 
@@ -31,7 +37,7 @@ def given_measures(words: list[str]) -> tuple[dict[str, float], list[Path]]:
     from asterism.motion.clinical import SubjectMeasures
     from asterism.motion.clinical.measure_files import measures_by_name, read_measures
 
-    files = [Path(word) for word in words if "=" not in word or Path(word).is_file()]
+    files = measure_files(words)
     for file in files:
         if not file.suffix:
             raise AsterismError(f"--measure {file} is neither a name with its value, such as LKneeWidth=102, nor a file of measures.")
@@ -42,32 +48,45 @@ def given_measures(words: list[str]) -> tuple[dict[str, float], list[Path]]:
 
 
 def measures_of(
-    recording: Recording, static: Recording | None, words: list[str], rules: StaticRules | None = None
+    recording: Recording, static: Recording | None, words: list[str], hip: str | None = None, rules: StaticRules | None = None
 ) -> tuple[SubjectMeasures | None, tuple[Finding, ...]]:
     """The measures of the recording's person, by the words of --measure and the standing trial; None where neither is given."""
     from asterism.motion.clinical import gathered_measures
     from asterism.motion.clinical.measure_files import measures_of_person
 
-    if static is None and not words:
+    if static is None and not words and hip is None:
         return None, ()
     named, files = given_measures(words)
     given: dict[str, float] = {}
     for file in files:
         given |= measures_of_person(file, recording)
-    return gathered_measures(recording, static, given | named, rules)
+    measures, found = gathered_measures(recording, static, given | named, rules)
+    return replace(measures, hip_regression=None if hip is None else str(hip)), found
 
 
-def find(recording: Recording, wanted: bool | None, measures: SubjectMeasures | None = None) -> ClinicalAngles | None:
-    """The clinical angles; where they are not asked for (None), only those of legs with all markers.
+def find(
+    recording: Recording,
+    wanted: bool | None,
+    measures: SubjectMeasures | None = None,
+    static: Recording | None = None,
+    model: str | None = None,
+) -> ClinicalAngles | None:
+    """The clinical angles; where they are not asked for (None), None for a recording without a joint of theirs.
 
-    Raises AsterismError where they are asked for and neither leg has all markers.
+    Raises AsterismError where they are asked for and there is none.
     """
     from asterism.motion.clinical import clinical_angles, complete_legs
 
     # asked for, a missing marker is an error; not asked for, it is no leg
-    if wanted is False or (wanted is None and not complete_legs(recording)):
+    try:
+        clinical = None if wanted is False else clinical_angles(recording, measures=measures, static=static, model=model)
+    except AsterismError:
+        if wanted or model is not None:
+            raise
         return None
-    return clinical_angles(recording, measures=measures)
+    if clinical is None or wanted or (clinical.joints and (clinical.model.name == "landmarks" or complete_legs(recording))):
+        return clinical
+    return None
 
 
 class MonteCarloOptions(TypedDict):
@@ -85,7 +104,13 @@ def certain(
     """How certain the angles are."""
     from asterism.motion.clinical import clinical_uncertainty
 
-    if clinical is None:
+    if clinical is None or not clinical.joints:
+        return None
+    if clinical.model.carries(recording):
+        file = recording.metadata.get("file", "the recording")
+        _console.notice(
+            f"{file}: no intervals of angles whose landmarks a standing trial carries; `asterism gait` has those of its cycles."
+        )
         return None
     return clinical_uncertainty(recording, clinical, errors, seed=seed, **trials)
 
@@ -162,7 +187,7 @@ def as_dict(clinical: ClinicalAngles | None, known: ClinicalUncertainty | None) 
     if known is not None:
         trials = {"trials": known.trials, "converged": known.converged, "intervals_tried_on": TRIED_ON}
     measures = {side: dataclasses.asdict(one) for side, one in clinical.measures.items()}
-    return {"clinical": {"joints": joints, "measures": measures, **trials}}
+    return {"clinical": {"model": clinical.model.name, "hip": clinical.model.hip, "joints": joints, "measures": measures, **trials}}
 
 
 def _certain_dict(one: JointUncertainty) -> dict[str, Any]:

@@ -80,6 +80,23 @@ def outputs_of(found: Sequence[Trial], folder: Path) -> list[Path]:
     return [folder / trial.place for trial in found]
 
 
+def copies_of(found: Sequence[Trial], folder: Path, others: Sequence[Path | None]) -> dict[Path, Path]:
+    """Where the copy of each recording goes, as C3D, below `folder`; `others` are read, too.
+
+    Raises AsterismError where it would be an input, or two recordings would have the same.
+    """
+    targets = {trial.path: target.with_suffix(".c3d") for trial, target in zip(found, outputs_of(found, folder), strict=True)}
+    inputs = {_console.real_path(path): path for path in (*targets, *others) if path is not None}
+    taken: dict[str, Path] = {}
+    for path, target in targets.items():
+        if (one := inputs.get(_console.real_path(target))) is not None:
+            raise AsterismError(f"the copy of {path} would replace {one}, which is an input; name another folder.")
+        # walk.trc and walk.c3d have one copy between them
+        if (other := taken.setdefault(str(target).casefold(), path)) != path:
+            raise AsterismError(f"{other} and {path} would both become {target}; give them one after the other.")
+    return targets
+
+
 def check_folder(folder: Path) -> None:
     """Raise AsterismError where a folder for outputs is a file, or cannot be made or written to. Nothing is made."""
     from tempfile import TemporaryFile

@@ -11,6 +11,21 @@ import typer
 from asterism.errors import AsterismError
 
 
+class LowerBodyModel(StrEnum):
+    """How the angles of legs are computed: docs/motion.md."""
+
+    PLUG_IN_GAIT = "plug-in-gait"
+    LANDMARKS = "landmarks"
+
+
+class HipRegression(StrEnum):
+    """Whose regression tells the hip joint centres."""
+
+    DAVIS = "davis"
+    BELL = "bell"
+    HARRINGTON = "harrington"
+
+
 class SearchStrategy(StrEnum):
     """How partial solvers are searched for: thesis 4.5.3."""
 
@@ -51,6 +66,14 @@ Files = Annotated[
 Static = Annotated[
     Path | None,
     typer.Option("--static", metavar="FILE", help="A standing trial of the person: offsets of wands, tibia and feet.", show_default=False),
+]
+LowerBodyChoice = Annotated[
+    LowerBodyModel | None,
+    typer.Option("--lower-body", help="How angles of the legs are computed. By itself by the markers that are worn.", show_default=False),
+]
+Hip = Annotated[
+    HipRegression | None,
+    typer.Option("--hip", help="Whose regression tells the hip centres. By itself the model's own.", show_default=False),
 ]
 Measure = Annotated[
     list[str],

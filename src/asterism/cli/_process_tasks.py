@@ -165,12 +165,15 @@ def analyse_person(person: PersonOptions) -> TaskResult:
     source, key = labelled[0][1], Path(name)
     before = None if person.overwrite else finished.finished(key, source, table)
     if before is not None and all((person.out / one).exists() for one in before.row["outputs"]):
-        return TaskResult(list(before.row["rows"]), [finding.to_dict() for finding in before.findings], dict(before.row["failed"]))
+        return TaskResult(list(before.row["rows"]), [finding.to_dict() for finding in before.findings])
     result, outputs, findings, write = _analysis(person, labelled, table)
-    row = {"rows": result.rows, "failed": result.failed, "outputs": outputs}
-    finished.begin(key, source, table, row, findings)
+    row = {"rows": result.rows, "outputs": outputs}
+    # what has failed is tried again by the next run
+    if not result.failed:
+        finished.begin(key, source, table, row, findings)
     write()
-    finished.end(key, table, row, findings)
+    if not result.failed:
+        finished.end(key, table, row, findings)
     return result
 
 

@@ -233,13 +233,18 @@ def _marker_names() -> tuple[str, ...]:
 def _write(files: _Files, model: MarkerModel, trial: _DemoTrial) -> None:
     """Write a trial's recording without and with labels, and the report on it."""
     from asterism import formats
+    from asterism.labelling import review
+    from asterism.labelling.correction import readiness
     from asterism.report import LabelledRecording, label_report
 
     # as a camera system would write it: tracks without names
     recording, clouds = _as_recording(trial.clouds)
     formats.write(files.unlabelled, recording)
     formats.write(files.labelled, recording.with_labelling(trial.labelling, clouds))
+    # what `asterism label` says of a file, in its words
+    use = readiness(trial.labelling, trial.clouds, review(trial.labelling, trial.clouds))
     row = {"file": files.unlabelled.name, "frames": len(clouds), "frames_per_second": trial.row["frames_per_second"]}
+    row |= {"readiness": use.kind, "use": use.words, "why": use.why}
     label_report(
         files.report,
         LabelledRecording(trial.labelling, clouds, model.marker_set, trial.truth),

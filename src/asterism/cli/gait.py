@@ -13,10 +13,9 @@ import typer
 from asterism.cli import _clinical, _console
 from asterism.cli._command import takes
 from asterism.cli._filling import Fill, Filter, cleaned, fill_limit, filled, filled_text, filter_choice, filter_values
-from asterism.cli._options import Files, Json, Measure, Overwrite, Report, Static, Vertical
+from asterism.cli._options import Files, Hip, Json, LowerBodyChoice, Measure, Overwrite, Report, Static, Vertical
 
 if TYPE_CHECKING:
-    from asterism.cli._folders import Trial
     from asterism.findings import Finding
     from asterism.gait import Band, GaitAnalysis
     from asterism.recording import Recording
@@ -29,6 +28,8 @@ class GaitOptions:
     files: Files
     static: Static = None
     measure: Measure = field(default_factory=list)
+    lower_body: LowerBodyChoice = None
+    hip: Hip = None
     sloped_foot: Annotated[
         bool, typer.Option("--sloped-foot", help="With --static: heel and toe marker count as high as they are, not as equally high.")
     ] = False
@@ -75,6 +76,10 @@ class GaitOptions:
             "--save-band", metavar="FILE", help="Write the band of these walks, of people without complaints.", show_default=False
         ),
     ] = None
+    emg: Annotated[
+        list[str],
+        typer.Option("--emg", metavar="CHANNEL=MUSCLE", help="The muscle of an EMG channel, and its side: EMG1=LRF.", show_default=False),
+    ] = field(default_factory=list)
     compare: Annotated[
         list[Path],
         typer.Option(
@@ -110,18 +115,19 @@ def gait(options: GaitOptions) -> None:
     are as much less certain, and flagged. --filter smooths markers; by default nothing is filtered, because angles and events need it not.
     --compare sets a second session of the person beside the first, before and after a treatment.
     """
-    from asterism.cli._folders import trials
-    from asterism.gait import Band
-    from asterism.gait.tables import check_table
+    from asterism.cli._folders import copies_of, trials
+    from asterism.files.tables import check_table
+    from asterism.gait import Band, muscles_by_channel
 
     tables = [options.table, options.output, options.curves]
-    inputs = [options.static, options.compare_static, options.band]
+    inputs = [options.static, options.compare_static, options.band, *_clinical.measure_files(options.measure)]
     outputs = [options.report, options.json, *tables, options.save_band, options.pdf]
     _console.check_outputs(outputs, [*options.files, *options.compare, *inputs], options.overwrite)
     for given in tables:
         if given is not None:
             check_table(given)
     _check_sessions(options)
+    muscles_by_channel(options.emg)
     # what is wrong with the options is told before any file is read
     _clinical.given_measures(options.measure)
     fill_limit(options.fill)
@@ -129,7 +135,7 @@ def gait(options: GaitOptions) -> None:
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
     walks = trials([*options.files, *options.compare], batch, without=options.c3d)
-    copies = {} if options.c3d is None else _copies(walks, options.c3d, inputs)
+    copies = {} if options.c3d is None else copies_of(walks, options.c3d, inputs)
     later = _paths_below(options.compare)
     results = analysed(options, [walk.path for walk in walks if _console.real_path(walk.path) not in later], batch, copies)
     second = replace(options, static=options.compare_static)
@@ -152,7 +158,7 @@ def _check_sessions(options: GaitOptions) -> None:
             "same file where nothing was moved."
         )
     if options.compare_static is not None and not options.compare:
-        raise AsterismError("--compare-static is of a second session, and there is none; name its walks behind --compare.")
+        raise AsterismError("--compare-static is of a second session, whose walks are missing; name them behind --compare.")
     if options.pdf is not None:
         from asterism.report.pdf import find_browser
 
@@ -170,12 +176,13 @@ def analysed(
     """The analyses of the files that can be analysed, whose copies are written; what is found on them goes to the batch."""
     from asterism.cli._folders import check_output
     from asterism.formats import force_plates
-    from asterism.gait import analyse_gait, write_gait_c3d
+    from asterism.gait import analyse_gait, muscles_by_channel, named_channels, write_gait_c3d
     from asterism.motion.clinical import StaticRules
 
     limit, choice = fill_limit(options.fill), filter_choice(options.filter)
     static = None if options.static is None else _read(options.static, options, batch)
     rules = StaticRules(flat_foot=not options.sloped_foot, level_head=options.level_head)
+    muscles = muscles_by_channel(options.emg)
     results: list[tuple[Path, GaitAnalysis]] = []
     trials = list(files) if options.static is None else [options.static, *files]
     for path in files:
@@ -191,9 +198,10 @@ def analysed(
                     _console.result(f"{path}: {filled_text(fill)}.")
             clean = cleaned(recording, choice)
             recording, found = clean.recording, (*found, *clean.findings)
-            measures, doubtful = _clinical.measures_of(recording, static, options.measure, rules)
+            measures, doubtful = _clinical.measures_of(recording, static, options.measure, options.hip, rules)
             found = (*found, *doubtful)
-            analysis = analyse_gait(recording, plates, measures)
+            analysis = analyse_gait(recording, plates, measures, static=static, model=options.lower_body)
+            analysis = replace(analysis, emg=named_channels(analysis.emg, muscles))
             for finding in [*found, *analysis.findings]:
                 batch.found(finding)
             if path in copies:
@@ -222,7 +230,8 @@ def write_results(
     scores = [] if band is None else profile_scores(analyses, band)
     for score in scores if options.json != "-" else ():
         side = "left" if score.side == "L" else "right"
-        _console.result(f"Gait Profile Score, {side}: {math.degrees(score.gps):.1f}° from the mean of the band.")
+        index = "" if score.gdi is None else f" Gait Deviation Index by this score: {score.gdi:.0f}."
+        _console.result(f"Gait Profile Score, {side}: {math.degrees(score.gps):.1f}° from the mean of the band.{index}")
     if options.save_band is not None:
         people = [subject_of(analysis.recording) or str(path.parent) for path, analysis in results]
         band_of(analyses, people).save(options.save_band)
@@ -239,6 +248,7 @@ def write_results(
             {
                 "side": score.side,
                 "gps_deg": math.degrees(score.gps),
+                "gdi": score.gdi,
                 "variables_deg": {name: math.degrees(value) for name, value in score.variables.items()},
             }
             for score in scores
@@ -341,23 +351,6 @@ def _write_tables(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]]
             (everything.of(*kinds) if kinds else everything).write(given)
 
 
-def _copies(walks: Sequence[Trial], folder: Path, others: Sequence[Path | None]) -> dict[Path, Path]:
-    """Where the copy of each walk goes. Raises AsterismError where it would be an input, or two walks would have the same."""
-    from asterism.cli._folders import outputs_of
-    from asterism.errors import AsterismError
-
-    targets = {walk.path: target.with_suffix(".c3d") for walk, target in zip(walks, outputs_of(walks, folder), strict=True)}
-    inputs = {_console.real_path(path): path for path in (*targets, *others) if path is not None}
-    taken: dict[str, Path] = {}
-    for path, target in targets.items():
-        if (one := inputs.get(_console.real_path(target))) is not None:
-            raise AsterismError(f"the copy of {path} would replace {one}, which is an input; give --c3d another folder.")
-        # walk.trc and walk.c3d have one copy between them
-        if (other := taken.setdefault(str(target).casefold(), path)) != path:
-            raise AsterismError(f"{other} and {path} would both become {target}; give them one after the other.")
-    return targets
-
-
 def _read(path: Path, options: GaitOptions, batch: _console.Batch) -> Recording:
     """A file's recording; its warnings are told."""
     from asterism.cli._recordings import one_person, report_warnings
@@ -384,7 +377,7 @@ def show(path: Path, analysis: GaitAnalysis) -> None:
             )
     where = "treadmill" if analysis.walking.treadmill else "floor"
     sides = [sum(cycle.side == side for cycle in analysis.cycles) for side in "LR"]
-    plates = sum(event.source != "markers" for event in analysis.walking.events)
+    plates = sum(event.source.startswith("plate") for event in analysis.walking.events)
     _console.result(
         f"{path}: {sides[0]} left and {sides[1]} right cycles, on a {where}; {len(analysis.walking.events)} events, "
         f"{plates} of them by force plates; {last_filter(analysis.recording)}."
@@ -433,6 +426,17 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
         },
         "curves_deg": {name: np.round(np.degrees(curves), 3) for name, curves in analysis.curves.items()},
         "loads": {name: np.round(curves, 4) for name, curves in analysis.loads.items()},
+        "load_sigmas": {name: np.round(sigmas, 4) for name, sigmas in analysis.load_sigmas.items()},
         "loads_per_kg": analysis.kinetics is not None and analysis.kinetics.per_kg,
+        "emg": [
+            {
+                **dataclasses.asdict(channel),
+                "cycles": {
+                    side: [[float(f"{value:.4g}") for value in curve] for curve in curves] for side, curves in channel.cycles.items()
+                },
+            }
+            for channel in analysis.emg
+        ],
+        "lower_body": None if analysis.clinical is None else {"model": analysis.clinical.model.name, "hip": analysis.clinical.model.hip},
         "measures": {} if analysis.clinical is None else dataclasses.asdict(analysis.clinical.subject),
     }

@@ -11,6 +11,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import Json, Overwrite, Vertical, vertical_axis
+from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.cameras import Rig
@@ -84,6 +85,8 @@ def label_views(options: LabelViewsOptions) -> None:
     rig = _upright(read_rig(options.rig), options)
     # in the rig's order, so that camera numbers mean the same in both
     blobs = read_2d(options.blobs, cameras=rig.names, rate=options.rate)
+    if not len(blobs):
+        raise AsterismError(f"{options.blobs} holds no image; write a row for each blob, with frame, camera, x and y.")
     model = None if options.model is None else MarkerModel.load(options.model)
     # what took long is in the output before anything else is made of it
     with continued(output, [options.blobs, options.rig], options.height, options.quick, options.rate, options.vertical, body) as journal:
@@ -126,7 +129,6 @@ def _upright(rig: Rig, options: LabelViewsOptions) -> Rig:
     """The rig with the vertical that is asked for. Raises AsterismError where nobody says what is up."""
     from dataclasses import replace
 
-    from asterism.errors import AsterismError
     from asterism.recording.arrays import as_vertical
 
     # what a person says counts more than the file

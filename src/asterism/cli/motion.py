@@ -12,7 +12,7 @@ import typer
 
 from asterism.cli import _clinical, _console
 from asterism.cli._command import takes
-from asterism.cli._options import Files, Json, Markers, Measure, Overwrite, Report, Seed, Static, Vertical, Workers
+from asterism.cli._options import Files, Hip, Json, LowerBodyChoice, Markers, Measure, Overwrite, Report, Seed, Static, Vertical, Workers
 from asterism.cli.segment import LimbCount, read_points
 from asterism.errors import AsterismError
 
@@ -61,6 +61,8 @@ class MotionOptions:
     ] = None
     static: Static = None
     measure: Measure = field(default_factory=list)
+    lower_body: LowerBodyChoice = None
+    hip: Hip = None
     uncertainty: Annotated[bool, typer.Option("--uncertainty", help="Also say how uncertain each angle is, by Monte Carlo.")] = False
     trials: Annotated[int, typer.Option("--trials", metavar="N", min=10, help="Monte Carlo trials at most.")] = 1000
     rig: Annotated[
@@ -115,7 +117,11 @@ def motion(options: MotionOptions) -> None:
     from asterism.cli._folders import recordings_of
     from asterism.motion.analysis import MotionRules
 
-    _console.check_outputs([options.report, options.json, options.output], [*options.files, options.rig], options.overwrite)
+    _console.check_outputs(
+        [options.report, options.json, options.output],
+        [*options.files, options.rig, options.static, *_clinical.measure_files(options.measure)],
+        options.overwrite,
+    )
     # a covariance belongs to the cameras of a rig, by their names
     if options.covariance is not None and options.rig is None:
         raise AsterismError("--covariance belongs to a rig; give its file with --rig.")
@@ -153,8 +159,8 @@ def _analysed(
 
     # unlabelled points serve: limbs are what moves together
     recording = one_person(read_points(path, options.vertical, batch), batch)
-    measures, doubtful = _clinical.measures_of(recording, static, options.measure)
-    limbs, clinical = _limbs(options, recording), _clinical.find(recording, options.anatomy, measures)
+    measures, doubtful = _clinical.measures_of(recording, static, options.measure, options.hip)
+    limbs, clinical = _limbs(options, recording), _clinical.find(recording, options.anatomy, measures, static, options.lower_body)
     with _console.progress("motion") as progress:
         analysis = analyse_motion(recording, limbs, rules=rules, progress=progress)
         certain, legs = None, None

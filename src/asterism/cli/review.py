@@ -28,8 +28,9 @@ def review(options: ReviewOptions) -> None:
     them. A line is a piece of a track between two gaps: one name for it corrects all its frames. The gain is the expected number of its
     samples whose label is wrong or missing. The list begins where a look corrects most, and ends where none is worth it.
 
-    With --serve a page opens on which each answer is taken at once, labels the rest again and is kept in a log beside the file. Without a
-    browser, --csv writes the list as a table; with the answers filled in, --answers corrects the files.
+    With --serve a page opens on which each answer is taken at once, labels the rest again and is kept in a log beside the file. It shows
+    gaps that can be filled, and gait events that can be moved, too; where no marker set fits, groups of points are named by clicking.
+    Without a browser, --csv writes the list as a table; with the answers filled in, --answers corrects the files.
     """
     _check(options)
     if options.serve:

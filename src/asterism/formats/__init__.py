@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from asterism.formats._programs import PROGRAMS, for_program, write_for_program
     from asterism.formats._units import unlike_a_person
     from asterism.formats._vertical import vertical_from_positions
+    from asterism.formats.c3d.analog import AnalogChannel, analog_channels
     from asterism.formats.c3d.outputs import AnalysisValue, ModelPoint, write_model_outputs
     from asterism.formats.c3d.plates import force_plates
     from asterism.formats.csv_blobs import read_blobs, write_blobs
@@ -34,10 +35,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "PROGRAMS",
+    "AnalogChannel",
     "AnalysisValue",
     "LabelConfidence",
     "ModelPoint",
     "TimeSeriesTable",
+    "analog_channels",
     "check_suffix",
     "companions",
     "computed_labels",
@@ -66,6 +69,8 @@ __all__ = [
 ]
 
 _MODULE_OF = {
+    "AnalogChannel": "c3d.analog",
+    "analog_channels": "c3d.analog",
     "force_plates": "c3d.plates",
     **dict.fromkeys(("AnalysisValue", "ModelPoint", "write_model_outputs"), "c3d.outputs"),
     "unlike_a_person": "_units",

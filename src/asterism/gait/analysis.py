@@ -3,33 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
+from asterism.gait.emg import EmgChannel, emg_of
 from asterism.gait.events import Walking, find_events, plate_contacts
 from asterism.gait.fills import angles_with_fills, drawn_fills, events_with_fills
+from asterism.gait.intervals import AngleBand, angle_bands
 from asterism.gait.parameters import Parameter, parameters_of
+from asterism.gait.said import walking_as_said
 from asterism.motion.clinical import (
     ClinicalAngles,
     Kinetics,
     SubjectMeasures,
     clinical_angles,
-    complete_legs,
     exchanged_finding,
     inverse_dynamics,
-    lower_body,
 )
-from asterism.motion.clinical.plug_in_gait import angles_of
 from asterism.recording import Floats, ForcePlate, Recording, filled_samples
-
-if TYPE_CHECKING:
-    from asterism.gait.intervals import AngleBand
 
 CURVES = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress", "Thorax", "Spine", "Head", "Neck", "Shoulder", "Elbow", "Wrist")
 """Quantities whose angles are drawn over the cycle, by Plug-in-Gait's names."""
@@ -47,6 +43,7 @@ class GaitAnalysis:
     loads       name such as "LKneeMoment" or "LKneePower" -> (cycles of that side whose forces are known, 101, 3 or 1)
     loaded      the same names -> these cycles
     fill_sigmas as `curves`, rad: the standard deviation that filled samples add; 0 where none takes part, empty where nothing was filled
+    emg         the muscles that the file holds, with their envelopes over the cycles
     """
 
     recording: Recording
@@ -60,23 +57,40 @@ class GaitAnalysis:
     loads: Mapping[str, Floats] = field(default_factory=dict)
     loaded: Mapping[str, tuple[Cycle, ...]] = field(default_factory=dict)
     fill_sigmas: Mapping[str, Floats] = field(default_factory=dict)
+    emg: tuple[EmgChannel, ...] = ()
+
+    @cached_property
+    def load_sigmas(self) -> Mapping[str, Floats]:
+        """As `loads`, of moments and powers: the standard uncertainty of each cycle's curve (`KineticErrors`). Cycles share most of it."""
+        if self.kinetics is None:
+            return {}
+        rate, sigmas = self.recording.rate, self.kinetics.sigmas
+        known = {name: values.reshape(len(values), -1) for name, values in sigmas.items() if name in self.loaded}
+        return {name: np.stack([over_cycle(values, rate, cycle) for cycle in self.loaded[name]]) for name, values in known.items()}
 
     @cached_property
     def bands(self) -> Mapping[str, AngleBand]:
         """95 % bands of the angles, see `angle_bands`; computed when they are first asked for."""
-        from asterism.gait.intervals import angle_bands
-
         return angle_bands(self)
 
 
-def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measures: SubjectMeasures | None = None) -> GaitAnalysis:
+def analyse_gait(
+    recording: Recording,
+    plates: Sequence[ForcePlate] = (),
+    measures: SubjectMeasures | None = None,
+    *,
+    static: Recording | None = None,
+    model: str | None = None,
+) -> GaitAnalysis:
     """Events, cycles, parameters and clinical angles of a recording.
 
     plates    of the recording (`asterism.formats.force_plates`): they tell events to milliseconds, and moments and powers of the joints
-    measures  of the person, such as `with_static_offsets` gives; by default those of the recording's file
+    measures  of the person, such as `gathered_measures` gives; by default those of the recording's file
+    static    a standing trial, and model of the lower body, see `clinical_angles`
 
+    Strikes and offs that a person set, as the recording's log says, are taken in place of those that are found.
     Samples that the recording's log calls filled make events and angles less certain, as far as these depend on them.
-    What can be computed is: without the markers of Plug-in-Gait there are parameters and no angles, without a whole cycle events alone.
+    What can be computed is: without the markers of a body's model there are parameters and no angles, without a whole cycle events alone.
     Raises AsterismError where feet or pelvis have no markers. O(T).
 
     >>> from asterism.simulation import simulate_walks
@@ -89,9 +103,10 @@ def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measur
     draws = list(drawn_fills(recording, deviation)) if np.isfinite(deviation).any() else []
     if draws:
         walking = events_with_fills(walking, draws, lambda draw: find_events(draw, plates))
+    walking = walking_as_said(recording, walking)
     cycles = tuple(cycles_of(walking))
     file, found = str(recording.metadata.get("file", "the recording")), exchanged_finding(recording)
-    if walking.feet.backwards:
+    if walking.feet.backwards and not walking.events:
         sentence = f"{file}: the person goes where the heels point, so that no events are given; they are told of people who walk forwards."
         mend = "Look whether heels and toes carry each other's names, or the time runs backwards; a walk backwards has no events here."
         found.append(Finding("gait-backwards", Severity.WARNING, file, sentence, mend))
@@ -105,30 +120,29 @@ def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measur
                 "Record more steps, or give a longer part of the recording.",
             )
         )
-    clinical = clinical_angles(recording, measures=measures) if complete_legs(recording) else None
-    if clinical is None:
+    clinical = None
+    try:
+        clinical = clinical_angles(recording, measures=measures, static=static, model=model)
+        found += clinical.findings
+    except AsterismError as problem:
         found.append(
             Finding(
                 "gait-no-angles",
                 Severity.NOTE,
                 file,
-                f"{file} does not show the markers of Plug-in-Gait on a leg, so that there are parameters and no angles.",
-                "Label the recording with a set that has THI, KNE, TIB and ANK.",
+                f"There are parameters and no angles: {problem}",
+                "Label the recording with a set that has THI, KNE, TIB and ANK, or both sides of knee and ankle.",
             )
         )
-    else:
-        found += clinical.findings
     outputs = {} if clinical is None else clinical.outputs
     # An angle near half a turn must not jump by a whole one within a cycle.
     curves = {name: np.unwrap(curve, axis=1) for name, curve in _curves(outputs, recording.rate, cycles).items()}
     fill_sigmas: dict[str, Floats] = {}
     if clinical is not None and draws:
-        legs = "".join(side[0].upper() for side in clinical.measures)
-        subject = clinical.subject
-        spread = angles_with_fills(outputs, draws, lambda draw: angles_of(draw, lower_body(draw, subject, legs)))
+        spread = angles_with_fills(outputs, draws, clinical.model.outputs)
         fill_sigmas = _curves(spread, recording.rate, cycles)
     kinetics = None
-    if clinical is not None and plates:
+    if clinical is not None and clinical.joints and plates:
         try:
             kinetics = _kinetics(recording, walking, plates, clinical)
         except AsterismError as problem:
@@ -138,7 +152,11 @@ def analyse_gait(recording: Recording, plates: Sequence[ForcePlate] = (), measur
     loads, loaded = ({}, {}) if kinetics is None else _loads(recording, cycles, kinetics)
     found += () if kinetics is None else kinetics.findings
     parameters = tuple(parameters_of(walking, cycles))
-    return GaitAnalysis(recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads, loaded, fill_sigmas)
+    muscles, told = emg_of(recording, cycles)
+    found += told
+    return GaitAnalysis(
+        recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads, loaded, fill_sigmas, muscles
+    )
 
 
 def _curves(values: Mapping[str, Floats], rate: float, cycles: Sequence[Cycle]) -> dict[str, Floats]:
@@ -161,9 +179,10 @@ def _kinetics(recording: Recording, walking: Walking, plates: Sequence[ForcePlat
     if not contacts:
         return None
     sides = "".join(side[0].upper() for side in clinical.measures)
-    body = lower_body(recording, clinical.subject, sides)
+    body = clinical.model.body(recording)
+    body = replace(body, legs={side: body.legs[side] for side in sides})
     swings = {side: walking.swings(side) for side in sides}
-    return inverse_dynamics(recording, body, plates, contacts, swings, clinical.subject)
+    return inverse_dynamics(clinical.model.with_feet_named(recording), body, plates, contacts, swings, clinical.subject)
 
 
 def _loads(recording: Recording, cycles: Sequence[Cycle], kinetics: Kinetics) -> tuple[dict[str, Floats], dict[str, tuple[Cycle, ...]]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +35,8 @@ class Band:
     """Means and standard deviations (101, 3) rad of quantities such as "Knee", of both sides together, of so many people and cycles.
 
     parameters  by their names in `PARAMETERS`, mean and standard deviation; none in bands of older versions
+    log_score   mean and standard deviation of the logarithm of the Gait Profile Score (rad) of each side of each of these people against
+                the others; None of fewer than three people, and in bands of older versions
     """
 
     mean: Mapping[str, Floats]
@@ -42,6 +44,7 @@ class Band:
     people: int
     cycles: int
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    log_score: tuple[float, float] | None = None
 
     def save(self, path: str | Path) -> None:
         """Write it as JSON, degrees, whole or not at all. Raises AsterismError where the file cannot be written."""
@@ -51,6 +54,8 @@ class Band:
         }
         content = {"format": _FORMAT, "people": self.people, "cycles": self.cycles, "angles": angles}
         content["parameters"] = {name: {"mean": mean, "sd": deviation} for name, (mean, deviation) in self.parameters.items()}
+        if self.log_score is not None:
+            content["log_score"] = list(self.log_score)
         write_atomically(Path(path), utf8(json.dumps(content, indent=1) + "\n"))
 
     @classmethod
@@ -66,13 +71,15 @@ class Band:
             )
             people, cycles = int(content["people"]), int(content["cycles"])
             parameters = {name: (float(one["mean"]), float(one["sd"])) for name, one in content.get("parameters", {}).items()}
+            logs = content.get("log_score")
+            log_score = None if logs is None else (float(logs[0]), float(logs[1]))
         except OSError as problem:
             raise AsterismError(f"{path} cannot be read ({problem.strerror}); name a file that --save-band wrote.") from None
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, IndexError):
             raise AsterismError(f"{path} is no band of gait curves; make one with asterism gait controls/*.c3d --save-band FILE.") from None
         if any(values.shape != (POINTS, 3) for values in (*mean.values(), *deviation.values())):
             raise AsterismError(f"{path} has curves of another length than {POINTS} points; make the band again with --save-band.")
-        return cls(mean, deviation, people, cycles, parameters)
+        return cls(mean, deviation, people, cycles, parameters, log_score)
 
 
 def band_of(analyses: Sequence[GaitAnalysis], people: Sequence[str]) -> Band:
@@ -80,6 +87,18 @@ def band_of(analyses: Sequence[GaitAnalysis], people: Sequence[str]) -> Band:
 
     Raises AsterismError where no walk has angles over a whole cycle, and for fewer than two people.
     """
+    band, walks = _band(analyses, people), list(zip(analyses, people, strict=True))
+    scores = []
+    for person in sorted(set(people)) if band.people > 2 else ():
+        others = [(analysis, name) for analysis, name in walks if name != person]
+        # Who is part of a mean is near to it: each is scored by the others.
+        without = _band([analysis for analysis, _ in others], [name for _, name in others])
+        scores += [score.gps for score in profile_scores([analysis for analysis, name in walks if name == person], without)]
+    logs = np.log(scores)
+    return replace(band, log_score=(float(logs.mean()), float(logs.std(ddof=1))) if len(logs) > 2 else None)
+
+
+def _band(analyses: Sequence[GaitAnalysis], people: Sequence[str]) -> Band:
     curves: dict[str, dict[str, list[Floats]]] = {}
     for analysis, person in zip(analyses, people, strict=True):
         for name, cycles in analysis.curves.items():
@@ -117,11 +136,14 @@ class ProfileScore:
 
     variables  the Gait Variable Score of each angle of `SCORED`, RMS over the cycle
     gps        the Gait Profile Score, their RMS
+    gdi        the Gait Deviation Index that follows from it (GDI* of Schwartz, Rozumalski and Baker 2013): 100 is the mean of the band's
+               people, and 10 less is a standard deviation of theirs; None where the band does not tell how they differ
     """
 
     side: str
     variables: Mapping[str, float]
     gps: float
+    gdi: float | None = None
 
 
 def profile_scores(analyses: Sequence[GaitAnalysis], band: Band) -> list[ProfileScore]:
@@ -144,5 +166,9 @@ def profile_scores(analyses: Sequence[GaitAnalysis], band: Band) -> list[Profile
                 # Directions of progression differ by whole turns.
                 variables[title] = float(np.sqrt(np.mean(((apart + np.pi) % (2 * np.pi) - np.pi) ** 2)))
         if len(variables) == len(SCORED) and np.isfinite(list(variables.values())).all():
-            scores.append(ProfileScore(side, variables, float(np.sqrt(np.mean(np.square(list(variables.values())))))))
+            gps = float(np.sqrt(np.mean(np.square(list(variables.values())))))
+            gdi = None
+            if band.log_score is not None and gps > 0 and band.log_score[1] > 0:
+                gdi = 100.0 - 10.0 * (float(np.log(gps)) - band.log_score[0]) / band.log_score[1]
+            scores.append(ProfileScore(side, variables, gps, gdi))
     return scores

@@ -156,9 +156,17 @@ def find_events(recording: Recording, plates: Sequence[ForcePlate] = (), rules: 
 
 
 def _by_markers(feet: Feet, side: str, rules: EventRules, belt: bool) -> list[GaitEvent]:
-    strikes = _turning_points(feet.forward(feet.heels[side]), feet, rules)
-    offs = _turning_points(-feet.forward(feet.toes[side]), feet, rules)
-    found = [_strike_at(feet, side, peak, rules, belt) for peak in strikes]
+    ahead = feet.forward(feet.heels[side])
+    strikes, offs = (_turning_points(curve, feet, rules) for curve in (ahead, -feet.forward(feet.toes[side])))
+    if belt:
+        jerk = np.gradient(np.gradient(np.gradient(ahead)))
+        found = [_strike_on_belt(side, peak, jerk, rules) for peak in strikes]
+    else:
+        upwards = np.gradient(np.gradient(feet.heels[side][:, 2])) * RATE**2
+        foot = feet.toes[side] - feet.heels[side]
+        falls = -np.gradient(np.arctan2(foot[:, 2], np.linalg.norm(foot[:, :2], axis=1))) * RATE
+        height = feet.heels[side][:, 2] - np.percentile(feet.heels[side][:, 2], 5)
+        found = [_strike(side, peak, height, upwards, falls, rules) for peak in strikes]
     for peak in offs:
         time = _with_rise(feet.toes[side], peak, float(feet.times[peak]) + rules.off_later, rules)
         found.append(GaitEvent(side, OFF, time, rules.off_sigma, "markers"))
@@ -180,24 +188,27 @@ def _turning_points(curve: Floats, feet: Feet, rules: EventRules) -> list[int]:
     return [peak for peak, before, after in sides if min(before.max(initial=0.0), after.max(initial=0.0)) > _DROP]
 
 
-def _strike_at(feet: Feet, side: str, peak: int, rules: EventRules, belt: bool) -> GaitEvent:
-    """The strike of a heel that is farthest ahead at a sample: the mean of what tells it, each as far as it stands out."""
-    heel, toe = feet.heels[side], feet.toes[side]
+def _strike_on_belt(side: str, peak: int, jerk: Floats, rules: EventRules) -> GaitEvent:
+    """The strike of a heel that is farthest ahead at a sample, on a treadmill; jerk (T,) of the heel ahead."""
+    halt, _ = _stands_out(jerk, peak, -0.02, 0.10)
+    both = [peak / RATE + rules.belt_later, *([] if halt is None else [halt + rules.halt_later])]
+    return GaitEvent(side, STRIKE, float(np.mean(both)), rules.strike_sigma, "markers")
+
+
+def _strike(side: str, peak: int, height: Floats, upwards: Floats, falls: Floats, rules: EventRules) -> GaitEvent:
+    """The strike of a heel that is farthest ahead at a sample: the mean of what tells it, each as far as it stands out.
+
+    height (T,) m, over where it stands, and upwards m/s2 of the heel; falls (T,) rad/s, of the toe against the heel
+    """
     farthest = peak / RATE
-    if belt:
-        halt, _ = _stands_out(np.gradient(np.gradient(np.gradient(feet.forward(heel)))), peak, -0.02, 0.10)
-        both = [farthest + rules.belt_later, *([] if halt is None else [halt + rules.halt_later])]
-        return GaitEvent(side, STRIKE, float(np.mean(both)), rules.strike_sigma, "markers")
-    knock, upwards = _stands_out(np.gradient(np.gradient(heel[:, 2])) * RATE**2, peak, 0.0, rules.knock_within)
-    foot = toe - heel
-    pitch = np.arctan2(foot[:, 2], np.linalg.norm(foot[:, :2], axis=1))
-    slap, falls = _stands_out(-np.gradient(pitch) * RATE, peak, -0.01, 0.13)
-    clear = [min(upwards / rules.knock, 1.0), min(falls / rules.slap, 1.0)]
+    knock, knocks = _stands_out(upwards, peak, 0.0, rules.knock_within)
+    slap, slaps = _stands_out(falls, peak, -0.01, 0.13)
+    clear = [min(knocks / rules.knock, 1.0), min(slaps / rules.slap, 1.0)]
     told = [
         (knock, rules.knock_later, rules.knock_weight * clear[0]),
         (slap, rules.slap_later, rules.slap_weight * clear[1]),
         (farthest, rules.strike_later, max(clear)),
-        (_fallen(heel[:, 2], peak, rules.fallen), rules.fallen_later, 1.0 - max(clear)),
+        (_fallen(height, peak, rules.fallen), rules.fallen_later, 1.0 - max(clear)),
     ]
     known = [(time + later, weight) for time, later, weight in told if time is not None and weight > 0]
     times, weights = np.array(known or [(farthest + rules.strike_later, 1.0)]).T
@@ -219,9 +230,9 @@ def _stands_out(curve: Floats, peak: int, begins: float, ends: float) -> tuple[f
 
 
 def _fallen(height: Floats, peak: int, above: float) -> float | None:
-    """s when a heel falls for the last time to `above` (m) over where it stands, from 0.3 s before a sample; None where it does not."""
+    """s when a heel falls for the last time to a height `above` m, from 0.3 s before a sample; None where it does not."""
     begin = max(peak - round(0.3 * RATE), 0)
-    part = height[begin : peak + round(0.1 * RATE)] - np.percentile(height, 5) - above
+    part = height[begin : peak + round(0.1 * RATE)] - above
     falls = np.flatnonzero((part[:-1] > 0) & (part[1:] <= 0))
     if not len(falls):
         return None

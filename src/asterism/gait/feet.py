@@ -10,12 +10,13 @@ from scipy.interpolate import CubicSpline
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
+from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
 from asterism.motion.filters import zero_lag_butterworth
 from asterism.recording import Floats, Recording
 
 SIDES = ("L", "R")
 HEEL = (("HEE",), ("HEEL",), ("CAL",), ("LCA",))
-TOE = (("TOE",), ("MT2",), ("D2M",), ("MT1", "MT5"), ("D1M", "D5M"), ("MT5",), ("5TH",), ("D5M",))
+TOE = (("TOE",), ("MT2",), ("D2M",), ("MT1", "MT5"), ("D1M", "D5M"), ("FM", "VM"), ("MT5",), ("5TH",), ("D5M",))
 """Names after the side, best first; of two names the middle counts. Points and underscores in names do not."""
 PELVIS = ("SACR", "LASI", "RASI", "LPSI", "RPSI", "LASIS", "RASIS", "LPSIS", "RPSIS")
 RATE = 200.0
@@ -68,7 +69,11 @@ def feet_of(recording: Recording) -> Feet:
     """
     positions = rotate_z_up(recording.positions, recording.vertical)
     names = [label.rpartition(":")[2].upper().replace(".", "").replace("_", "") for label in recording.labels]
-
+    # other spellings of the shipped sets
+    other = [label.upper() for label in with_plug_in_gait_names(recording).labels]
+    names = [
+        new if new != old.upper() and new not in names else name for new, old, name in zip(other, recording.labels, names, strict=True)
+    ]
     hidden = list[str]()
 
     def curve(name: str) -> Floats | None:
@@ -97,6 +102,9 @@ def feet_of(recording: Recording) -> Feet:
     if not hips:
         raise AsterismError(f"{file} has no marker of the pelvis ({', '.join(PELVIS[:5])}); gait events need one.")
     times = np.arange(0.0, (len(recording) - 1) / recording.rate + 1e-9, 1.0 / RATE)
+    # a speed needs a sample on either side
+    if len(times) < 3:
+        raise AsterismError(f"{file} lasts {len(recording) / recording.rate:.3g} s by its rate; gait events need steps.")
     smooth = {side: [_smooth(part, recording.rate, times, CUT_OFF) for part in pair] for side, pair in feet.items()}
     middle = np.nansum(hips, axis=0) / np.maximum(np.isfinite(hips).sum(axis=0), 1)
     middle[~np.isfinite(hips).any(axis=0)] = np.nan

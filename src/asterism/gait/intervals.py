@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
-from asterism.gait.analysis import CURVES, GaitAnalysis
 from asterism.gait.cycles import POINTS, Cycle
+from asterism.gait.feet import SIDES
 from asterism.geometry import rotate_z_up
-from asterism.motion.clinical import LegMeasures, SubjectMeasures
+from asterism.motion.clinical import ClinicalAngles, ClinicalModel, LegMeasures, SubjectMeasures, complete_legs
 from asterism.motion.clinical.estimated import MeasurePriors, WalkEstimator
 from asterism.motion.clinical.plug_in_gait import LowerBody, angles_of, lower_body, radius_by_the_file
 from asterism.motion.joints.anatomy import sacrum_markers
@@ -24,12 +25,38 @@ PLACED = 0.005
 """m, standard deviation of a marker's place along each direction from session to session. By propagation that is 2 to 5 degrees, as between
 sessions of one laboratory (McGinley et al. 2009); between examiners of several it is double (Della Croce et al. 1999). Bands are in
 proportion to it where all measures are known"""
-_ROWS = 80
-"""Frames at which angles are computed again: a cycle of 1 s at 40 of them shows its curve to a tenth of a degree."""
+BANDED = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress")
+"""Quantities whose angles have bands, by Plug-in-Gait's names."""
+_CYCLES, _ROWS = 2, 40
+"""Cycles of each side, and frames of each, at which angles are computed again: cycles of one walk differ by less than a tenth of a band."""
 _STEP = 0.001
 """m, by which a marker is moved to see what it does."""
 _CALIBRATED = {"THI": "thigh_rotation", "TIB": "shank_rotation", "TOE": "foot_flexion"}
 """The measure that a standing trial takes of a marker: with it, the marker counts as well placed."""
+
+
+class AnalysedWalk(Protocol):
+    """What bands need of an analysis, see `asterism.gait.GaitAnalysis`."""
+
+    @property
+    def recording(self) -> Recording:
+        """Which was analysed."""
+
+    @property
+    def cycles(self) -> tuple[Cycle, ...]:
+        """Whole ones."""
+
+    @property
+    def clinical(self) -> ClinicalAngles | None:
+        """Angles over time."""
+
+    @property
+    def curves(self) -> Mapping[str, Floats]:
+        """Angles over the cycles, rad."""
+
+    @property
+    def fill_sigmas(self) -> Mapping[str, Floats]:
+        """What fills add, rad."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +73,7 @@ class AngleBand:
 
 
 def angle_bands(
-    analysis: GaitAnalysis, sources: Sequence[str] = SOURCES, *, placed: float = PLACED, priors: MeasurePriors | None = None
+    analysis: AnalysedWalk, sources: Sequence[str] = SOURCES, *, placed: float = PLACED, priors: MeasurePriors | None = None
 ) -> dict[str, AngleBand]:
     """Bands of the angles of legs and pelvis over the cycle, by Plug-in-Gait's names.
 
@@ -56,14 +83,19 @@ def angle_bands(
     measured. How soft tissue moves is the same in both sessions and no part of it; see `clinical_uncertainty` for bones.
 
     What is not measured is estimated from the walk (`WalkEstimator`). Measures with which the file's program computed its own angles count
-    as known. Without angles or whole cycles there are no bands. O(1): some 200 times the angles of 80 frames.
+    as known. Without angles or whole cycles there are no bands. O(1): some 200 times the angles of 160 frames.
     """
     clinical = analysis.clinical
-    curves = {name: values for name, values in analysis.curves.items() if name.removesuffix("Angles")[1:] in CURVES[:5]}
+    curves = {name: values for name, values in analysis.curves.items() if name.removesuffix("Angles")[1:] in BANDED}
+    wands = clinical is not None and clinical.model.name == "plug-in-gait"
+    # The measures that nobody gave, and the markers that are moved, are those of Plug-in-Gait's whole legs.
+    sides = "".join(complete_legs(analysis.recording)) if wands else "LR"
+    curves = {name: values for name, values in curves.items() if name[0] in sides}
     if clinical is None or not curves:
         return {}
+    if not wands:
+        return _of_landmarks(analysis, clinical.model, curves, sources, placed)
     recording, times = _some(analysis)
-    sides = "".join(side[0].upper() for side in clinical.measures)
     reported = _angles(recording, clinical.subject, sides)
     middle, parts = reported, {source: {name: np.zeros_like(values) for name, values in reported.items()} for source in SOURCES}
     estimator = WalkEstimator(recording, _as_known(analysis), sides, priors or MeasurePriors())
@@ -76,32 +108,68 @@ def angle_bands(
     if "placement" in sources:
         for moved in _displaced(recording, lower_body(recording, subject, sides), clinical.subject):
             _add(parts["placement"], _apart(_angles(moved, subject, sides), middle), placed / _STEP)
+    return _bands(analysis, curves, sources, times, parts, _apart(middle, reported))
+
+
+def _of_landmarks(
+    analysis: AnalysedWalk, model: ClinicalModel, curves: Mapping[str, Floats], sources: Sequence[str], placed: float
+) -> dict[str, AngleBand]:
+    """Bands of angles that come from landmarks: of no measures, but of where each landmark was felt."""
+    recording, times = _some(analysis)
+    middle = model.outputs(recording)
+    curves = {name: values for name, values in curves.items() if name in middle}
+    parts = {source: {name: np.zeros_like(middle[name]) for name in curves} for source in SOURCES}
+    for moved in model.placed_anew(recording, _STEP) if "placement" in sources else ():
+        _add(parts["placement"], _apart({name: moved[name] for name in curves}, middle), placed / _STEP)
+    return _bands(analysis, curves, sources, times, parts, {name: np.zeros_like(middle[name]) for name in curves})
+
+
+def _bands(
+    analysis: AnalysedWalk,
+    curves: Mapping[str, Floats],
+    sources: Sequence[str],
+    times: Floats,
+    parts: Mapping[str, Mapping[str, Floats]],
+    shift: Mapping[str, Floats],
+) -> dict[str, AngleBand]:
+    """Variances (T, 3) rad2 of each source, and by how much the middle differs from what was reported, over the cycle."""
     found = {}
     for name in curves:
-        own = [cycle for cycle in analysis.cycles if cycle.side == name[0]]
+        own = _shown(analysis, name[0])
         spread = {source: np.sqrt(_over(parts[source][name], times, own)) for source in sources if source != "fills"}
         if "fills" in sources and name in analysis.fill_sigmas:
             # Gaps differ from cycle to cycle: of independent ones the mean is known better.
             filled = np.nan_to_num(analysis.fill_sigmas[name])
             spread["fills"] = np.sqrt((filled**2).sum(axis=0)) / len(filled)
-        centre = np.nanmean(curves[name], axis=0) + _over(_apart(middle, reported)[name], times, own)
+        seen = np.isfinite(curves[name])
+        mean = np.where(seen.any(axis=0), np.nansum(curves[name], axis=0) / np.maximum(seen.sum(axis=0), 1), np.nan)
+        centre = mean + _over(shift[name], times, own)
         wide = COVERAGE * np.sqrt(sum(part**2 for part in spread.values()))
         found[name] = AngleBand(centre - wide, centre + wide, spread)
     return found
 
 
-def _some(analysis: GaitAnalysis) -> tuple[Recording, Floats]:
-    """The recording at `_ROWS` frames at most, from the first strike to the last, and their times in s."""
-    recording, cycles = analysis.recording, analysis.cycles
-    begin = min(cycle.strike.time for cycle in cycles) * recording.rate
-    end = max(cycle.next_strike.time for cycle in cycles) * recording.rate
-    first, last = max(int(begin), 0), min(int(np.ceil(end)), len(recording) - 1)
-    rows = np.unique(np.linspace(first, last, min(_ROWS, last - first + 1)).astype(int))
-    positions = rotate_z_up(recording.positions[rows], recording.vertical)
-    return replace(recording, positions=positions, vertical=np.array([0.0, 0.0, 1.0]), source=None, origin=None), rows / recording.rate
+def _shown(analysis: AnalysedWalk, side: str) -> list[Cycle]:
+    """`_CYCLES` cycles of a side at most, those in which most is known of the knee."""
+    own = [cycle for cycle in analysis.cycles if cycle.side == side]
+    knee = analysis.curves.get(f"{side}KneeAngles", np.zeros((len(own), 1)))
+    known = [int(np.isfinite(curve).sum()) for curve in knee]
+    return [own[place] for place in sorted(range(len(own)), key=lambda place: -known[place])[:_CYCLES]]
 
 
-def _as_known(analysis: GaitAnalysis) -> SubjectMeasures:
+def _some(analysis: AnalysedWalk) -> tuple[Recording, Floats]:
+    """The recording at `_ROWS` frames of each cycle that is shown, and their times in s."""
+    recording, last = analysis.recording, len(analysis.recording) - 1
+    rows = set[int]()
+    for cycle in (cycle for side in SIDES for cycle in _shown(analysis, side)):
+        begin, end = (min(max(round(event.time * recording.rate), 0), last) for event in (cycle.strike, cycle.next_strike))
+        rows.update(np.linspace(begin, end, _ROWS).astype(int).tolist())
+    chosen = np.array(sorted(rows))
+    positions = rotate_z_up(recording.positions[chosen], recording.vertical)
+    return replace(recording, positions=positions, vertical=np.array([0.0, 0.0, 1.0]), source=None, origin=None), chosen / recording.rate
+
+
+def _as_known(analysis: AnalysedWalk) -> SubjectMeasures:
     """The measures; where the file's own angles follow from them, also those that it left at zero count as given."""
     assert analysis.clinical is not None
     subject = analysis.clinical.subject

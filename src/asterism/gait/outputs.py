@@ -14,9 +14,8 @@ from asterism.gait.cycles import midstances
 from asterism.gait.events import SIDE_NAMES
 from asterism.gait.parameters import Parameter, summarise
 from asterism.geometry import z_up_rotation
-from asterism.motion.clinical import lower_body
 from asterism.motion.clinical.plug_in_gait import walking_axes
-from asterism.recording import Event, Floats, ProcessingStep, Recording, filled_samples
+from asterism.recording import Floats, ProcessingStep, Recording, filled_samples
 from asterism.recording.display import significant
 
 if TYPE_CHECKING:
@@ -63,22 +62,15 @@ def write_gait_c3d(path: str | Path, analysis: GaitAnalysis) -> list[str]:
 def recorded(analysis: GaitAnalysis) -> Recording:
     """The recording with the events that were found, and with a step in its log that says with which measures its outputs were computed.
 
-    Events of the same name and side are replaced, as far as they lie within the frames; no recording can tell of those outside.
+    Events of the same name and side are replaced, see `Recording.with_found`.
     """
     recording = analysis.recording
     walking = analysis.walking
     found = replace(walking, events=(*walking.events, *midstances(walking))).to_events(recording)
-    begin, end = recording.times[[0, -1]] + np.array([-0.5, 0.5]) / recording.rate
-    told = {_key(event) for event in found}
-    kept = [event for event in recording.events if _key(event) not in told or not begin <= event.time <= end]
     log = tuple(step for step in recording.log if step.action != _ACTION)
     if analysis.clinical is not None:
         log = (*log, ProcessingStep(_ACTION, "Asterism", _settings(analysis.clinical.subject)))
-    return replace(recording, events=tuple(sorted([*kept, *found], key=lambda event: event.time)), log=log)
-
-
-def _key(event: Event) -> tuple[str, str]:
-    return event.label.casefold(), event.context.casefold()[:1]
+    return replace(recording.with_found(found), log=log)
 
 
 def _settings(measures: SubjectMeasures) -> Mapping[str, object]:
@@ -105,8 +97,8 @@ def model_points(analysis: GaitAnalysis) -> list[ModelPoint]:
 
     if analysis.clinical is None:
         return []
-    recording, measures = analysis.recording, analysis.clinical.subject
-    body = lower_body(recording, measures, "".join(side[0].upper() for side in analysis.clinical.measures))
+    recording = analysis.recording
+    body = analysis.clinical.model.body(recording)
     # From axes with z up, in which everything here is, to those of the file.
     to_file = np.eye(3) if recording.vertical[2] == 1.0 else z_up_rotation(recording.vertical)
     filled = filled_samples(recording)

@@ -154,6 +154,8 @@ def _belt(walking: Walking, cycle: Cycle) -> tuple[Floats, float]:
     if not walking.treadmill:
         return np.zeros(2), 0.0
     early, late = (round(RATE * (cycle.strike.time + share * stood)) for share in (0.25, 0.6))
+    # an event that is no foot's may leave a stance of a sample
+    late = max(late, early + 1)
     backwards = (feet.heels[cycle.side][late] - feet.heels[cycle.side][early])[:2] * RATE / (late - early)
     return -backwards, 2**0.5 * TOE_SIGMA * RATE / (late - early)
 

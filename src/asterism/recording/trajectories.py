@@ -39,6 +39,11 @@ class Event:
     context: str = ""
 
 
+def _kind_of(event: Event) -> tuple[str, str]:
+    # Programs write Left, LEFT and L.
+    return event.label.casefold(), event.context.casefold()[:1]
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class Recording:
     """Labelled positions over time, and everything that must survive until they are written again.
@@ -155,6 +160,16 @@ class Recording:
     def logged(self, action: str, by: str = "", **settings: Any) -> Recording:
         """The same recording with one more step in its processing log, see `ProcessingStep`."""
         return replace(self, log=(*self.log, ProcessingStep(action, by, settings)))
+
+    def with_found(self, events: Sequence[Event]) -> Recording:
+        """The same recording with events that were found, on its file's clock, in place of those of the same label and context.
+
+        Only those within the frames are replaced: what lies outside was told from what is no longer here.
+        """
+        begin, end = self.times[[0, -1]] + np.array([-0.5, 0.5]) / self.rate
+        told = {_kind_of(event) for event in events}
+        kept = [event for event in self.events if _kind_of(event) not in told or not begin <= event.time <= end]
+        return replace(self, events=tuple(sorted([*kept, *events], key=lambda event: event.time)))
 
     def to_dataframe(self) -> pandas.DataFrame:
         """The positions as a pandas table: an index of times in seconds, columns (label, axis), metres.

@@ -5,6 +5,7 @@ from asterism.report.boards import board_report
 from asterism.report.capturability import capturability_report
 from asterism.report.detection import detection_report
 from asterism.report.evaluation import evaluation_report
+from asterism.report.gait import gait_report
 from asterism.report.label import LabelledRecording, label_report
 from asterism.report.naming import naming_report
 from asterism.report.player import player_script, player_style
@@ -23,6 +24,7 @@ __all__ = [
     "capturability_report",
     "detection_report",
     "evaluation_report",
+    "gait_report",
     "label_report",
     "marker_bones",
     "marker_sides",

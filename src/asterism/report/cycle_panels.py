@@ -17,6 +17,12 @@ _LEFT, _TOP, _BOTTOM, _PER_PERCENT = 430, 60, 1660, 31
 """Where the axes are: 0 % at the left, the highest and the lowest value, and the units of one percent."""
 _RIGHT = _LEFT + 100 * _PER_PERCENT
 
+_FEW = 10
+"""Cycles of a side that are drawn as they are; more of them are fainter, so that all together are as dark. At half, six walks are pale."""
+_MOST = 60
+"""Cycles of a side that are drawn, evenly chosen of more; means are of all. At half, one minute on a treadmill has too few, at double the
+page of ten such walks is twice as large."""
+
 
 @dataclass(frozen=True)
 class CycleCurve:
@@ -34,7 +40,7 @@ class CurvesOfSide:
     side      "left" or "right"
     cycles    of that foot
     off       %, where it leaves the floor, the mean over the cycles; None where it is not drawn
-    interval  (101,) each: what the measurement leaves open about the mean, low and high
+    interval  (101,) each: what the measurement leaves open about the mean, low and high; not drawn of the earlier session
     earlier   whether they are of the first of two sessions, which is drawn paler
     """
 
@@ -63,14 +69,19 @@ class CyclePanel:
     notes: Sequence[str] = field(default=())
 
 
-def drawn_panels(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None = None) -> str:
-    """The panels as HTML, three beside each other where there is room, below a legend of what they have. O(points)."""
+def drawn_panels(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None = None, interval: str = "95 % interval") -> str:
+    """The panels as HTML, three beside each other where there is room, below a legend of what they have. O(points).
+
+    sessions  the names of two; interval: what the legend calls the curves' intervals
+    """
     leads = any(cycle.place for panel in panels for one in panel.sides for cycle in one.cycles)
     hint = '<p class="screen">Click a curve: the player below goes to this moment of its cycle.</p>' if leads else ""
-    return f'<div class="keys">{_legend(panels, sessions)}</div>\n{hint}<div class="panels">\n{"".join(map(_panel, panels))}</div>'
+    return (
+        f'<div class="keys">{_legend(panels, sessions, interval)}</div>\n{hint}<div class="panels">\n{"".join(map(_panel, panels))}</div>'
+    )
 
 
-def _legend(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None) -> str:
+def _legend(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None, interval: str) -> str:
     """A swatch and a word for each kind of line and band that is drawn."""
     shown = [one for panel in panels for one in panel.sides if one.cycles]
     keys = []
@@ -81,12 +92,14 @@ def _legend(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None) -> s
                 name = side if sessions is None else f"{side}, {sessions[0] if earlier else sessions[1]}"
                 look = f'stroke="{style["color"]}" stroke-width="{1.4 if earlier else 2.6}" opacity="{0.65 if earlier else 1}"'
                 keys.append((f'<path d="M0 6h26" {look}{dash}/>', name))
-    keys.append(('<path d="M0 6h26" stroke="#5b6780" stroke-width="0.8" opacity="0.6"/>', "each cycle"))
+    thin = f"single cycles, {_MOST} of them at most" if any(len(one.cycles) > _MOST for one in shown) else "each cycle"
+    keys.append(('<path d="M0 6h26" stroke="#5b6780" stroke-width="0.8" opacity="0.6"/>', thin))
     if any(panel.control for panel in panels):
         keys.append(('<rect width="26" height="12" fill="#64748b" opacity="0.25"/>', "controls, mean ± 1 SD"))
     if any(one.interval for one in shown):
+        interval = interval if sessions is None else f"{interval}, {sessions[1]}"
         keys.append(
-            ('<rect width="26" height="12" fill="#d1344b" opacity="0.2"/><path d="M0 .5h26M0 11.5h26" stroke="#d1344b"/>', "95 % interval")
+            ('<rect width="26" height="12" fill="#d1344b" opacity="0.2"/><path d="M0 .5h26M0 11.5h26" stroke="#d1344b"/>', interval)
         )
     if any(one.off is not None for one in shown):
         keys.append(('<path d="M13 0v12" stroke="#5b6780" stroke-width="1.4"/>', "foot off"))
@@ -94,6 +107,9 @@ def _legend(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None) -> s
 
 
 def _panel(panel: CyclePanel) -> str:
+    unit = f" <small>{escape(panel.unit)}</small>" if panel.unit else ""
+    if not any(np.isfinite(cycle.values).any() for one in panel.sides for cycle in one.cycles):
+        return f'<figure class="panel"><figcaption>{escape(panel.title)} <small>not known in any cycle</small></figcaption></figure>\n'
     low, high, ticks = _axis(panel)
     scale = _Scale(low, high)
     parts = [_grid(scale, ticks)]
@@ -101,7 +117,8 @@ def _panel(panel: CyclePanel) -> str:
         parts.append(f'<path class="control" d="{scale.area(*panel.control)}"/>')
     sides = [one for one in panel.sides if one.cycles]
     for one in sides:
-        if one.interval is not None:
+        # Of two sessions the later one's alone: four bands hide each other.
+        if one.interval is not None and not one.earlier:
             edges = "".join(f'<path class="edge" d="{scale.path(edge)}"/>' for edge in one.interval)
             parts.append(f'<g class="interval {one.side}"><path d="{scale.area(*one.interval)}"/>{edges}</g>')
     for one in sides:
@@ -109,13 +126,16 @@ def _panel(panel: CyclePanel) -> str:
         if one.off is not None:
             at = _LEFT + round(_PER_PERCENT * one.off)
             parts.append(f'<path class="off {one.side}{age}" d="M{at} {_TOP}V{_BOTTOM}"/>')
-        for cycle in one.cycles:
+        # Many cycles would hide their mean, and more than a page can hold would make it slow.
+        shown = one.cycles[:: -(-len(one.cycles) // _MOST)]
+        parts.append(f'<g opacity="{min(1.0, _FEW / len(shown)):.2g}">')
+        for cycle in shown:
             go = "" if cycle.place is None else ' data-go="{}:{}:{}"'.format(*cycle.place)
             parts.append(f'<path class="cycle {one.side}{age}" d="{scale.path(cycle.values)}" data-name="{escape(cycle.name)}"{go}/>')
+        parts.append("</g>")
     for one in sides:
         parts.append(f'<path class="mean {one.side}{" earlier" if one.earlier else ""}" d="{scale.path(one.mean)}"/>')
     notes = "".join(f"<small>{escape(note)}</small>" for note in panel.notes)
-    unit = f" <small>{escape(panel.unit)}</small>" if panel.unit else ""
     return (
         f'<figure class="panel" data-low="{low:g}" data-high="{high:g}" data-unit="{escape(panel.unit)}">'
         f"<figcaption>{escape(panel.title)}{unit}{notes}</figcaption>"

@@ -10,16 +10,23 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Severity
+from asterism.recording.display import counted
+from asterism.recording.shares import SURE
 from asterism.report.gait_curves import angle_section, load_sections
+from asterism.report.gait_muscles import muscle_section
 from asterism.report.gait_session import SIDE, GaitSession
+from asterism.report.gait_steps import drawn_steps
 from asterism.report.gait_tables import comparison_section, cycle_section, parameter_section, person_section, score_sections
 from asterism.report.page import Cell, Page, Section, Table, decimal, percent, write_page
 from asterism.report.player import ShownRecording, pack_recordings
-from asterism.report.recording import labelling_by_names, named_columns
+from asterism.report.recording import label_confidence, labelling_by_names, named_columns
 
 if TYPE_CHECKING:
     from asterism.gait import Band, GaitAnalysis
-    from asterism.recording import ForcePlate
+    from asterism.recording import ForcePlate, Recording
+
+_LEFT_OUT = "kinetics-step"
+"""The code of a step on a force plate that moments and powers cannot use."""
 
 
 def gait_report(
@@ -48,6 +55,7 @@ def gait_report(
         parameter_section(first, band) if second is None else comparison_section(first, second, band),
         *angle_section(both, band),
         *load_sections(both),
+        *muscle_section(both),
         *score_sections(both, band),
         _quality(both),
         *_findings(both),
@@ -58,7 +66,7 @@ def gait_report(
     ]
     recordings = sum(len(one.results) for one in both)
     where = "on a treadmill" if all(analysis.walking.treadmill for one in both for analysis in one.analyses) else "over the floor"
-    lead = f"{sum(len(one.cycles) for one in both)} gait cycles in {recordings} recordings, {where}."
+    lead = f"{sum(len(one.cycles) for one in both)} gait cycles in {counted(recordings, 'recording')}, {where}."
     lead += f" Two sessions: {first.name} and {second.name}." if second is not None else ""
     lead += " Left is red and drawn through, right is blue and dashed."
     names = ", ".join(name for one in both for name, _ in one.results)
@@ -107,33 +115,47 @@ def _quality(sessions: Sequence[GaitSession]) -> Section:
             filled = filled_samples(recording)[:, named_columns(recording)]
             share = float(np.isfinite(filled).mean()) if filled.size else float("nan")
             missing = 1.0 - float(shown.mean()) if shown.size else float("nan")
-            by_plates = sum(event.source != "markers" for event in events)
-            left_out = sum(finding.code == "kinetics-step" for finding in analysis.findings)
+            by_plates = sum(event.source.startswith("plate") for event in events)
+            left_out = sum(finding.code == _LEFT_OUT for finding in analysis.findings)
             largest = f", up to ± {1000 * float(np.nanmax(filled)):.1f} mm" if np.isfinite(filled).any() else ""
             rows.append(
                 [
                     Cell(name, place=(session.offset + number, 0, max(len(recording) - 1, 0))),
+                    _labels(recording),
                     Cell(percent(missing), min(np.sqrt(missing) if np.isfinite(missing) else 0.0, 1.0)),
                     percent(share, 1) + largest,
                     str(last_filter(recording)),
-                    str(len(events) - by_plates),
-                    str(by_plates),
+                    f"{len(events) - by_plates} | {by_plates}",
                     Cell(str(left_out), 0.6 if left_out else 0.0),
                     " | ".join(str(sum(cycle.side == side for cycle in analysis.cycles)) for side in "LR"),
                 ]
             )
     head = [
         "recording",
-        "samples of markers missing",
+        "labels",
+        "samples missing",
         "samples filled",
         "trajectories",
-        "events by markers",
-        "events by force plates",
+        "events by markers | plates",
         "steps on plates left out",
         "cycles left | right",
     ]
-    text = "Labels are taken as the files have them. A step on a plate is left out where it is not one foot alone, or not the whole foot."
-    return Section("Quality", text, table=Table(head, rows))
+    text = (
+        "Labels without a confidence are taken as the files have them. A step on a plate is left out where it is not one foot alone, or "
+        "not the whole foot."
+    )
+    return Section("Quality", text, table=Table(head, rows, left=2), drawing=drawn_steps(sessions))
+
+
+def _labels(recording: Recording) -> str | Cell:
+    """How many labels are certain, where the file says it of each."""
+    confidence = label_confidence(recording)
+    named = named_columns(recording)
+    if confidence is None:
+        return "as in the file"
+    certain = confidence[:, named][recording.visible[:, named]]
+    share = float((certain >= SURE).mean()) if certain.size else float("nan")
+    return Cell(f"{percent(share)} of {percent(SURE, 0)} or more", min(1.0, 10 * (1 - share)) if share < 1 else 0.0)
 
 
 def _filled(sessions: Sequence[GaitSession]) -> list[Section]:
@@ -165,24 +187,33 @@ def _filled(sessions: Sequence[GaitSession]) -> list[Section]:
 def _findings(sessions: Sequence[GaitSession]) -> list[Section]:
     """What was found out, once for all recordings that it is true of."""
     of: dict[tuple[str, str], list[str]] = {}
+    steps: list[list[str | Cell]] = []
     severe: dict[tuple[str, str], bool] = {}
     for session in sessions:
         for name, analysis in session.results:
             file = str(analysis.recording.metadata.get("file", "the recording"))
             for finding in analysis.findings:
+                if finding.code == _LEFT_OUT:
+                    steps.append([name, finding.sentence.removeprefix(f"{file}: "), finding.mend])
+                    continue
                 # The recording stands in a column of its own: paths would push the rest out of view.
                 what = finding.sentence.removeprefix(f"{file}: ").replace(file, "the recording")
                 key = (what[:1].upper() + what[1:], finding.mend)
                 of.setdefault(key, []).append(name)
                 severe[key] = severe.get(key, False) or finding.severity > Severity.NOTE
-    if not of:
-        return []
     rows: list[list[str | Cell]] = []
     for key in sorted(of, key=lambda one: not severe[one]):
         what, mend = key
         names = list(dict.fromkeys(of[key]))
         rows.append([Cell("look at this" if severe[key] else "note", 0.6 if severe[key] else 0.0), what, mend, ", ".join(names)])
-    return [Section("What to know", table=Table(["", "found", "what to do", "in"], rows, left=4))]
+    sections = [Section("What to know", table=Table(["", "found", "what to do", "in"], rows, left=4))] if rows else []
+    if steps:
+        # A treadmill has one of them in each second.
+        table = Table(["recording", "step", "what to do"], steps, left=3)
+        sections.append(
+            Section("Steps on plates left out", "They count in parameters and angles, not in moments and powers.", table=table, folded=True)
+        )
+    return sections
 
 
 def _events(sessions: Sequence[GaitSession]) -> list[Section]:
@@ -215,7 +246,7 @@ def _player(sessions: Sequence[GaitSession]) -> Section:
             shown.append(
                 ShownRecording(
                     name if not session.name else f"{session.name}: {name}",
-                    labelling_by_names(recording),
+                    labelling_by_names(recording, label_confidence(recording)),
                     recording.clouds(),
                     recording.first_frame,
                     start=min(max(start, 0), max(len(recording) - 1, 0)),

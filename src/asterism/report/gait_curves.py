@@ -1,8 +1,8 @@
-"""Sessions in; panels of angles, moments, powers and muscles over the gait cycle, left over left cycles and right over right, out."""
+"""Sessions in; panels of angles, moments and powers over the gait cycle, left over left cycles and right over right, out."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ import numpy as np
 from asterism.recording import Floats
 from asterism.report.cycle_panels import CurvesOfSide, CycleCurve, CyclePanel, drawn_panels
 from asterism.report.gait_session import SIDE, GaitSession
-from asterism.report.page import Section
+from asterism.report.page import Cell, Section, Table
 
 if TYPE_CHECKING:
     from asterism.gait import Band, Cycle, GaitAnalysis
@@ -70,13 +70,51 @@ def angle_section(sessions: Sequence[GaitSession], band: Band | None) -> list[Se
             control = (usual - spread, usual + spread)
         sides = curves_of_sides(sessions, of, f"{quantity}Angles", which)
         panels.append(CyclePanel(title, "°", _with_intervals(sides, sessions, f"{quantity}Angles", which), control))
+    models = dict.fromkeys(
+        one.clinical.model.title(one.recording) for session in sessions for one in session.analyses if one.clinical is not None
+    )
     text = (
         "From one strike of a foot to its next. Thin lines are single cycles, thick ones their means; upright lines are where the foot "
-        "leaves the floor. Angles of Plug-in-Gait, by the measures of the file or those given. The 95 % interval says where the "
-        "mean would be in another session with this person: with markers placed anew, and measured where nobody did. It is no spread of "
-        "the cycles."
+        f"leaves the floor. Angles of {' and '.join(models)}, by the measures of the file or those given."
     )
-    return [Section("Angles over the gait cycle", text, drawing=drawn_panels(panels, session_names(sessions)))]
+    if any(one.interval for panel in panels for one in panel.sides):
+        text += (
+            " The 95 % interval says where the mean would be in another session with this person: with markers placed anew, and measured "
+            "where nobody did. It is no spread of the cycles."
+        )
+    names = session_names(sessions)
+    sections = [Section("Angles over the gait cycle", text, drawing=drawn_panels(panels, names))]
+    if names is not None and (rows := _differences(panels)):
+        said = (
+            f"Of the mean curves, {names[1]} less {names[0]}. The interval holds 95 % of the differences that two sessions would show of "
+            "the same walk, with markers placed anew. Where a difference exceeds it, the walk has changed."
+        )
+        head = ["angle", "side", "mean difference, °", "largest, °", "at", "± 95 % there, °", "exceeds it over"]
+        sections.append(Section("Angles of two sessions", said, table=Table(head, rows, left=2)))
+    return sections
+
+
+def _differences(panels: Sequence[CyclePanel]) -> list[list[str | Cell]]:
+    """How far the later session's means are from the earlier one's, a row for each angle and side whose intervals are known."""
+    rows: list[list[str | Cell]] = []
+    for panel in panels:
+        for side in SIDE.values():
+            both = {one.earlier: one for one in panel.sides if one.side == side and one.cycles and one.interval is not None}
+            if len(both) < 2:
+                continue
+            apart = both[False].mean - both[True].mean
+            # Both sessions have their own errors of placement.
+            half = np.hypot(*(0.5 * (one.interval[1] - one.interval[0]) for one in both.values() if one.interval is not None))
+            known = np.isfinite(apart) & np.isfinite(half)
+            if not known.any():
+                continue
+            at = int(np.nanargmax(np.where(known, np.abs(apart), np.nan)))
+            share = float((np.abs(apart[known]) > half[known]).mean())
+            largest = Cell(f"{apart[at]:+.1f}", 0.6 if share > 0 else 0.0)
+            over = f"{100 * share:.0f} % of the cycle" if share > 0 else "no part"
+            mean = round(float(apart[known].mean()), 1) + 0.0
+            rows.append([panel.title, side, f"{mean:+.1f}", largest, f"{at} %", f"{half[at]:.1f}", over])
+    return rows
 
 
 def _with_intervals(sides: Sequence[CurvesOfSide], sessions: Sequence[GaitSession], curve: str, which: int) -> list[CurvesOfSide]:
@@ -100,16 +138,38 @@ def load_sections(sessions: Sequence[GaitSession]) -> list[Section]:
             continue
         of = {id(one): Curves(_inwards(one.loads), lambda name, one=one: one.loaded.get(name, ())) for one in chosen}  # type: ignore[misc]
         per = "/kg" if per_kg else ""
-        panels = [CyclePanel(title, unit + per, curves_of_sides(sessions, of, name, which)) for name, which, title, unit in LOADS]
+        panels = [
+            CyclePanel(title, unit + per, _with_load_intervals(curves_of_sides(sessions, of, name, which), sessions, set(of), name, which))
+            for name, which, title, unit in LOADS
+        ]
         counted = {side: sum(len(one.loads.get(f"{side}HipMoment", ())) for one in chosen) for side in SIDE}
         text = (
             f"Over {counted['L']} left and {counted['R']} right cycles in which one foot alone was on a plate. Moments are those that the "
-            "muscles and ligaments of the person make; a power above zero is work that they do, below zero work that they take up."
+            "muscles and ligaments of the person make; a power above zero is work that they do, below zero work that they take up. "
+            "The 95 % interval is what forces, centres of pressure, joint centres, masses and turning speeds leave open."
         )
         if not per_kg:
             text += " Nobody gave the mass of the person, so that they are not per kg and leave out the leg's inertia."
         sections.append(Section("Moments and powers over the gait cycle", text, drawing=drawn_panels(panels, session_names(sessions))))
     return sections
+
+
+def _with_load_intervals(
+    sides: Sequence[CurvesOfSide], sessions: Sequence[GaitSession], chosen: Collection[int], curve: str, which: int
+) -> list[CurvesOfSide]:
+    """With what is uncertain of each session's mean: cycles share their joint centres and plates, so that many are no better than one."""
+    letters = {side: letter for letter, side in SIDE.items()}
+    found = []
+    for number, one in enumerate(sides):
+        name = letters[one.side] + curve
+        # only those in the same unit: see `load_sections`
+        own = [analysis for analysis in sessions[number // len(SIDE)].analyses if id(analysis) in chosen]
+        known = [analysis.load_sigmas[name] for analysis in own if name in analysis.load_sigmas]
+        if known and one.cycles:
+            half = 1.96 * np.concatenate(known)[:, :, which].mean(axis=0)
+            one = replace(one, interval=(one.mean - half, one.mean + half))
+        found.append(one)
+    return found
 
 
 def _inwards(loads: Mapping[str, Floats]) -> dict[str, Floats]:

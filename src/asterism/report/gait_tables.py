@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +14,7 @@ from asterism.report.page import NOTHING, Cell, Section, Table, decimal
 if TYPE_CHECKING:
     from asterism.gait import Band, ParameterSummary
 
-_DIGITS = {"m": 3, "s": 2, "m/s": 2, "": 2}
+_DIGITS = {"m": 3, "s": 3, "m/s": 3, "": 3}
 """Behind the point, by unit; one elsewhere."""
 _FAR = 2.0
 """Standard deviations of the controls from which a mean is marked: about one control of twenty is as far."""
@@ -26,17 +25,15 @@ _MEASURES = {"leg_length": "leg length", "knee_width": "knee width", "ankle_widt
 def person_section(sessions: Sequence[GaitSession]) -> Section:
     """Who walked, and the measures that the angles rest on, a column for each session."""
     columns = [_person(session) for session in sessions]
-    rows: list[list[str | Cell]] = [[title, *(column[title] for column in columns)] for title in columns[0]]
+    titles = dict.fromkeys(title for column in columns for title in column)
+    rows: list[list[str | Cell]] = [[title, *(column.get(title, NOTHING) for column in columns)] for title in titles]
     assumed = any(isinstance(cell, Cell) and "assumed" in cell.text for row in rows for cell in row)
     note = "An assumed measure is an adult's: give the person's own with --measure." if assumed else ""
     return Section("The person", table=Table(["", *(session.name for session in sessions)], rows, left=1 + len(sessions)), note=note)
 
 
 def _person(session: GaitSession) -> dict[str, str | Cell]:
-    from asterism.recording import subject_of
-
-    names = [str(one.recording.metadata.get("subject") or "") or Path(subject_of(one.recording)).name for one in session.analyses]
-    people = [name for name in dict.fromkeys(names) if name]
+    people = list(dict.fromkeys(str(name) for one in session.analyses if (name := one.recording.metadata.get("subject"))))
     found: dict[str, str | Cell] = {
         "person": Cell(", ".join(people) or NOTHING, 0.6 if len(people) > 1 else 0.0),
         "walks": ", ".join(name for name, _ in session.results),
@@ -44,7 +41,12 @@ def _person(session: GaitSession) -> dict[str, str | Cell]:
     clinical = next((one.clinical for one in session.analyses if one.clinical is not None), None)
     mass = None if clinical is None else clinical.subject.mass
     found["body mass"] = NOTHING if mass is None else f"{mass:.1f} kg"
-    for name, title in _MEASURES.items():
+    if clinical is not None:
+        walk = next(one.recording for one in session.analyses if one.clinical is clinical)
+        found["angles by"] = f"{clinical.model.title(walk)}; hip centres by {clinical.model.hip}"
+    # Other models take no widths: their markers stand on both sides of a joint.
+    plug_in_gait = clinical is None or clinical.model.name == "plug-in-gait"
+    for name, title in _MEASURES.items() if plug_in_gait else ():
         told, doubtful = [], False
         for letter, side in SIDE.items():
             leg = None if clinical is None else clinical.subject.of(letter)
@@ -71,25 +73,26 @@ def parameter_section(session: GaitSession, band: Band | None) -> Section:
             continue
         digits = _DIGITS.get(unit, 1)
         row: list[str | Cell] = [f"{name}, {unit}" if unit else name]
-        for side, one in own.items():
-            row += [_mean(session, one, name, side, controls), decimal(one.deviation, digits) if one else NOTHING]
-        more = apart.get(name)
-        row.append("" if more is None else f"{round(more.value, 1) + 0.0:+.1f} ± {more.sigma:.1f}")
+        row += [_mean(session, one, name, side, controls) for side, one in own.items()]
         if controls:
             usual = controls.get(name)
             row.append(NOTHING if usual is None else f"{usual[0]:.{digits}f} ± {usual[1]:.{digits}f}")
             row.append(Cell("", drawing="" if usual is None else _strip(usual, own)))
+        more = apart.get(name)
+        row.append("" if more is None else f"{round(more.value, 1) + 0.0:+.1f} ± {more.sigma:.1f}")
+        row.append(" | ".join(decimal(one.deviation, digits) if one else NOTHING for one in own.values()))
         rows.append(row)
     text = (
         "Means over the cycles. ± is how exactly strikes and offs tell the mean, one standard uncertainty; SD is the spread of the cycles. "
     )
-    text += "A number leads to the cycle that is nearest to it."
-    head = ["parameter", "left", "SD", "right", "SD", "left more than right, %"]
+
+    head = ["parameter", "left", "right"]
     if controls and band is not None:
-        head += [f"{band.people} controls, mean ± SD", "against the controls"]
-        text += f" Marked: farther than {_FAR:g} SD from the controls' mean; the grey strip is that wide."
+        head += [f"{band.people} controls, mean ± SD", "position"]
+        text += f" Marked: farther than {_FAR:g} SD from the controls' mean; the grey strip is that wide. A circle is left, a square right."
     elif band is not None:
         text += " The band of controls has no parameters; save it again with --save-band."
+    head += ["left more than right, %", "SD left | right"]
     return Section("Parameters", text, table=Table(head, rows), drawing=_LEADS)
 
 
@@ -184,6 +187,10 @@ def score_sections(sessions: Sequence[GaitSession], band: Band | None) -> list[S
     rows.append(["Gait Profile Score", *(decimal(float(np.degrees(of[one].gps)), 1) if one in of else NOTHING for one in columns)])
     head = ["angle", *(", ".join(filter(None, (SIDE[side], sessions[number].name))) for number, side in columns)]
     text = f"Degrees from the mean of {band.people} people, root mean square over the cycle (Baker et al. 2009)."
+    indices = {one: score.gdi for one, score in of.items() if score.gdi is not None}
+    if indices:
+        rows.append(["Gait Deviation Index", *(decimal(indices[one], 0) if one in indices else NOTHING for one in columns)])
+        text += " The index is 100 for the mean of these people, and 10 less for each standard deviation of theirs (GDI*)."
     return [Section("Scores", text, table=Table(head, rows))]
 
 

@@ -178,14 +178,12 @@ def _row_text(row: Mapping[str, Any]) -> str:
 
 def _merits(recordings: Sequence[LabelledRecording], rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
     """The figures at the head of the page."""
-    confidence = [one.labelling.confidence[one.given] for one in recordings]
     merits = [
         (count(_total(rows, "frames")), "frames" if len(rows) < 2 else f"frames in {len(rows)} files", ""),
         (percent(_share(rows, "labelled"), 2), "of the markers labelled", ""),
         *([(percent(_share(rows, "likely"), 2), "likely", "")] if any("likely" in row for row in rows) else []),
         (percent(_share(rows, "unsure"), 2), "unsure", "warn" if _share(rows, "unsure") > _MANY_UNSURE else ""),
         (percent(_share(rows, "hidden"), 2), "hidden", ""),
-        (percent(_mean(np.concatenate([np.zeros(0), *confidence]) >= SURE), 2), "of the labels have a confidence of 99 % or more", ""),
     ]
     # The truth is known of simulated files only.
     checked = [one.wrong[one.given] for one in recordings if one.wrong is not None]
@@ -215,7 +213,7 @@ _NOTE = (
 
 def _files(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Table:
     nan = float("nan")
-    judged, likely = any(row.get("verdict") for row in rows), any("likely" in row for row in rows)
+    judged, likely = any(row.get("verdict") or row.get("use") for row in rows), any("likely" in row for row in rows)
     head = ["file", *(["verdict"] if judged else []), "frames", "labelled", *(["likely"] if likely else []), "unsure", "hidden", "frames/s"]
     return Table(
         head,

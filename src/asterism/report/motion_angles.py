@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.recording import Floats
+from asterism.recording import Floats, Recording
 from asterism.report import figures
+from asterism.report.cycle_panels import CurvesOfSide, CycleCurve, CyclePanel, drawn_panels
+from asterism.report.gait_session import SIDE
+from asterism.report.limb_names import joint_name
 from asterism.report.page import NOTHING, Cell, Section, Table
 
 if TYPE_CHECKING:
+    from asterism.gait import Cycle
     from asterism.motion.analysis import JointAngles, MotionAnalysis
     from asterism.motion.clinical import ClinicalAngles, ClinicalUncertainty
 
@@ -19,10 +24,85 @@ _GAPS = (0.06, 0.1)
 """Space between the rows and between the columns of small figures, shares of the whole."""
 
 
-def clinical_section(name: str, times: Floats, clinical: ClinicalAngles, known: ClinicalUncertainty | None) -> Section:
-    """Flexion, adduction and rotation of hip, knee and ankle over time, left and right in one small figure each; bands if known."""
-    from asterism.motion.clinical import CLINICAL
+def clinical_section(name: str, recording: Recording, clinical: ClinicalAngles, known: ClinicalUncertainty | None) -> Section:
+    """Flexion, adduction and rotation of hip, knee and ankle, left and right in one small figure each; bands if known.
+
+    Over the gait cycle where the recording shows whole ones, over time elsewhere.
+    """
     from asterism.motion.clinical.uncertainty import TRIED_ON
+
+    measured = sorted({measure for one in clinical.measures.values() for measure in one.from_file})
+    taken = f"Measures that are known: {', '.join(measured).replace('_', ' ')}." if measured else "No measure is known: an adult's."
+    model = clinical.model
+    text = f"By {model.title(recording)}, hip centres by {model.hip}. Flexion, adduction and internal rotation are positive."
+    cycles = gait_cycles(recording)
+    if cycles:
+        counted = " and ".join(f"{sum(one.side == letter for one in cycles)} {side}" for letter, side in SIDE.items())
+        text += f" Over {counted} cycles, from one strike of a foot to its next: thin lines are cycles, thick ones their means."
+    return Section(
+        f"{name}: hips, knees and ankles" + (" over the gait cycle" if cycles else ""),
+        text + (f" Bands: nominal 95 % intervals. {TRIED_ON}" if known is not None else ""),
+        figure=None if cycles else _over_time(recording.times, clinical, known),
+        drawing=_over_cycles(recording, cycles, clinical, known) if cycles else "",
+        table=_clinical_budget(known) if known is not None else None,
+        note=f"{taken} The foot is a line from ankle to toe, which tells no adduction." if clinical.model.name == "plug-in-gait" else "",
+    )
+
+
+def gait_cycles(recording: Recording) -> list[Cycle]:
+    """Whole gait cycles; none where feet or pelvis have no markers, or nobody walks."""
+    from asterism.formats import force_plates
+    from asterism.gait import cycles_of, find_events
+
+    try:
+        return cycles_of(find_events(recording, force_plates(recording)[0]))
+    except AsterismError:
+        return []
+
+
+def _over_cycles(recording: Recording, cycles: Sequence[Cycle], clinical: ClinicalAngles, known: ClinicalUncertainty | None) -> str:
+    """A panel for each angle that is known, three in a row."""
+    from asterism.motion.clinical import CLINICAL
+
+    panels = []
+    for joint in dict.fromkeys(joint.joint for joint in clinical.joints):
+        for column, angle in enumerate(CLINICAL):
+            sides = []
+            for number, one in enumerate(clinical.joints):
+                own = [cycle for cycle in cycles if SIDE[cycle.side] == one.side]
+                if one.joint != joint or not own or not np.isfinite(one.angles[:, column]).any():
+                    continue
+                curves = curves_over(one.angles[:, column], recording.rate, own)
+                ends = None
+                if known is not None:
+                    low, high = (mean_over(end[:, column], recording.rate, own) for end in known.joints[number].intervals[0.95])
+                    ends = (low, high)
+                sides.append(CurvesOfSide(one.side, curves, 100 * float(np.mean([cycle.off_share for cycle in own])), ends))
+            if sides:
+                panels.append(CyclePanel(f"{joint} {angle}", "°", sides))
+    return drawn_panels(panels, interval="nominal 95 % interval")
+
+
+def curves_over(values: Floats, rate: float, cycles: Sequence[Cycle]) -> list[CycleCurve]:
+    """A curve (T,) in rad over each cycle, degrees."""
+    from asterism.gait import over_cycle
+
+    return [
+        CycleCurve(over_cycle(np.degrees(values), rate, cycle), f"{SIDE[cycle.side]}, cycle {place + 1}")
+        for place, cycle in enumerate(cycles)
+    ]
+
+
+def mean_over(values: Floats, rate: float, cycles: Sequence[Cycle]) -> Floats:
+    """(101,) degrees, the mean over cycles of a curve in rad."""
+    from asterism.gait import over_cycle
+
+    return np.asarray(np.degrees(np.mean([over_cycle(values, rate, cycle) for cycle in cycles], axis=0)))
+
+
+def _over_time(times: Floats, clinical: ClinicalAngles, known: ClinicalUncertainty | None) -> figures.Figure:
+    """Small figures over time in a grid."""
+    from asterism.motion.clinical import CLINICAL
 
     joints = list(dict.fromkeys(joint.joint for joint in clinical.joints))
     data: list[dict[str, object]] = []
@@ -45,16 +125,7 @@ def clinical_section(name: str, times: Floats, clinical: ClinicalAngles, known: 
                 values, hover = np.round(np.degrees(one.angles[:, column]), 3), one.name + " " + angle + " %{x:.2f} s: %{y:.1f}°"
                 style = {"line": {**side, "width": 2}, "showlegend": cell == 0}
                 data.append(figures.line(list(times), values, one.side, hover, **style, **group))
-    measured = sorted({measure for one in clinical.measures.values() for measure in one.from_file})
-    taken = f"Measures from the file: {', '.join(measured).replace('_', ' ')}." if measured else "The file has no measures: an adult's."
-    text = "Of Grood and Suntay, by the markers of Helen Hayes or Plug-in-Gait. Flexion, adduction and internal rotation are positive."
-    return Section(
-        f"{name}: clinical angles",
-        text + (f" Bands: nominal 95 % intervals. {TRIED_ON}" if known is not None else ""),
-        figure=figures.figure(data, height=230 * len(joints) + 40, **layout),
-        table=_clinical_budget(known) if known is not None else None,
-        note=f"{taken} The foot is a line from ankle to toe, which tells no adduction.",
-    )
+    return figures.figure(data, height=230 * len(joints) + 40, **layout)
 
 
 def _clinical_budget(known: ClinicalUncertainty) -> Table:
@@ -79,7 +150,7 @@ def _axes(cell: int, row: tuple[int, int], column: tuple[int, int], title: str, 
     return figures.cell_axes(cell, across, figures.titled(title, domain=[max(top - high, 0.0), top]))
 
 
-def methods_section(name: str, analysis: MotionAnalysis) -> list[Section]:
+def methods_section(name: str, analysis: MotionAnalysis, limbs: Sequence[str]) -> list[Section]:
     """The angle of the joint that turns most, by every method of `estimate_limb_motion`, and how far each is from the one in use."""
     if not analysis.angles:
         return []
@@ -103,7 +174,7 @@ def methods_section(name: str, analysis: MotionAnalysis) -> list[Section]:
     across = figures.titled("time (s)", anchor="y2")
     return [
         Section(
-            f"{name}: {joint.name} by each method",
+            f"{name}: {joint_name(joint, limbs)} by each method",
             f"The joint that turns most, its limbs' points weighed in five ways. Below: how far each is from {used}, which this page uses.",
             figure=figures.figure(data, height=560, xaxis=across, yaxis=upper, yaxis2=lower),
             table=Table(["method", "mean difference, °", "largest, °", "weights below half the mean, %"], rows),

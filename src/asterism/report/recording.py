@@ -11,7 +11,7 @@ from tempfile import mkdtemp
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.recording import NULL, Labelling, Recording
+from asterism.recording import NULL, Floats, Labelling, Recording
 from asterism.recording.marker_set import is_unnamed
 from asterism.report.page import Page, Section, count, percent, write_page
 from asterism.report.player import ShownRecording, pack_recordings
@@ -77,10 +77,31 @@ def named_columns(recording: Recording) -> list[int]:
     return [column for column, label in enumerate(recording.labels) if not is_unnamed(label)]
 
 
-def labelling_by_names(recording: Recording) -> Labelling:
-    """The recording's own names as a labelling of its clouds, each certain."""
+def label_confidence(recording: Recording) -> Floats | None:
+    """(T, N) of the recording's own labels, as its file has it; None where the file has none, or is of other frames."""
+    from asterism.formats import read_confidence
+
+    file = str(recording.metadata.get("file", ""))
+    if not file or not Path(file).is_file():
+        return None
+    try:
+        known = read_confidence(file)
+    except AsterismError:
+        return None
+    if known is None or len(known.values) != len(recording):
+        return None
+    found = np.ones(recording.visible.shape)
+    for column, label in enumerate(recording.labels):
+        if label in known.names:
+            found[:, column] = known.values[:, known.names.index(label)]
+    return found
+
+
+def labelling_by_names(recording: Recording, confidence: Floats | None = None) -> Labelling:
+    """The recording's own names as a labelling of its clouds, each certain where no confidence (T, N) is given."""
     visible, named = recording.visible, named_columns(recording)
     # A visible column is the point of its frame's cloud at this place.
     place = np.cumsum(visible, axis=1) - 1
-    shown = visible[:, named]
-    return Labelling(np.where(shown, place[:, named], NULL), np.where(shown, 1.0, 0.0), tuple(recording.labels[column] for column in named))
+    shown, names = visible[:, named], tuple(recording.labels[column] for column in named)
+    certain = 1.0 if confidence is None else confidence[:, named]
+    return Labelling(np.where(shown, place[:, named], NULL), np.where(shown, certain, 0.0), names)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from asterism.findings import Finding, Severity
+from asterism.labelling.correction.readiness import READY
 from asterism.report.page import NOTHING, Cell, Page, Section, Table, findings_table, write_page
 
 
@@ -43,20 +43,21 @@ def _persons(rows: Sequence[Mapping[str, Any]], persons: Sequence[str]) -> Table
     for person in persons:
         own = [row for row in rows if row["person"] == person]
         report = next((row["report"] for row in own if row.get("report")), "")
-        uses = Counter(str(row.get("use") or NOTHING) for row in own)
+        look_at = sum(row.get("look_at") or 0 for row in own)
         speeds = [row["speed"] for row in own if row.get("speed") is not None]
         cadences = [row["cadence"] for row in own if row.get("cadence") is not None]
         lines.append(
             [
                 Cell(person, href=report),
-                ", ".join(f"{count} {use}" for use, count in uses.most_common()),
                 str(len(own)),
+                str(sum(row.get("readiness") == READY for row in own)),
+                Cell(str(look_at), tint=1.0 if look_at else 0.0),
                 str(sum(row.get("cycles") or 0 for row in own)),
                 f"{sum(cadences) / len(cadences):.1f}" if cadences else NOTHING,
                 f"{sum(speeds) / len(speeds):.2f}" if speeds else NOTHING,
             ]
         )
-    return Table(["person", "labels", "recordings", "cycles", "steps/min", "m/s"], lines, left=2)
+    return Table(["person", "recordings", "ready", "to look at", "cycles", "steps/min", "m/s"], lines)
 
 
 def _recordings(rows: Sequence[Mapping[str, Any]]) -> Table:

@@ -51,7 +51,7 @@ def rig_in_space(
         hover = place + ("" if values is None else ": %{marker.color:.3r}") + "<extra></extra>"
         data.append(in_space(np.asarray(points) @ turn.T, marker=marker, hovertemplate=hover, showlegend=False))
     axis = titled("", backgroundcolor="#f7f9fc", gridcolor="#dfe5ee", showspikes=False, ticksuffix=" m", nticks=6)
-    view = {"eye": {"x": 1.1, "y": -1.35, "z": 0.95}, "center": {"x": 0, "y": 0, "z": -0.12}}
+    view = {"eye": {"x": 1.27, "y": -1.55, "z": 1.09}, "center": {"x": 0, "y": 0, "z": -0.12}}
     scene = {"aspectmode": "data", "xaxis": axis, "yaxis": axis, "zaxis": axis, "camera": view}
     return figure(data, height=520, scene=scene)
 
@@ -72,10 +72,12 @@ def slices(result: RigMap, values: Floats, vertical: Floats, what: str, shades: 
     for n, layer in enumerate(layers):
         left, right = (n + 0.05) / len(layers), (n + 0.91) / len(layers)
         side = {"showgrid": False, "zeroline": False, "ticksuffix": " m", "nticks": 4, "tickfont": {"size": 10}, "constrain": "domain"}
+        # narrow maps stand close beside each other: few numbers below them, or these touch
+        level = {**side, "nticks": 3, "showticksuffix": "last"}
         height = float(result.axes[axis][layer] * np.sign(vertical[axis]))
         title = {"text": f"{height:.1f} m high", "font": {"size": 12}}
         up = {**side, "scaleanchor": "x" + ("" if n == 0 else str(n + 1)), "showticklabels": n == 0}
-        axes, sides = cell_axes(n, {**side, "title": title, "domain": [left, right]}, up)
+        axes, sides = cell_axes(n, {**level, "title": title, "domain": [left, right]}, up)
         layout |= sides
         data.append(
             {

@@ -157,8 +157,10 @@ def _of_axes(c: int) -> dict[str, str]:
 def _picture(result: ViewsLabelling, c: int, frame: int) -> tuple[list[dict[str, Any]], _Extent, list[dict[str, Any]]]:
     """The traces of one camera's image in a frame, the part of it that is shown, and the names beside the person."""
     camera, blobs = result.rig.cameras[c], result.blobs
-    cell = frame * len(result.rig) + c
-    rows = slice(blobs.offsets[cell], blobs.offsets[cell + 1])
+    # A late camera has this frame's blobs under a later number.
+    taken = frame + int(result.late[c])
+    cell = taken * len(result.rig) + c
+    rows = slice(*blobs.offsets[cell : cell + 2]) if 0 <= taken < len(blobs) else slice(0)
     xy, labels = blobs.xy[rows], result.labels[rows]
     traces: list[dict[str, Any]] = []
     names = np.array(result.body.labels)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -95,17 +95,19 @@ class LabelledFile:
         sentence = f"{self.path}: {100 * self.readiness.error:.0f} % of the labels are expected to be wrong or missing, do not use them."
         # a model has its own marker set
         mend = "Name the marker set that is worn with --markers, or look" if self.worn else "Look"
-        mend += " at the labels with `asterism review`."
+        mend += " at the labels with `asterism review`"
+        # where no model was given, the set that was taken may be the mistake
+        mend += ", or name the points once by clicking with `asterism review --serve --by-hand`." if self.worn else "."
         return (*self.found, Finding("label-do-not-use", Severity.WARNING, str(self.path), sentence, mend))
 
     def correction(self) -> Correction:
         """The labels, to be corrected by a person; of a recording that is in memory."""
         return Correction(self.models, self.about, first=FirstLabels(self.labeller, self.labelling, self.bodies, self.found))
 
-    def corrected(self, correction: Correction) -> LabelledFile:
-        """The same file under the labels that a person has corrected."""
+    def corrected(self, correction: Correction, finish: Callable[[Recording], Recording] | None = None) -> LabelledFile:
+        """The same file under the labels that a person has corrected; finish: what else is done to it before it is written."""
         # what was found and the verdict stay: they are on what the models said
-        return replace(self, labelling=correction.labelling, copy=self.copy.corrected(correction))
+        return replace(self, labelling=correction.labelling, copy=self.copy.corrected(correction, finish))
 
     def write(self, target: Path | str, *, program: str | None = None, drop_computed: bool = False) -> list[str]:
         """Write the labelled recording; returns what the file cannot hold.

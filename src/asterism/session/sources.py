@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +21,8 @@ from asterism.labelling.review_in_pieces import ReviewInPieces
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording, label_states
 from asterism.session.names import under_names_of_set
 from asterism.session.options import IGNORE, LabellingOptions
+
+Finish = Callable[[Recording], Recording]
 
 
 class FrameSource(Protocol):
@@ -86,8 +89,8 @@ class LabelledCopy(Protocol):
         """Write it; returns what the file cannot hold."""
         ...
 
-    def corrected(self, correction: Correction) -> LabelledCopy:
-        """The recording under labels that a person has corrected."""
+    def corrected(self, correction: Correction, finish: Finish | None = None) -> LabelledCopy:
+        """The recording under labels that a person has corrected; finish: what else is done to it before it is written."""
         ...
 
 
@@ -155,11 +158,13 @@ class _CopyInMemory:
     keep_names: bool
     by: str
     correction: Correction | None = None
+    finish: Finish | None = None
 
     @cached_property
     def recording(self) -> Recording:
         labelled = self.named.with_labelling(self.labelling, self.clouds, keep_names=self.keep_names, by=self.by)
-        return labelled if self.correction is None else self.correction.logged(labelled)
+        corrected = labelled if self.correction is None else self.correction.logged(labelled)
+        return corrected if self.finish is None else self.finish(corrected)
 
     def items(self) -> list[ReviewItem]:
         return review(self.labelling, self.clouds)
@@ -171,8 +176,8 @@ class _CopyInMemory:
             return formats.write_for_program(written, program, target, **marks)
         return formats.write(target, written, **marks)
 
-    def corrected(self, correction: Correction) -> _CopyInMemory:
-        return replace(self, labelling=correction.labelling, correction=correction)
+    def corrected(self, correction: Correction, finish: Finish | None = None) -> _CopyInMemory:
+        return _CopyInMemory(self.named, self.clouds, correction.labelling, self.keep_names, self.by, correction, finish)
 
 
 class _ByRanges:
@@ -269,7 +274,7 @@ class _CopyByRanges:
             labelled = replace(labelled, head=formats.without_computed(labelled.head))
         return write_long(target, self.long.file, labelled)
 
-    def corrected(self, correction: Correction) -> _CopyByRanges:
+    def corrected(self, correction: Correction, finish: Finish | None = None) -> _CopyByRanges:
         raise ValueError("a recording is corrected in memory; label it so")
 
 

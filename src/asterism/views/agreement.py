@@ -70,7 +70,7 @@ def _lowered(
 ) -> ViewsLabelling:
     """The labelling with the confidence that disagreement leaves. differs, compared (T, M); certain (T, M): of the model's other name."""
     given = np.nonzero(result.labels >= 0)[0]
-    at = (result.blobs.frame_of[given], result.labels[given])
+    at = (result.frame_of[given], result.labels[given])
     # Nothing is quite certain: an odds ratio of certainties would else be zero divided by zero.
     p = np.clip(result.confidence[given], 0.0, 1.0 - _DOUBT)
     q = np.clip(certain[at], 0.0, 1.0 - _DOUBT)
@@ -84,7 +84,7 @@ def _lowered(
     # A withdrawn label takes its sighting with it; a marker without sightings has no place any more.
     views = np.zeros_like(result.views)
     some = labels >= 0
-    np.add.at(views, (result.blobs.frame_of[some], labels[some]), 1)
+    np.add.at(views, (result.frame_of[some], labels[some]), 1)
     gone = (views == 0) & (result.views > 0)
     positions = np.where(gone[:, :, None], np.nan, result.positions)
     covariances = np.where(gone[:, :, None, None], np.nan, result.covariances)

@@ -10,7 +10,6 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.recording import Floats, Ints, canonical
 from asterism.views.body import ArticulatedBody
-from asterism.views.lateness import late_by
 from asterism.views.result import ViewsLabelling
 from asterism.views.rig_fit import CameraAgreement
 from asterism.views.rules import RULES
@@ -144,8 +143,8 @@ def failed_frames(why: Mapping[int, str], first_frame: int) -> list[Finding]:
     return [Finding("views-frame-failed", Severity.WARNING, which, sentence, mend)]
 
 
-def findings(result: ViewsLabelling, fit: CameraAgreement) -> list[Finding]:
-    """What a person should know before using the labels; fit: how the cameras agree."""
+def findings(result: ViewsLabelling, fit: CameraAgreement, late: Floats) -> list[Finding]:
+    """What a person should know before using the labels; fit: how the cameras agree; late (C,) frames, see `late_by`."""
     blobs, body = result.blobs, result.body
     counts = blobs.counts
     there = np.isfinite(result.poses[:, 0])
@@ -158,12 +157,12 @@ def findings(result: ViewsLabelling, fit: CameraAgreement) -> list[Finding]:
         found.append(
             Finding("views-empty-camera", Severity.WARNING, name, sentence, "Check that it recorded, and that its blobs are in the file.")
         )
-    late = late_by(result, fit.noise, fit.left_out)
     for k in np.nonzero(np.abs(np.nan_to_num(late)) > 0)[0].tolist():
         name, frames = blobs.cameras[k], abs(float(late[k]))
         way = "late" if late[k] > 0 else "early"
-        sentence = f"camera {name} is about {frames:.1f} frames {way} against {_others(blobs.cameras, k)}."
-        mend = "Check how the cameras are triggered, or shift the frames of this camera in the file; then label again."
+        whole = "; its blobs count in the frames that they show" if result.late[k] else ""
+        sentence = f"camera {name} is about {frames:.1f} frames {way} against {_others(blobs.cameras, k)}{whole}."
+        mend = "Check how the cameras are triggered, or renumber the frames of this camera in the file; then label again."
         found.append(Finding("views-camera-late", Severity.WARNING, name, sentence, mend))
     losing = [c for c in np.nonzero(result.detected < _LOSES)[0].tolist() if c not in fit.left_out]
     if losing:
@@ -180,7 +179,13 @@ def findings(result: ViewsLabelling, fit: CameraAgreement) -> list[Finding]:
         )
         mend = "Give the rig of this recording; find moved cameras with `asterism calibrate refine`."
         found.append(Finding("views-rig-inexact", Severity.WARNING, "", sentence, mend))
-    for c in fit.left_out:
+    if len(fit.mirrored):
+        which = ", ".join(blobs.cameras[c] for c in fit.mirrored)
+        got = "no label was given" if len(np.setdiff1d(fit.mirrored, fit.left_out)) else "they got no labels"
+        sentence = f"the images of {which} are mirrored: with left and right exchanged they show the body as the rig lets expect; {got}."
+        mend = "Save them unmirrored, or count x from the other side, and label again."
+        found.append(Finding("views-images-mirrored", Severity.ERROR, which, sentence, mend))
+    for c in np.setdiff1d(fit.left_out, fit.mirrored).tolist():
         name = blobs.cameras[c]
         sentence = f"camera {name} does not fit the others: its blobs are not where they have the markers; it got no labels."
         mend = "Give the rig of this recording; find moved cameras with `asterism calibrate refine`."

@@ -10,11 +10,12 @@ from asterism.cameras import Rig
 from asterism.errors import AsterismError
 from asterism.files.journal import Journal
 from asterism.progress import Progress
-from asterism.recording import NULL, Blobs, Floats
+from asterism.recording import NULL, Blobs, Floats, Ints
 from asterism.views import checks
 from asterism.views.body import ArticulatedBody
 from asterism.views.body_file import load_body
 from asterism.views.frame import FrameLabeller
+from asterism.views.lateness import in_step, late_by
 from asterism.views.passes import DirectionalTracker, ScoredFrame, Starts, joined
 from asterism.views.personal import PERSONAL, personal_body, spread_frames
 from asterism.views.result import ViewsLabelling
@@ -24,6 +25,8 @@ from asterism.views.scene import scene_of
 
 _DOUBTFUL = 0.3
 """The highest confidence of labels that were not given because the whole does not fit."""
+_TRIES = 3
+"""Times that everything is labelled anew after a delay was found: labels of a camera that is far out of step show less than all of it."""
 _EVERY = 3
 """Every third of the frames by which the person is learned says how the cameras fit: eight of them, some 400 blobs of four cameras."""
 
@@ -52,7 +55,8 @@ def label_views(
     height  m, of the person, where it is known
     journal what was found in each frame is kept there; frames that it holds are not labelled again, and the result is the same
 
-    A frame whose labelling fails has no labels, which is a finding.
+    A camera that is late by a frame or more is labelled in the frames that it shows, see `ViewsLabelling.late`. A frame whose labelling
+    fails has no labels, which is a finding.
 
     Raises AsterismError where the rig lacks a camera, a pose or a vertical, and where the body's left markers are on its right.
     O(T (P M + M D^2)) for P blobs of a frame and D numbers of a pose.
@@ -61,20 +65,69 @@ def label_views(
     checks.refuse_mirrored(body)
     size = None if height is None else height / body.height
     labeller = FrameLabeller(scene_of(blobs, rig, usual=rules.shown), body, rules, size)
-    fit = fit_rig(labeller, spread_frames(labeller, PERSONAL.frames)[::_EVERY])
     keeping = _Keeping(journal, progress)
-    result = _labelled(labeller, body, fit, least_confidence, keeping)
+    done, behind, rows = (
+        _settled(labeller, body, least_confidence, keeping),
+        np.zeros(len(blobs.cameras), dtype=np.int64),
+        np.arange(len(blobs.xy)),
+    )
+    late = _late(done)
+    for _ in range(_TRIES):
+        step = np.rint(late).astype(np.int64)
+        if not step.any():
+            break
+        # A late camera is labelled in the frames that it shows; were the delay an error, the cameras would agree less.
+        moved, there = in_step(blobs, behind + step)
+        other = _settled(replace(labeller, scene=scene_of(moved, rig, usual=rules.shown)), body, least_confidence, keeping)
+        if other.gain <= done.gain:
+            late = np.where(step == 0, late, 0.0)
+            break
+        done, behind, rows, late = other, behind + step, there, _late(other)
+    result, late = replace(done.result, late=behind), late + behind
+    findings = (*checks.failed_frames(keeping.failed, blobs.first_frame), *checks.findings(result, done.fit, late))
+    return replace(_of_all_blobs(result, blobs, rows), findings=findings)
+
+
+@dataclass(frozen=True, eq=False)
+class _Settled:
+    """A labelling by the cameras that fit, how they agree, and the gain of all frames (nats)."""
+
+    result: ViewsLabelling
+    fit: CameraAgreement
+    gain: float
+
+
+def _settled(labeller: FrameLabeller, body: ArticulatedBody, least_confidence: float, keeping: _Keeping) -> _Settled:
+    """The labelling by the cameras that fit each other; without any label where nobody knows which do."""
+    fit = fit_rig(labeller, spread_frames(labeller, PERSONAL.frames)[::_EVERY])
+    result, gain = _labelled(labeller, body, fit, least_confidence, keeping)
     more = checks.misfits(result, fit)
     # A camera that was moved half-way fits in some frames: it is left out and everything is done again.
     if len(more):
         fit = replace(fit, left_out=np.concatenate([fit.left_out, more]), found={})
-        result = _labelled(labeller, body, fit, least_confidence, keeping)
+        result, gain = _labelled(labeller, body, fit, least_confidence, keeping)
         # Where the remaining cameras still contradict each other nobody knows which of them is right.
         if len(checks.misfits(result, fit)):
             result = _withdrawn(result)
-    if checks.is_contradicted(result, fit.left_out) or checks.is_other_body(result):
+    # Labels of mirrored images are those of the other side.
+    mirrored = len(np.setdiff1d(fit.mirrored, fit.left_out)) > 0
+    if mirrored or checks.is_contradicted(result, fit.left_out) or checks.is_other_body(result):
         result = _withdrawn(result)
-    return replace(result, findings=(*checks.failed_frames(keeping.failed, blobs.first_frame), *checks.findings(result, fit)))
+    return _Settled(result, fit, gain)
+
+
+def _late(done: _Settled) -> Floats:
+    """(C,) frames by which cameras are still late; 0 where nothing is certain."""
+    late: Floats = np.nan_to_num(late_by(done.result, done.fit.noise, done.fit.left_out))
+    return late
+
+
+def _of_all_blobs(result: ViewsLabelling, blobs: Blobs, rows: Ints) -> ViewsLabelling:
+    """A labelling of some of the blobs, those of `rows`, as one of all: the others have no label."""
+    labels, candidates = np.full((2, len(blobs.xy)), NULL, dtype=np.int64)
+    confidence = np.zeros(len(blobs.xy))
+    labels[rows], candidates[rows], confidence[rows] = result.labels, result.candidates, result.confidence
+    return replace(result, blobs=blobs, labels=labels, candidates=candidates, confidence=confidence)
 
 
 @dataclass
@@ -88,8 +141,8 @@ class _Keeping:
 
 def _labelled(
     labeller: FrameLabeller, body: ArticulatedBody, fit: CameraAgreement, least_confidence: float, keeping: _Keeping
-) -> ViewsLabelling:
-    """The labelling by the cameras that fit, with their noise; the blobs of the others stay without a label."""
+) -> tuple[ViewsLabelling, float]:
+    """The labelling by the cameras that fit, with their noise, and its gain; the blobs of the others stay without a label."""
     blobs, rules = labeller.scene.blobs, labeller.rules.at_noise(fit.noise)
     used = replace(labeller, scene=labeller.scene.without(fit.left_out), rules=rules)
     # The general body's places can be off by centimetres on this person, so it is learned before labels are given.
@@ -99,12 +152,10 @@ def _labelled(
     track = _Track(used, body)
     track.run(keeping.progress, keeping.journal)
     keeping.failed.update(track.failed)
-    few = track.result(least_confidence)
-    kept = ~np.isin(blobs.camera_of, fit.left_out)
-    labels, candidates = np.full((2, len(blobs.xy)), NULL, dtype=np.int64)
-    confidence = np.zeros(len(blobs.xy))
-    labels[kept], candidates[kept], confidence[kept] = few.labels, few.candidates, few.confidence
-    return replace(few, blobs=blobs, labels=labels, candidates=candidates, confidence=confidence)
+    kept = np.nonzero(~np.isin(blobs.camera_of, fit.left_out))[0]
+    # Frames that show no body gain nothing.
+    gain = sum(max(found.labels.gain, 0.0) for found in track.seen if found is not None)
+    return _of_all_blobs(track.result(least_confidence), blobs, kept), gain
 
 
 def _withdrawn(result: ViewsLabelling) -> ViewsLabelling:
@@ -210,6 +261,7 @@ class _Track:
             placed,
             expected,
             scene.cameras.detected,
+            np.zeros(cameras, dtype=np.int64),
             tuple(self.restarts),
         )
         return made

@@ -30,6 +30,7 @@ class ViewsLabelling:
     placed       (T, M, 3) m: all markers of the body as posed, also those that no camera shows
     expected     (T, C, M) the probability that a camera has a blob of a marker, by the body
     detected     (C,) how often a camera has a blob of what it sees, as a share of what is usual: see `detection_shares`
+    late         (C,) frames by which a camera is late: what its blobs of frame t + late show is in frame t
     restarts     frames in which the body was sought anew
     findings     what a person should know
     """
@@ -49,8 +50,15 @@ class ViewsLabelling:
     placed: Floats
     expected: Floats
     detected: Floats
+    late: Ints
     restarts: tuple[int, ...] = ()
     findings: tuple[Finding, ...] = field(default=())
+
+    @property
+    def frame_of(self) -> Ints:
+        """(P,) the frame that each blob shows: its own, but for cameras that are late. Blobs with a label are in one of the frames."""
+        of: Ints = self.blobs.frame_of - self.late[self.blobs.camera_of]
+        return of
 
     @property
     def deviations(self) -> Floats:
@@ -65,7 +73,7 @@ class ViewsLabelling:
         """(T, M) the probability that the marker's place is of its own blobs alone: the least of its labels'; 0 without a label."""
         out = np.ones(self.views.shape)
         given = self.labels >= 0
-        np.minimum.at(out, (self.blobs.frame_of[given], self.labels[given]), self.confidence[given])
+        np.minimum.at(out, (self.frame_of[given], self.labels[given]), self.confidence[given])
         return np.where(self.views > 0, out, 0.0)
 
     @property
@@ -73,7 +81,7 @@ class ViewsLabelling:
         """(T, C, M) whether a camera has a blob with the marker's label."""
         out = np.zeros(self.expected.shape, dtype=np.bool_)
         given = self.labels >= 0
-        out[self.blobs.frame_of[given], self.blobs.camera_of[given], self.labels[given]] = True
+        out[self.frame_of[given], self.blobs.camera_of[given], self.labels[given]] = True
         return out
 
     @property

@@ -19,10 +19,12 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from asterism.errors import AsterismError
 from asterism.labelling.correction import Correction, CorrectionChange, request_of
 from asterism.labelling.correction.group_naming import GroupNaming
+from asterism.labelling.correction.touches import MarkerSpan, Touch
 from asterism.recording import MarkerSet
 from asterism.recording.display import counted
 from asterism.recording.marker_set import shipped_sets
 from asterism.report import player_script, player_style
+from asterism.web.finishing import change_events, plain_events, plain_gaps, plain_graph, spans_of
 from asterism.web.plain import packed_pieces, packed_points, plain_change, plain_relabelling, plain_state, plain_trials
 from asterism.web.session import CorrectionSession, CorrectionTrial, StaleRevision
 
@@ -54,6 +56,10 @@ def make_app(session: CorrectionSession) -> Starlette:
         Route(f"{trial}/candidates", api.answering(api.candidates)),
         *(Route(f"{trial}/{verb}", api.answering(api.changing(verb)), methods=["POST"]) for verb in ("touch", "refuse", "undo", "redo")),
         Route(f"{trial}/save", api.answering(api.save), methods=["POST"]),
+        Route(f"{trial}/gaps", api.answering(api.gaps)),
+        Route(f"{trial}/gap", api.answering(api.gap)),
+        Route(f"{trial}/events", api.answering(api.events)),
+        *(Route(f"{trial}/{verb}", api.answering(api.finishing(verb)), methods=["POST"]) for verb in ("fill", "unfill", "events")),
         Route(f"{trial}/changed", api.answering(api.changed)),
         Route("/api/sets", api.answering(api.sets)),
         Route("/api/teach", api.answering(api.teach), methods=["POST"]),
@@ -126,14 +132,45 @@ class _Api:
             "given": len(self._given_sets),
         }
 
+    def gaps(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
+        trial = self._trial(request)
+        # Found outside the trial's lock: that can take seconds, and answers go on.
+        fill = trial.finishing.gaps(trial.snapshot())
+        with trial.opened() as correction:
+            return plain_gaps(correction, fill)
+
+    def gap(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
+        trial, asked = self._trial(request), request.query_params
+        try:
+            span = MarkerSpan(asked.get("marker", ""), int(asked.get("first", "")), int(asked.get("last", "")))
+        except ValueError:
+            raise _Refused(400, "the address needs a gap, such as ?marker=LKNE&first=0&last=9.") from None
+        return plain_graph(trial.finishing.gaps(trial.snapshot()), span)
+
+    def events(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
+        trial = self._trial(request)
+        found = trial.finishing.events(trial.snapshot())
+        with trial.opened() as correction:
+            return plain_events(correction, found)
+
+    def finishing(self, verb: str) -> Callable[[Request, dict[str, Any]], dict[str, Any]]:
+        """The answer to a request that accepts a fill, takes that back, or changes events."""
+
+        def answer(request: Request, given: dict[str, Any]) -> dict[str, Any]:
+            trial, revision = self._trial(request), _revision(given)
+            finish = _events_changed if verb == "events" else _filled
+            act = finish(trial, verb, given)
+            trial.change(revision, lambda held: act(held) if isinstance(held, Correction) else _no_labels())
+            with trial.opened() as correction:
+                return {"revision": correction.revision, "changed": [], "state": plain_state(trial, correction)}
+
+        return answer
+
     def changing(self, verb: str) -> Callable[[Request, dict[str, Any]], dict[str, Any]]:
         """The answer to a request that changes labels: touch, refuse, undo or redo."""
 
         def answer(request: Request, given: dict[str, Any]) -> dict[str, Any]:
-            trial, revision = self._trial(request), given.get("revision")
-            # JSON has true and 1; in Python they are equal.
-            if isinstance(revision, bool) or not isinstance(revision, int):
-                raise _Refused(400, "the request needs the revision that it is about, a whole number.")
+            trial, revision = self._trial(request), _revision(given)
             change = trial.change(revision, lambda held: _changed_by(held, verb, given))
             with trial.held() as held:
                 return {"revision": held.revision, "changed": plain_change(change), "state": plain_state(trial, held)}
@@ -227,6 +264,46 @@ async def _send_all(socket: WebSocket, waiting: asyncio.Queue[tuple[str, int]]) 
     while True:
         trial, revision = await waiting.get()
         await socket.send_text(json.dumps({"trial": trial, "revision": revision}))
+
+
+def _revision(given: dict[str, Any]) -> int:
+    revision = given.get("revision")
+    # JSON has true and 1; in Python they are equal.
+    if isinstance(revision, bool) or not isinstance(revision, int):
+        raise _Refused(400, "the request needs the revision that it is about, a whole number.")
+    return revision
+
+
+def _no_labels() -> CorrectionChange:
+    raise AsterismError("the recording has no labels yet, and no gaps or events.")
+
+
+def _filled(trial: CorrectionTrial, verb: str, given: dict[str, Any]) -> Callable[[Correction], CorrectionChange]:
+    """Accept the fill of gaps, or take that back."""
+    asked = given.get("gaps")
+    rows = asked if isinstance(asked, list) else []
+    if not rows or not all(isinstance(row, dict) and isinstance(row.get("marker"), str) for row in rows):
+        raise _Refused(400, "the request needs gaps with marker, first and last in the field gaps.")
+    if any(isinstance(row.get(name), bool) or not isinstance(row.get(name), int) for row in rows for name in ("first", "last")):
+        raise _Refused(400, "a gap's first and last frame are whole numbers.")
+    spans = tuple(MarkerSpan(row["marker"], row["first"], row["last"]) for row in rows)
+    known = {span for span, _ in spans_of(trial.finishing.gaps(trial.snapshot()))} if verb == "fill" else set()
+
+    def act(correction: Correction) -> CorrectionChange:
+        # What was accepted is taken back even where labels have changed since.
+        if any(span not in (known if verb == "fill" else correction.filled) for span in spans):
+            raise AsterismError("this is no gap any more; look at the list again.")
+        return correction.touch(Touch("fill", filled=spans) if verb == "fill" else Touch("unfill", unfilled=spans))
+
+    return act
+
+
+def _events_changed(trial: CorrectionTrial, verb: str, given: dict[str, Any]) -> Callable[[Correction], CorrectionChange]:
+    removed, added = (given.get(name, []) for name in ("removed", "added"))
+    if not isinstance(removed, list) or not isinstance(added, list):
+        raise _Refused(400, "the request needs lists of events in the fields removed and added.")
+    found = trial.finishing.events(trial.snapshot())
+    return lambda correction: change_events(correction, found, removed, added)
 
 
 def _name_of_set(given: str | Path | MarkerSet) -> str:

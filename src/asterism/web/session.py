@@ -22,6 +22,7 @@ from asterism.labelling.group_names import group_names_text
 from asterism.labelling.review import labels_of_points
 from asterism.session import FileLabeller, LabelledFile, LabellingOptions, body_names
 from asterism.session.worn import NoSetWorn
+from asterism.web.finishing import Finishing, finished
 from asterism.web.relabelling import RelabelRun, SittingModel
 
 if TYPE_CHECKING:
@@ -86,6 +87,7 @@ class CorrectionTrial:
     notes    what a person should know when it is opened
     findings of labelling it
     relabelled  what labelling it again has changed; None where that was not done
+    finishing   what is proposed for its gaps and events
     """
 
     id: str
@@ -98,6 +100,7 @@ class CorrectionTrial:
     notes: list[str] = field(default_factory=list)
     findings: Sequence[Finding] = ()
     relabelled: Relabelled | None = None
+    finishing: Finishing = field(default_factory=Finishing)
     _lock: threading.RLock = field(default_factory=threading.RLock)
     _labelled: LabelledFile | None = None
     _correction: Correction | None = None
@@ -162,6 +165,12 @@ class CorrectionTrial:
     @property
     def _held(self) -> Correction | GroupNaming | None:
         return self._correction if self._naming is None else self._naming
+
+    def snapshot(self) -> LabelledFile:
+        """The file under the labels as they are. Raises AsterismError as `opened` does."""
+        with self.opened() as correction:
+            assert self._labelled is not None
+            return self._labelled.corrected(correction)
 
     @property
     def is_naming(self) -> bool:
@@ -230,7 +239,7 @@ class CorrectionTrial:
         if isinstance(held, GroupNaming):
             return formats.write(draft, held.named())
         assert self._labelled is not None
-        return self._labelled.corrected(held).write(draft)
+        return self._labelled.corrected(held, lambda recording: finished(held, recording)).write(draft)
 
     def _write(self, target: Path, data: bytes) -> None:
         # The hash tells our file from one that someone else put there. Noted first: a kill may come between.

@@ -30,8 +30,10 @@ class PrintOptions:
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="FILE", help="The print: .svg, .pdf in pages, or .png.", show_default=False)
     ]
-    rows: Annotated[int | None, typer.Option(metavar="N", min=3, help="Rows of circles of one rectangle.", show_default=False)] = None
-    cols: Annotated[int | None, typer.Option(metavar="N", min=3, help="Circles in a row of it.", show_default=False)] = None
+    rows: Annotated[
+        int | None, typer.Option(metavar="N", min=3, max=9999, help="Rows of circles of one rectangle.", show_default=False)
+    ] = None
+    cols: Annotated[int | None, typer.Option(metavar="N", min=3, max=9999, help="Circles in a row of it.", show_default=False)] = None
     pieces: Annotated[
         list[str] | None,
         typer.Option(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
@@ -122,7 +123,10 @@ def _chain(recording: Recording, first: int, data_start: int, step: float) -> by
     ]
     subject = str(recording.metadata.get("subject") or "")
     if recording.events:
-        records += [_group("EVENT", _EVENT), *event_records(recording.events, _EVENT, PC, subject)]
+        # The clock of the new file counts from its frame 1, whatever time the old one gave its first frame.
+        later = (first - 1) / recording.rate - float(recording.times[0])
+        events = [replace(event, time=event.time + later) for event in recording.events]
+        records += [_group("EVENT", _EVENT), *event_records(events, _EVENT, PC, subject)]
     if subject:
         records += [_group("SUBJECTS", _SUBJECTS), _integer("USED", _SUBJECTS, 1), _integer("USES_PREFIXES", _SUBJECTS, 0)]
         records.append(strings_record("NAMES", _SUBJECTS, [subject.encode("utf-8")], 4, PC))

@@ -14,7 +14,6 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.files.atomic import write_atomically
-from asterism.formats._columns import without_common_subject
 from asterism.formats.c3d._assemble import assembled
 from asterism.formats.c3d._edit import MOST_STRINGS, floats_record, integers_record, label_parameters, strings_record, with_group
 from asterism.formats.c3d._file import C3DFile, numbered, parse_c3d, ranges
@@ -109,8 +108,10 @@ def as_real(file: C3DFile) -> bytearray:
 
 
 def _with_outputs(file: C3DFile, outputs: Sequence[ModelPoint], values: Sequence[AnalysisValue]) -> tuple[bytearray, list[str]]:
-    seen = without_common_subject(file.labels)[0]
-    prefix = next((full[: -len(short)] for full, short in zip(file.labels, seen, strict=True) if full != short), "")
+    # Of a file with one subject, outputs have that subject's prefix, also where some points have none.
+    subjects = {label.rpartition(":")[0] for label in file.labels if ":" in label}
+    prefix = f"{min(subjects)}:" if len(subjects) == 1 else ""
+    seen = [label.removeprefix(prefix) for label in file.labels]
     labels, descriptions = list(file.raw_labels), list(file.descriptions)
     places: list[list[int]] = []
     for output in outputs:

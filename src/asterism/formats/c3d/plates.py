@@ -35,7 +35,7 @@ def force_plates(recording: Recording) -> tuple[tuple[ForcePlate, ...], tuple[Fi
         return (), ()
     used = int(file.parameters.number("FORCE_PLATFORM", "USED") or 0)
     scale = float(recording.metadata.get("metres_per_unit", 0.001) or 0.001)
-    samples = file.analog
+    samples, turned_over = _without_overflow(file.analog)
     rate = recording.rate * len(samples) / max(len(recording), 1)
     plates, found = [], []
     for number in range(used):
@@ -52,7 +52,47 @@ def force_plates(recording: Recording) -> tuple[tuple[ForcePlate, ...], tuple[Fi
                     "Export the trial again with its force plates.",
                 )
             )
+    of_plates = {column for number in range(used) for column in _columns(file, number)}
+    if of_plates.intersection(turned_over):
+        path = str(recording.metadata.get("file", "the file"))
+        channels = ", ".join(str(column + 1) for column in turned_over if column in of_plates)
+        sentence = f"{path}: analog channels {channels} of force plates ran over the range of 16 bits, from one end to the other."
+        mend = "They were continued beyond it; export the trial with a larger ANALOG:SCALE or as real numbers."
+        found.append(Finding("format-analog-overflow", Severity.WARNING, "force plates", sentence, mend))
     return tuple(plates), tuple(found)
+
+
+_RANGE = 65536.0
+"""Numbers that 16 bits tell apart."""
+
+
+def _without_overflow(samples: Floats) -> tuple[Floats, list[int]]:
+    """Samples (n, channels) with those channels continued that left the range of 16 bits at one end and came in at the other, and which.
+
+    They are whole numbers within that range, jump by more than half of it and, continued, end where they end: a load that goes has left
+    nothing behind.
+    """
+    jumped = np.flatnonzero((np.abs(np.diff(samples, axis=0)) > 0.75 * _RANGE).any(axis=0))
+    out, turned_over = samples, list[int]()
+    for column in jumped.tolist():
+        raw = samples[:, column]
+        if not np.isfinite(raw).all() or np.abs(raw).max() > _RANGE / 2 or (raw != np.round(raw)).any():
+            continue
+        continued = np.unwrap(raw, period=_RANGE)
+        if continued[-1] == raw[-1]:
+            out = samples.copy() if out is samples else out
+            out[:, column] = continued
+            turned_over.append(column)
+    return out, turned_over
+
+
+def _columns(file: C3DFile, number: int) -> list[int]:
+    """The channels of a plate; none where the file does not say."""
+    kinds = file.parameters.values("FORCE_PLATFORM", "TYPE")
+    try:
+        return _channels(file, number, int(kinds[number])) if number < len(kinds) and int(kinds[number]) in _CHANNELS else []
+    except _Unusable:
+        return []
 
 
 class _Unusable(Exception):
@@ -88,13 +128,19 @@ def _plate(file: C3DFile, number: int, samples: Floats, rate: float, scale: floa
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     # The surface is above the sensors. Some programs write the vector the other way round, or moments in another unit than they name.
     below = -origin if origin[2] > 0 else origin
-    ways = [(below, factor), (-below, factor), (below, 0.001 * factor), (below, 1000.0 * factor)]
-    plates = [ForcePlate(number + 1, corners, *_in_the_room(kind, values, *way, matrix, axes, vertical), rate, vertical) for way in ways]
-    # The first way is the specification's. Another one counts only where that takes people off the plate.
+
+    def put(origin: Floats, factor: float) -> ForcePlate:
+        return ForcePlate(number + 1, corners, *_in_the_room(kind, values, origin, factor, matrix, axes, vertical), rate, vertical)
+
+    # The specification's way. Another one counts only where this takes people off the plate.
+    usual = put(below, factor)
+    if _share_inside(usual) > 0.5:
+        return usual
+    plates = [usual, put(-below, factor), put(below, 0.001 * factor), put(below, 1000.0 * factor)]
     shares = [_share_inside(plate) for plate in plates]
-    if max(shares) <= 0.5 and (plates[0].load > 5 * LOADED).any():
+    if max(shares) <= 0.5 and (usual.load > 5 * LOADED).any():
         raise _Unusable(f"{100 * (1 - max(shares)):.0f} % of its centres of pressure lie outside its corners")
-    return plates[0] if shares[0] > 0.5 else plates[int(np.argmax(shares))]
+    return plates[int(np.argmax(shares))]
 
 
 def _in_the_room(

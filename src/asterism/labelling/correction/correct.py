@@ -31,12 +31,12 @@ from asterism.labelling.correction.pieces import (
 )
 from asterism.labelling.correction.readiness import Readiness, readiness, to_look_at
 from asterism.labelling.correction.relabelling import Relabelling
-from asterism.labelling.correction.touches import Cut, Ghost, Name, PointInFrame, Request, Right, Swap, SwapMarkers, Touch
+from asterism.labelling.correction.touches import Cut, Ghost, MarkerSpan, Name, PointInFrame, Request, Right, Swap, SwapMarkers, Touch
 from asterism.labelling.recording_labeller import LabelledBodies, LabellingSettings, RecordingLabeller
 from asterism.labelling.review import ReviewItem, review
 from asterism.labelling.whole.relabel import FREE
 from asterism.progress import Progress
-from asterism.recording import NULL, Clouds, Ints, Labelling, Recording
+from asterism.recording import NULL, Clouds, Event, Ints, Labelling, Recording
 from asterism.tracking.linking import Tracklets
 
 if TYPE_CHECKING:
@@ -164,6 +164,25 @@ class Correction:
         return tuple(self._done)
 
     @property
+    def filled(self) -> tuple[MarkerSpan, ...]:
+        """Gaps whose fill is accepted, in the order in which that was said."""
+        accepted: dict[MarkerSpan, None] = {}
+        for touch in self._done:
+            accepted |= dict.fromkeys(touch.filled)
+            for span in touch.unfilled:
+                accepted.pop(span, None)
+        return tuple(accepted)
+
+    @property
+    def events(self) -> tuple[Event, ...] | None:
+        """The events as a person set them, s from the first frame; None where nothing was said of them."""
+        events: tuple[Event, ...] | None = None
+        for touch in self._done:
+            if touch.events is not None:
+                events = touch.events.applied(events or ())
+        return events
+
+    @property
     def can_undo(self) -> bool:
         """Whether there is something to take back."""
         return bool(self._done)
@@ -251,7 +270,8 @@ class Correction:
     def touch(self, *touches: Touch) -> CorrectionChange:
         """Take touches as they are written in a log, one or several at once. Raises AsterismError as `apply` does."""
         # Solved first, then written: what cannot be taken must not be in the log.
-        solved = self._solve([*self._done, *touches])
+        changes = any(touch.is_of_labels for touch in touches)
+        solved = self._solve([*self._done, *touches]) if changes else self._solved
         self._write(*(touch.to_plain() for touch in touches))
         self._done += touches
         # A new answer ends what could be taken again.
@@ -262,7 +282,7 @@ class Correction:
         """Take the last touch back. Raises AsterismError where there is none."""
         if not self._done:
             raise AsterismError("there is nothing to take back.")
-        solved = self._solve(self._done[:-1])
+        solved = self._solve(self._done[:-1]) if self._done[-1].is_of_labels else self._solved
         self._write({"kind": UNDO})
         touch = self._done.pop()
         self._undone.append(touch)
@@ -272,7 +292,7 @@ class Correction:
         """Take again what was taken back last. Raises AsterismError where there is nothing."""
         if not self._undone:
             raise AsterismError("there is nothing to take again.")
-        solved = self._solve([*self._done, self._undone[-1]])
+        solved = self._solve([*self._done, self._undone[-1]]) if self._undone[-1].is_of_labels else self._solved
         self._write({"kind": REDO})
         touch = self._undone.pop()
         self._done.append(touch)

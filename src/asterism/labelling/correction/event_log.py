@@ -148,7 +148,8 @@ class CorrectionLog:
 
     def _last_model(self) -> str:
         """The hash of the model of whose labels something was said last."""
-        header = _value(self._content[: self._content.index(b"\n")]) or {}
+        lines = (match[0] for match in re.finditer(rb"[^\n\0]+", self._content))
+        header = next(filter(None, map(_value, lines)), {})
         models = [entry.get("model") for entry in self.entries if entry["kind"] == RELABELLED]
         return str([header.get("model"), *models][-1])
 

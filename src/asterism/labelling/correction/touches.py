@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.recording import Event
 
 
 @dataclass(frozen=True)
@@ -92,22 +93,68 @@ class PointInFrame:
 
 
 @dataclass(frozen=True)
+class MarkerSpan:
+    """A gap of a marker: its frames, counted from 0, `first` to `last` inclusive."""
+
+    marker: str
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class EventChange:
+    """What a person said of the events of a recording.
+
+    begun    all events, as they were found, where this is the first that was said of them
+    removed  those that go; an event that is moved goes and comes
+    added    those that come
+    """
+
+    removed: tuple[Event, ...] = ()
+    added: tuple[Event, ...] = ()
+    begun: tuple[Event, ...] | None = None
+
+    def applied(self, events: Sequence[Event]) -> tuple[Event, ...]:
+        """The events with this change, in the order of time."""
+        left = list(events if self.begun is None else self.begun)
+        for event in self.removed:
+            if event in left:
+                left.remove(event)
+        return tuple(sorted([*left, *self.added], key=lambda event: event.time))
+
+
+@dataclass(frozen=True)
 class Touch:
     """What a person said at once.
 
-    kind    "name", "ghost", "right", "cut", "swap" or "refuse"
-    cuts    the first points of the later parts of pieces that are cut
-    labels  points, and the marker that the piece with the point is, None where it is no marker
+    kind      "name", "ghost", "right", "cut", "swap", "refuse", "fill", "unfill" or "event"
+    cuts      the first points of the later parts of pieces that are cut
+    labels    points, and the marker that the piece with the point is, None where it is no marker
+    filled    gaps whose fill is accepted; unfilled: gaps whose fill is not accepted any more
+    events    what changes in the events of the recording
     """
 
     kind: str
     cuts: tuple[PointInFrame, ...] = ()
     labels: tuple[tuple[PointInFrame, str | None], ...] = ()
+    filled: tuple[MarkerSpan, ...] = ()
+    unfilled: tuple[MarkerSpan, ...] = ()
+    events: EventChange | None = None
+
+    @property
+    def is_of_labels(self) -> bool:
+        """Whether labels follow from it; gaps and events change none."""
+        return bool(self.cuts or self.labels)
 
     def to_plain(self) -> dict[str, Any]:
         """As plain values, for a line of a log."""
         labels = [{**point.to_plain(), "marker": marker} for point, marker in self.labels]
-        return {"kind": self.kind, "cuts": [point.to_plain() for point in self.cuts], "labels": labels}
+        plain: dict[str, Any] = {"kind": self.kind, "cuts": [point.to_plain() for point in self.cuts], "labels": labels}
+        if self.filled or self.unfilled:
+            plain |= {"filled": [asdict(span) for span in self.filled], "unfilled": [asdict(span) for span in self.unfilled]}
+        if self.events is not None:
+            plain["events"] = asdict(self.events)
+        return plain
 
     @classmethod
     def from_plain(cls, plain: Any) -> Touch:
@@ -117,7 +164,10 @@ class Touch:
             if not isinstance(entry["marker"], str | None):
                 raise ValueError("a marker is no text")
             labels.append((PointInFrame.from_plain(entry), entry["marker"]))
-        return cls(_text(plain["kind"]), tuple(map(PointInFrame.from_plain, plain["cuts"])), tuple(labels))
+        filled, unfilled = (tuple(_span(one) for one in plain.get(name, ())) for name in ("filled", "unfilled"))
+        change = plain.get("events")
+        said = None if change is None else EventChange(_events(change["removed"]), _events(change["added"]), _events(change["begun"], None))
+        return cls(_text(plain["kind"]), tuple(map(PointInFrame.from_plain, plain["cuts"])), tuple(labels), filled, unfilled, said)
 
 
 def request_of(plain: Mapping[str, Any]) -> Request:
@@ -162,6 +212,20 @@ def _check_field(kind: str, name: str, value: Any) -> None:
     if not fits:
         expected = "a text" if name == "marker" else "a whole number"
         raise AsterismError(f"the field {name} of an answer of kind {kind} is {str(value)[:40]!r}; give {expected}.")
+
+
+def _span(plain: Any) -> MarkerSpan:
+    return MarkerSpan(_text(plain["marker"]), _whole(plain["first"]), _whole(plain["last"]))
+
+
+def _events(plain: Any, missing: Any = ()) -> Any:
+    """Events of a log; what stands for none, where there are none."""
+    if plain is None:
+        return missing
+    found = tuple(Event(_text(one["label"]), float(one["time"]), _text(one["context"])) for one in plain)
+    if not np.isfinite([event.time for event in found]).all():
+        raise ValueError("a time is not finite")
+    return found
 
 
 def _whole(value: Any) -> int:

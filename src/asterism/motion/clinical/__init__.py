@@ -5,6 +5,7 @@ from asterism.motion.clinical.exchanged import exchanged_finding, exchanged_pair
 from asterism.motion.clinical.gathered import gathered_measures
 from asterism.motion.clinical.kinetics import (
     ABOUT_CENTRE,
+    KineticErrors,
     KineticRules,
     Kinetics,
     PlateContact,
@@ -12,6 +13,7 @@ from asterism.motion.clinical.kinetics import (
     inverse_dynamics,
 )
 from asterism.motion.clinical.measures import ArmMeasures, LegMeasures, SubjectMeasures, leg_measures, subject_measures
+from asterism.motion.clinical.model import MODELS, ClinicalModel
 from asterism.motion.clinical.plug_in_gait import Leg, LowerBody, lower_body
 from asterism.motion.clinical.static import StaticRules, with_static_offsets
 from asterism.motion.clinical.uncertainty import (
@@ -25,12 +27,15 @@ from asterism.motion.clinical.uncertainty import (
 __all__ = [
     "ABOUT_CENTRE",
     "CLINICAL",
+    "MODELS",
     "ArmMeasures",
     "ClinicalAngles",
     "ClinicalErrors",
     "ClinicalJoint",
+    "ClinicalModel",
     "ClinicalUncertainty",
     "JointUncertainty",
+    "KineticErrors",
     "KineticRules",
     "Kinetics",
     "Leg",

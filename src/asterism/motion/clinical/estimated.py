@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -34,6 +34,7 @@ class MeasurePriors:
     knee_turn, ankle_turn  rad, mean internal rotation of knee and ankle over the walk: they tell torsion and the shank's wand
     tilt          rad, of the ankle's axis
     sole          rad, of the foot's line against what heel and toe marker show, beside the choice between a flat and a sloped foot
+    sole_alone    rad, of the foot's line, where no heel marker shows the sole
     sole_turn     rad, the same seen from above
     """
 
@@ -48,6 +49,7 @@ class MeasurePriors:
     ankle_turn: Prior = (0.0, np.radians(6.0))
     tilt: Prior = (np.radians(6.9), np.radians(8.2))
     sole: Prior = (0.0, np.radians(2.5))
+    sole_alone: Prior = (np.radians(13.3), np.radians(10.5))
     sole_turn: Prior = (np.radians(1.5), np.radians(4.0))
 
 
@@ -68,6 +70,10 @@ _TRIED = np.radians(np.arange(-40.0, 41.0, 5.0))
 """rad: wand angles of the thigh that are tried."""
 _BENT = 0.5
 """rad, from the 5th to the 95th percentile: a knee that bends less does not show its axis. At half, a person who stands seems to."""
+
+
+_FEW = 10
+"""Frames: fewer show no walk."""
 
 
 @dataclass(frozen=True)
@@ -95,11 +101,21 @@ class WalkEstimator:
         expected = {name: getattr(self.priors, name)[0] + shift[name] * getattr(self.priors, name)[1] for name in shift}
         if "radius" in self.sources:
             given = replace(given, marker_radius=expected["radius"])
-        for side in self.sides:
+        for side in self._shown:
             given = self._with_lengths(given, side, expected)
-        for side in self.sides:
+        for side in self._shown:
             given = self._with_turns(given, side, expected, shift)
         return given
+
+    @cached_property
+    def _shown(self) -> list[str]:
+        """Sides whose angles are known in `_FEW` frames or more; of others nothing can be told."""
+        return [side for side in self.sides if np.isfinite(self._angles(self.measures, side, "Knee")).all(axis=1).sum() >= _FEW]
+
+    def _see(self, side: str, names: Sequence[str]) -> bool:
+        """Whether markers are seen together in `_FEW` frames or more."""
+        columns = [self.recording.labels.index(side + name) for name in names if side + name in self.recording.labels]
+        return len(columns) == len(names) and int(self.recording.visible[:, columns].all(axis=1).sum()) >= _FEW
 
     def _lacks(self, side: str, name: str) -> bool:
         return name not in self.measures.of(side).from_file
@@ -125,19 +141,20 @@ class WalkEstimator:
             least = self._steadiest[side]
             alone = self.priors.thigh_alone[0] + shift["thigh"] * self.priors.thigh_alone[1]
             given = self._with(given, side, {"thigh_rotation": alone if least is None else least + expected["thigh"]})
-        if self._lacks(side, "shank_rotation") and f"{side}TOE" in self.recording.labels:
+        if self._lacks(side, "shank_rotation") and self._see(side, ["TOE"]):
             given = self._with(given, side, {"shank_rotation": self._shank_turn(given, side, expected["ankle_turn"])})
         if self._lacks(side, "tibial_torsion"):
             # The knee's rotation is the last of its turns, about the shank: torsion adds to it as it is.
-            turned = float(np.nanmean(self._angles(given, side, "Knee")[:, 2])) if self._seen(side) else 0.0
+            turned = float(np.nanmean(self._angles(given, side, "Knee")[:, 2]))
             torsion = given.of(side).tibial_torsion + turned - expected["knee_turn"]
             given = self._with(given, side, {"tibial_torsion": float(np.clip(torsion, -1.2, 1.2))})
-        if f"{side}HEE" in self.recording.labels and f"{side}TOE" in self.recording.labels and self._seen(side):
-            flat, sloped, turn = self._sole(lower_body(self.recording, given, side).legs[side], side)
-            either = float(np.hypot(self.priors.sole[1], (flat - sloped) / 2))
-            values = {"foot_flexion": (flat + sloped) / 2 + shift["sole"] * either, "foot_rotation": turn + expected["sole_turn"]}
-            given = self._with(given, side, values)
-        return given
+        if not self._see(side, ["HEE", "TOE"]):
+            alone = self.priors.sole_alone[0] + shift["sole"] * self.priors.sole_alone[1]
+            return self._with(given, side, {"foot_flexion": alone, "foot_rotation": expected["sole_turn"]})
+        flat, sloped, turn = self._sole(lower_body(self.recording, given, side).legs[side], side)
+        either = float(np.hypot(self.priors.sole[1], (flat - sloped) / 2))
+        values = {"foot_flexion": (flat + sloped) / 2 + shift["sole"] * either, "foot_rotation": turn + expected["sole_turn"]}
+        return self._with(given, side, values)
 
     def _angles(self, given: SubjectMeasures, side: str, joint: str) -> Floats:
         return angles_of(self.recording, lower_body(self.recording, given, side))[f"{side}{joint}Angles"]
@@ -148,24 +165,21 @@ class WalkEstimator:
         marker = marker_of(self.recording)
         ways = {
             side: [np.linalg.norm(marker(side + one) - marker(side + other), axis=1) for one, other in (("ASI", "KNE"), ("KNE", "ANK"))]
-            for side in self.sides
+            for side in self._shown
         }
         return {side: float(sum(nan_median(way, axis=0) for way in pair)) for side, pair in ways.items()}
-
-    def _seen(self, side: str) -> bool:
-        return bool(np.isfinite(self._angles(self.measures, side, "Knee")).any())
 
     @cached_property
     def _steadiest(self) -> dict[str, float | None]:
         """rad: the wand angle of each thigh at which the knee's adduction varies least (as Baker, Finney and Orr 1999 turn it); None where
         the knee does not bend enough, or no angle that is tried is best."""
         given, found = self.measures, dict[str, float | None]()
-        for side in self.sides:
+        for side in self._shown:
             given = self._with_lengths(given, side, {name: getattr(self.priors, name)[0] for name in _NEEDED})
-        for side in self.sides:
+        for side in self._shown:
             flexion = self._angles(given, side, "Knee")[:, 0]
             found[side] = None
-            if not np.isfinite(flexion).any() or np.nanpercentile(flexion, 95) - np.nanpercentile(flexion, 5) < _BENT:
+            if np.nanpercentile(flexion, 95) - np.nanpercentile(flexion, 5) < _BENT:
                 continue
             turned = [given.with_leg(side, given.of(side).with_values({"thigh_rotation": turn})) for turn in _TRIED.tolist()]
             varies = np.array([np.nanvar(self._angles(one, side, "Knee")[:, 1]) for one in turned])
@@ -181,7 +195,7 @@ class WalkEstimator:
         for step in range(4):
             one = given.with_leg(side, given.of(side).with_values({"shank_rotation": turn}))
             rotation = self._angles(one, side, "Ankle")[:, 2]
-            if not np.isfinite(rotation).any():
+            if not np.isfinite(rotation).any():  # the toe is not seen with the leg
                 return 0.0
             off = float(np.nanmean(rotation)) - wanted
             slope = (off - before[1]) / (turn - before[0]) if step and turn != before[0] else -1.0

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
 from asterism.findings import Finding, Severity
+from asterism.motion.clinical.landmark_body import with_plug_in_gait_names, worn_landmarks
 from asterism.motion.clinical.measures import MARKER_RADIUS, SIDES, SubjectMeasures, subject_measures
 from asterism.motion.clinical.plug_in_gait import radius_by_the_file
 from asterism.motion.clinical.static import StaticRules, with_static_offsets
-from asterism.recording import Recording, without_subject
-from asterism.recording.arrays import nan_median
+from asterism.recording import Recording
 
 _SAME_LEG = 0.07
 """Of a leg's length, by which markers may show another one: they show 0.4 % less to 2.5 % more on four people of three laboratories."""
-_SAME_PERSON = 0.04
-"""RMS of the logarithms of distances between markers on one segment, standing against moving: to 0.028 for the same person, 0.094 and more
-for another. At half it tells skin and gaps, at double it misses people of one size."""
-_SEGMENTS = (("KNE", "ANK"), ("THI", "KNE"), ("TIB", "ANK"), ("HEE", "TOE"))
+_SAME_PERSON = 0.045
+"""RMS of the logarithms of distances between markers on one segment, standing against moving, also at 7 m/s: to 0.037
+for the same person, 0.055 and more for another. At half it tells skin and gaps, at double it misses people of one size."""
+_LIMBS = ("pelvis", "left thigh", "right thigh", "left shank", "right shank")
 _FEW = 4
 """Distances, at least, that tell a person."""
 
@@ -47,7 +48,9 @@ def gathered_measures(
         measures = measures if fitted is None else replace(measures, marker_radius=fitted)
     measures = measures.with_values(given)
     if static is not None:
-        measures = with_static_offsets(static, measures, rules).with_values(given)
+        # a set without wands has no such offsets
+        if any(label in ("LTHI", "RTHI") for label in with_plug_in_gait_names(recording).labels):
+            measures = with_static_offsets(static, measures, rules).with_values(given)
         found += _other_person(recording, static)
     return measures, (*found, *_other_length(recording, measures))
 
@@ -82,18 +85,29 @@ def _another_radius(recording: Recording, named: float, fitted: float) -> Findin
     )
 
 
-def _distance(recording: Recording, one: str, other: str, most: bool = False) -> float:
-    """m: median between two markers, or what 95 of 100 frames stay below; NaN where they are never seen together."""
-    places = [next((at for at, label in enumerate(recording.labels) if without_subject(label) == name), None) for name in (one, other)]
-    if None in places:
+def _distance(recording: Recording, one: str, other: str, share: float = 50.0) -> float:
+    """m between two markers: what this share of the frames, in %, stays below; NaN where they are never seen together."""
+    if one not in recording.labels or other not in recording.labels:
         return float("nan")
+    places = [recording.labels.index(name) for name in (one, other)]
     apart = np.linalg.norm(recording.positions[:, places[0]] - recording.positions[:, places[1]], axis=1)
     seen = apart[np.isfinite(apart)]
-    return float("nan") if not len(seen) else float(np.percentile(seen, 95) if most else nan_median(seen, axis=0))
+    return float(np.percentile(seen, share)) if len(seen) else float("nan")
+
+
+def _on_segments(recording: Recording) -> list[list[str]]:
+    """Names of the markers on pelvis, thighs, shanks and feet."""
+    segments = worn_landmarks(recording).segments
+    limbs = [[recording.labels[column] for column in segments.get(limb, ())] for limb in _LIMBS]
+    return [*limbs, *([name for name in (f"{side}HEE", f"{side}TOE") if name in recording.labels] for side in SIDES)]
 
 
 def _other_person(recording: Recording, static: Recording) -> list[Finding]:
-    pairs = [("LASI", "RASI"), *((side + one, side + other) for side in SIDES for one, other in _SEGMENTS)]
+    columns = [_on_segments(with_plug_in_gait_names(trial)) for trial in (recording, static)]
+    pairs = [pair for one, other in zip(*columns, strict=True) for pair in combinations([name for name in one if name in other], 2)]
+    recording, static = with_plug_in_gait_names(recording), with_plug_in_gait_names(static)
+    # what slides over a joint, as on the kneecap, tells no person
+    pairs = [pair for pair in pairs if _distance(recording, *pair, 75.0) < (1.0 + _SAME_PERSON) * _distance(recording, *pair, 25.0)]
     ratios = [_distance(recording, *pair) / _distance(static, *pair) for pair in pairs]
     known = np.log([ratio for ratio in ratios if np.isfinite(ratio) and ratio > 0.0])
     off = float(np.sqrt(np.mean(known**2))) if len(known) >= _FEW else 0.0
@@ -106,10 +120,10 @@ def _other_person(recording: Recording, static: Recording) -> list[Finding]:
 
 def _other_length(recording: Recording, measures: SubjectMeasures) -> list[Finding]:
     """Where a leg is as long as no leg that wears these markers."""
-    found = []
+    found, recording = [], with_plug_in_gait_names(recording)
     for side, word in SIDES.items():
         given = measures.of(side).leg_length
-        shown = _distance(recording, f"{side}ASI", f"{side}KNE", most=True) + _distance(recording, f"{side}KNE", f"{side}ANK")
+        shown = _distance(recording, f"{side}ASI", f"{side}KNE", 95.0) + _distance(recording, f"{side}KNE", f"{side}ANK")
         if given is not None and np.isfinite(shown) and abs(shown / given - 1.0) > _SAME_LEG:
             sentence = f"{_file(recording)}: the {word} leg's length is given as {1000 * given:.0f} mm, and its markers show about "
             sentence += f"{1000 * shown:.0f} mm: the measures are another person's, or the length was measured otherwise."

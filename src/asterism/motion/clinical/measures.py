@@ -111,6 +111,7 @@ class SubjectMeasures:
     marker_radius        m, from the skin to a marker's centre
     mass                 kg, None where it is not known
     left_arm, right_arm  see `ArmMeasures`
+    hip_regression       the regression of the hip centres, of `asterism.motion.clinical.hip.REGRESSIONS`; None: the model's own
     head_offset          rad, by which the markers of the head look up where the head looks straight ahead
     """
 
@@ -122,6 +123,7 @@ class SubjectMeasures:
     left_arm: ArmMeasures = field(default_factory=ArmMeasures)
     right_arm: ArmMeasures = field(default_factory=ArmMeasures)
     head_offset: float = 0.0
+    hip_regression: str | None = None
 
     def of(self, side: str) -> LegMeasures:
         """The leg of side "L" or "R"."""

@@ -1,6 +1,6 @@
 """Markers of Plug-in-Gait and measures of the person in; joint centres, segments and angles as Plug-in-Gait computes them, out.
 
-Sources: Davis et al. (1991) for hip centres and the chord; Kadaba et al. (1990) for segments and angles; the vendor's documentation for
+Sources: Davis et al. (1991) for the chord; Kadaba et al. (1990) for segments and angles; the vendor's documentation for
 wand angles, torsion and feet. What these leave open was settled by the angles that recordings of eight laboratories hold.
 """
 
@@ -14,11 +14,11 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
 from asterism.motion.clinical._kernels import joint_centres, steady_turns
+from asterism.motion.clinical.hip import hip_centre
 from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures, all_computed_by_the_file
-from asterism.motion.joints.anatomy import HIP_SHARES, sacrum_markers
+from asterism.motion.joints.anatomy import sacrum_markers
 from asterism.motion.rigid.rotations import unit_vectors
 from asterism.recording import Floats, Recording
-from asterism.recording.arrays import nan_median
 
 TURNS = 30
 """Steps in which a wand is turned to its angle, at most: each leaves a twentieth of the error, so twelve reach the last digit."""
@@ -70,12 +70,10 @@ def lower_body(recording: Recording, measures: SubjectMeasures, sides: str = "LR
     y = unit_vectors(left - right)
     z = unit_vectors(np.cross(origin - sacrum, y))
     pelvis = np.stack([np.cross(y, z), y, z], axis=2)
-    lengths = {side: measures.of(side).leg_length for side in SIDES}
-    between = measures.inter_asis or float(nan_median(np.linalg.norm(left - right, axis=1), axis=0))
     legs = {}
     for side in sides:
         own = measures.of(side)
-        hip = origin + pelvis @ _hip_centre(own, side, lengths, between, measures.marker_radius)
+        hip = origin + pelvis @ hip_centre(measures, side, left, right, sacrum)
         legs[side] = _leg(marker, side, hip, own, measures.marker_radius, f"{side}TOE" in recording.labels)
     return LowerBody(pelvis, origin, legs)
 
@@ -90,25 +88,6 @@ def marker_of(recording: Recording) -> Callable[[str], Floats]:
         return positions[:, recording.labels.index(name)]
 
     return marker
-
-
-def _hip_centre(measures: LegMeasures, side: str, lengths: Mapping[str, float | None], between: float, radius: float) -> Floats:
-    """(3,) m, in the pelvis' axes from its origin (Davis et al. 1991): 28.6 and 18 degrees are the angles of their regression.
-
-    Without the length of a leg it is Bell's (1990), by the distance between the spines alone.
-    """
-    known = [length for length in lengths.values() if length is not None]
-    if not known:
-        ahead, up, medial = HIP_SHARES
-        out = (0.5 - medial) * between
-        return np.array([ahead * between, out if side == "L" else -out, up * between])
-    own = lengths[side] or known[0]
-    trochanter = measures.asis_trochanter if measures.asis_trochanter is not None else 0.1288 * own - 0.04856
-    constant, theta, beta = 0.115 * sum(known) / len(known) - 0.0153, 0.5, 0.314
-    ahead = (-trochanter - radius) * np.cos(beta) + constant * np.cos(theta) * np.sin(beta)
-    up = (-trochanter - radius) * np.sin(beta) - constant * np.cos(theta) * np.cos(beta)
-    out = between / 2 - constant * np.sin(theta)
-    return np.array([ahead, out if side == "L" else -out, up])
 
 
 def _leg(marker: Callable[[str], Floats], side: str, hip: Floats, measures: LegMeasures, radius: float, has_toe: bool) -> Leg:
@@ -294,7 +273,10 @@ def radius_by_the_file(recording: Recording, measures: SubjectMeasures) -> float
         while (best := best_of(_RADII[max(place - 1, 0) : place + 2])) != _RADII[place]:
             place = int(np.argmin(np.abs(_RADII - best)))
         # The stated one may lie between those that are tried, and explain the angles best.
-        best = best_of(np.array([measures.marker_radius]))
+        stated = measures.marker_radius
+        best = best_of(np.array([stated]))
     except AsterismError:
         return None
+    # One that differs by rounding is the stated one.
+    best = stated if abs(best - stated) < 1e-6 else best
     return float(best) if errors[best] < _FITS else None

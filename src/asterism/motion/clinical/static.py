@@ -9,16 +9,13 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
+from asterism.motion.clinical.landmark_body import with_plug_in_gait_names, worn_landmarks
 from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures
 from asterism.motion.clinical.plug_in_gait import Leg, along, joint_centre, lower_body, marker_of, turns
 from asterism.motion.clinical.upper_body import head_axes
 from asterism.motion.rigid.rotations import unit_vectors
 from asterism.recording import Floats, Recording
 
-MEDIAL_ANKLE = ("MMA", "MED", "MMAL", "MALM", "MM", "ANKM")
-"""Names of a marker on the medial malleolus, after the side."""
-MEDIAL_KNEE = ("KNM", "KNEM", "MKNE", "MEK", "MFC", "MFE")
-"""Names of a marker on the medial condyle, after the side."""
 DEVICE = ("KAX", "KD1", "KD2")
 """Markers of a knee alignment device: one on the knee's axis and two across it, all as far from the knee's marker."""
 
@@ -42,11 +39,12 @@ def with_static_offsets(static: Recording, measures: SubjectMeasures, rules: Sta
 
     The knee's axis is that of a knee alignment device, where one is worn, else of a medial condyle's marker, else of the thigh's wand
     turned by its angle. The ankle's is that of the malleoli, else of the shank's wand. From these follow the wands' angles and the
-    tibial torsion. The foot's flexion and rotation take the sole for the line from toe to heel. Means over the frames. O(T).
+    tibial torsion; markers on both sides of a joint tell its width, where nobody gave it. The foot's flexion and rotation take the sole
+    for the line from toe to heel. Means over the frames. O(T).
     Raises AsterismError where neither leg shows its markers.
     """
     rules = rules or StaticRules()
-    static = with_knee_markers(static)
+    static = with_knee_markers(with_plug_in_gait_names(static))
     found = {}
     for side in SIDES:
         needed = [f"{side}{name}" for name in ("THI", "KNE", "TIB", "ANK")]
@@ -71,6 +69,12 @@ def _leg_with_offsets(static: Recording, side: str, measures: SubjectMeasures, r
     own, marker, left = measures.of(side), marker_of(static), 1.0 if side == "L" else -1.0
     radius = measures.marker_radius
     told: dict[str, float] = {}
+    # a joint whose both sides wear a marker is measured
+    for width, name, role in (("knee_width", "KNE", "ME"), ("ankle_width", "ANK", "MM")):
+        medial = _worn(static, side + role)
+        if medial is not None and width not in own.from_file:
+            apart = _mean(np.linalg.norm(marker(side + name) - medial, axis=1)) - 2 * radius
+            own = own.with_values(_known({width: apart}) if apart > 0.0 else {})
     hip = _leg(static, side, measures, own).hip
     knee_marker, ankle_marker = marker(f"{side}KNE"), marker(f"{side}ANK")
     axis = _knee_axis(static, side)
@@ -79,7 +83,7 @@ def _leg_with_offsets(static: Recording, side: str, measures: SubjectMeasures, r
         knee = joint_centre(hip, knee_marker, knee_marker + axis, own.knee_width / 2 + radius)
         told["thigh_rotation"] = left * _angle_about(hip, knee, marker(f"{side}THI"), knee_marker)
         own = own.with_values(_known(told))
-    medial = next((marker(side + name) for name in MEDIAL_ANKLE if side + name in static.labels), None)
+    medial = _worn(static, side + "MM")
     leg = _leg(static, side, measures, own)
     if medial is not None and np.isfinite(medial).any():
         outwards = ankle_marker - medial
@@ -127,10 +131,14 @@ def _knee_axis(static: Recording, side: str) -> Floats | None:
     marker = marker_of(static)
     if all(side + name in static.labels for name in DEVICE):
         return marker(f"{side}KAX") - marker(f"{side}KNE")
-    for name in MEDIAL_KNEE:
-        if side + name in static.labels and np.isfinite(marker(side + name)).any():
-            return marker(f"{side}KNE") - marker(side + name)
-    return None
+    medial = _worn(static, side + "ME")
+    return None if medial is None or not np.isfinite(medial).any() else marker(f"{side}KNE") - medial
+
+
+def _worn(static: Recording, role: str) -> Floats | None:
+    """(T, 3) m, z up: the marker on a landmark, by any name of the shipped sets."""
+    column = worn_landmarks(static).roles.get(role)
+    return None if column is None else rotate_z_up(static.positions, static.vertical)[:, column]
 
 
 def with_knee_markers(static: Recording) -> Recording:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asterism.motion.clinical.angles import ClinicalAngles, ClinicalJoint
+from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
 from asterism.motion.clinical.measures import SIDES
-from asterism.motion.clinical.plug_in_gait import angles_of, lower_body
 from asterism.motion.uncertainty.monte_carlo import MonteCarloRules, run_by_source
 from asterism.motion.uncertainty.sources import CalibrationErrors, CalibrationField, MeasurementNoise
 from asterism.progress import Progress
@@ -24,7 +24,6 @@ TRIED_ON = (
 """What stands beside intervals wherever they are shown."""
 """What makes clinical angles uncertain; each can be looked at alone."""
 
-_SEGMENT_OF = {"ASI": "pelvis", "PSI": "pelvis", "THI": "thigh", "KNE": "thigh", "TIB": "shank", "ANK": "shank", "TOE": "foot"}
 _BENT_BY = {"pelvis": ("hip",), "thigh": ("hip", "knee"), "shank": ("knee", "ankle"), "foot": ("ankle",)}
 _OFFSET_OF = {"THI": "thigh_rotation", "TIB": "shank_rotation", "TOE": "foot_flexion"}
 """The measure that a static trial takes of a marker, see `LegMeasures`."""
@@ -115,6 +114,8 @@ def clinical_uncertainty(
     change nothing; each source draws the same alone as with the others. Raises AsterismError where a calibration does not fit.
     O(trials T).
     """
+    if clinical.model.name == "plug-in-gait":
+        recording = with_plug_in_gait_names(recording)
     errors = errors or ClinicalErrors()
     rules = rules or MonteCarloRules()
     legs = _Legs.of(recording, clinical, errors)
@@ -164,12 +165,11 @@ class _Legs:
         bent = {joint.name: np.nan_to_num(joint.angles[:, 0]) / _FULL_BEND for joint in clinical.joints}
         still = np.zeros(len(recording))
         columns, turns, skin, courses, placed = [], [], [], [], []
-        for column, label in enumerate(recording.labels):
-            segment = "pelvis" if label == "SACR" else _SEGMENT_OF.get(label[1:], "")
-            side = SIDES.get(label[0], "") if label != "SACR" else ""
+        for column, (label, segment) in clinical.model.markers(recording).items():
             # The pelvis has no side; it takes the axes of any leg, which hold the same pelvis.
+            side = SIDES.get(label[0], "") if label != "SACR" else ""
             side = side if side in axes else next(iter(axes))
-            if not segment or (segment != "pelvis" and SIDES.get(label[0]) != side):
+            if segment != "pelvis" and SIDES.get(label[0]) != side:
                 continue
             columns.append(column)
             turns.append(axes[side][segment])
@@ -191,8 +191,7 @@ class _Legs:
         def run(rng: np.random.Generator) -> Floats:
             moved = replace(self.recording, positions=self._drawn(active, *rng.spawn(3)))
             letters = {name: letter for letter, name in SIDES.items()}
-            legs = "".join(letters[side] for side in self.clinical.measures)
-            outputs = angles_of(moved, lower_body(moved, self.clinical.subject, legs))
+            outputs = self.clinical.model.outputs(moved)
             joints = [outputs[f"{letters[joint.side]}{joint.joint.title()}Angles"] for joint in self.clinical.joints]
             # Differences, unrolled: an angle near half a turn must not jump by a whole one between trials.
             apart = np.array(joints) - np.array([joint.angles for joint in self.clinical.joints])
@@ -231,7 +230,7 @@ class _Legs:
 def _axes_of(recording: Recording, side: str, clinical: ClinicalAngles) -> Mapping[str, Floats]:
     """The axes (T, 3, 3) of the segments of one side, 0 where they are not known; the foot's are the shank's."""
     letter = next(letter for letter, name in SIDES.items() if name == side)
-    body = lower_body(recording, clinical.subject, letter)
+    body = clinical.model.body(recording)
     leg = body.legs[letter]
     shank = np.nan_to_num(leg.shank)
     return {"pelvis": np.nan_to_num(body.pelvis), "thigh": np.nan_to_num(leg.thigh), "shank": shank, "foot": shank}

@@ -60,6 +60,7 @@ def fill_gaps(
     limit: float = 0.010,
     others: Sequence[Recording] = (),
     rules: GapRules = RULES,
+    wanted: NDArray[np.bool_] | None = None,
     by: str = "",
     progress: Progress | None = None,
 ) -> Filled:
@@ -68,6 +69,7 @@ def fill_gaps(
     limit   m: a gap is left where the 95 % interval of a coordinate reaches further than this to either side in one of its frames
     others  further recordings of the same person with the same markers, which show poses that the recording does not. A marker that the
             recording never shows is predicted from them. Those of other people are not asked (`trials_of_person`)
+    wanted  (T, M) whether a sample may be filled, by default every one: a gap of which one may not is left, and not said
     by      what goes into the processing log, such as the program and its version
 
     Only measured samples tell others. Columns without a name (*1, *2) are neither filled nor used. A gap at either end is filled where
@@ -95,6 +97,8 @@ def fill_gaps(
     fills, findings = list[GapFill](), list[Finding]()
     missing = [[piece for run in _runs(~recording.visible[:, c]) for piece in _pieces(run, trials[0].shown)] for c in named]
     total, done = max(sum(map(len, missing)), 1), 0
+    if wanted is not None:
+        missing = [[gap for gap in gaps if wanted[gap, column].all()] for column, gaps in zip(named, missing, strict=True)]
     for place, column in enumerate(named):
         label, left = recording.labels[column], list[tuple[Ints, float]]()
         unseen = not recording.visible[:, column].any()

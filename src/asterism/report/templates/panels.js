@@ -13,6 +13,8 @@
     button.addEventListener("click", () => go(placeOf(cell)));
   }
 
+  for (const step of document.querySelectorAll(".steps [data-go]")) step.addEventListener("click", () => go(placeOf(step)));
+
   // The heights of a line at 0 to 100 %; NaN where it is broken.
   function heightsOf(path) {
     if (path.heights) return path.heights;
@@ -30,7 +32,9 @@
   document.querySelector("main").append(tip);
 
   for (const panel of document.querySelectorAll(".panel")) {
-    const svg = panel.querySelector("svg"), paths = [...panel.querySelectorAll("path.cycle")], { low, high, unit } = panel.dataset;
+    const svg = panel.querySelector("svg");
+    if (!svg) continue;
+    const paths = [...panel.querySelectorAll("path.cycle")], { low, high, unit } = panel.dataset;
     const digits = high - low > 20 ? 1 : 2;
     const nearest = event => {
       const box = svg.getBoundingClientRect(), scale = 3600 / box.width;

@@ -5,12 +5,12 @@
   const { make, plainText } = Asterism;
   const KEYS = [
     ["n", "name the selected piece; type, Enter takes the first"], ["r", "this label is right"], ["g", "this is a ghost, no marker"], ["c", "cut the piece at this frame"],
-    ["s", "swap two pieces: select one, s, select the other"], ["u, Shift-u", "undo, redo"], ["Tab, Shift-Tab", "next, previous line of the list (with the picture or the list in focus)"],
+    ["s", "swap two pieces: select one, s, select the other"], ["u, Shift-u", "undo, redo"], ["e", "go on from labels to gaps, to events, to labels"], ["Enter, Delete", "accept the fill of a gap, take it or an event away"], ["Tab, Shift-Tab", "next, previous line of the list (with the picture or the list in focus)"],
     ["space", "play or pause"], ["← →, ↑ ↓", "one frame, ten frames"], ["Page keys", "one second"], ["Shift and arrows", "turn the view; with the mouse: drag, Shift-drag moves, the wheel zooms"],
     ["1 2 3 4", "front, side, top, all points"], ["l, f", "names, follow the body"], ["Shift-click", "select a second piece"], ["F6", "next part of the page"], ["Ctrl-s", "save"], ["Esc", "back to the picture"],
   ];
 
-  const OF_LABELS = ["r", "g", "c", "s", "Shift-click"];  // keys that say something of labels
+  const OF_LABELS = ["r", "g", "c", "s", "e", "Enter, Delete", "Shift-click"];  // keys that say something of labels
 
   function showHelp(dialog, naming) {
     dialog.querySelector("dl").replaceChildren(...KEYS.filter(([key]) => !naming || !OF_LABELS.includes(key)).flatMap(([key, text]) => [make("dt", { textContent: key }), make("dd", { textContent: text })]));

@@ -10,7 +10,7 @@
   class Page {
     constructor() {
       this.token = new URLSearchParams(location.search).get("token") || "";
-      Object.assign(this, { trials: [], trial: null, labels: null, player: null, selected: -1, second: -1, wasItem: 0, swapping: false, odds: new Map() });
+      Object.assign(this, { trials: [], trial: null, labels: null, player: null, selected: -1, second: -1, wasItem: 0, swapping: false, odds: new Map(), mode: "labels" });
       this.messages = new Asterism.Messages(at("messages"));
       this.connection = new Asterism.Connection(this.token, { status: status => this.connectionIs(status), told: news => this.heard(news) });
       this.names = new Asterism.NameBox(at("name"), at("candidates"), name => this.nameIt(name));
@@ -19,6 +19,7 @@
       this.again = new Asterism.RelabelForm(at("relabel-form"), (trials, model) => this.relabel(trials, model));
       this.list = new Asterism.List(at("list"), i => this.goToItem(i));
       this.timeline = new Asterism.Timeline(at("timeline"), { seek: frame => this.seek(frame), pick: under => this.pickBar(under) });
+      this.panels = { gaps: new Asterism.GapPanel(this), events: new Asterism.EventPanel(this) };
       this.listen();
       this.begin();
     }
@@ -122,6 +123,7 @@
       this.changes.set([], frame => frame);
       this.unselect();
       this.show(false);
+      this.edit("labels");
       if (loaded.state.relabelled) await this.showRelabelled();
       if (loaded.state.items.length) this.goToItem(0);
       this.player.canvas.focus({ preventScroll: true });
@@ -135,6 +137,17 @@
       this.names.free = naming;
       if (naming) this.player.setNames("all");
       if (naming && !at("set").options.length) this.loadSets();
+    }
+
+    // What is edited: labels, gaps or events.
+    edit(mode) {
+      if (!this.labels || (this.labels.state.naming && mode !== "labels")) return;
+      this.mode = document.body.dataset.mode = mode;
+      for (const button of at("modes").children) button.setAttribute("aria-pressed", button.dataset.mode === mode);
+      this.timeline.lay([], []);
+      Object.assign(this.player.scene, { chosen: null, selected: [] });
+      if (mode === "labels") this.showSelected(); else this.panels[mode].load();
+      this.player.redraw();
     }
 
     async loadSets() {
@@ -162,7 +175,7 @@
       this.showTrials();
       at("save").disabled = false;
       at("save").classList.toggle("done", Boolean(state.saved));
-      this.showSelected();
+      if (this.mode === "labels") this.showSelected(); else this.panels[this.mode].load();
     }
 
     // Selection: a piece by its id, kept while the pieces change
@@ -235,12 +248,18 @@
     moved(frame) { this.timeline.at(frame); }
 
     pickPoint(point, event) {
+      if (this.mode !== "labels") return;
       const place = this.labels.placeOfPoint(point);
       if (place >= 0) this.select(this.labels.pieces.id[place], null, event.shiftKey || event.ctrlKey);
       else if (!this.swapping && point < 0) this.unselect();
     }
 
     pickBar({ row, bar, frame, event }) {
+      if (this.mode === "gaps") {
+        const { rows } = this.panels.gaps, name = this.labels.recording.names[row], i = rows.findIndex(one => plainText(one.marker) === name && frame >= one.first && frame <= one.last);
+        if (i >= 0) this.panels.gaps.select(i);
+      }
+      if (this.mode !== "labels") return;
       const place = bar !== undefined ? this.timeline.bars[bar].place : this.labels.placeOfMarker(row, frame);
       if (place >= 0) this.select(this.labels.pieces.id[place], null, event.shiftKey || event.ctrlKey);
     }
@@ -290,7 +309,7 @@
       if (changed && !state.naming) this.changes.set(changed, frame => this.labels.recording.number(frame), refusable);
       this.player.relabelled();
       this.show();
-      this.loadOdds(true);
+      if (this.mode === "labels") this.loadOdds(true);
     }
 
     async reload() {
@@ -427,15 +446,17 @@
       if (open) return;
       if ((event.ctrlKey || event.metaKey) && event.key === "s") { event.preventDefault(); this.save(); return; }
       if (event.key === "F6") { event.preventDefault(); this.nextPart(event.shiftKey ? -1 : 1); return; }
-      if (event.key === "Escape") { this.swapping = false; if (this.labels) { this.showSelected(); this.player.canvas.focus({ preventScroll: true }); } return; }
+      if (event.key === "Escape") { this.swapping = false; if (this.labels) { if (this.mode === "labels") this.showSelected(); this.player.canvas.focus({ preventScroll: true }); } return; }
       if (typing || event.ctrlKey || event.metaKey || event.altKey || !this.labels) return;
       if (event.key === "Tab") { this.tab(event); return; }
+      if (event.key === "e") { event.preventDefault(); this.edit({ labels: "gaps", gaps: "events", events: "labels" }[this.mode]); return; }
+      if (this.mode !== "labels" && !target.matches("button:not(.line), summary, a") && this.panels[this.mode].keys(event)) return;
       const naming = Boolean(this.labels.state.naming);
       const acts = {
         n: () => { if (this.place(this.selected) >= 0) { at("name").focus(); at("name").select(); } else this.touch(); }, s: () => this.swap(), c: () => this.cut(),
         g: () => this.touch({ kind: "ghost", piece: this.selected }, "The ghost"), r: () => this.touch({ kind: "right", piece: this.selected }, "Right"),
         u: () => this.undo(), U: () => this.redo(), "?": () => Asterism.showHelp(at("help-text"), naming),
-      }, act = naming && "scgr".includes(event.key) ? null : acts[event.key];
+      }, none = this.mode !== "labels" ? "nscgr" : naming ? "scgr" : "", act = none.includes(event.key) ? null : acts[event.key];
       if (act) { event.preventDefault(); act(); return; }
       if (target.matches("button, summary, a") && (event.key === " " || event.key === "Enter")) return;
       this.player.keys(event);
@@ -444,9 +465,9 @@
     // Tab is the list's while the picture, the timeline or the list has the focus; elsewhere it goes on as everywhere.
     tab(event) {
       const { activeElement } = document;
-      if (activeElement && activeElement !== document.body && !activeElement.matches("canvas, #list .line")) return;
+      if (activeElement && activeElement !== document.body && !activeElement.matches("canvas, .listed .line")) return;
       event.preventDefault();
-      this.next(event.shiftKey ? -1 : 1);
+      if (this.mode === "labels") this.next(event.shiftKey ? -1 : 1); else this.panels[this.mode].next(event.shiftKey ? -1 : 1);
     }
 
     nextPart(by) {
@@ -465,6 +486,7 @@
         cut: () => this.cut(), swap: () => this.swap(),
         narrower: () => this.labels && this.timeline.zoom(0.5, this.player.frame), wider: () => this.labels && this.timeline.zoom(2, this.player.frame), whole: () => this.labels && this.timeline.zoom(1e9, 0),
       };
+      for (const button of at("modes").children) button.addEventListener("click", () => this.edit(button.dataset.mode));
       at("relabelling").querySelector("button").addEventListener("click", () => this.stopRelabelling());
       for (const [id, act] of Object.entries(buttons)) at(id).addEventListener("click", act);
     }

@@ -4,7 +4,7 @@
 
   const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
   const PICK = { mouse: 14, touch: 26 };
-  const LEGEND = [["left", "left"], ["right", "right"], ["middle", "middle"], ["wrong", "wrong label"], ["asked", "in question"], ["ghost", "ghost"], ["rest", "no label"]];
+  const LEGEND = [["left", "left"], ["right", "right"], ["middle", "middle"], ["wrong", "wrong label"], ["asked", "in question"], ["ghost", "ghost"], ["rest", "no label"], ["force", "force of the ground"]];
 
   // An element: its properties (text only as text), its attributes, what it holds.
   function make(tag, { attributes = {}, ...properties } = {}, ...children) {
@@ -97,6 +97,7 @@
         if (marks[p] & Asterism.IN_QUESTION) used.add("asked");
         if (marker[p] < 0) used.add(marks[p] & Asterism.GHOST ? "ghost" : "rest");
       }
+      if (this.recording.plates.length) used.add("force");
       this.legend.replaceChildren(...LEGEND.filter(([key]) => used.has(key)).map(([key, text]) => make("span", { className: key, textContent: text })));
     }
 

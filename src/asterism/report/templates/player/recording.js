@@ -155,7 +155,7 @@
 
   function percent(share) {
     const value = 100 * share;
-    return (value >= 100 ? "100" : value >= 99.99 ? "99.99" : value >= 99 ? value.toFixed(2) : value.toFixed(value < 10 ? 1 : 0)) + "\u00a0%";
+    return (value >= 100 ? "100" : value >= 99.99 ? "99.99" : value >= 99 ? value.toFixed(2) : value.toFixed(value < 10 || value >= 90 ? 1 : 0)) + "\u00a0%";
   }
 
   Object.assign(Asterism, { Recording, unpack, inflate, varints, sums, signed, confidenceOf, codeOf, plainText, percent, WRONG, IN_QUESTION, GHOST, PERSON, LOWEST, HIGHEST });

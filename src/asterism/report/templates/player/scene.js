@@ -15,7 +15,7 @@
     return {
       left: of("left", "#d1344b"), right: of("right", "#2563c9"), middle: of("middle", "#23304d"), rest: of("rest", "#8a94a6"),
       ghost: of("ghost", "#9a6bb0"), wrong: of("wrong", "#e6007a"), asked: of("asked", "#f08c00"), bone: of("bone", "#aab6c8"),
-      grid: of("grid", "#e3e8f0"), axis: of("axis", "#ccd5e2"), ink: of("ink", "#16213a"), paper: of("paper", "#fbfcfe"), arrow: of("arrow", "#0f7b8a"),
+      grid: of("grid", "#e3e8f0"), axis: of("axis", "#ccd5e2"), ink: of("ink", "#16213a"), paper: of("paper", "#fbfcfe"), arrow: of("arrow", "#0f7b8a"), force: of("force", "#12805c"),
     };
   }
 
@@ -181,7 +181,7 @@
     // The force on the person from each plate, an arrow from its centre of pressure.
     drawForces(frame) {
       const { context, camera, recording, body, colours } = this;
-      context.strokeStyle = context.fillStyle = colours.arrow;
+      context.strokeStyle = context.fillStyle = colours.force;
       context.lineWidth = 3;
       for (const plate of recording.plates) {
         const load = plate.at(frame);

@@ -19,7 +19,7 @@
     out[PERSON] = of("person", "#2f9e62");
     out[WRONG] = of("wrong", "#e6007a");
     return { codes: out, ink: of("ink", "#16213a"), soft: of("soft", "#5b6780"), asked: of("asked", "#f08c00"), rest: of("rest", "#8a94a6"),
-      ghost: of("ghost", "#9a6bb0"), paper: of("paper", "#fbfcfe"), line: of("axis", "#ccd5e2") };
+      ghost: of("ghost", "#9a6bb0"), left: of("left", "#d1344b"), right: of("right", "#2563c9"), paper: of("paper", "#fbfcfe"), line: of("axis", "#ccd5e2") };
   }
 
   // What a pixel shows of several columns: any wrong label, then any unsure one, then what most of them are, at its lowest confidence.
@@ -77,7 +77,7 @@
       host.after(this.legend);
       this.context = this.canvas.getContext("2d", { alpha: false });
       this.cache = document.createElement("canvas");
-      Object.assign(this, { seek, pick, frame: 0, bars: [], marked: [], data: null });
+      Object.assign(this, { seek, pick, frame: 0, bars: [], marked: [], overlay: [], flags: [], onFlag: () => {}, data: null });
       this.listen();
       new ResizeObserver(() => this.redraw()).observe(host);
     }
@@ -93,12 +93,26 @@
       if (!keepWindow || !before || before.frames !== frames) this.window = [0, Math.max(frames, 1)];
       this.colours = shades(this.canvas);
       this.canvas.setAttribute("aria-label", `${rows.length} markers over ${frames} frames; click to choose a frame, + and - to zoom`);
-      this.legend.replaceChildren(...meanings(this.data, bars, this.colours).map(([className, colour, textContent]) => {
+      this.showLegend();
+      this.redraw();
+    }
+
+    showLegend() {
+      const { codes } = this.colours, done = this.overlay.some(span => span.done), open = this.overlay.some(span => !span.done);
+      const laid = [...(open ? [["points", codes[UNSURE], "can be filled"]] : []), ...(done ? [["points", codes[PERSON], "fill accepted"]] : []),
+        ...(this.flags.length ? [["", this.colours.left, "left: ▼ strike, ▽ off"], ["", this.colours.right, "right, dashed"]] : [])];
+      this.legend.replaceChildren(...[...meanings(this.data, this.bars, this.colours), ...laid].map(([className, colour, textContent]) => {
         const line = Object.assign(document.createElement("span"), { className, textContent });
         line.style.setProperty("--code", colour);
         return line;
       }));
-      this.redraw();
+    }
+
+    // What lies over the rows, see `paintOverlay` and `paintFlags`; marked as of `mark`.
+    lay(overlay, flags, marked = []) {
+      Object.assign(this, { overlay, flags });
+      if (this.data) this.showLegend();
+      this.mark(marked);
     }
 
     get height() { return AXIS + ROW * this.data.rows.length + (this.bars.length ? 8 + LANE * this.lanes.count : 0); }
@@ -234,6 +248,7 @@
       context.setTransform(1, 0, 0, 1, 0, 0);
       context.drawImage(this.cache, 0, 0);
       context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+      this.paintOverlay(context, top);
       context.strokeStyle = this.colours.asked;
       context.lineWidth = 2;
       for (const mark of this.marked) {
@@ -241,7 +256,48 @@
         const x = Math.max(this.left, this.xOf(mark.first)), end = Math.min(this.right, this.xOf(mark.last + 1));
         if (end >= x && y >= AXIS - high) context.strokeRect(x - 0.5, y + 0.5, Math.max(3, end - x + 1), high - 1);
       }
+      this.paintFlags(context);
       this.at(this.frame);
+    }
+
+    // Spans [{row, first, last, done}] in which a marker is missing and can be filled, or is.
+    paintOverlay(context, top) {
+      for (const { row, first, last, done } of this.overlay) {
+        const y = AXIS + row * ROW - top, x = Math.max(this.left, this.xOf(first)), end = Math.min(this.right, this.xOf(last + 1));
+        if (end < this.left || x > this.right || y < AXIS - ROW) continue;
+        context.fillStyle = this.colours.codes[done ? PERSON : UNSURE];
+        context.fillRect(x, y + 4, Math.max(2, end - x), ROW - 8);
+      }
+    }
+
+    // Events [{frame, side, strike, chosen}]: a line over all rows, dashed on the right, under a flag that is open for an off.
+    paintFlags(context) {
+      for (const { frame, side, strike, chosen } of this.flags) {
+        const x = this.xOf(frame + 0.5), colour = this.colours[side];
+        if (x < this.left || x > this.right) continue;
+        context.strokeStyle = context.fillStyle = colour;
+        context.lineWidth = chosen ? 2.5 : 1.2;
+        context.setLineDash(side === "right" ? [4, 3] : []);
+        context.beginPath();
+        context.moveTo(x, AXIS);
+        context.lineTo(x, this.shown);
+        context.stroke();
+        context.setLineDash([]);
+        context.beginPath();
+        context.moveTo(x - 5, AXIS - 10);
+        context.lineTo(x + 5, AXIS - 10);
+        context.lineTo(x, AXIS - 1);
+        context.closePath();
+        if (strike) context.fill();
+        context.stroke();
+      }
+    }
+
+    // The event under the pointer, by its line within some pixels; -1 where none is.
+    flagAt(event) {
+      const x = event.clientX - this.canvas.getBoundingClientRect().left;
+      const apart = this.flags.map(flag => Math.abs(this.xOf(flag.frame + 0.5) - x)), near = Math.min(...apart);
+      return near <= 6 ? apart.indexOf(near) : -1;
     }
 
     zoom(factor, about) {
@@ -271,17 +327,27 @@
       let drag = null;
       this.canvas.addEventListener("pointerdown", event => {
         if (!this.data || event.button) return;
-        drag = { x: event.clientX, y: event.clientY, moved: false, axis: this.under(event).row === undefined };
+        drag = { x: event.clientX, y: event.clientY, moved: false, flag: this.flagAt(event), axis: this.under(event).row === undefined };
         if (event.pointerType !== "touch") this.canvas.setPointerCapture(event.pointerId);
       });
       this.canvas.addEventListener("pointermove", event => {
         if (!this.data) return;
         if (!drag || event.pointerType === "touch") { this.hover(event); return; }
         if (Math.abs(event.clientX - drag.x) > 4) drag.moved = true;
+        if (drag.moved && drag.flag >= 0) {
+          this.flags[drag.flag].frame = this.under(event).frame;
+          this.paint();
+        }
         if (drag.moved) this.seek(this.under(event).frame);
       });
       this.canvas.addEventListener("pointerup", event => {
         if (!drag) return;
+        const { flag, moved } = drag;
+        if (flag >= 0) {
+          drag = null;
+          this.onFlag(flag, moved ? this.under(event).frame : null);
+          return;
+        }
         const still = !drag.moved && Math.hypot(event.clientX - drag.x, event.clientY - drag.y) < 8;
         drag = null;
         if (!still) return;
