@@ -204,7 +204,10 @@ def test_two_sessions_are_compared_and_what_changed_is_marked(sessions: Path, tm
         assert not length["exceeds"] and length["difference"] == pytest.approx(0.0, abs=0.03)
     page = (tmp_path / "p.html").read_text()
     assert "left, before" in page and "right, after" in page and headings(page)[:2] == ["The person", "Parameters of two sessions"]
-    assert 'data-go="0:' in page and 'data-go="1:' in page and 'class="mean left earlier"' in page
+    assert 'class="mean left earlier"' in page
+    for earlier, recording in ((" earlier", "0"), ("", "1")):
+        places = re.findall(rf'class="cycle left{earlier}" d="[^"]*" data-name="[^"]*" data-go="(\d+):', page)
+        assert places and set(places) == {recording}, "each session leads to its own recording"
 
 
 def test_angles_of_two_sessions_differ_where_they_exceed_their_intervals(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
