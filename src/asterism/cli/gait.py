@@ -190,7 +190,7 @@ def analysed(
     rules = StaticRules(flat_foot=not options.sloped_foot, level_head=options.level_head)
     muscles = muscles_by_channel(options.emg)
     results: list[tuple[Path, GaitAnalysis]] = []
-    trials = files if options.static is None else [*files, options.static]
+    trials = list(files) if options.static is None else [options.static, *files]
     for path in files:
         with batch.file(path):
             if path in copies:
@@ -384,9 +384,11 @@ def show(path: Path, analysis: GaitAnalysis) -> None:
     where = "treadmill" if analysis.walking.treadmill else "floor"
     sides = [sum(cycle.side == side for cycle in analysis.cycles) for side in "LR"]
     plates = sum(event.source.startswith("plate") for event in analysis.walking.events)
+    model = None if analysis.clinical is None else analysis.clinical.model
+    angles = "no angles" if model is None else f"angles by {model.title(analysis.recording)}, hip centres by {model.hip}"
     _console.result(
         f"{path}: {sides[0]} left and {sides[1]} right cycles, on a {where}; {len(analysis.walking.events)} events, "
-        f"{plates} of them by force plates; {last_filter(analysis.recording)}."
+        f"{plates} of them by force plates; {last_filter(analysis.recording)}; {angles}."
     )
     if rows:
         _console.table(f"{path}: gait parameters (cycles)", ["parameter", "unit", "left", "right", "left more, %"], rows)
