@@ -128,6 +128,8 @@ def test_events_alternate_and_each_foot_leaves_after_it_struck() -> None:
 def test_a_person_who_stands_has_no_events() -> None:
     walk = stepping()
     still = replace(walk, positions=np.repeat(walk.positions[:1], 300, axis=0))
+    swaying = still.positions + 0.01 * np.sin(np.linspace(0, 9, 300))[:, None, None] * np.linspace(-1, 1, still.positions.shape[1])[:, None]
+    assert find_events(replace(still, positions=swaying)).events == ()
     analysis = analyse_gait(still)
     assert analysis.walking.events == () and [one.code for one in analysis.findings] == ["gait-no-cycle", "gait-no-angles"]
 
