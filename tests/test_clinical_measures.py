@@ -47,6 +47,9 @@ def test_a_table_has_a_row_for_each_person_or_one_for_each_measure(tmp_path: Pat
         assert own["LKneeWidth"] == pytest.approx(width) and ("LeftTibialTorsion" in own or "LTibialTorsion" in own) == (width == 102.0)
     with pytest.raises(AsterismError, match=r"2 people \(ann, bob\).*of none of them"):
         measures_of_person(tmp_path / "all.csv", replace(recording, metadata={"file": "data/eve/walk.c3d"}))
+    (tmp_path / "one.csv").write_text(f"LKneeWidth{separator}0.1\n")
+    with pytest.raises(AsterismError, match=r"one\.csv: LKneeWidth is 0\.1; give it in mm"):
+        measures_of_person(tmp_path / "one.csv", recording)
     (tmp_path / "one.csv").write_text(f"measure{separator}mm\nLKneeWidth{separator}101\nRKneeWidth{separator}\n")
     assert read_measures(tmp_path / "one.csv") == {"": {"LKneeWidth": 101.0}}
 
@@ -119,6 +122,9 @@ def test_an_adults_measure_is_never_taken_in_silence(tmp_path: Path, capsys: pyt
         main([*command, *words])
         told = "".join(capsys.readouterr())
         assert "no leg length of the left leg" in told and "no ankle width, leg length of the right leg" in told
+    kept = (tmp_path / "ann.mp").read_text()
+    assert main(["gait", *words, "-o", str(tmp_path / "ann.mp"), "--overwrite"]) == 2 and (tmp_path / "ann.mp").read_text() == kept
+    capsys.readouterr()
     assert main(["gait", *words[:3], "--measure", "LKneeWidth"]) == 2
     assert "neither a name with its value" in capsys.readouterr().err
 

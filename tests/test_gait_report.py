@@ -195,16 +195,34 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_two_sessions_are_compared_and_what_changed_is_marked(sessions: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = (str(sessions / name / "a.c3d") for name in ("before", "after"))
     words = ["gait", first, "--compare", second, "--report", str(tmp_path / "p.html"), "--json", str(tmp_path / "p.json")]
-    assert main(words) == 0
+    assert main([*words, "--measure", "BodyMass=50", "--compare-measure", "BodyMass=54"]) == 0
     assert "Two sessions" in capsys.readouterr().out
-    changes = {(one["parameter"], one["side"]): one for one in json.loads((tmp_path / "p.json").read_text())["changes"]}
+    content = json.loads((tmp_path / "p.json").read_text())
+    assert [content[session][0]["measures"]["mass"] for session in ("files", "compared")] == [50, 54]
+    changes = {(one["parameter"], one["side"]): one for one in content["changes"]}
     for side in "LR":
         speed, length = changes["walking speed", side], changes["stride length", side]
         assert speed["second"] == pytest.approx(1.25 * speed["first"], rel=0.02) and speed["exceeds"]
         assert not length["exceeds"] and length["difference"] == pytest.approx(0.0, abs=0.03)
     page = (tmp_path / "p.html").read_text()
     assert "left, before" in page and "right, after" in page and headings(page)[:2] == ["The person", "Parameters of two sessions"]
-    assert 'data-go="0:' in page and 'data-go="1:' in page and 'class="mean left earlier"' in page
+    assert 'class="mean left earlier"' in page
+    for earlier, recording in ((" earlier", "0"), ("", "1")):
+        places = re.findall(rf'class="cycle left{earlier}" d="[^"]*" data-name="[^"]*" data-go="(\d+):', page)
+        assert places and set(places) == {recording}, "each session leads to its own recording"
+
+
+def test_angles_of_two_sessions_differ_where_they_exceed_their_intervals(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
+    """A knee that is bent by 40 degrees more in the first half of the cycle, and a walk that is the same."""
+    more = np.where(np.arange(101) <= 50, np.radians(40.0), 0.0)[:, None] * [1.0, 0.0, 0.0]
+    bent = replace(walks[0], curves={name: curves + more if name == "LKneeAngles" else curves for name, curves in walks[0].curves.items()})
+    bent.__dict__["bands"] = walks[0].bands
+    gait_report(tmp_path / "p.html", [("first", walks[0])], compare=[("second", bent)])
+    section = (tmp_path / "p.html").read_text().split("<h2>Angles of two sessions</h2>")[1].split("</section>")[0]
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", section, re.DOTALL)[1:]]
+    (changed,) = [row for row in rows if row[6] != "no part"]
+    assert changed[:2] == ["knee flexion", "left"] and changed[3] == "+40.0" and changed[6] == "50 % of the cycle"
+    assert float(changed[2]) == pytest.approx(40 * 51 / 101, abs=0.1) and len(rows) > 12
 
 
 def test_all_files_behind_compare_are_of_the_second_session(sessions: Path, tmp_path: Path) -> None:

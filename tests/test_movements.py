@@ -16,6 +16,7 @@ import asterism
 from asterism import AsterismError, Event, Recording
 from asterism.cli import main
 from asterism.motion.events import FoundMovement, MovementRules, find_movement, movement_table, shipped_movements
+from asterism.simulation import simulate_walks
 
 RATE = 100.0
 NOISE = 0.0005
@@ -100,6 +101,23 @@ def test_the_phases_of_a_golf_swing_and_the_order_of_its_segments() -> None:
     assert movement.peaks[0].same > 0.9 and movement.peaks[0].sigma < 0.03
 
 
+def test_the_trunk_of_a_person_who_lifts_leans_as_far_as_it_does() -> None:
+    """Two lifts: the trunk leans evenly to 70 degrees at 1.5 and 4.5 s, and back, 30 degrees in 0.5 s."""
+    times = np.arange(0, 6, 1 / RATE)
+    lean = np.radians(np.maximum(70.0 - 60.0 * np.minimum(np.abs(times - 1.5), np.abs(times - 4.5)), 0.0))
+    pelvis = np.tile([0.0, 0.0, 0.95], (len(times), 1))
+    along = np.stack([np.sin(lean), 0 * lean, np.cos(lean)], axis=1)
+    hands = pelvis + 0.5 * along - [0.0, 0.0, 0.6]
+    points = {"SACR": pelvis, "C7": pelvis + 0.5 * along, "LFIN": hands, "RFIN": hands}
+    movement = find_movement(noisy(points), MovementRules.load("lifting"))
+    # 20 degrees lie 50 of them, 0.83 s, before and behind the middle
+    for name, expected in (("Bending", [0.667, 3.667]), ("Lowest", [1.5, 4.5]), ("Upright", [2.333, 5.333])):
+        assert times_of(movement, name) == pytest.approx(expected, abs=0.015), name
+    assert [phase.name for phase in movement.phases] == ["reaching", "lifting"] * 2
+    most = [one.value for phase in movement.phases for one in phase.extremes if (one.signal, one.kind) == ("trunk", "maximum")]
+    assert most == pytest.approx([70.0] * 4, abs=3.0) and [one.code for one in movement.findings] == ["movement-markers"]
+
+
 def test_events_become_less_certain_with_noise() -> None:
     quiet, loud = (find_movement(noise, MovementRules.load("pedalling")) for noise in (pedalling(), _louder(pedalling(), 20.0)))
     mean = [np.mean([event.sigma for event in one.events]) for one in (quiet, loud)]
@@ -148,10 +166,14 @@ def test_markers_that_are_not_worn_cost_their_signals_alone() -> None:
             find_movement(other, rules, given)
 
 
-def test_a_still_person_shows_none() -> None:
-    still = replace(pedalling(), positions=np.repeat(pedalling().positions[:1], 200, axis=0))
-    movement = find_movement(still, MovementRules.load("pedalling"))
-    assert movement.events == () and [one.code for one in movement.findings][-1] == "movement-none"
+def test_a_person_who_stands_or_walks_does_not_squat_or_pedal() -> None:
+    """A share of the range alone would make movements of sway and noise."""
+    still = pedalling()
+    positions = np.repeat(still.positions[:1], 400, axis=0) + NOISE * np.random.default_rng(2).standard_normal(still.positions.shape)
+    walk = simulate_walks(1, frames=300, markers="helen-hayes", seed=0)[0]
+    for recording, rules in ((replace(still, positions=positions), "pedalling"), (walk, "squat"), (walk, "pedalling")):
+        movement = find_movement(recording, MovementRules.load(rules))
+        assert movement.events == () and movement.findings[-1].code == "movement-none"
 
 
 GOOD = """
@@ -194,9 +216,9 @@ def test_rules_that_are_none_are_refused_with_their_place(tmp_path: Path, old: s
 
 
 def test_rules_that_are_missing_name_those_that_ship() -> None:
-    with pytest.raises(AsterismError, match="shipped ones are golf-swing, pedalling, squat"):
+    with pytest.raises(AsterismError, match="shipped ones are golf-swing, lifting, pedalling, squat"):
         MovementRules.load("tennis")
-    assert {MovementRules.load(name).title for name in shipped_movements()} == {"Golf swing", "Pedalling", "Squat"}
+    assert {MovementRules.load(name).title for name in shipped_movements()} == {"Golf swing", "Lifting", "Pedalling", "Squat"}
 
 
 def test_events_are_written_into_the_file_and_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

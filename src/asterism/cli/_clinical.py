@@ -24,6 +24,11 @@ if TYPE_CHECKING:
     from asterism.recording import Floats, Recording
 
 
+def measure_files(words: list[str]) -> list[Path]:
+    """The words of --measure that are files."""
+    return [Path(word) for word in words if "=" not in word or Path(word).is_file()]
+
+
 def given_measures(words: list[str]) -> tuple[dict[str, float], list[Path]]:
     """The measures that --measure names, and the files of measures that it gives.
 
@@ -32,7 +37,7 @@ def given_measures(words: list[str]) -> tuple[dict[str, float], list[Path]]:
     from asterism.motion.clinical import SubjectMeasures
     from asterism.motion.clinical.measure_files import measures_by_name, read_measures
 
-    files = [Path(word) for word in words if "=" not in word or Path(word).is_file()]
+    files = measure_files(words)
     for file in files:
         if not file.suffix:
             raise AsterismError(f"--measure {file} is neither a name with its value, such as LKneeWidth=102, nor a file of measures.")

@@ -25,7 +25,7 @@ class EventsOptions:
 
     files: Files
     rules: Annotated[
-        str, typer.Option("--rules", "-r", metavar="MOVEMENT", help="golf-swing, pedalling, squat, or a TOML file of your own.")
+        str, typer.Option("--rules", "-r", metavar="MOVEMENT", help="golf-swing, lifting, pedalling, squat, or a TOML file of your own.")
     ]
     marker: Annotated[
         list[str],

@@ -117,7 +117,11 @@ def motion(options: MotionOptions) -> None:
     from asterism.cli._folders import recordings_of
     from asterism.motion.analysis import MotionRules
 
-    _console.check_outputs([options.report, options.json, options.output], [*options.files, options.rig], options.overwrite)
+    _console.check_outputs(
+        [options.report, options.json, options.output],
+        [*options.files, options.rig, options.static, *_clinical.measure_files(options.measure)],
+        options.overwrite,
+    )
     # a covariance belongs to the cameras of a rig, by their names
     if options.covariance is not None and options.rig is None:
         raise AsterismError("--covariance belongs to a rig; give its file with --rig.")

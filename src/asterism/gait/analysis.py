@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
 from asterism.gait.emg import EmgChannel, emg_of
 from asterism.gait.events import Walking, find_events, plate_contacts
 from asterism.gait.fills import angles_with_fills, drawn_fills, events_with_fills
+from asterism.gait.intervals import AngleBand, angle_bands
 from asterism.gait.parameters import Parameter, parameters_of
 from asterism.gait.said import walking_as_said
 from asterism.motion.clinical import (
@@ -26,9 +26,6 @@ from asterism.motion.clinical import (
     inverse_dynamics,
 )
 from asterism.recording import Floats, ForcePlate, Recording, filled_samples
-
-if TYPE_CHECKING:
-    from asterism.gait.intervals import AngleBand
 
 CURVES = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress", "Thorax", "Spine", "Head", "Neck", "Shoulder", "Elbow", "Wrist")
 """Quantities whose angles are drawn over the cycle, by Plug-in-Gait's names."""
@@ -74,8 +71,6 @@ class GaitAnalysis:
     @cached_property
     def bands(self) -> Mapping[str, AngleBand]:
         """95 % bands of the angles, see `angle_bands`; computed when they are first asked for."""
-        from asterism.gait.intervals import angle_bands
-
         return angle_bands(self)
 
 

@@ -147,7 +147,7 @@ def envelope(samples: Floats, rate: float, rules: EmgRules | None = None) -> Flo
     >>> times = np.arange(2000) / 1000.0
     >>> burst = np.sin(2 * np.pi * 100 * times) * (times > 1.0)
     >>> found = envelope(burst, 1000.0)
-    >>> bool(abs(found[1500] - 2 / np.pi) < 0.01), bool(found[500] < 0.01)
+    >>> bool(abs(found[1500] - 2 / np.pi) < 0.03), bool(found[500] < 0.01)  # the band-pass takes 3 % at 100 Hz
     (True, True)
     """
     rules = rules or EmgRules()

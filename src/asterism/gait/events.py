@@ -185,7 +185,9 @@ def _turning_points(curve: Floats, feet: Feet, rules: EventRules) -> list[int]:
     beyond = [curve.min() - 2 * least]
     peaks, _ = find_peaks(np.concatenate([beyond, curve, beyond]), prominence=least, distance=int(0.25 * RATE))
     sides = [(peak - 1, curve[peak - 1] - curve[: peak - 1], curve[peak - 1] - curve[peak:]) for peak in peaks.tolist()]
-    return [peak for peak, before, after in sides if min(before.max(initial=0.0), after.max(initial=0.0)) > _DROP]
+    drops = [(peak, before.max(initial=0.0), after.max(initial=0.0)) for peak, before, after in sides]
+    # The highest point of all is only a peak where the curve itself, not what was put beyond its ends, falls.
+    return [peak for peak, before, after in drops if min(before, after) > _DROP and max(before, after) >= least]
 
 
 def _strike_on_belt(side: str, peak: int, jerk: Floats, rules: EventRules) -> GaitEvent:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
-from asterism.gait.analysis import CURVES, GaitAnalysis
 from asterism.gait.cycles import POINTS, Cycle
 from asterism.gait.feet import SIDES
 from asterism.geometry import rotate_z_up
-from asterism.motion.clinical import ClinicalModel, LegMeasures, SubjectMeasures, complete_legs
+from asterism.motion.clinical import ClinicalAngles, ClinicalModel, LegMeasures, SubjectMeasures, complete_legs
 from asterism.motion.clinical.estimated import MeasurePriors, WalkEstimator
+from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
 from asterism.motion.clinical.plug_in_gait import LowerBody, angles_of, lower_body, radius_by_the_file
 from asterism.motion.joints.anatomy import sacrum_markers
 from asterism.recording import Floats, Recording
@@ -25,12 +26,38 @@ PLACED = 0.005
 """m, standard deviation of a marker's place along each direction from session to session. By propagation that is 2 to 5 degrees, as between
 sessions of one laboratory (McGinley et al. 2009); between examiners of several it is double (Della Croce et al. 1999). Bands are in
 proportion to it where all measures are known"""
+BANDED = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress")
+"""Quantities whose angles have bands, by Plug-in-Gait's names."""
 _CYCLES, _ROWS = 2, 40
 """Cycles of each side, and frames of each, at which angles are computed again: cycles of one walk differ by less than a tenth of a band."""
 _STEP = 0.001
 """m, by which a marker is moved to see what it does."""
 _CALIBRATED = {"THI": "thigh_rotation", "TIB": "shank_rotation", "TOE": "foot_flexion"}
 """The measure that a standing trial takes of a marker: with it, the marker counts as well placed."""
+
+
+class AnalysedWalk(Protocol):
+    """What bands need of an analysis, see `asterism.gait.GaitAnalysis`."""
+
+    @property
+    def recording(self) -> Recording:
+        """Which was analysed."""
+
+    @property
+    def cycles(self) -> tuple[Cycle, ...]:
+        """Whole ones."""
+
+    @property
+    def clinical(self) -> ClinicalAngles | None:
+        """Angles over time."""
+
+    @property
+    def curves(self) -> Mapping[str, Floats]:
+        """Angles over the cycles, rad."""
+
+    @property
+    def fill_sigmas(self) -> Mapping[str, Floats]:
+        """What fills add, rad."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +74,7 @@ class AngleBand:
 
 
 def angle_bands(
-    analysis: GaitAnalysis, sources: Sequence[str] = SOURCES, *, placed: float = PLACED, priors: MeasurePriors | None = None
+    analysis: AnalysedWalk, sources: Sequence[str] = SOURCES, *, placed: float = PLACED, priors: MeasurePriors | None = None
 ) -> dict[str, AngleBand]:
     """Bands of the angles of legs and pelvis over the cycle, by Plug-in-Gait's names.
 
@@ -57,10 +84,11 @@ def angle_bands(
     measured. How soft tissue moves is the same in both sessions and no part of it; see `clinical_uncertainty` for bones.
 
     What is not measured is estimated from the walk (`WalkEstimator`). Measures with which the file's program computed its own angles count
-    as known. Without angles or whole cycles there are no bands. O(1): some 200 times the angles of 160 frames.
+    as known. What is left open by more than a right angle has no band (NaN). Without angles or whole cycles there are no bands. O(1): some
+    200 times the angles of 160 frames.
     """
     clinical = analysis.clinical
-    curves = {name: values for name, values in analysis.curves.items() if name.removesuffix("Angles")[1:] in CURVES[:5]}
+    curves = {name: values for name, values in analysis.curves.items() if name.removesuffix("Angles")[1:] in BANDED}
     wands = clinical is not None and clinical.model.name == "plug-in-gait"
     # The measures that nobody gave, and the markers that are moved, are those of Plug-in-Gait's whole legs.
     sides = "".join(complete_legs(analysis.recording)) if wands else "LR"
@@ -70,7 +98,9 @@ def angle_bands(
     if not wands:
         return _of_landmarks(analysis, clinical.model, curves, sources, placed)
     recording, times = _some(analysis)
+    recording = with_plug_in_gait_names(recording)
     reported = _angles(recording, clinical.subject, sides)
+    curves = {name: values for name, values in curves.items() if name in reported}
     middle, parts = reported, {source: {name: np.zeros_like(values) for name, values in reported.items()} for source in SOURCES}
     estimator = WalkEstimator(recording, _as_known(analysis), sides, priors or MeasurePriors())
     subject = estimator.estimate() if estimator.sources and "measures" in sources else clinical.subject
@@ -86,7 +116,7 @@ def angle_bands(
 
 
 def _of_landmarks(
-    analysis: GaitAnalysis, model: ClinicalModel, curves: Mapping[str, Floats], sources: Sequence[str], placed: float
+    analysis: AnalysedWalk, model: ClinicalModel, curves: Mapping[str, Floats], sources: Sequence[str], placed: float
 ) -> dict[str, AngleBand]:
     """Bands of angles that come from landmarks: of no measures, but of where each landmark was felt."""
     recording, times = _some(analysis)
@@ -99,7 +129,7 @@ def _of_landmarks(
 
 
 def _bands(
-    analysis: GaitAnalysis,
+    analysis: AnalysedWalk,
     curves: Mapping[str, Floats],
     sources: Sequence[str],
     times: Floats,
@@ -119,11 +149,13 @@ def _bands(
         mean = np.where(seen.any(axis=0), np.nansum(curves[name], axis=0) / np.maximum(seen.sum(axis=0), 1), np.nan)
         centre = mean + _over(shift[name], times, own)
         wide = COVERAGE * np.sqrt(sum(part**2 for part in spread.values()))
+        # Near a right angle of the middle turn the other two run away, and first order tells nothing of them.
+        wide = np.where(wide < np.pi / 2, wide, np.nan)
         found[name] = AngleBand(centre - wide, centre + wide, spread)
     return found
 
 
-def _shown(analysis: GaitAnalysis, side: str) -> list[Cycle]:
+def _shown(analysis: AnalysedWalk, side: str) -> list[Cycle]:
     """`_CYCLES` cycles of a side at most, those in which most is known of the knee."""
     own = [cycle for cycle in analysis.cycles if cycle.side == side]
     knee = analysis.curves.get(f"{side}KneeAngles", np.zeros((len(own), 1)))
@@ -131,7 +163,7 @@ def _shown(analysis: GaitAnalysis, side: str) -> list[Cycle]:
     return [own[place] for place in sorted(range(len(own)), key=lambda place: -known[place])[:_CYCLES]]
 
 
-def _some(analysis: GaitAnalysis) -> tuple[Recording, Floats]:
+def _some(analysis: AnalysedWalk) -> tuple[Recording, Floats]:
     """The recording at `_ROWS` frames of each cycle that is shown, and their times in s."""
     recording, last = analysis.recording, len(analysis.recording) - 1
     rows = set[int]()
@@ -143,7 +175,7 @@ def _some(analysis: GaitAnalysis) -> tuple[Recording, Floats]:
     return replace(recording, positions=positions, vertical=np.array([0.0, 0.0, 1.0]), source=None, origin=None), chosen / recording.rate
 
 
-def _as_known(analysis: GaitAnalysis) -> SubjectMeasures:
+def _as_known(analysis: AnalysedWalk) -> SubjectMeasures:
     """The measures; where the file's own angles follow from them, also those that it left at zero count as given."""
     assert analysis.clinical is not None
     subject = analysis.clinical.subject

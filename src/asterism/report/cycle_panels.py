@@ -40,7 +40,7 @@ class CurvesOfSide:
     side      "left" or "right"
     cycles    of that foot
     off       %, where it leaves the floor, the mean over the cycles; None where it is not drawn
-    interval  (101,) each: what the measurement leaves open about the mean, low and high
+    interval  (101,) each: what the measurement leaves open about the mean, low and high; not drawn of the earlier session
     earlier   whether they are of the first of two sessions, which is drawn paler
     """
 
@@ -97,6 +97,7 @@ def _legend(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None, inte
     if any(panel.control for panel in panels):
         keys.append(('<rect width="26" height="12" fill="#64748b" opacity="0.25"/>', "controls, mean ± 1 SD"))
     if any(one.interval for one in shown):
+        interval = interval if sessions is None else f"{interval}, {sessions[1]}"
         keys.append(
             ('<rect width="26" height="12" fill="#d1344b" opacity="0.2"/><path d="M0 .5h26M0 11.5h26" stroke="#d1344b"/>', interval)
         )
@@ -116,7 +117,8 @@ def _panel(panel: CyclePanel) -> str:
         parts.append(f'<path class="control" d="{scale.area(*panel.control)}"/>')
     sides = [one for one in panel.sides if one.cycles]
     for one in sides:
-        if one.interval is not None:
+        # Of two sessions the later one's alone: four bands hide each other.
+        if one.interval is not None and not one.earlier:
             edges = "".join(f'<path class="edge" d="{scale.path(edge)}"/>' for edge in one.interval)
             parts.append(f'<g class="interval {one.side}"><path d="{scale.area(*one.interval)}"/>{edges}</g>')
     for one in sides:

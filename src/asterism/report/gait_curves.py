@@ -11,7 +11,7 @@ import numpy as np
 from asterism.recording import Floats
 from asterism.report.cycle_panels import CurvesOfSide, CycleCurve, CyclePanel, drawn_panels
 from asterism.report.gait_session import SIDE, GaitSession
-from asterism.report.page import Section
+from asterism.report.page import Cell, Section, Table
 
 if TYPE_CHECKING:
     from asterism.gait import Band, Cycle, GaitAnalysis
@@ -82,7 +82,39 @@ def angle_section(sessions: Sequence[GaitSession], band: Band | None) -> list[Se
             " The 95 % interval says where the mean would be in another session with this person: with markers placed anew, and measured "
             "where nobody did. It is no spread of the cycles."
         )
-    return [Section("Angles over the gait cycle", text, drawing=drawn_panels(panels, session_names(sessions)))]
+    names = session_names(sessions)
+    sections = [Section("Angles over the gait cycle", text, drawing=drawn_panels(panels, names))]
+    if names is not None and (rows := _differences(panels)):
+        said = (
+            f"Of the mean curves, {names[1]} less {names[0]}. The interval holds 95 % of the differences that two sessions would show of "
+            "the same walk, with markers placed anew. Where a difference exceeds it, the walk has changed."
+        )
+        head = ["angle", "side", "mean difference, °", "largest, °", "at", "± 95 % there, °", "exceeds it over"]
+        sections.append(Section("Angles of two sessions", said, table=Table(head, rows, left=2)))
+    return sections
+
+
+def _differences(panels: Sequence[CyclePanel]) -> list[list[str | Cell]]:
+    """How far the later session's means are from the earlier one's, a row for each angle and side whose intervals are known."""
+    rows: list[list[str | Cell]] = []
+    for panel in panels:
+        for side in SIDE.values():
+            both = {one.earlier: one for one in panel.sides if one.side == side and one.cycles and one.interval is not None}
+            if len(both) < 2:
+                continue
+            apart = both[False].mean - both[True].mean
+            # Both sessions have their own errors of placement.
+            half = np.hypot(*(0.5 * (one.interval[1] - one.interval[0]) for one in both.values() if one.interval is not None))
+            known = np.isfinite(apart) & np.isfinite(half)
+            if not known.any():
+                continue
+            at = int(np.nanargmax(np.where(known, np.abs(apart), np.nan)))
+            share = float((np.abs(apart[known]) > half[known]).mean())
+            largest = Cell(f"{apart[at]:+.1f}", 0.6 if share > 0 else 0.0)
+            over = f"{100 * share:.0f} % of the cycle" if share > 0 else "no part"
+            mean = round(float(apart[known].mean()), 1) + 0.0
+            rows.append([panel.title, side, f"{mean:+.1f}", largest, f"{at} %", f"{half[at]:.1f}", over])
+    return rows
 
 
 def _with_intervals(sides: Sequence[CurvesOfSide], sessions: Sequence[GaitSession], curve: str, which: int) -> list[CurvesOfSide]:

@@ -95,7 +95,9 @@ class LabelledFile:
         sentence = f"{self.path}: {100 * self.readiness.error:.0f} % of the labels are expected to be wrong or missing, do not use them."
         # a model has its own marker set
         mend = "Name the marker set that is worn with --markers, or look" if self.worn else "Look"
-        mend += " at the labels with `asterism review`."
+        mend += " at the labels with `asterism review`"
+        # where no model was given, the set that was taken may be the mistake
+        mend += ", or name the points once by clicking with `asterism review --serve --by-hand`." if self.worn else "."
         return (*self.found, Finding("label-do-not-use", Severity.WARNING, str(self.path), sentence, mend))
 
     def correction(self) -> Correction:

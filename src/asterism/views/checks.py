@@ -179,7 +179,13 @@ def findings(result: ViewsLabelling, fit: CameraAgreement, late: Floats) -> list
         )
         mend = "Give the rig of this recording; find moved cameras with `asterism calibrate refine`."
         found.append(Finding("views-rig-inexact", Severity.WARNING, "", sentence, mend))
-    for c in fit.left_out:
+    if len(fit.mirrored):
+        which = ", ".join(blobs.cameras[c] for c in fit.mirrored)
+        got = "no label was given" if len(np.setdiff1d(fit.mirrored, fit.left_out)) else "they got no labels"
+        sentence = f"the images of {which} are mirrored: with left and right exchanged they show the body as the rig lets expect; {got}."
+        mend = "Save them unmirrored, or count x from the other side, and label again."
+        found.append(Finding("views-images-mirrored", Severity.ERROR, which, sentence, mend))
+    for c in np.setdiff1d(fit.left_out, fit.mirrored).tolist():
         name = blobs.cameras[c]
         sentence = f"camera {name} does not fit the others: its blobs are not where they have the markers; it got no labels."
         mend = "Give the rig of this recording; find moved cameras with `asterism calibrate refine`."

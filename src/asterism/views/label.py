@@ -80,6 +80,7 @@ def label_views(
         moved, there = in_step(blobs, behind + step)
         other = _settled(replace(labeller, scene=scene_of(moved, rig, usual=rules.shown)), body, least_confidence, keeping)
         if other.gain <= done.gain:
+            late = np.where(step == 0, late, 0.0)
             break
         done, behind, rows, late = other, behind + step, there, _late(other)
     result, late = replace(done.result, late=behind), late + behind
@@ -108,7 +109,9 @@ def _settled(labeller: FrameLabeller, body: ArticulatedBody, least_confidence: f
         # Where the remaining cameras still contradict each other nobody knows which of them is right.
         if len(checks.misfits(result, fit)):
             result = _withdrawn(result)
-    if checks.is_contradicted(result, fit.left_out) or checks.is_other_body(result):
+    # Labels of mirrored images are those of the other side.
+    mirrored = len(np.setdiff1d(fit.mirrored, fit.left_out)) > 0
+    if mirrored or checks.is_contradicted(result, fit.left_out) or checks.is_other_body(result):
         result = _withdrawn(result)
     return _Settled(result, fit, gain)
 

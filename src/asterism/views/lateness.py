@@ -78,8 +78,9 @@ def late_by(result: ViewsLabelling, noise: float, left_out: Ints) -> Floats:
         whole += step
         if np.abs(whole).max() >= len(result.blobs) // 2:
             return out
-        left, error = _delays(result, np.stack([_earlier(one, k) for one, k in zip(xy, whole.tolist(), strict=True)]))
-        delay = whole + left
+        left, again = _delays(result, np.stack([_earlier(one, k) for one, k in zip(xy, whole.tolist(), strict=True)]))
+        # Chance that led away from no delay at all must not count as certain where it led to.
+        delay, error = whole + left, np.maximum(error, again)
     certain = (np.abs(delay) >= _LATE) & (np.abs(delay) >= _ERRORS * error)
     return np.where(np.isfinite(delay), np.where(certain, delay, 0.0), out)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,12 +27,14 @@ class CameraAgreement:
     left_out  cameras without which the others explain their blobs better than all explain all
     gain      nats, of the frames that were looked at, against no body at all
     found     frame -> its labels, found without a start at this noise
+    mirrored  cameras whose images are mirrored: so the body is found with the usual noise, and explains more
     """
 
     noise: float
     left_out: Ints
     gain: float
     found: dict[int, BlobLabels]
+    mirrored: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
 
 def fit_rig(labeller: FrameLabeller, frames: Ints) -> CameraAgreement:
@@ -40,8 +42,8 @@ def fit_rig(labeller: FrameLabeller, frames: Ints) -> CameraAgreement:
 
     The noise is the one with which the frames are most probable: a rig that is a little off has lines of sight that miss each other, and
     labels are then as certain as that allows. A camera is left out where the gain of the others alone, with their own noise, is greater
-    than that of all: what it contradicts costs more than it gains. At least two cameras are left. O(frames cameras) labellings where the
-    cameras disagree, else O(frames).
+    than that of all: what it contradicts costs more than it gains. At least two cameras are left. Where the cameras disagree, all images
+    and each of them are tried mirrored, too. O(frames cameras) labellings where the cameras disagree, else O(frames).
     """
     best, left_out = _noise_of(labeller, frames), list[int]()
     if _in_doubt(labeller, best):
@@ -56,7 +58,23 @@ def fit_rig(labeller: FrameLabeller, frames: Ints) -> CameraAgreement:
             all_of = others[worst]
             left_out.append(rest[worst])
         best = _noise_of(_without(labeller, left_out), frames) if left_out else best
-    return replace(best, left_out=np.array(left_out, dtype=np.int64))
+    best = replace(best, left_out=np.array(left_out, dtype=np.int64))
+    if left_out or best.noise > labeller.rules.noise:
+        best = replace(best, mirrored=_mirrored(labeller, best))
+    return best
+
+
+def _mirrored(labeller: FrameLabeller, fit: CameraAgreement) -> Ints:
+    """The cameras whose images are mirrored, all of them or one; empty where none is."""
+    frames, seeing = np.array(list(fit.found), dtype=np.int64)[::2], _seeing(labeller, [])
+    most, which = sum(max(fit.found[t].gain, 0.0) for t in frames.tolist()), list[int]()
+    # Mirrored back, the cameras must agree as well as those of a right rig do: noise would explain anything.
+    for cameras in (seeing, *([c] for c in seeing)):
+        back = replace(labeller, scene=labeller.scene.mirrored(cameras))
+        gain = sum(max(each.gain, 0.0) for each in _found(back, frames).values())
+        if gain > most:
+            most, which = gain, cameras
+    return np.array(which, dtype=np.int64)
 
 
 def _seeing(labeller: FrameLabeller, left_out: list[int]) -> list[int]:

@@ -45,6 +45,15 @@ class ViewsScene:
         kept = ~np.isin(self.blobs.camera_of, cameras)
         return replace(self, blobs=self.blobs.select(kept), xy=self.xy[kept])
 
+    def mirrored(self, cameras: list[int]) -> ViewsScene:
+        """The same scene with the images of some cameras mirrored left to right."""
+        xy = self.blobs.xy.copy()
+        for c in cameras:
+            own = self.blobs.camera_of == c
+            xy[own, 0] = _size(self.rig.cameras[c], xy[own])[0] - 1.0 - xy[own, 0]
+        blobs = replace(self.blobs, xy=xy)
+        return replace(self, blobs=blobs, xy=_undistorted(blobs, self.rig))
+
 
 def scene_of(blobs: Blobs, rig: Rig, *, usual: float = RULES.shown) -> ViewsScene:
     """Blobs and a rig whose cameras have the same names, in the order of the blobs.
@@ -66,14 +75,20 @@ def scene_of(blobs: Blobs, rig: Rig, *, usual: float = RULES.shown) -> ViewsScen
             raise AsterismError(f"camera {camera.name} has no pose; calibrate the rig.")
     # Without a size in the rig, the blobs tell how far the image reaches at least.
     sizes = [_size(camera, blobs.xy[blobs.camera_of == c]) for c, camera in enumerate(rig)]
+    xy = _undistorted(blobs, rig)
+    detected = np.minimum(detection_shares(blobs, sizes, usual) / usual, 1.0)
+    cameras = camera_arrays(rig, sizes)._replace(detected=detected)
+    return ViewsScene(rig, blobs, xy, cameras, float(np.mean([width * height for width, height in sizes])), np.asarray(rig.vertical))
+
+
+def _undistorted(blobs: Blobs, rig: Rig) -> Floats:
+    """(P, 2) px, see `ViewsScene.xy`."""
     xy = np.empty(blobs.xy.shape)
     for c, camera in enumerate(rig):
         own = blobs.camera_of == c
         # A pixel without a ray is put far outside, where no marker is expected.
         xy[own] = np.nan_to_num(camera.undistort(blobs.xy[own]), nan=1e3) * np.array(camera.focal)
-    detected = np.minimum(detection_shares(blobs, sizes, usual) / usual, 1.0)
-    cameras = camera_arrays(rig, sizes)._replace(detected=detected)
-    return ViewsScene(rig, blobs, xy, cameras, float(np.mean([width * height for width, height in sizes])), np.asarray(rig.vertical))
+    return xy
 
 
 def _size(camera: Camera, xy: Floats) -> tuple[float, float]:

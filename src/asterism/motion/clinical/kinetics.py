@@ -259,7 +259,7 @@ def _whole_foot(recording: Recording, side: str, inside: NDArray[np.bool_], plat
 
 
 @dataclass(frozen=True)
-class _Joint:
+class _JointLoad:
     """What acts at a joint on the segment below it, z up.
 
     about        (T, 3) N m, the moment; of the ground alone `by_ground`; pull (T, 3) N, the force
@@ -273,7 +273,7 @@ class _Joint:
     above: Floats
 
 
-def _covariance(joint: _Joint, force: Floats, centre: float, errors: KineticErrors) -> Floats:
+def _covariance(joint: _JointLoad, force: Floats, centre: float, errors: KineticErrors) -> Floats:
     """(T, 3, 3) (N m)^2 of a joint's moment, whose centre is known to `centre` (m) along each direction; `force` (T, 3) N of the ground."""
 
     def outer(one: Floats) -> Floats:
@@ -290,7 +290,7 @@ def _covariance(joint: _Joint, force: Floats, centre: float, errors: KineticErro
 
 def _joints(
     recording: Recording, body: LowerBody, side: str, rules: KineticRules, mass: float, force: Floats, moment: Floats
-) -> dict[str, _Joint]:
+) -> dict[str, _JointLoad]:
     """By joint, what acts on the segment below it."""
     leg, rate = body.legs[side], recording.rate
     assert leg.foot is not None
@@ -314,7 +314,7 @@ def _joints(
         levers = np.cross(segment.centre * arm, pull) - np.cross((1 - segment.centre) * arm, pushed)
         about = _spin(axes, inertia, rate, rules) + levers - turned
         by_ground = by_ground - np.cross(arm, force)
-        out[joint] = _Joint(about, by_ground, pull, axes, above)
+        out[joint] = _JointLoad(about, by_ground, pull, axes, above)
         pushed, turned = -pull, -about
     return out
 

@@ -46,7 +46,7 @@ _LEAST = 3
 
 
 @dataclass(frozen=True)
-class Worn:
+class WornLandmarks:
     """Which column of a recording is which landmark, such as "LLE" (left, lateral epicondyle) or "SACR", and which markers are on a limb.
 
     roles  landmark -> column; segments  "left thigh" -> columns
@@ -98,13 +98,13 @@ def _spellings() -> Mapping[str, tuple[Mapping[str, str], Mapping[str, str]]]:
     return found
 
 
-def worn_landmarks(recording: Recording) -> Worn:
+def worn_landmarks(recording: Recording) -> WornLandmarks:
     """Which landmarks and limbs the recording's names are, by the shipped sets; where two sets disagree, the one with more of the names."""
     return _worn(tuple(recording.labels))
 
 
 @lru_cache(maxsize=32)
-def _worn(labels: tuple[str, ...]) -> Worn:
+def _worn(labels: tuple[str, ...]) -> WornLandmarks:
     spelled = {canonical(without_subject(label)): column for column, label in enumerate(labels)}
     known = {name: sum(one in roles or one in limbs for one in spelled) for name, (roles, limbs) in _spellings().items()}
     found: dict[str, int] = {}
@@ -119,7 +119,7 @@ def _worn(labels: tuple[str, ...]) -> Worn:
     segments = {"pelvis": tuple(found[role] for role in _PELVIS if role in found)}
     for spelling, limb in limb_of.items():
         segments[limb] = (*segments.get(limb, ()), spelled[spelling])
-    return Worn(found, segments)
+    return WornLandmarks(found, segments)
 
 
 _NAMES = {"LE": "KNE", "LM": "ANK", "CA": "HEE", "SM": "TOE"}
@@ -251,15 +251,15 @@ def landmark_angles(made: LandmarkBody) -> dict[str, Floats]:
     return {name: angles for name, angles in wrapped.items() if np.isfinite(angles).any()}
 
 
-def _seen_landmarks(recording: Recording) -> Worn:
+def _seen_landmarks(recording: Recording) -> WornLandmarks:
     """Without what the recording never shows."""
     worn = worn_landmarks(recording)
     seen = set(np.nonzero(recording.visible.any(axis=0))[0].tolist())
     roles = {role: column for role, column in worn.roles.items() if column in seen}
-    return Worn(roles, {limb: tuple(column for column in columns if column in seen) for limb, columns in worn.segments.items()})
+    return WornLandmarks(roles, {limb: tuple(column for column in columns if column in seen) for limb, columns in worn.segments.items()})
 
 
-def _positions(recording: Recording, worn: Worn) -> dict[str, Floats]:
+def _positions(recording: Recording, worn: WornLandmarks) -> dict[str, Floats]:
     upright = rotate_z_up(recording.positions, recording.vertical)
     return {role: upright[:, column] for role, column in worn.roles.items()}
 
@@ -313,7 +313,7 @@ class _Still:
     """A standing trial: its recording, what is worn in it, and its hip centres by side."""
 
     recording: Recording
-    worn: Worn
+    worn: WornLandmarks
     hips: Mapping[str, Floats]
 
 
@@ -335,7 +335,9 @@ def _standing(static: Recording, measures: SubjectMeasures) -> _Still:
     return _Still(static, worn, hips)
 
 
-def _carried(recording: Recording, worn: Worn, still: _Still | None, limb: str, roles: Sequence[str], extra: Mapping[str, Floats]) -> _Told:
+def _carried(
+    recording: Recording, worn: WornLandmarks, still: _Still | None, limb: str, roles: Sequence[str], extra: Mapping[str, Floats]
+) -> _Told:
     """Landmarks of a limb that markers of both trials carry over from the standing one; none without one."""
     if still is None:
         return _Told()

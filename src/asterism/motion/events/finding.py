@@ -270,7 +270,8 @@ def _moments(rule: EventRule, signal: Floats, rate: float) -> list[tuple[float, 
 
     if rule.find in ("maximum", "minimum"):
         upwards = signal if rule.find == "maximum" else -signal
-        peaks, more = find_peaks(upwards, prominence=max(value(rule.prominence, 0.0), 1e-12))
+        least = max(value(one, 0.0) for one in rule.prominence)
+        peaks, more = find_peaks(upwards, prominence=max(least, 1e-12))
         return [((peak + _vertex(upwards, peak)) / rate, float(more["prominences"][n])) for n, peak in enumerate(peaks.tolist())]
     above = signal - value(rule.level, low)
     above = above if rule.find == "rising" else -above

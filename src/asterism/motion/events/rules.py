@@ -12,9 +12,9 @@ from typing import Any
 from asterism.errors import AsterismError
 from asterism.files.toml import read_toml, tables_of_toml
 
-UNITS = {"along": "m", "distance": "m", "speed": "m/s", "bend": "deg", "turn": "deg", "spin": "deg/s"}
+UNITS = {"along": "m", "distance": "m", "speed": "m/s", "bend": "deg", "lean": "deg", "turn": "deg", "spin": "deg/s"}
 """What a signal can be, and its unit."""
-_POINTS = {"along": 1, "distance": 2, "speed": 1, "bend": 3, "turn": 2, "spin": 2}
+_POINTS = {"along": 1, "distance": 2, "speed": 1, "bend": 3, "lean": 2, "turn": 2, "spin": 2}
 _DIRECTIONS = ("up", "ahead")
 _FINDS = ("maximum", "minimum", "rising", "falling")
 _WHICH = ("every", "first", "last", "largest")
@@ -33,8 +33,8 @@ class SignalRule:
     """A curve over time.
 
     kind       "along": m, the place of a marker along a direction, "up", or "ahead", the way along which it moves most on the floor;
-               "distance": m between two; "speed": m/s of one; "bend": deg by which three are off a straight line; "turn": deg of the line
-               from one to another about the vertical; "spin": deg/s at which that line turns in space
+               "distance": m between two; "speed": m/s of one; "bend": deg by which three are off a straight line; "lean": deg of the line
+               from one to another off the vertical; "turn": deg of it about the vertical; "spin": deg/s at which it turns in space
     markers    one to three names of the table `markers`
     relative   of "along", the marker whose place is taken off; "" for none
     side       "L" or "R", for "{side}" in names of markers where the movement as a whole has no sides
@@ -58,7 +58,7 @@ class EventRule:
     """When something happens.
 
     find           "maximum" or "minimum" of the signal, or it crosses `level`, "rising" or "falling"
-    prominence     of an extremum: by how much the signal comes back on both sides, at least
+    prominence     of an extremum: by how much the signal comes back on both sides, at least; of several amounts the largest counts
     after, before  earlier rules: the next such moment behind each of their events, or the last one before; "" for none
     which          without these: "every", "first", "last", or the one with the "largest" prominence
     """
@@ -67,7 +67,7 @@ class EventRule:
     signal: str
     find: str
     level: Amount = Amount(0.0)
-    prominence: Amount = Amount(0.1, of_range=True)
+    prominence: tuple[Amount, ...] = (Amount(0.1, of_range=True),)
     after: str = ""
     before: str = ""
     which: str = "every"
@@ -158,7 +158,7 @@ def shipped_movements() -> tuple[str, ...]:
     """Names of the movements whose rules come with Asterism.
 
     >>> shipped_movements()
-    ('golf-swing', 'pedalling', 'squat')
+    ('golf-swing', 'lifting', 'pedalling', 'squat')
     """
     folder = resources.files("asterism").joinpath("movements")
     return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml")))
@@ -251,7 +251,8 @@ class _Reader:
         if crossing != ("level" in table) or (crossing and "prominence" in table):
             raise self.wrong(where, "rising and falling cross a level, and have one; maximum and minimum have a prominence")
         level = self.amount(table.get("level", 0.0), f"{where}, level")
-        prominence = self.amount(table.get("prominence", "10 %"), f"{where}, prominence")
+        given = table.get("prominence", "10 %")
+        prominence = tuple(self.amount(one, f"{where}, prominence") for one in (given if isinstance(given, list) else [given]))
         anchors = {key: self.one_of(table[key], earlier, f"{where}, {key}") for key in ("after", "before") if key in table}
         which = self.one_of(table.get("which", "every"), _WHICH, f"{where}, which")
         if anchors and which not in ("every", "largest"):

@@ -124,6 +124,9 @@ def signal_curve(signal: SignalRule, paths: list[Floats], rate: float, ahead: Fl
     if signal.kind == "bend":
         before, behind = unit_vectors(paths[1] - first), unit_vectors(paths[2] - paths[1])
         return np.degrees(np.arctan2(np.linalg.norm(np.cross(before, behind), axis=1), (before * behind).sum(axis=1)))
+    if signal.kind == "lean":
+        line = paths[1] - first
+        return np.degrees(np.arctan2(np.linalg.norm(line[:, :2], axis=1), line[:, 2]))
     if signal.kind == "turn":
         line = paths[1] - first
         return np.degrees(np.unwrap(np.arctan2(line[:, 1], line[:, 0])))

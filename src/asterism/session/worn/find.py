@@ -319,7 +319,8 @@ class SetFinder:
         size = f"{size}; " if size else ""
         return NoSetWorn(
             f"{path}: its {fit.given.shape[1]} points are like no shipped marker set; {size}the nearest are {few}. Name one of them with "
-            "--markers, write one of your own (`asterism body place` makes it from a labelled trial), or train on labelled files."
+            "--markers, write one of your own (`asterism body place` makes it from a labelled trial), train on labelled files, "
+            "or name the points once by clicking with `asterism review --serve`."
         )
 
 
