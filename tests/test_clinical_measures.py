@@ -77,6 +77,15 @@ def held(recording: Recording, **numbers: float) -> Recording:
     return replace(recording, source=SimpleNamespace(parameters=parameters, labels=(), coordinates=None))
 
 
+@pytest.mark.parametrize(("unit", "value", "read"), [(0.001, 102, 0.102), (1.0, 0.102, 0.102), (1.0, 102, 0.102), (0.001, 4, 0.1)])
+def test_lengths_of_a_file_are_in_the_unit_of_its_points_or_in_mm(unit: float, value: float, read: float) -> None:
+    """4 may be in inches, or no such width: nobody guesses, an adult's is named."""
+    [walk] = simulate_walks(1, frames=5, markers="helen-hayes", seed=0)
+    own = held(replace(walk, metadata={**walk.metadata, "metres_per_unit": unit}), LKneeWidth=value)
+    measures = gathered_measures(own)[0]
+    assert measures.left.knee_width == pytest.approx(read) and ("knee_width" in measures.left.from_file) == (value != 4)
+
+
 def test_given_measures_go_before_the_standing_trials_and_these_before_the_files() -> None:
     [walk] = simulate_walks(1, frames=30, markers="helen-hayes", seed=0)
     own = held(walk, LKneeWidth=90, RKneeWidth=91, LAnkleWidth=60, BodyMass=50)

@@ -142,7 +142,7 @@ def test_labels_are_as_certain_as_their_file_says(tmp_path: Path) -> None:
     asterism.write(tmp_path / "walk.c3d", Recording.from_clouds(clouds, labelling), labelling=labelling)
     gait_report(tmp_path / "p.html", [("walk", analyse_gait(asterism.read(tmp_path / "walk.c3d")))])
     quality = (tmp_path / "p.html").read_text().split("<h2>Quality</h2>")[1].split("</section>")[0]
-    assert "90.0 % of 99 % or more" in quality and "as in the file" not in quality
+    assert "90.0 % certain (99 % or more)" in quality and "as in the file" not in quality
 
 
 def test_a_page_without_cycles_or_angles_is_a_page(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
