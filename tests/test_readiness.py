@@ -114,6 +114,7 @@ BESIDE_READY = {
     "format-missing-samples": "samples are missing",
     "format-frame-numbers": "samples are missing, or the lines are as they were written",
     "format-force-plate": "it is about forces",
+    "format-analog-overflow": "it is about analog samples",
     "format-text-encoding": "it is about letters",
     "format-point-names": "the labels are by the points",
     "format-repeated-names": "the labels are by the points",
