@@ -141,7 +141,7 @@ def gait(options: GaitOptions) -> None:
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
     walks = trials([*options.files, *options.compare], batch, without=options.c3d)
-    copies = {} if options.c3d is None else copies_of(walks, options.c3d, inputs)
+    copies = {} if options.c3d is None else copies_of(walks, options.c3d, inputs, "--c3d")
     later = _paths_below(options.compare)
     results = analysed(options, [walk.path for walk in walks if _console.real_path(walk.path) not in later], batch, copies)
     second = replace(options, static=options.compare_static, measure=[*options.measure, *options.compare_measure])
@@ -194,7 +194,7 @@ def analysed(
     for path in files:
         with batch.file(path):
             if path in copies:
-                check_output(path, copies[path], options.overwrite)
+                check_output(path, copies[path], options.overwrite, "--c3d")
             recording = _read(path, options, batch)
             plates, found = force_plates(recording)
             if limit is not None:
