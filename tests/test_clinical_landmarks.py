@@ -226,8 +226,8 @@ def test_landmarks_that_are_put_elsewhere_turn_the_knee_as_far_as_geometry_says(
     assert clinical.model.carries(walk) == carried
     if not carried:
         errors = ClinicalErrors(skin=None, placement_m=0.005)
-        drawn = clinical_uncertainty(walk, clinical, errors, rules=MonteCarloRules(most=400, block=400), budget_trials=4)
-        assert drawn.joints[1].standard[0, 2] == pytest.approx(by_hand, rel=0.15)
+        drawn = clinical_uncertainty(walk, clinical, errors, rules=MonteCarloRules(most=150, block=150), budget_trials=4)
+        assert drawn.joints[1].standard[0, 2] == pytest.approx(by_hand, rel=0.25)
 
 
 def test_hip_centres_are_those_of_their_regressions() -> None:

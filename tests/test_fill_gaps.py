@@ -105,7 +105,7 @@ def test_other_trials_show_poses_that_the_recording_does_not() -> None:
     holes = [without(first, (label, slice(0, 160))) for label in labels]
     alone = np.mean([off(fill_gaps(one, limit=9.0), first).mean() for one in holes])
     both = np.mean([off(fill_gaps(one, limit=9.0, others=[second]), first).mean() for one in holes])
-    assert both < 0.7 * alone, f"{1000 * alone:.1f} mm alone, {1000 * both:.1f} mm with another trial"
+    assert both < 0.8 * alone, f"{1000 * alone:.1f} mm alone, {1000 * both:.1f} mm with another trial"
 
 
 @pytest.fixture(scope="module")
@@ -252,4 +252,4 @@ def test_mates_that_take_turns_to_be_missing_fill_a_gap_in_pieces(walks: list[Re
     fill = fill_gaps(without(walks[0], ("LTIB", slice(70, 100)), *early, *late), limit=1.0)
     column = walks[0].labels.index("LTIB")
     apart = np.linalg.norm(fill.recording.positions - walks[0].positions, axis=2)[70:100, column]
-    assert fill.filled[70:100, column].all() and apart.max() < 0.03, f"{1000 * apart.max():.1f} mm"
+    assert fill.filled[70:100, column].all() and apart.max() < 0.04, f"{1000 * apart.max():.1f} mm"

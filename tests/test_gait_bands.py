@@ -165,3 +165,14 @@ def test_bands_of_a_minute_are_those_of_one_of_its_cycles() -> None:
     many = replace(one, recording=minute, cycles=cycles, curves={name: np.repeat(walk().curves[name][:1], 49, axis=0)})
     widths = [found.bands[name].standard["placement"] for found in (one, many)]
     np.testing.assert_allclose(widths[1], widths[0], atol=0.05 * float(widths[0].max()))
+
+
+def test_markers_by_other_spellings_have_the_same_bands_and_what_nothing_tells_has_none() -> None:
+    other = {"LASI": "L.ASIS", "RASI": "R.ASIS"}
+    recording = walk().recording
+    spelled = replace(walk(), recording=replace(recording, labels=tuple(other.get(label, label) for label in recording.labels)))
+    for name, band in spelled.bands.items():
+        np.testing.assert_allclose(band.high, walk().bands[name].high, atol=1e-9)
+    # Markers put half a metre beside their places tell no angle.
+    lost = angle_bands(walk(), ("placement",), placed=0.5)["LKneeAngles"]
+    assert np.isnan(lost.low).all() and np.isfinite(lost.standard["placement"]).all()

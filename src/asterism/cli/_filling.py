@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -51,15 +52,15 @@ def fill_limit(fill: str) -> float | None:
     return limit
 
 
-def filled(recording: Recording, limit: float, trials: Iterable[Path], vertical: Any = None) -> Filled:
-    """The recording with its gaps filled, also from those of the trials that show the same person; files that cannot be read do not count.
+def filled(recording: Recording, limit: float, trials: Sequence[Path], vertical: str | None = None) -> Filled:
+    """The recording with its gaps filled, also from those of the first 12 trials that show the same person; others do not count.
 
-    Nothing is read where a recording has no gap.
+    Nothing is read where a recording has no gap. Raises AsterismError where no marker has a name.
     """
     from asterism import __version__
     from asterism.motion.gaps import fill_gaps
 
-    others = [] if recording.visible.all() else [one for path in trials if (one := _read(path, vertical)) is not None]
+    others = [] if recording.visible.all() else [one for path in trials[:_TRIALS] if (one := _trial(path, vertical)) is not None]
     with _console.progress("filling gaps") as progress:
         return fill_gaps(recording, limit=limit, others=others, by=f"asterism {__version__}", progress=progress)
 
@@ -93,13 +94,20 @@ def filter_values(effect: FilteredRecording) -> dict[str, Any]:
     return {"filter": str(effect.choice), "markers": markers}
 
 
-def _read(path: Path, vertical: Any) -> Recording | None:
-    from asterism import formats
-
+def _trial(path: Path, vertical: str | None) -> Recording | None:
+    """A trial, kept for the next recording of the person until it is changed; None where it cannot be read."""
     try:
-        return formats.read(path, vertical=vertical)
+        return _read(path, path.stat().st_mtime_ns, vertical)
     except (AsterismError, OSError):
         return None
+
+
+@lru_cache(maxsize=_TRIALS + 1)
+def _read(path: Path, changed: int, vertical: str | None) -> Recording:
+    from asterism import formats
+    from asterism.cli._options import vertical_axis
+
+    return formats.read(path, vertical=vertical_axis(vertical))
 
 
 def trials_beside(path: Path) -> list[Path]:

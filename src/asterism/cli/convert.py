@@ -91,7 +91,7 @@ def convert(options: ConvertOptions) -> None:
         recording = formats.read(source, wanted, axis)
         findings = list(recording.warnings)
         if limit is not None:
-            fill = filled(recording, limit, _trials(options), axis)
+            fill = filled(recording, limit, _trials(options), options.vertical)
             recording, done = fill.recording, [filled_text(fill)]
             findings += fill.findings
         if choice is not None:

@@ -86,6 +86,12 @@ class GaitOptions:
             "--compare", metavar="FILES", help="Walks of a second session; all files that follow belong to it.", show_default=False
         ),
     ] = field(default_factory=list)
+    compare_measure: Annotated[
+        list[str],
+        typer.Option(
+            "--compare-measure", metavar="NAME=VALUE", help="As --measure, of the second session, where it differs.", show_default=False
+        ),
+    ] = field(default_factory=list)
     compare_static: Annotated[
         Path | None,
         typer.Option("--compare-static", metavar="FILE", help="The standing trial of the second session.", show_default=False),
@@ -129,16 +135,16 @@ def gait(options: GaitOptions) -> None:
     _check_sessions(options)
     muscles_by_channel(options.emg)
     # what is wrong with the options is told before any file is read
-    _clinical.given_measures(options.measure)
+    _clinical.given_measures([*options.measure, *options.compare_measure])
     fill_limit(options.fill)
     filter_choice(options.filter)
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
     walks = trials([*options.files, *options.compare], batch, without=options.c3d)
-    copies = {} if options.c3d is None else copies_of(walks, options.c3d, inputs)
+    copies = {} if options.c3d is None else copies_of(walks, options.c3d, inputs, "--c3d")
     later = _paths_below(options.compare)
     results = analysed(options, [walk.path for walk in walks if _console.real_path(walk.path) not in later], batch, copies)
-    second = replace(options, static=options.compare_static)
+    second = replace(options, static=options.compare_static, measure=[*options.measure, *options.compare_measure])
     compared = analysed(second, [walk.path for walk in walks if _console.real_path(walk.path) in later], batch, copies)
     if results:
         write_results(options, results, band, batch, copies, compared)
@@ -184,11 +190,11 @@ def analysed(
     rules = StaticRules(flat_foot=not options.sloped_foot, level_head=options.level_head)
     muscles = muscles_by_channel(options.emg)
     results: list[tuple[Path, GaitAnalysis]] = []
-    trials = files if options.static is None else [*files, options.static]
+    trials = list(files) if options.static is None else [options.static, *files]
     for path in files:
         with batch.file(path):
             if path in copies:
-                check_output(path, copies[path], options.overwrite)
+                check_output(path, copies[path], options.overwrite, "--c3d")
             recording = _read(path, options, batch)
             plates, found = force_plates(recording)
             if limit is not None:
@@ -378,9 +384,11 @@ def show(path: Path, analysis: GaitAnalysis) -> None:
     where = "treadmill" if analysis.walking.treadmill else "floor"
     sides = [sum(cycle.side == side for cycle in analysis.cycles) for side in "LR"]
     plates = sum(event.source.startswith("plate") for event in analysis.walking.events)
+    model = None if analysis.clinical is None else analysis.clinical.model
+    angles = "no angles" if model is None else f"angles by {model.title(analysis.recording)}, hip centres by {model.hip}"
     _console.result(
         f"{path}: {sides[0]} left and {sides[1]} right cycles, on a {where}; {len(analysis.walking.events)} events, "
-        f"{plates} of them by force plates; {last_filter(analysis.recording)}."
+        f"{plates} of them by force plates; {last_filter(analysis.recording)}; {angles}."
     )
     if rows:
         _console.table(f"{path}: gait parameters (cycles)", ["parameter", "unit", "left", "right", "left more, %"], rows)

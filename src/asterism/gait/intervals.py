@@ -13,6 +13,7 @@ from asterism.gait.feet import SIDES
 from asterism.geometry import rotate_z_up
 from asterism.motion.clinical import ClinicalAngles, ClinicalModel, LegMeasures, SubjectMeasures, complete_legs
 from asterism.motion.clinical.estimated import MeasurePriors, WalkEstimator
+from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
 from asterism.motion.clinical.plug_in_gait import LowerBody, angles_of, lower_body, radius_by_the_file
 from asterism.motion.joints.anatomy import sacrum_markers
 from asterism.recording import Floats, Recording
@@ -83,7 +84,8 @@ def angle_bands(
     measured. How soft tissue moves is the same in both sessions and no part of it; see `clinical_uncertainty` for bones.
 
     What is not measured is estimated from the walk (`WalkEstimator`). Measures with which the file's program computed its own angles count
-    as known. Without angles or whole cycles there are no bands. O(1): some 200 times the angles of 160 frames.
+    as known. What is left open by more than a right angle has no band (NaN). Without angles or whole cycles there are no bands. O(1): some
+    200 times the angles of 160 frames.
     """
     clinical = analysis.clinical
     curves = {name: values for name, values in analysis.curves.items() if name.removesuffix("Angles")[1:] in BANDED}
@@ -96,7 +98,9 @@ def angle_bands(
     if not wands:
         return _of_landmarks(analysis, clinical.model, curves, sources, placed)
     recording, times = _some(analysis)
+    recording = with_plug_in_gait_names(recording)
     reported = _angles(recording, clinical.subject, sides)
+    curves = {name: values for name, values in curves.items() if name in reported}
     middle, parts = reported, {source: {name: np.zeros_like(values) for name, values in reported.items()} for source in SOURCES}
     estimator = WalkEstimator(recording, _as_known(analysis), sides, priors or MeasurePriors())
     subject = estimator.estimate() if estimator.sources and "measures" in sources else clinical.subject
@@ -145,6 +149,8 @@ def _bands(
         mean = np.where(seen.any(axis=0), np.nansum(curves[name], axis=0) / np.maximum(seen.sum(axis=0), 1), np.nan)
         centre = mean + _over(shift[name], times, own)
         wide = COVERAGE * np.sqrt(sum(part**2 for part in spread.values()))
+        # Near a right angle of the middle turn the other two run away, and first order tells nothing of them.
+        wide = np.where(wide < np.pi / 2, wide, np.nan)
         found[name] = AngleBand(centre - wide, centre + wide, spread)
     return found
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from asterism.files.tables import NumberTable
 from asterism.gait.analysis import GaitAnalysis
-from asterism.gait.cycles import Cycle, midstances
+from asterism.gait.cycles import POINTS, Cycle, midstances
+from asterism.gait.intervals import PLACED
 from asterism.gait.parameters import PARAMETERS, summarise, symmetries
-from asterism.recording import Floats
+from asterism.recording import Floats, shipped_sets
 
 COLUMNS: Mapping[str, type] = {
     "file": str, "kind": str, "name": str, "side": str, "cycle": int, "percent": int, "axis": str, "value": float, "uncertainty": float,
@@ -21,6 +23,9 @@ COLUMNS: Mapping[str, type] = {
 
 Kinds are "event", "parameter", "mean", "symmetry", "curve", "maximum" and "minimum".
 """
+_LEGS = frozenset({"THI", "KNE", "TIB", "ANK", "HEE", "TOE"})
+_STEP = 0.001
+"""m, by which a marker is moved to see what it does."""
 
 
 def gait_table(analyses: Sequence[tuple[str, GaitAnalysis]], *, curves: bool = True) -> NumberTable:
@@ -28,8 +33,9 @@ def gait_table(analyses: Sequence[tuple[str, GaitAnalysis]], *, curves: bool = T
 
     curves  False: without the curves over the cycle and their extremes, which take most of the time and of the rows
 
-    Angles of legs and pelvis are as uncertain as their bands (`angle_bands`), and as what was filled in this cycle; of other angles only
-    fills are known, and of moments and powers nothing. O(cycles).
+    Angles of legs and pelvis are as uncertain as their bands (`angle_bands`), those of trunk, head and arms as markers that are placed
+    anew make them; what was filled in this cycle is added. Moments and powers have the uncertainty of `KineticErrors`, the ground's force
+    and muscles none. O(cycles).
 
     >>> from asterism.gait import analyse_gait
     >>> from asterism.simulation import simulate_walks
@@ -97,6 +103,7 @@ def _curves(analysis: GaitAnalysis) -> Iterator[tuple[str, Cycle, Floats, Floats
         name: np.sqrt(sum(part**2 for source, part in band.standard.items() if source != "fills"))
         for name, band in (analysis.bands.items() if analysis.curves else ())
     }
+    spread |= {name: values for name, values in _placed_anew(analysis).items() if name not in spread}
     for name, angles in analysis.curves.items():
         fills = analysis.fill_sigmas.get(name, np.zeros(angles.shape))
         for number, cycle in enumerate(_of_side(analysis.cycles, name[0])):
@@ -106,11 +113,46 @@ def _curves(analysis: GaitAnalysis) -> Iterator[tuple[str, Cycle, Floats, Floats
     per_kg = analysis.kinetics is not None and analysis.kinetics.per_kg
     for name, loads in analysis.loads.items():
         for number, cycle in enumerate(analysis.loaded[name]):
-            yield name, cycle, loads[number], np.full(loads[number].shape, np.nan), load_unit(name, per_kg)
+            sigma = analysis.load_sigmas[name][number] if name in analysis.load_sigmas else np.full(loads[number].shape, np.nan)
+            yield name, cycle, loads[number], sigma, load_unit(name, per_kg)
     for channel in analysis.emg:
         for side, envelopes in channel.cycles.items():
             for cycle, curve in zip(_of_side(analysis.cycles, side), envelopes, strict=True):
                 yield f"EMG {channel.name}", cycle, curve[:, None], np.full((len(curve), 1), np.nan), channel.unit
+
+
+def _placed_anew(analysis: GaitAnalysis) -> dict[str, Floats]:
+    """(101, 3) rad: what markers of trunk, head and arms that are placed anew, `PLACED` m beside, make of angles, by their names.
+
+    Where a marker may be off by as much in each direction, the axes along which it is moved do not matter.
+    """
+    names = shipped_sets()["plug-in-gait"].names
+    worn = [column for column, label in enumerate(analysis.recording.labels) if label in names and label[1:] not in _LEGS]
+    shown = [own[0] for side in "LR" if (own := _of_side(analysis.cycles, side))]
+    clinical = analysis.clinical
+    if clinical is None or clinical.model.name != "plug-in-gait" or not shown:
+        return {}
+    rate, last = analysis.recording.rate, len(analysis.recording) - 1
+    frames = np.unique([np.clip(np.linspace(one.strike.time, one.next_strike.time, 51) * rate, 0, last).astype(int) for one in shown])
+    some = replace(analysis.recording, positions=analysis.recording.positions[frames], source=None, origin=None)
+    middle = clinical.model.outputs(some)
+    variance = {name: np.zeros_like(values) for name, values in middle.items() if name in analysis.curves}
+    for column in worn:
+        for axis in range(3):
+            positions = some.positions.copy()
+            positions[:, column, axis] += _STEP
+            for name, values in clinical.model.outputs(replace(some, positions=positions)).items():
+                if name in variance:
+                    apart = (values - middle[name] + np.pi) % (2 * np.pi) - np.pi
+                    variance[name] += (apart * PLACED / _STEP) ** 2
+    found = {}
+    for cycle in shown:
+        places = np.linspace(cycle.strike.time, cycle.next_strike.time, POINTS) * rate
+        for name, values in variance.items():
+            if name[0] == cycle.side and (known := np.isfinite(values).all(axis=1)).any():
+                curves = [np.interp(places, frames[known], np.sqrt(values[known, axis])) for axis in range(3)]
+                found[name] = np.stack(curves, axis=1)
+    return found
 
 
 def load_unit(name: str, per_kg: bool) -> str:

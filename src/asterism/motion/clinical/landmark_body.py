@@ -46,7 +46,7 @@ _LEAST = 3
 
 
 @dataclass(frozen=True)
-class Worn:
+class WornLandmarks:
     """Which column of a recording is which landmark, such as "LLE" (left, lateral epicondyle) or "SACR", and which markers are on a limb.
 
     roles  landmark -> column; segments  "left thigh" -> columns
@@ -98,13 +98,13 @@ def _spellings() -> Mapping[str, tuple[Mapping[str, str], Mapping[str, str]]]:
     return found
 
 
-def worn_landmarks(recording: Recording) -> Worn:
+def worn_landmarks(recording: Recording) -> WornLandmarks:
     """Which landmarks and limbs the recording's names are, by the shipped sets; where two sets disagree, the one with more of the names."""
     return _worn(tuple(recording.labels))
 
 
 @lru_cache(maxsize=32)
-def _worn(labels: tuple[str, ...]) -> Worn:
+def _worn(labels: tuple[str, ...]) -> WornLandmarks:
     spelled = {canonical(without_subject(label)): column for column, label in enumerate(labels)}
     known = {name: sum(one in roles or one in limbs for one in spelled) for name, (roles, limbs) in _spellings().items()}
     found: dict[str, int] = {}
@@ -119,7 +119,7 @@ def _worn(labels: tuple[str, ...]) -> Worn:
     segments = {"pelvis": tuple(found[role] for role in _PELVIS if role in found)}
     for spelling, limb in limb_of.items():
         segments[limb] = (*segments.get(limb, ()), spelled[spelling])
-    return Worn(found, segments)
+    return WornLandmarks(found, segments)
 
 
 _NAMES = {"LE": "KNE", "LM": "ANK", "CA": "HEE", "SM": "TOE"}
@@ -128,10 +128,17 @@ _NAMES = {"LE": "KNE", "LM": "ANK", "CA": "HEE", "SM": "TOE"}
 
 def with_plug_in_gait_names(recording: Recording) -> Recording:
     """The recording with Plug-in-Gait's names, where its own are other ones of the shipped sets for the same places, such as R.ASIS."""
-    labels, known = list(recording.labels), shipped_sets()["plug-in-gait"]
-    if {"LASI", "RASI", "LTHI", "LKNE", "LTIB", "LANK", "LHEE", "LTOE"} <= set(labels):
-        return recording
-    for role, column in worn_landmarks(recording).roles.items():
+    labels = _plug_in_gait_names(tuple(recording.labels))
+    return recording if labels == tuple(recording.labels) else replace(recording, labels=labels)
+
+
+@lru_cache(maxsize=32)
+def _plug_in_gait_names(given: tuple[str, ...]) -> tuple[str, ...]:
+    labels, known = list(given), shipped_sets()["plug-in-gait"]
+    legs = {"LASI", "RASI", "LTHI", "LKNE", "LTIB", "LANK", "LHEE", "LTOE"}
+    if any(legs | back <= set(labels) for back in ({"SACR"}, {"LPSI", "RPSI"})):
+        return given
+    for role, column in _worn(given).roles.items():
         name = role if role == "SACR" else role[0] + _NAMES.get(role[1:], role[1:])
         if name not in labels and name in (*known.names, "SACR") and labels[column] not in known.names:
             labels[column] = name
@@ -140,7 +147,7 @@ def with_plug_in_gait_names(recording: Recording) -> Recording:
         name = shipped_sets()["helen-hayes"].name_of(label) or known.name_of(label) or label
         if name not in labels:
             labels[column] = name
-    return recording if tuple(labels) == tuple(recording.labels) else replace(recording, labels=tuple(labels))
+    return tuple(labels)
 
 
 def landmark_body(recording: Recording, measures: SubjectMeasures, static: Recording | None = None) -> LandmarkBody | None:
@@ -251,15 +258,15 @@ def landmark_angles(made: LandmarkBody) -> dict[str, Floats]:
     return {name: angles for name, angles in wrapped.items() if np.isfinite(angles).any()}
 
 
-def _seen_landmarks(recording: Recording) -> Worn:
+def _seen_landmarks(recording: Recording) -> WornLandmarks:
     """Without what the recording never shows."""
     worn = worn_landmarks(recording)
     seen = set(np.nonzero(recording.visible.any(axis=0))[0].tolist())
     roles = {role: column for role, column in worn.roles.items() if column in seen}
-    return Worn(roles, {limb: tuple(column for column in columns if column in seen) for limb, columns in worn.segments.items()})
+    return WornLandmarks(roles, {limb: tuple(column for column in columns if column in seen) for limb, columns in worn.segments.items()})
 
 
-def _positions(recording: Recording, worn: Worn) -> dict[str, Floats]:
+def _positions(recording: Recording, worn: WornLandmarks) -> dict[str, Floats]:
     upright = rotate_z_up(recording.positions, recording.vertical)
     return {role: upright[:, column] for role, column in worn.roles.items()}
 
@@ -313,7 +320,7 @@ class _Still:
     """A standing trial: its recording, what is worn in it, and its hip centres by side."""
 
     recording: Recording
-    worn: Worn
+    worn: WornLandmarks
     hips: Mapping[str, Floats]
 
 
@@ -335,7 +342,9 @@ def _standing(static: Recording, measures: SubjectMeasures) -> _Still:
     return _Still(static, worn, hips)
 
 
-def _carried(recording: Recording, worn: Worn, still: _Still | None, limb: str, roles: Sequence[str], extra: Mapping[str, Floats]) -> _Told:
+def _carried(
+    recording: Recording, worn: WornLandmarks, still: _Still | None, limb: str, roles: Sequence[str], extra: Mapping[str, Floats]
+) -> _Told:
     """Landmarks of a limb that markers of both trials carry over from the standing one; none without one."""
     if still is None:
         return _Told()

@@ -23,6 +23,7 @@ from asterism.motion.clinical.upper_body import upper_body_angles
 from asterism.recording import Floats, Recording
 
 MODELS = ("plug-in-gait", "landmarks")
+"""The models by name: wands and measures of the person; both sides of knee and ankle, see `landmark_body`."""
 _LEG = ("KNE", "TIB", "ANK")
 """Markers of Plug-in-Gait without which a leg still has a hip: LTHI and LKNE tell the thigh; the others the shank."""
 _ON = {"ASI": "pelvis", "PSI": "pelvis", "THI": "thigh", "KNE": "thigh", "TIB": "shank", "ANK": "shank", "TOE": "foot"}
@@ -65,8 +66,11 @@ class ClinicalModel:
             raise AsterismError(f"{recording.metadata.get('file', 'the recording')} has no markers on both anterior iliac spines.")
         return replace(made.body, legs={side: leg for side, leg in made.body.legs.items() if side in self.sides})
 
-    def outputs(self, recording: Recording) -> dict[str, Floats]:
-        """Angles (T, 3) rad by Plug-in-Gait's names, see `ClinicalAngles.outputs`; without those that are known in no frame."""
+    def outputs(self, recording: Recording, *, upper: bool = True) -> dict[str, Floats]:
+        """Angles (T, 3) rad by Plug-in-Gait's names, see `ClinicalAngles.outputs`; without those that are known in no frame.
+
+        upper  also those of head and arms
+        """
         if self.name == "plug-in-gait":
             body = self.body(recording)
             found = angles_of(with_plug_in_gait_names(recording), body)
@@ -75,7 +79,8 @@ class ClinicalModel:
             if made is None:
                 return {}
             body, found = made.body, landmark_angles(made)
-        found |= upper_body_angles(with_plug_in_gait_names(recording), self.measures, walking_axes(body))
+        if upper:
+            found |= upper_body_angles(with_plug_in_gait_names(recording), self.measures, walking_axes(body))
         return {name: angles for name, angles in found.items() if np.isfinite(angles).any()}
 
     def carries(self, recording: Recording) -> bool:
@@ -96,7 +101,7 @@ class ClinicalModel:
         if still is not None and len(still) > _STANDING:
             still = still.frames(np.unique(np.linspace(0, len(still) - 1, _STANDING).astype(int)))
         for moved, static in landmarks_displaced(recording, self.measures, still, step):
-            yield replace(self, static=static).outputs(moved)
+            yield replace(self, static=static).outputs(moved, upper=False)
 
     def with_feet_named(self, recording: Recording) -> Recording:
         """The recording whose heels and toes have Plug-in-Gait's names, by which inverse dynamics asks for them."""

@@ -191,7 +191,7 @@ class _Legs:
         def run(rng: np.random.Generator) -> Floats:
             moved = replace(self.recording, positions=self._drawn(active, *rng.spawn(3)))
             letters = {name: letter for letter, name in SIDES.items()}
-            outputs = self.clinical.model.outputs(moved)
+            outputs = self.clinical.model.outputs(moved, upper=False)
             joints = [outputs[f"{letters[joint.side]}{joint.joint.title()}Angles"] for joint in self.clinical.joints]
             # Differences, unrolled: an angle near half a turn must not jump by a whole one between trials.
             apart = np.array(joints) - np.array([joint.angles for joint in self.clinical.joints])

@@ -15,7 +15,7 @@ _SHARED = 4
 """Markers that two recordings must share: three have too few distances to tell people apart."""
 _ROUNDED = 5e-5
 """m: files with whole tenths of a mm are as inexact; two trials differ by centimetres, standing ones by 0.2 mm."""
-_FRAMES = 100
+_FRAMES = 40
 """Frames that tell the median of a distance."""
 _PAIRS = 2
 """Pairs of markers for each marker that are compared, the steadiest: half and twice as many tell the same people apart."""
@@ -49,11 +49,11 @@ def _copy(first: Recording, second: Recording) -> bool:
 def marker_difference(first: Recording, second: Recording) -> float:
     """m, how much distances between markers differ in the median, over the pairs that keep theirs best; NaN for fewer than 4 shared names.
 
-    O(frames markers^2), of at most 100 frames.
+    O(markers^2) by at most 80 frames.
     """
     shared = [label for label in first.labels if label in second.labels and not is_unnamed(label)]
     parts = [_distances(recording, shared) for recording in (first, second)]
-    shared_seen = np.triu(np.isfinite(parts[0][0] + parts[1][0]), 1)
+    shared_seen = np.isfinite(parts[0][0] + parts[1][0])
     if len(shared) < _SHARED or not shared_seen.any():
         return float("nan")
     apart = np.abs(parts[0][0] - parts[1][0])[shared_seen]
@@ -62,12 +62,13 @@ def marker_difference(first: Recording, second: Recording) -> float:
 
 
 def _distances(recording: Recording, labels: list[str]) -> tuple[Floats, Floats]:
-    """(N, N) m, the median distance of two markers and the median deviation from it; NaN where they are never seen together."""
+    """(pairs,) m, the median distance of two markers and the median deviation from it; NaN where they are never seen together."""
     columns = [recording.labels.index(label) for label in labels]
     points = recording.positions[:: max(len(recording) // _FRAMES, 1), columns]
-    apart = np.linalg.norm(points[:, :, None] - points[:, None], axis=3)
+    rows, others = np.triu_indices(len(labels), 1)
+    apart = np.linalg.norm(points[:, rows] - points[:, others], axis=2)
     known = np.isfinite(apart).any(axis=0)
-    middle, spread = np.full(known.shape, np.nan), np.full(known.shape, np.nan)
+    middle, spread = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
     middle[known] = np.nanmedian(apart[:, known], axis=0)
-    spread[known] = np.nanmedian(np.abs(apart - middle)[:, known], axis=0)
+    spread[known] = np.nanmedian(np.abs(apart[:, known] - middle[known]), axis=0)
     return middle, spread
