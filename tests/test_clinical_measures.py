@@ -47,6 +47,9 @@ def test_a_table_has_a_row_for_each_person_or_one_for_each_measure(tmp_path: Pat
         assert own["LKneeWidth"] == pytest.approx(width) and ("LeftTibialTorsion" in own or "LTibialTorsion" in own) == (width == 102.0)
     with pytest.raises(AsterismError, match=r"2 people \(ann, bob\).*of none of them"):
         measures_of_person(tmp_path / "all.csv", replace(recording, metadata={"file": "data/eve/walk.c3d"}))
+    (tmp_path / "one.csv").write_text(f"LKneeWidth{separator}0.1\n")
+    with pytest.raises(AsterismError, match=r"one\.csv: LKneeWidth is 0\.1; give it in mm"):
+        measures_of_person(tmp_path / "one.csv", recording)
     (tmp_path / "one.csv").write_text(f"measure{separator}mm\nLKneeWidth{separator}101\nRKneeWidth{separator}\n")
     assert read_measures(tmp_path / "one.csv") == {"": {"LKneeWidth": 101.0}}
 
@@ -72,6 +75,15 @@ def held(recording: Recording, **numbers: float) -> Recording:
     """The recording, as if its file held these parameters: mm, rad."""
     parameters = SimpleNamespace(number=lambda group, name: {key.upper(): value for key, value in numbers.items()}.get(name))
     return replace(recording, source=SimpleNamespace(parameters=parameters, labels=(), coordinates=None))
+
+
+@pytest.mark.parametrize(("unit", "value", "read"), [(0.001, 102, 0.102), (1.0, 0.102, 0.102), (1.0, 102, 0.102), (0.001, 4, 0.1)])
+def test_lengths_of_a_file_are_in_the_unit_of_its_points_or_in_mm(unit: float, value: float, read: float) -> None:
+    """4 may be in inches, or no such width: nobody guesses, an adult's is named."""
+    [walk] = simulate_walks(1, frames=5, markers="helen-hayes", seed=0)
+    own = held(replace(walk, metadata={**walk.metadata, "metres_per_unit": unit}), LKneeWidth=value)
+    measures = gathered_measures(own)[0]
+    assert measures.left.knee_width == pytest.approx(read) and ("knee_width" in measures.left.from_file) == (value != 4)
 
 
 def test_given_measures_go_before_the_standing_trials_and_these_before_the_files() -> None:

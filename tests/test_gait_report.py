@@ -142,7 +142,7 @@ def test_labels_are_as_certain_as_their_file_says(tmp_path: Path) -> None:
     asterism.write(tmp_path / "walk.c3d", Recording.from_clouds(clouds, labelling), labelling=labelling)
     gait_report(tmp_path / "p.html", [("walk", analyse_gait(asterism.read(tmp_path / "walk.c3d")))])
     quality = (tmp_path / "p.html").read_text().split("<h2>Quality</h2>")[1].split("</section>")[0]
-    assert "90.0 % of 99 % or more" in quality and "as in the file" not in quality
+    assert "90.0 % certain (99 % or more)" in quality and "as in the file" not in quality
 
 
 def test_a_page_without_cycles_or_angles_is_a_page(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
@@ -195,9 +195,11 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_two_sessions_are_compared_and_what_changed_is_marked(sessions: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = (str(sessions / name / "a.c3d") for name in ("before", "after"))
     words = ["gait", first, "--compare", second, "--report", str(tmp_path / "p.html"), "--json", str(tmp_path / "p.json")]
-    assert main(words) == 0
+    assert main([*words, "--measure", "BodyMass=50", "--compare-measure", "BodyMass=54"]) == 0
     assert "Two sessions" in capsys.readouterr().out
-    changes = {(one["parameter"], one["side"]): one for one in json.loads((tmp_path / "p.json").read_text())["changes"]}
+    content = json.loads((tmp_path / "p.json").read_text())
+    assert [content[session][0]["measures"]["mass"] for session in ("files", "compared")] == [50, 54]
+    changes = {(one["parameter"], one["side"]): one for one in content["changes"]}
     for side in "LR":
         speed, length = changes["walking speed", side], changes["stride length", side]
         assert speed["second"] == pytest.approx(1.25 * speed["first"], rel=0.02) and speed["exceeds"]

@@ -40,7 +40,7 @@ from asterism.motion.clinical import (
     subject_measures,
     with_static_offsets,
 )
-from asterism.motion.gaps import fill_gaps
+from asterism.motion.gaps import fill_gaps, marker_difference, trials_of_person
 from asterism.motion.joints import cardan_angles, find_skeleton, fit_joint, functional_flexion, grood_suntay, joint_rotation, leg_frames
 from asterism.motion.rigid import (
     METHODS,
@@ -291,6 +291,8 @@ def test_clinical_angles_with_a_marker_missing(marker: str, frames: str) -> None
         pairs, finding = attempt(lambda holed=holed: exchanged_pairs(holed)), attempt(lambda holed=holed: exchanged_finding(holed))
         assert bool(pairs) == bool(finding)
         told = attempt(lambda holed=holed: with_static_offsets(holed, subject_measures(holed)))
+        assert attempt(lambda holed=holed: trials_of_person(holed, [recording])) in ([], [recording])
+        attempt(lambda holed=holed: marker_difference(holed, recording))
         attempt(lambda holed=holed: gathered_measures(holed, recording, {"LLegLength": 850}))
         assert told is None or np.isfinite([told.left.shank_rotation, told.left.tibial_torsion, told.left.foot_flexion]).all()
         for sides in (complete_legs(holed), "L"):

@@ -194,3 +194,20 @@ def test_a_unit_that_nobody_knows_is_not_believed_in_words(walks: list[Recording
     (tmp_path / "walk.trc").write_text(text.replace(header[2], "\t".join(line), 1), encoding="utf-8")
     status, out, err = run("info", tmp_path / "walk.trc")
     assert status == 1 and codes(err) == ["format-units-unknown"] and "the file says so" not in out.split("units")[1].split("\n")[0]
+
+
+def test_a_body_without_extent_is_not_learned(
+    walks: list[Recording], taught: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was learned without a word, or ended in a singular matrix."""
+    collapsed = replace(walks[0], positions=np.repeat(walks[0].positions[:, :1], 15, axis=1))
+    formats.write(tmp_path / "one.c3d", collapsed)
+    for words in (("learn", taught), ("train", "--virtual-people", "0", "--no-audit")):
+        status, _, err = run(words[0], *words[1:], tmp_path / "one.c3d", "-o", tmp_path / "new.model")
+        assert status == 2 and "one.c3d shows its labelled points all in one place" in err
+    twice = walks[0].positions.copy()
+    twice[:, 3] = twice[:, 4]
+    formats.write(tmp_path / "two.c3d", replace(walks[0], positions=twice))
+    monkeypatch.setattr(MarkerModel, "learn", lambda model, recordings, **_: model)
+    status, _, err = run("learn", taught, tmp_path / "two.c3d", "-o", tmp_path / "new.model")
+    assert status == 1 and "label-coincident" in codes(err)

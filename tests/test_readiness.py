@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from correcting import model, walks
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import asterism
 from asterism.cli import main
@@ -114,6 +116,7 @@ BESIDE_READY = {
     "format-missing-samples": "samples are missing",
     "format-frame-numbers": "samples are missing, or the lines are as they were written",
     "format-force-plate": "it is about forces",
+    "format-analog-overflow": "it is about analog samples",
     "format-text-encoding": "it is about letters",
     "format-point-names": "the labels are by the points",
     "format-repeated-names": "the labels are by the points",
@@ -166,6 +169,25 @@ def test_labels_of_which_few_are_sure_are_not_ready() -> None:
         assert (found.kind, found.look_at) == (kind, 0)
         share = {0: "no label has", 7: "47 % of the labels have"}.get(sure, "")
         assert not share or found.sentence == f"Look once: {share} a confidence of 99 % or more; compare some with the person."
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    kind=st.sampled_from([FITS, UNKNOWN, OTHER_PERSON, OTHER_MARKERS]),
+    confidence=st.sampled_from([0.6, 0.9, 0.985, CERTAIN, 0.995, 1.0]),
+    doubtful=st.sampled_from([0.6, 0.9, 0.985, CERTAIN, 0.995, 1.0]),
+    found=st.sets(st.sampled_from(sorted([*DOUBTS, *BESIDE_READY])), max_size=3),
+    more=st.sets(st.sampled_from(sorted(DOUBTS)), max_size=2),
+)
+def test_what_speaks_against_labels_never_makes_them_readier(
+    kind: str, confidence: float, doubtful: float, found: set[str], more: set[str]
+) -> None:
+    """Neither does a label that is less sure; and the reason is said wherever pieces are not all there is to say."""
+    order = [DO_NOT_USE, LOOK, READY]
+    some = judged(kind, confidence, doubtful, found=tuple(found))
+    assert order.index(judged(kind, confidence, doubtful, found=tuple(found | more)).kind) <= order.index(some.kind)
+    assert order.index(judged(kind, confidence, min(confidence, doubtful), found=tuple(found)).kind) <= order.index(some.kind)
+    assert some.kind != LOOK or some.why or some.look_at
 
 
 def test_a_model_that_does_not_know_its_training_makes_nothing_ready() -> None:

@@ -213,6 +213,19 @@ def test_a_person_who_enters_late_is_judged_where_they_are() -> None:
     assert verdict.labelled == 1.0
 
 
+def test_points_without_a_label_are_other_markers_where_they_cannot_be_the_models() -> None:
+    """Five labels of another person are taken back, as points are added: the reason stays until these are more than the markers."""
+    stranger = BODY + np.random.default_rng(8).normal(0.0, 0.03, BODY.shape)
+    kinds = []
+    for added in range(12):
+        positions = np.tile(stranger, (20, 1, 1))
+        positions[:, : 5 if added else 0] = np.nan
+        verdict = judge(positions, np.full(20, 20 + added), rigid_body())
+        assert verdict.scatter > verdict.limit and verdict.surplus == added + (5 if added else 0)
+        kinds.append(verdict.kind)
+    assert kinds == [OTHER_PERSON] * 5 + [OTHER_MARKERS] * 7
+
+
 def falls_of_verdict(people: int, known_share: float) -> tuple[int, int, int]:
     """How often the verdict falls when markers of strangers are added one by one, of how many steps, and how many fit in the end.
 

@@ -74,35 +74,35 @@ def recordings_of(given: Sequence[Path], batch: _console.Batch) -> list[Path]:
     return [trial.path for trial in trials(given, batch)]
 
 
-def outputs_of(found: Sequence[Trial], folder: Path) -> list[Path]:
+def outputs_of(found: Sequence[Trial], folder: Path, option: str = "-o") -> list[Path]:
     """Where the outputs of the recordings go, below `folder`. Raises AsterismError where it cannot be a folder, or not be written to."""
-    check_folder(folder)
+    check_folder(folder, option)
     return [folder / trial.place for trial in found]
 
 
-def copies_of(found: Sequence[Trial], folder: Path, others: Sequence[Path | None]) -> dict[Path, Path]:
+def copies_of(found: Sequence[Trial], folder: Path, others: Sequence[Path | None], option: str = "-o") -> dict[Path, Path]:
     """Where the copy of each recording goes, as C3D, below `folder`; `others` are read, too.
 
     Raises AsterismError where it would be an input, or two recordings would have the same.
     """
-    targets = {trial.path: target.with_suffix(".c3d") for trial, target in zip(found, outputs_of(found, folder), strict=True)}
+    targets = {trial.path: target.with_suffix(".c3d") for trial, target in zip(found, outputs_of(found, folder, option), strict=True)}
     inputs = {_console.real_path(path): path for path in (*targets, *others) if path is not None}
     taken: dict[str, Path] = {}
     for path, target in targets.items():
         if (one := inputs.get(_console.real_path(target))) is not None:
-            raise AsterismError(f"the copy of {path} would replace {one}, which is an input; name another folder.")
+            raise AsterismError(f"the copy of {path} would replace {one}, which is an input; name another folder with {option}.")
         # walk.trc and walk.c3d have one copy between them
         if (other := taken.setdefault(str(target).casefold(), path)) != path:
             raise AsterismError(f"{other} and {path} would both become {target}; give them one after the other.")
     return targets
 
 
-def check_folder(folder: Path) -> None:
+def check_folder(folder: Path, option: str = "-o") -> None:
     """Raise AsterismError where a folder for outputs is a file, or cannot be made or written to. Nothing is made."""
     from tempfile import TemporaryFile
 
     if folder.exists() and not folder.is_dir():
-        raise AsterismError(f"{folder} is a file; -o takes the folder for the outputs.")
+        raise AsterismError(f"{folder} is a file; {option} takes the folder for the outputs.")
     # what is not there yet is made below the innermost folder that is
     above = next((one for one in (folder, *folder.absolute().parents) if os.path.lexists(one)), folder)
     try:
@@ -112,15 +112,16 @@ def check_folder(folder: Path) -> None:
     except OSError as problem:
         where = "" if above == folder else f", because nothing can be written to {above}"
         raise AsterismError(
-            f"the folder {folder} cannot be used for the outputs{where} ({(problem.strerror or 'it fails').lower()}); name another with -o."
+            f"the folder {folder} cannot be used for the outputs{where} ({(problem.strerror or 'it fails').lower()}); "
+            f"name another with {option}."
         ) from None
 
 
-def check_output(path: Path, target: Path, overwrite: bool) -> None:
+def check_output(path: Path, target: Path, overwrite: bool, option: str = "-o") -> None:
     """Raise AsterismError where the output of a file is there already and must not be replaced."""
     if target.exists() and not overwrite:
         what = "is the input itself" if target.samefile(path) else "exists"
-        raise AsterismError(f"{path}: {target} {what}; choose another folder with -o, or replace it with --overwrite.")
+        raise AsterismError(f"{path}: {target} {what}; choose another folder with {option}, or replace it with --overwrite.")
 
 
 def _clash(places: Sequence[Path]) -> tuple[int, int] | None:

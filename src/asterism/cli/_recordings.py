@@ -164,6 +164,15 @@ def report_warnings(recording: Recording, batch: _console.Batch) -> None:
         batch.found(finding)
 
 
+def report_coincident(recordings: Sequence[Recording], batch: _console.Batch) -> None:
+    """Name the recordings to be learned in which two markers lie in one place, so that one of them has the other's name."""
+    from asterism.session.coincident import coincident_findings
+
+    for recording in recordings:
+        for finding in coincident_findings(str(recording.metadata.get("file", "a recording")), recording.clouds()):
+            batch.found(finding)
+
+
 def not_carried(target: Path, lost: Sequence[str], mend: str = _KEEP_THE_SOURCE) -> list[Finding]:
     """What a written file leaves out because its format cannot carry it, as findings."""
     return [Finding("format-not-carried", Severity.NOTE, str(target), f"{target} leaves out {what}.", mend) for what in lost]

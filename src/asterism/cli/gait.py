@@ -86,6 +86,12 @@ class GaitOptions:
             "--compare", metavar="FILES", help="Walks of a second session; all files that follow belong to it.", show_default=False
         ),
     ] = field(default_factory=list)
+    compare_measure: Annotated[
+        list[str],
+        typer.Option(
+            "--compare-measure", metavar="NAME=VALUE", help="As --measure, of the second session, where it differs.", show_default=False
+        ),
+    ] = field(default_factory=list)
     compare_static: Annotated[
         Path | None,
         typer.Option("--compare-static", metavar="FILE", help="The standing trial of the second session.", show_default=False),
@@ -129,16 +135,16 @@ def gait(options: GaitOptions) -> None:
     _check_sessions(options)
     muscles_by_channel(options.emg)
     # what is wrong with the options is told before any file is read
-    _clinical.given_measures(options.measure)
+    _clinical.given_measures([*options.measure, *options.compare_measure])
     fill_limit(options.fill)
     filter_choice(options.filter)
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
     walks = trials([*options.files, *options.compare], batch, without=options.c3d)
-    copies = {} if options.c3d is None else copies_of(walks, options.c3d, inputs)
+    copies = {} if options.c3d is None else copies_of(walks, options.c3d, inputs, "--c3d")
     later = _paths_below(options.compare)
     results = analysed(options, [walk.path for walk in walks if _console.real_path(walk.path) not in later], batch, copies)
-    second = replace(options, static=options.compare_static)
+    second = replace(options, static=options.compare_static, measure=[*options.measure, *options.compare_measure])
     compared = analysed(second, [walk.path for walk in walks if _console.real_path(walk.path) in later], batch, copies)
     if results:
         write_results(options, results, band, batch, copies, compared)
@@ -188,7 +194,7 @@ def analysed(
     for path in files:
         with batch.file(path):
             if path in copies:
-                check_output(path, copies[path], options.overwrite)
+                check_output(path, copies[path], options.overwrite, "--c3d")
             recording = _read(path, options, batch)
             plates, found = force_plates(recording)
             if limit is not None:

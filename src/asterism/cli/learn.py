@@ -51,7 +51,7 @@ def learn(
     """
     from asterism import formats
     from asterism.cli._labelling import model_or_virtual
-    from asterism.cli._recordings import read_people
+    from asterism.cli._recordings import read_people, report_coincident
     from asterism.labelling import check_names
     from asterism.session.people import people_in
 
@@ -67,6 +67,7 @@ def learn(
     before, worn = model_or_virtual(model, markers, paths, vertical)
     # under the names of the model: what it does not know cannot be learned
     recordings = read_people(paths, before.marker_set, vertical, batch)
+    report_coincident(recordings, batch)
     batch.tell_passed_over()
     # a model that has learned half of a session looks like one that has learned all of it
     if batch.failed:

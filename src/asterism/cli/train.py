@@ -146,13 +146,14 @@ def _read(
 
     Raises AsterismError where a file cannot be used.
     """
-    from asterism.cli._recordings import read_labelled, read_some
+    from asterism.cli._recordings import read_labelled, read_some, report_coincident
 
     batch = _console.Batch("read")
     files = recordings_of(files, batch)
     # without a set, all named markers count, and training chooses among them
     read = read_some if marker_set is None else read_labelled
     recordings = read(files, marker_set, vertical, batch)
+    report_coincident(recordings, batch)
     batch.tell_passed_over()
     if batch.failed:
         raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; correct them or leave them out.")

@@ -155,7 +155,7 @@ def _labels(recording: Recording) -> str | Cell:
         return "as in the file"
     certain = confidence[:, named][recording.visible[:, named]]
     share = float((certain >= SURE).mean()) if certain.size else float("nan")
-    return Cell(f"{percent(share)} of {percent(SURE, 0)} or more", min(1.0, 10 * (1 - share)) if share < 1 else 0.0)
+    return Cell(f"{percent(share)} certain ({percent(SURE, 0)} or more)", min(1.0, 10 * (1 - share)) if share < 1 else 0.0)
 
 
 def _filled(sessions: Sequence[GaitSession]) -> list[Section]:

@@ -41,6 +41,9 @@ from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording, subject_of
 
+ONE_PLACE = 1e-3
+"""m: a usual frame whose points lie within it shows no body. The smallest markers are 3 mm wide; half and double of it are the same."""
+
 SOLVER_RULES = ("partial-solvers", "thesis")
 """The rules that label by partial solvers. Each has its own, because the thesis' intervals are those that training showed."""
 
@@ -212,7 +215,7 @@ class TrainingState:
     def with_recordings(self, recordings: Sequence[Recording], subjects: Sequence[str] | None, marker_set: MarkerSet) -> TrainingState:
         """The state after these recordings, too. Subjects by default as `subject_of` says.
 
-        Raises AsterismError where there is no recording, one shows nothing, or there is not one subject for each.
+        Raises AsterismError where there is no recording, one shows nothing or all in one place, or there is not one subject for each.
         """
         if not recordings:
             raise AsterismError("there is no recording to learn from; give at least one labelled file.")
@@ -221,10 +224,14 @@ class TrainingState:
             raise AsterismError(f"{len(names)} subjects for {len(recordings)} recordings; give one name per recording.")
         for recording in recordings:
             # One that shows nothing would be learned as silence, and say so nowhere.
-            if (recording.visible.sum(axis=1) < FEWEST_SHOWN).all():
-                raise AsterismError(
-                    f"{recording.metadata.get('file', 'a recording')} has no frame that shows {FEWEST_SHOWN} labelled points; leave it out."
-                )
+            file, shown = recording.metadata.get("file", "a recording"), recording.visible.sum(axis=1) >= FEWEST_SHOWN
+            if not shown.any():
+                raise AsterismError(f"{file} has no frame that shows {FEWEST_SHOWN} labelled points; leave it out.")
+            # A body without extent would be every body, made small.
+            some = recording.positions[shown]
+            extent = np.linalg.norm(np.nanmax(some, axis=1) - np.nanmin(some, axis=1), axis=1)
+            if float(np.median(extent)) < ONE_PLACE:
+                raise AsterismError(f"{file} shows its labelled points all in one place; export it again, or leave it out.")
         rules = self.config.rules
         sample = self.sample.with_recordings(recordings, names, marker_set, rules.sample_frames_per_person, rules.sample_frames)
         return replace(self, sample=sample)

@@ -11,7 +11,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.files.text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes, some_of
-from asterism.motion.clinical.measures import measure_names
+from asterism.motion.clinical.measures import SubjectMeasures, measure_names
 from asterism.recording import Recording, subject_of
 
 _FACTORS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "deg": 1.0, "°": 1.0, "rad": float(np.degrees(1.0)), "kg": 1.0, "g": 0.001}
@@ -61,11 +61,12 @@ def read_measures(path: str | Path) -> dict[str, dict[str, float]]:
 def measures_of_person(path: str | Path, recording: Recording) -> dict[str, float]:
     """Those of a file (`read_measures`) that are of the recording's person, who is told by subject, folder or the start of the file's name.
 
-    Raises AsterismError where the file has several people, and none or more than one of them is the recording's.
+    Raises AsterismError where the file has several people, and none or more than one of them is the recording's, and for a value that no
+    person has.
     """
     people = read_measures(path)
     if len(people) == 1:
-        return next(iter(people.values()))
+        return _believed(path, next(iter(people.values())))
     file = PurePath(str(recording.metadata.get("file", "")))
     known = {name.lower() for name in (subject_of(recording), PurePath(subject_of(recording)).name, file.parent.name, file.stem)}
     fitting = [name for name in people if name.lower() in known] or [name for name in people if file.stem.lower().startswith(name.lower())]
@@ -74,7 +75,16 @@ def measures_of_person(path: str | Path, recording: Recording) -> dict[str, floa
             f"{path} has measures of {len(people)} people ({some_of(list(people))}), and {file or 'the recording'} is of none of them by "
             "subject, folder or name; give a file of this person."
         )
-    return people[fitting[0]]
+    return _believed(path, people[fitting[0]])
+
+
+def _believed(path: str | Path, measures: dict[str, float]) -> dict[str, float]:
+    """The measures, where a person can have them."""
+    try:
+        SubjectMeasures().with_values(measures)
+    except AsterismError as problem:
+        raise AsterismError(f"{path}: {problem}") from None
+    return measures
 
 
 def _named(name: str) -> str:

@@ -240,10 +240,11 @@ def _leg(recording: Recording, side: str, read: Any) -> LegMeasures:
 
 
 def _length(value: float | None, recording: Recording, least: float, most: float) -> float | None:
-    """m; None for a value that no person has: guessing another unit would bend all angles."""
-    # Lengths are in the unit of the points, which may be mm or m.
+    """m; None for a value that no person has."""
+    # Lengths are in the unit of the points, which may be mm or m; where programs changed that of the points alone, they are still in mm.
     metres = float(recording.metadata.get("metres_per_unit", 0.001) or 0.001)
-    return float(value * metres) if value is not None and least <= value * metres <= most else None
+    lengths = [] if value is None else [float(value * unit) for unit in (metres, 0.001)]
+    return next((length for length in lengths if least <= length <= most), None)
 
 
 def computed_by_the_file(recording: Recording, name: str) -> Floats | None:
