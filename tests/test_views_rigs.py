@@ -61,17 +61,13 @@ def test_cameras_without_blobs_count_as_absent(seeing: tuple[int, ...]) -> None:
     assert wrong <= 0.005 * sure
 
 
-@pytest.mark.slow
-def test_a_rig_that_is_a_little_off_gives_fewer_labels_and_none_that_is_sure_and_wrong() -> None:
-    given = walk()
-    for degrees, share in ((0.15, 0.97), (0.3, 0.85)):
-        result = label_views(given.blobs, turned(given.rig, degrees, (0, 1, 2, 3), 7), BODY)
+def test_a_rig_that_is_a_little_off_is_said_and_costs_no_labels() -> None:
+    given = walk(3)
+    for degrees, moved in ((0.3, (0, 1, 2)), (1.0, (1,))):
+        result = label_views(given.blobs, turned(given.rig, degrees, moved, 7), BODY)
         right, sure, wrong = right_and_sure(result, given.identity)
-        assert right >= share, f"{degrees} degrees: {right:.3f} right"
-        assert wrong <= 0.005 * sure, f"{degrees} degrees: {wrong} of {sure} sure labels are wrong"
-    assert "views-rig-inexact" in codes(result)
-    exact = label_views(given.blobs, given.rig, BODY)
-    assert result.confidence[result.labels >= 0].mean() < exact.confidence[exact.labels >= 0].mean()
+        assert right >= 0.97 and wrong <= 0.002 * sure, f"{degrees} degrees: {right:.3f} right, {wrong} of {sure} sure labels are wrong"
+        assert "views-rig-inexact" in codes(result) and "views-camera-misfit" not in codes(result), f"{degrees} degrees: {codes(result)}"
 
 
 @pytest.mark.parametrize("degrees", [1.0, pytest.param(3.0, marks=pytest.mark.slow)])
