@@ -17,6 +17,7 @@ from asterism.findings import Finding, Severity
 from asterism.geometry import rotate_z_up
 from asterism.motion.clinical.measures import SIDES, SubjectMeasures
 from asterism.motion.clinical.plug_in_gait import LowerBody, marker_of, walking_axes
+from asterism.motion.rigid.rotations import cross
 from asterism.motion.splines import second_derivative
 from asterism.recording import Floats, ForcePlate, Recording
 from asterism.recording.arrays import nan_median
@@ -219,7 +220,7 @@ def _under(
         inside |= _fading(plate, inside)
         centre, on_foot, about = (rotate_z_up(part, recording.vertical) for part in (plate.centre, plate.force, plate.moment))
         force[inside] += on_foot[inside]
-        moment[inside] += (np.cross(centre, on_foot) + about)[inside]
+        moment[inside] += (cross(centre, on_foot) + about)[inside]
         known |= inside
     force[~known] = moment[~known] = np.nan
     return (force, moment), left_out
@@ -282,7 +283,7 @@ def _covariance(joint: _JointLoad, force: Floats, centre: float, errors: Kinetic
     # Moved by d, a force f gives d x f more: alike in all directions across it.
     found = centre**2 * ((joint.pull**2).sum(axis=1)[:, None, None] * np.eye(3) - outer(joint.pull))
     for axis in (0, 1):
-        found += errors.pressure**2 * outer(np.cross(np.eye(3)[axis], force))
+        found += errors.pressure**2 * outer(cross(np.eye(3)[axis], force))
     found += (errors.plate**2 + errors.mass**2) * outer(joint.by_ground)
     found += errors.inertia**2 * outer(joint.about - joint.by_ground)
     return np.asarray(found)
@@ -304,16 +305,16 @@ def _joints(
     )
     out = {}
     # What acts on the lower end of a segment: force, and moment about that end. The ground's moment is moved to the foot's tip.
-    pushed, turned = force, moment - np.cross(tip, force)
+    pushed, turned = force, moment - cross(tip, force)
     by_ground = -turned
     for joint, segment, upper, lower, axes, above in chain:
         arm = lower - upper
         weight = segment.mass * mass
         pull = weight * (second_derivative(upper + segment.centre * arm, rate) - GRAVITY) - pushed
         inertia = weight * (segment.radius * float(nan_median(np.linalg.norm(arm, axis=1), axis=0))) ** 2
-        levers = np.cross(segment.centre * arm, pull) - np.cross((1 - segment.centre) * arm, pushed)
+        levers = cross(segment.centre * arm, pull) - cross((1 - segment.centre) * arm, pushed)
         about = _spin(axes, inertia, rate, rules) + levers - turned
-        by_ground = by_ground - np.cross(arm, force)
+        by_ground = by_ground - cross(arm, force)
         out[joint] = _JointLoad(about, by_ground, pull, axes, above)
         pushed, turned = -pull, -about
     return out
