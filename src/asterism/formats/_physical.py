@@ -263,9 +263,11 @@ def _mark_twins_and_offsets(labels: Sequence[str], some: Floats, exact: NDArray[
 
     The name is not used where a point has exact distances from several markers, as on the solved rigid bodies of some systems.
     """
-    for a, b in zip(*np.nonzero(exact), strict=True):
-        with np.errstate(invalid="ignore"):
-            same = np.nanmax(np.abs(some[:, a] - some[:, b])) < _VERY_EXACT
+    one, other = np.nonzero(exact)
+    # Two thousand pairs at once take little memory, and as little time for each as all would.
+    apart = [np.abs(some[:, one[at : at + 2000]] - some[:, other[at : at + 2000]]) for at in range(0, len(one), 2000)]
+    twins = np.concatenate([np.empty(0, dtype=bool), *(np.fmax.reduce(part, axis=(0, 2)) < _VERY_EXACT for part in apart)])
+    for a, b, same in zip(one, other, twins, strict=True):
         # Exact to one marker only: rigid bodies are exact among all of theirs.
         alone = (exact[b] & ~judged).sum() == 1
         extends = alone and labels[b] != labels[a] and labels[b].startswith(labels[a])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 from scipy import sparse
@@ -48,6 +48,7 @@ def quintic_spline_and_power(curve: Floats) -> tuple[BSpline, float]:
         _, solution, _ = dpbsv(fit + 10.0**power * rough, target, lower=1, overwrite_ab=1)
         return np.asarray(solution)
 
+    @cache
     def criterion(power: float) -> float:
         free = 1.0 - float((passed / (passed + 10.0**power * stopped)).mean())
         # A curve without noise is met by each spline: the smallest number keeps the logarithm.
