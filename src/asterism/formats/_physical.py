@@ -267,7 +267,7 @@ def _mark_twins_and_offsets(labels: Sequence[str], some: Floats, exact: NDArray[
     # Two thousand pairs at once take little memory, and as little time for each as all would.
     apart = [np.abs(some[:, one[at : at + 2000]] - some[:, other[at : at + 2000]]) for at in range(0, len(one), 2000)]
     twins = np.concatenate([np.empty(0, dtype=bool), *(np.fmax.reduce(part, axis=(0, 2)) < _VERY_EXACT for part in apart)])
-    for a, b, same in zip(one, other, twins, strict=True):
+    for a, b, same in zip(one.tolist(), other.tolist(), twins.tolist(), strict=True):
         # Exact to one marker only: rigid bodies are exact among all of theirs.
         alone = (exact[b] & ~judged).sum() == 1
         extends = alone and labels[b] != labels[a] and labels[b].startswith(labels[a])

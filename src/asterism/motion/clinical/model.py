@@ -125,7 +125,7 @@ def wears_both_sides(recording: Recording) -> bool:
 
 
 def _shown(recording: Recording) -> set[str]:
-    seen = recording.visible.any(axis=0)
+    seen = np.asarray(recording.visible.any(axis=0))
     return {role for role, column in worn_landmarks(recording).roles.items() if seen[column]}
 
 
