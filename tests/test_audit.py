@@ -74,10 +74,20 @@ def test_clean_recordings_are_left_in_peace(walks):
 
 
 @pytest.mark.parametrize(
-    ("first", "last"), [(40, 40), (40, 42), (1, 3), (60, 110), (50, FRAMES - 1), (120, FRAMES - 1), (0, 90), (0, 5)], ids=str
+    ("pair", "first", "last"),
+    [
+        (("LTHI", "LKNE"), 40, 40),
+        (("LANK", "LHEE"), 40, 42),
+        (("LASI", "RTOE"), 1, 3),
+        (("LTHI", "LKNE"), 60, 110),
+        (("LANK", "LHEE"), 50, FRAMES - 1),
+        (("LASI", "RTOE"), 120, FRAMES - 1),
+        (("LTHI", "LKNE"), 0, 90),
+        (("LANK", "LHEE"), 0, 5),
+    ],
+    ids=str,
 )
-@pytest.mark.parametrize("pair", [("LTHI", "LKNE"), ("LANK", "LHEE"), ("LASI", "RTOE")], ids="-".join)
-def test_two_exchanged_markers_are_found_where_they_are(walks, first, last, pair):
+def test_two_exchanged_markers_are_found_where_they_are(walks, pair, first, last):
     findings = audit(among(walks, 2, exchanged(walks[2], first, last, *pair)), subjects=PEOPLE)
     assert told(findings) == [(2, first, last, set(pair), "exchanged")]
     assert findings[0].subject == "Cem" and findings[0].gain > 10.0

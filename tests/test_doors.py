@@ -220,7 +220,8 @@ def test_what_the_reader_found_is_said_by_every_command(
         file = place / "lab" / f"{name}.c3d"
         shown[name, way] = doors.run(verb, *([doors.model] if verb == "learn" else []), file, *words)
     whole, torn, as_values = shown.values()
-    assert "format-cut-off" not in whole.codes and whole.status == 0
+    # a second of walking holds no squat, which is a warning
+    assert "format-cut-off" not in whole.codes and whole.status == (verb == "events")
     assert torn.codes.count("format-cut-off") == 1 and torn.status == 1
     content = json.loads(told.read_text(encoding="utf-8"))
     assert sorted(found["code"] for found in content["findings"]) == as_values.codes == torn.codes

@@ -171,6 +171,16 @@ def test_short_recordings_end_in_a_finding_and_in_no_exception(walks: list[Recor
     assert len(fill.recording) == frames and (frames == 0 or fill.findings or fill.gaps)
 
 
+@pytest.mark.parametrize(("label", "mate"), [("T10", "RBAK"), ("LTIB", "LANK")])
+def test_a_neighbour_that_takes_another_label_in_the_gap_makes_the_fill_uncertain(walks: list[Recording], label: str, mate: str) -> None:
+    positions, column = walks[0].positions.copy(), walks[0].labels.index(label)
+    positions[150:, walks[0].labels.index(mate)] += np.array([0.0, 0.12, 0.10])
+    positions[150:, column] = np.nan
+    fill = fill_gaps(replace(walks[0], positions=positions), limit=1.0)
+    inside = np.abs(fill.recording.positions - walks[0].positions)[150:, column] < 1.96 * fill.deviation[150:, [column]]
+    assert inside.mean() > 0.9, f"{inside.mean():.2f} within {1000 * fill.reach:.1f} mm"
+
+
 def test_frames_without_any_marker_stay_empty(walks: list[Recording]) -> None:
     positions = walks[0].positions.copy()
     positions[:60], positions[200:] = np.nan, np.nan

@@ -171,7 +171,7 @@ def test_gait_and_convert_filter_and_say_so(tmp_path: Path, capsys: pytest.Captu
     assert main(["gait", str(source), "--filter", "butterworth:10", "--json", str(table), "--report", str(tmp_path / "page.html")]) == 1
     shown = capsys.readouterr()
     assert "filtered by a Butterworth filter without lag, cut-off 10 Hz" in shown.out and "LTHI in frame 101" in shown.err
-    assert "cut-off 10 Hz" in (tmp_path / "page.html").read_text()
+    assert "butterworth 10 Hz" in (tmp_path / "page.html").read_text()
     [content] = json.loads(table.read_text())["files"]
     assert content["filter"]["filter"] == "butterworth:10"
     assert {one["marker"]: one["spikes"] for one in content["filter"]["markers"]}["LTHI"] == 1

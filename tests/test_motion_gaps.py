@@ -40,7 +40,8 @@ from asterism.motion.clinical import (
     subject_measures,
     with_static_offsets,
 )
-from asterism.motion.gaps import fill_gaps
+from asterism.motion.events import MovementRules, find_movement, movement_table, shipped_movements
+from asterism.motion.gaps import fill_gaps, marker_difference, trials_of_person
 from asterism.motion.joints import cardan_angles, find_skeleton, fit_joint, functional_flexion, grood_suntay, joint_rotation, leg_frames
 from asterism.motion.rigid import (
     METHODS,
@@ -291,6 +292,8 @@ def test_clinical_angles_with_a_marker_missing(marker: str, frames: str) -> None
         pairs, finding = attempt(lambda holed=holed: exchanged_pairs(holed)), attempt(lambda holed=holed: exchanged_finding(holed))
         assert bool(pairs) == bool(finding)
         told = attempt(lambda holed=holed: with_static_offsets(holed, subject_measures(holed)))
+        assert attempt(lambda holed=holed: trials_of_person(holed, [recording])) in ([], [recording])
+        attempt(lambda holed=holed: marker_difference(holed, recording))
         attempt(lambda holed=holed: gathered_measures(holed, recording, {"LLegLength": 850}))
         assert told is None or np.isfinite([told.left.shank_rotation, told.left.tibial_torsion, told.left.foot_flexion]).all()
         for sides in (complete_legs(holed), "L"):
@@ -388,6 +391,22 @@ def test_a_gap_that_cannot_be_filled_stays_and_is_said() -> None:
     assert filled is not None
     assert np.isnan(filled.recording.positions[15, 4:8]).all() or filled.filled[15, 4:8].all()
     assert np.isnan(filled.recording.positions[:, 11]).all() and filled.findings
+
+
+@pytest.mark.parametrize("movement", shipped_movements())
+def test_events_by_rule_with_a_marker_missing(movement: str) -> None:
+    """A gap leaves out what falls into it, and no event is at no time."""
+    rules, positions = MovementRules.load(movement), np.repeat(walking(), 8, axis=0)
+    worn = dict.fromkeys(label for labels in rules.markers.values() for label in labels[0].split("+"))
+    labels = [label.replace("{side}", side) for label in worn for side in ("LR" if "{side}" in label else "-")][: positions.shape[1]]
+    for hidden in (slice(0, 3), slice(20, 30), slice(None)):
+        holed = positions[:, : len(labels)].copy()
+        holed[hidden, 0] = np.nan
+        recording = Recording(holed, tuple(labels), 50.0)
+        found = attempt(lambda recording=recording: find_movement(recording, rules))
+        if found is not None:
+            assert all(np.isfinite(event.time) for event in found.events)
+            attempt(lambda found=found: movement_table({"walk": found}))
 
 
 def test_every_public_function_of_the_room_is_tried_here() -> None:

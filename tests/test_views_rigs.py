@@ -49,7 +49,7 @@ def codes(result: ViewsLabelling) -> set[str]:
     return {finding.code for finding in result.findings}
 
 
-@pytest.mark.parametrize("seeing", [(0, 1), (0, 1, 2)])
+@pytest.mark.parametrize("seeing", [(0, 1), pytest.param((0, 1, 2), marks=pytest.mark.slow)])
 def test_cameras_without_blobs_count_as_absent(seeing: tuple[int, ...]) -> None:
     given = walk()
     kept = np.isin(given.blobs.camera_of, seeing)
@@ -61,29 +61,25 @@ def test_cameras_without_blobs_count_as_absent(seeing: tuple[int, ...]) -> None:
     assert wrong <= 0.005 * sure
 
 
-@pytest.mark.slow
-def test_a_rig_that_is_a_little_off_gives_fewer_labels_and_none_that_is_sure_and_wrong() -> None:
-    given = walk()
-    for degrees, share in ((0.15, 0.97), (0.3, 0.85)):
-        result = label_views(given.blobs, turned(given.rig, degrees, (0, 1, 2, 3), 7), BODY)
+def test_a_rig_that_is_a_little_off_is_said_and_costs_no_labels() -> None:
+    given = walk(3)
+    for degrees, moved in ((0.3, (0, 1, 2)), (1.0, (1,))):
+        result = label_views(given.blobs, turned(given.rig, degrees, moved, 7), BODY)
         right, sure, wrong = right_and_sure(result, given.identity)
-        assert right >= share, f"{degrees} degrees: {right:.3f} right"
-        assert wrong <= 0.005 * sure, f"{degrees} degrees: {wrong} of {sure} sure labels are wrong"
-    assert "views-rig-inexact" in codes(result)
-    exact = label_views(given.blobs, given.rig, BODY)
-    assert result.confidence[result.labels >= 0].mean() < exact.confidence[exact.labels >= 0].mean()
+        assert right >= 0.97 and wrong <= 0.002 * sure, f"{degrees} degrees: {right:.3f} right, {wrong} of {sure} sure labels are wrong"
+        assert "views-rig-inexact" in codes(result) and "views-camera-misfit" not in codes(result), f"{degrees} degrees: {codes(result)}"
 
 
-def test_two_cameras_of_which_one_was_moved_are_said_to_contradict_each_other() -> None:
+@pytest.mark.parametrize("degrees", [1.0, pytest.param(3.0, marks=pytest.mark.slow)])
+def test_two_cameras_of_which_one_was_moved_are_said_to_contradict_each_other(degrees: float) -> None:
+    """That a right rig of two cameras has no finding is asked where the walk of two cameras is labelled."""
     given = walk(2)
-    assert not codes(label_views(given.blobs, given.rig, BODY)) & {"views-rig-inexact", "views-camera-misfit", "views-camera-late"}
-    for degrees in (1.0, 3.0):
-        result = label_views(given.blobs, turned(given.rig, degrees, (1,), 3), BODY)
-        _, sure, wrong = right_and_sure(result, given.identity)
-        assert codes(result) & {"views-rig-inexact", "views-camera-misfit"}, f"{degrees} degrees: {codes(result)}"
-        # Lines of sight that miss each other by where a marker is, and not by how it moves, are not those of a late camera.
-        assert "views-camera-late" not in codes(result)
-        assert wrong <= 0.01 * sure, f"{degrees} degrees: {wrong} of {sure} sure labels are wrong"
+    result = label_views(given.blobs.frames(slice(0, 45)), turned(given.rig, degrees, (1,), 3), BODY)
+    _, sure, wrong = right_and_sure(result, given.identity[: len(result.labels)])
+    assert codes(result) & {"views-rig-inexact", "views-camera-misfit"}, f"{codes(result)}"
+    # Lines of sight that miss each other by where a marker is, and not by how it moves, are not those of a late camera.
+    assert "views-camera-late" not in codes(result)
+    assert wrong <= 0.01 * sure, f"{wrong} of {sure} sure labels are wrong"
 
 
 @pytest.mark.parametrize("kept", [1.0, 0.75, 0.6])
@@ -122,7 +118,7 @@ def lying(positions: Floats, turn: Floats) -> Floats:
 @pytest.mark.parametrize("turn", [(0, -90, 0), (0, 90, 0), (90, 0, 0), (0, 180, 0)], ids=["back", "front", "side", "upside down"])
 def test_a_person_who_lies_is_labelled_right(turn: tuple[int, int, int]) -> None:
     given = walk()
-    places = lying(given.recording.positions, Rotation.from_rotvec(np.radians(turn)).as_matrix())
+    places = lying(given.recording.positions[::6], Rotation.from_rotvec(np.radians(turn)).as_matrix())
     settings = ImagingSettings(noise=0.5, strays=2.0)
     blobs, identity = simulate_blobs(given.rig, places, settings, rng=np.random.default_rng(3), rate=60.0)
     right, sure, wrong = right_and_sure(label_views(blobs, given.rig, BODY), identity)

@@ -34,7 +34,7 @@ Filter = Annotated[
     ),
 ]
 _AUTO = 0.010
-"""m. Soft tissue moves markers by as much; half leaves a fifth of gaps of 1 s, double lets elbows and hands through."""
+"""m. Soft tissue moves markers by as much. Of 130 gaps of 1 s in walks of `movement` 83 % are filled, at half 62 %, at double 95 %."""
 _TRIALS = 12
 """Files of a folder that are asked whether they show the same person: a folder of a study would take minutes."""
 

@@ -13,6 +13,7 @@ from asterism.geometry import rotate_z_up
 from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
 from asterism.motion.filters import zero_lag_butterworth
 from asterism.recording import Floats, Recording
+from asterism.recording.display import significant
 
 SIDES = ("L", "R")
 HEEL = (("HEE",), ("HEEL",), ("CAL",), ("LCA",))
@@ -104,7 +105,7 @@ def feet_of(recording: Recording) -> Feet:
     times = np.arange(0.0, (len(recording) - 1) / recording.rate + 1e-9, 1.0 / RATE)
     # a speed needs a sample on either side
     if len(times) < 3:
-        raise AsterismError(f"{file} lasts {len(recording) / recording.rate:.3g} s by its rate; gait events need steps.")
+        raise AsterismError(f"{file} lasts {significant(len(recording) / recording.rate, 3)} s by its rate; gait events need steps.")
     parts = _smooth([part for pair in feet.values() for part in pair], recording.rate, times, CUT_OFF)
     smooth = dict(zip(feet, zip(parts[::2], parts[1::2], strict=True), strict=True))
     middle = np.nansum(hips, axis=0) / np.maximum(np.isfinite(hips).sum(axis=0), 1)

@@ -93,14 +93,20 @@ class FilteredRecording:
         """
         if self.choice.method == NONE:
             return "not filtered"
-        cut_offs = [effect.cut_off for effect in self.effects if math.isfinite(effect.cut_off)]
-        if not cut_offs:
+        if not self.span:
             return f"not filtered, having no marker with {LEAST} frames in a row"
         how = "a smoothing spline" if self.choice.method == SPLINE else "a Butterworth filter without lag"
-        few, many = min(cut_offs), max(cut_offs)
-        span = f"{few:.0f} Hz" if many - few < 0.5 else f"{few:.0f} to {many:.0f} Hz"
         moved = 1000.0 * math.sqrt(sum(effect.moved**2 for effect in self.effects) / len(self.effects))
-        return f"filtered by {how}, cut-off {span}; markers moved by {moved:.2f} mm (RMS)"
+        return f"filtered by {how}, cut-off {self.span}; markers moved by {moved:.2f} mm (RMS)"
+
+    @property
+    def span(self) -> str:
+        """The least and the largest cut-off, such as "6 to 14 Hz"; empty where nothing was filtered."""
+        cut_offs = [effect.cut_off for effect in self.effects if math.isfinite(effect.cut_off)]
+        if not cut_offs:
+            return ""
+        few, many = min(cut_offs), max(cut_offs)
+        return f"{few:.0f} Hz" if many - few < 0.5 else f"{few:.0f} to {many:.0f} Hz"
 
 
 def filter_trajectories(recording: Recording, choice: FilterChoice, by: str = "") -> FilteredRecording:

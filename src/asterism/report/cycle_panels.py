@@ -128,7 +128,7 @@ def _panel(panel: CyclePanel) -> str:
             parts.append(f'<path class="off {one.side}{age}" d="M{at} {_TOP}V{_BOTTOM}"/>')
         # Many cycles would hide their mean, and more than a page can hold would make it slow.
         shown = one.cycles[:: -(-len(one.cycles) // _MOST)]
-        parts.append(f'<g opacity="{min(1.0, _FEW / len(shown)):.2g}">')
+        parts.append(f'<g opacity="{min(1.0, _FEW / len(shown)):.2f}">')
         for cycle in shown:
             go = "" if cycle.place is None else ' data-go="{}:{}:{}"'.format(*cycle.place)
             parts.append(f'<path class="cycle {one.side}{age}" d="{scale.path(cycle.values)}" data-name="{escape(cycle.name)}"{go}/>')

@@ -170,6 +170,12 @@ def findings(result: ViewsLabelling, fit: CameraAgreement, late: Floats) -> list
         sentence = f"cameras lose blobs of markers in their view for single frames: {some}; labels are less certain for it."
         mend = "Lower the threshold of detection, or give more light or a longer exposure."
         found.append(Finding("views-blobs-missing", Severity.WARNING, ", ".join(blobs.cameras[c] for c in losing), sentence, mend))
+    if len(fit.turned):
+        off = np.degrees(np.linalg.norm(fit.turned, axis=1))
+        some = ", ".join(f"{name} by {angle:.1f}" for name, angle in zip(blobs.cameras, off, strict=True))
+        sentence = f"the cameras contradict each other unless they are turned against the rig: {some} degrees; they were labelled so."
+        mend = "Give the rig of this recording, or refine it (`asterism calibrate refine`): places are not more exact than it is."
+        found.append(Finding("views-rig-inexact", Severity.WARNING, "", sentence, mend))
     if fit.noise >= _INEXACT * RULES.noise:
         names = [name for c, name in enumerate(blobs.cameras) if counts[:, c].sum() and c not in fit.left_out]
         who = " and ".join(names) if len(names) == 2 else "the cameras"

@@ -19,7 +19,7 @@ from asterism.views.lateness import in_step, late_by
 from asterism.views.passes import DirectionalTracker, ScoredFrame, Starts, joined
 from asterism.views.personal import PERSONAL, personal_body, spread_frames
 from asterism.views.result import ViewsLabelling
-from asterism.views.rig_fit import CameraAgreement, fit_rig
+from asterism.views.rig_fit import CameraAgreement, fit_rig, turned_rig
 from asterism.views.rules import RULES, ViewsRules
 from asterism.views.scene import scene_of
 
@@ -100,6 +100,8 @@ class _Settled:
 def _settled(labeller: FrameLabeller, body: ArticulatedBody, least_confidence: float, keeping: _Keeping) -> _Settled:
     """The labelling by the cameras that fit each other; without any label where nobody knows which do."""
     fit = fit_rig(labeller, spread_frames(labeller, PERSONAL.frames)[::_EVERY])
+    if len(fit.turned):
+        labeller = replace(labeller, scene=labeller.scene.before(turned_rig(labeller.scene.rig, fit.turned)))
     result, gain = _labelled(labeller, body, fit, least_confidence, keeping)
     more = checks.misfits(result, fit)
     # A camera that was moved half-way fits in some frames: it is left out and everything is done again.

@@ -6,8 +6,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from asterism.cameras import Rig
 from asterism.errors import AsterismError
-from asterism.recording import Ints
+from asterism.geometry import rotation_from_vector, vector_from_rotation
+from asterism.recording import Floats, Ints
+from asterism.views._fit_kernels import project_linear
 from asterism.views.frame import BlobLabels, FrameLabeller
 from asterism.views.scene import cameras_with_blobs
 
@@ -15,6 +18,10 @@ _STEP = 2.0**0.5
 """Ratio of one noise that is tried to the next. Steps of 2 lose two nats of 40 blobs; finer ones cost time and gain nothing."""
 _MOST = 24.0
 """The most noise that is tried, as a multiple of the usual one: 19 px, 16 cm at the person before the cameras of the paper."""
+_TURNS = 8
+"""Rounds in which cameras are turned and the body is fitted anew: each takes up half or more of what is left."""
+_LEAST_TO_TURN = 20
+"""Labelled blobs by which a camera is turned: fewer would turn it by their noise."""
 _FAR_OFF = 6.0
 """Noise, as a multiple of the usual one, with which a body is sought that the usual one does not explain: half way up."""
 
@@ -27,6 +34,7 @@ class CameraAgreement:
     left_out  cameras without which the others explain their blobs better than all explain all
     gain      nats, of the frames that were looked at, against no body at all
     found     frame -> its labels, found without a start at this noise
+    turned    (C, 3) rad, axis times angle: by which each camera is turned against the rig, so that the cameras contradict each other less
     mirrored  cameras whose images are mirrored: so the body is found with the usual noise, and explains more
     """
 
@@ -34,6 +42,7 @@ class CameraAgreement:
     left_out: Ints
     gain: float
     found: dict[int, BlobLabels]
+    turned: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     mirrored: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
 
@@ -60,8 +69,64 @@ def fit_rig(labeller: FrameLabeller, frames: Ints) -> CameraAgreement:
         best = _noise_of(_without(labeller, left_out), frames) if left_out else best
     best = replace(best, left_out=np.array(left_out, dtype=np.int64))
     if left_out or best.noise > labeller.rules.noise:
-        best = replace(best, mirrored=_mirrored(labeller, best))
+        # Mirrored images must explain more than the cameras do when they are turned, which is the likelier fault.
+        turned = best if left_out else _turned_back(labeller, best)
+        mirrored = _mirrored(labeller, turned)
+        best = replace(best, mirrored=mirrored) if len(mirrored) else turned
     return best
+
+
+def turned_rig(rig: Rig, turned: Floats) -> Rig:
+    """The rig with each camera turned about its own place by (C, 3) rad in its own axes."""
+    cameras = []
+    for camera, vector in zip(rig, turned, strict=True):
+        rotation = rotation_from_vector(vector) @ camera.rotation
+        cameras.append(replace(camera, rotation=rotation, translation=-rotation @ camera.position))
+    return Rig(tuple(cameras), vertical=rig.vertical)
+
+
+def _turned_back(labeller: FrameLabeller, fit: CameraAgreement) -> CameraAgreement:
+    """The agreement of the cameras as they are turned, where that explains the frames better than the rig does with more noise."""
+    scene, best, found = labeller.scene, fit, fit.found
+    turned = np.zeros((len(scene.rig), 3))
+    for _ in range(_TURNS):
+        here = replace(labeller, scene=scene.before(turned_rig(scene.rig, turned)))
+        found = {t: _at(here, fit.noise).again(t, each) for t, each in found.items()}
+        turned = np.array(
+            [
+                vector_from_rotation(rotation_from_vector(more) @ rotation_from_vector(old))
+                for more, old in zip(_turns(here, found), turned, strict=True)
+            ]
+        )
+    here = replace(labeller, scene=scene.before(turned_rig(scene.rig, turned)))
+    other = _most_probable(here, found)
+    # Three numbers more for each camera explain some of any noise, half a nat each.
+    if other.gain > best.gain + 1.5 * len(turned):
+        best = replace(fit, noise=other.noise, gain=other.gain, turned=turned, found=_found(_at(here, other.noise), np.array(list(found))))
+    return best
+
+
+def _turns(labeller: FrameLabeller, found: dict[int, BlobLabels]) -> Floats:
+    """(C, 3) rad by which each camera must be turned for the labelled blobs to lie where the body has their markers; least squares."""
+    cameras, markers = labeller.scene.cameras, len(labeller.body.markers)
+    uv, slopes = np.empty((len(cameras.eyes), markers, 2)), np.empty((len(cameras.eyes), markers, 2, 3))
+    rows: list[list[Floats]] = [[] for _ in cameras.eyes]
+    for t, each in found.items():
+        xy, offsets = labeller.scene.frame(t)
+        project_linear(cameras, labeller.placed(each), uv, slopes)
+        for c, of in enumerate(rows):
+            some = np.nonzero(each.labels[offsets[c] : offsets[c + 1]] >= 0)[0] + offsets[c]
+            flat = uv[c, each.labels[some]] / cameras.focals[c]
+            of.append(np.column_stack([flat, xy[some] / cameras.focals[c] - flat]))
+    out = np.zeros((len(rows), 3))
+    for c, of in enumerate(rows):
+        x, y, off_x, off_y = np.concatenate(of).T
+        if len(x) < _LEAST_TO_TURN:
+            continue
+        # How a point of the normalized plane moves as its camera turns about its own axes x, y and z.
+        by = np.concatenate([np.column_stack([-x * y, 1 + x * x, -y]), np.column_stack([-(1 + y * y), x * y, x])])
+        out[c] = np.linalg.lstsq(by, np.concatenate([off_x, off_y]), rcond=None)[0]
+    return out
 
 
 def _mirrored(labeller: FrameLabeller, fit: CameraAgreement) -> Ints:
@@ -71,8 +136,11 @@ def _mirrored(labeller: FrameLabeller, fit: CameraAgreement) -> Ints:
     # Mirrored back, the cameras must agree as well as those of a right rig do: noise would explain anything.
     for cameras in (seeing, *([c] for c in seeing)):
         back = replace(labeller, scene=labeller.scene.mirrored(cameras))
-        gain = sum(max(each.gain, 0.0) for each in _found(back, frames).values())
-        if gain > most:
+        found = _found(back, frames)
+        gain = sum(max(each.gain, 0.0) for each in found.values())
+        shown, expected = _sightings(back, found)
+        # One camera more gains a little by chance; one that is mirrored back shows the body.
+        if gain > most and (shown >= labeller.rules.least_shown * expected)[cameras].all():
             most, which = gain, cameras
     return np.array(which, dtype=np.int64)
 
@@ -88,12 +156,18 @@ def _without(labeller: FrameLabeller, cameras: list[int]) -> FrameLabeller:
 
 def _in_doubt(labeller: FrameLabeller, fit: CameraAgreement) -> bool:
     """Whether the cameras contradict each other, or one of them hardly shows the body that the others show."""
-    expected, shown = np.zeros(len(labeller.scene.rig)), np.zeros(len(labeller.scene.rig))
-    for t, found in fit.found.items():
-        camera = np.repeat(np.arange(len(expected)), np.diff(labeller.scene.frame(t)[1]))
-        shown += np.bincount(camera[found.labels >= 0], minlength=len(expected))
-        expected += np.where(found.counts > 0, labeller.expected(found).sum(axis=1), 0.0)
+    shown, expected = _sightings(labeller, fit.found)
     return bool(fit.noise > labeller.rules.noise or (shown < labeller.rules.least_shown * expected).any())
+
+
+def _sightings(labeller: FrameLabeller, found: dict[int, BlobLabels]) -> tuple[Floats, Floats]:
+    """(C,) how many labelled blobs each camera has in these frames, and how many the body lets expect."""
+    expected, shown = np.zeros(len(labeller.scene.rig)), np.zeros(len(labeller.scene.rig))
+    for t, each in found.items():
+        camera = np.repeat(np.arange(len(expected)), np.diff(labeller.scene.frame(t)[1]))
+        shown += np.bincount(camera[each.labels >= 0], minlength=len(expected))
+        expected += np.where(each.counts > 0, labeller.expected(each).sum(axis=1), 0.0)
+    return shown, expected
 
 
 def _noise_of(labeller: FrameLabeller, frames: Ints) -> CameraAgreement:

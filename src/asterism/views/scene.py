@@ -45,6 +45,12 @@ class ViewsScene:
         kept = ~np.isin(self.blobs.camera_of, cameras)
         return replace(self, blobs=self.blobs.select(kept), xy=self.xy[kept])
 
+    def before(self, rig: Rig) -> ViewsScene:
+        """The same blobs before a rig whose cameras stand and look otherwise."""
+        poses = {"rotations": [c.rotation for c in rig], "translations": [c.translation for c in rig], "eyes": [c.position for c in rig]}
+        cameras = self.cameras._replace(**{name: np.ascontiguousarray(values) for name, values in poses.items()})
+        return replace(self, rig=rig, cameras=cameras)
+
     def mirrored(self, cameras: list[int]) -> ViewsScene:
         """The same scene with the images of some cameras mirrored left to right."""
         xy = self.blobs.xy.copy()

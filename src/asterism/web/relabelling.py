@@ -5,14 +5,15 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
 
 from asterism.errors import AsterismError
 from asterism.recording.display import counted
 
 if TYPE_CHECKING:
+    from asterism.progress import Progress
     from asterism.session import FileLabeller
-    from asterism.web.session import CorrectionTrial
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,38 @@ class SittingModel:
 
     name: str
     labeller: FileLabeller
+
+
+@dataclass(frozen=True)
+class Relabelled:
+    """What labelling a trial again has changed.
+
+    model     the model's name
+    revision  of the labels that it gave
+    samples   points that have another label
+    """
+
+    model: str
+    revision: int
+    samples: int
+
+
+class LabelledAgain(Protocol):
+    """A trial of a sitting, as far as labelling it again goes."""
+
+    @property
+    def path(self) -> Path:
+        """Its file."""
+        ...
+
+    @property
+    def relabelled(self) -> Relabelled | None:
+        """What the last time has changed."""
+        ...
+
+    def relabel(self, model: SittingModel, progress: Progress) -> None:
+        """Label it by a model, whole, or raise and change nothing."""
+        ...
 
 
 class _Stopped(Exception):
@@ -40,7 +73,7 @@ class RelabelRun:
     """
 
     model: SittingModel
-    trials: Sequence[CorrectionTrial]
+    trials: Sequence[LabelledAgain]
     busy: threading.Lock
     running: bool = True
     done: int = 0
@@ -75,7 +108,7 @@ class RelabelRun:
             parts.append(f"Stopped: {counted(kept, 'recording')} kept as {'it was' if kept == 1 else 'they were'}.")
         return " ".join([*parts, *self.failed])
 
-    def _label(self, trial: CorrectionTrial) -> None:
+    def _label(self, trial: LabelledAgain) -> None:
         try:
             trial.relabel(self.model, self._report)
         except _Stopped:

@@ -23,7 +23,7 @@ from asterism.labelling.review import labels_of_points
 from asterism.session import FileLabeller, LabelledFile, LabellingOptions, body_names
 from asterism.session.worn import NoSetWorn
 from asterism.web.finishing import Finishing, finished
-from asterism.web.relabelling import RelabelRun, SittingModel
+from asterism.web.relabelling import Relabelled, RelabelRun, SittingModel
 
 if TYPE_CHECKING:
     from asterism.labelling import MarkerModel
@@ -59,20 +59,6 @@ class SessionOptions:
     overwrite: bool = False
     labelling: LabellingOptions = field(default_factory=LabellingOptions)
     by_hand: bool = False
-
-
-@dataclass(frozen=True)
-class Relabelled:
-    """What labelling a trial again has changed.
-
-    model     the model's name
-    revision  of the labels that it gave
-    samples   points that have another label
-    """
-
-    model: str
-    revision: int
-    samples: int
 
 
 @dataclass

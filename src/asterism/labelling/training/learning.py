@@ -224,16 +224,16 @@ class TrainingState:
             raise AsterismError(f"{len(names)} subjects for {len(recordings)} recordings; give one name per recording.")
         for recording in recordings:
             # One that shows nothing would be learned as silence, and say so nowhere.
-            file, shown = recording.metadata.get("file", "a recording"), recording.visible.sum(axis=1) >= FEWEST_SHOWN
-            if not shown.any():
-                raise AsterismError(f"{file} has no frame that shows {FEWEST_SHOWN} labelled points; leave it out.")
-            # A body without extent would be every body, made small.
-            some = recording.positions[shown]
-            extent = np.linalg.norm(np.nanmax(some, axis=1) - np.nanmin(some, axis=1), axis=1)
-            if float(np.median(extent)) < ONE_PLACE:
-                raise AsterismError(f"{file} shows its labelled points all in one place; export it again, or leave it out.")
+            if (recording.visible.sum(axis=1) < FEWEST_SHOWN).all():
+                raise AsterismError(f"{_file_of(recording)} has no frame that shows {FEWEST_SHOWN} labelled points; leave it out.")
         rules = self.config.rules
         sample = self.sample.with_recordings(recordings, names, marker_set, rules.sample_frames_per_person, rules.sample_frames)
+        for recording in recordings:
+            # A body without extent would be every body, made small.
+            some = recording.positions[recording.visible.sum(axis=1) >= FEWEST_SHOWN]
+            extent = np.linalg.norm(np.nanmax(some, axis=1) - np.nanmin(some, axis=1), axis=1)
+            if float(np.median(extent)) < ONE_PLACE:
+                raise AsterismError(f"{_file_of(recording)} shows its labelled points all in one place; export it again, or leave it out.")
         return replace(self, sample=sample)
 
     def training_frames(self, known: Ints | None = None) -> tuple[Ints, Floats, Ints, list[tuple[int, Recording]]]:
@@ -529,3 +529,7 @@ def _try_frames(tried: BodyLabeller, frames: Floats, people: Ints, rules: Traini
         right = (found.point_of == truth)[given].astype(np.float64)
         parts.append(LabelTrials(found.margins[given], fits[given], left_over, right, np.full(len(right), 1.0 if few else weight)))
     return LabelTrials.together(parts)
+
+
+def _file_of(recording: Recording) -> str:
+    return str(recording.metadata.get("file", "a recording"))

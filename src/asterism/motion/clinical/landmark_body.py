@@ -128,10 +128,17 @@ _NAMES = {"LE": "KNE", "LM": "ANK", "CA": "HEE", "SM": "TOE"}
 
 def with_plug_in_gait_names(recording: Recording) -> Recording:
     """The recording with Plug-in-Gait's names, where its own are other ones of the shipped sets for the same places, such as R.ASIS."""
-    labels, known = list(recording.labels), shipped_sets()["plug-in-gait"]
-    if {"LASI", "RASI", "LTHI", "LKNE", "LTIB", "LANK", "LHEE", "LTOE"} <= set(labels):
-        return recording
-    for role, column in worn_landmarks(recording).roles.items():
+    labels = _plug_in_gait_names(tuple(recording.labels))
+    return recording if labels == tuple(recording.labels) else replace(recording, labels=labels)
+
+
+@lru_cache(maxsize=32)
+def _plug_in_gait_names(given: tuple[str, ...]) -> tuple[str, ...]:
+    labels, known = list(given), shipped_sets()["plug-in-gait"]
+    legs = {"LASI", "RASI", "LTHI", "LKNE", "LTIB", "LANK", "LHEE", "LTOE"}
+    if any(legs | back <= set(labels) for back in ({"SACR"}, {"LPSI", "RPSI"})):
+        return given
+    for role, column in _worn(given).roles.items():
         name = role if role == "SACR" else role[0] + _NAMES.get(role[1:], role[1:])
         if name not in labels and name in (*known.names, "SACR") and labels[column] not in known.names:
             labels[column] = name
@@ -140,7 +147,7 @@ def with_plug_in_gait_names(recording: Recording) -> Recording:
         name = shipped_sets()["helen-hayes"].name_of(label) or known.name_of(label) or label
         if name not in labels:
             labels[column] = name
-    return recording if tuple(labels) == tuple(recording.labels) else replace(recording, labels=tuple(labels))
+    return tuple(labels)
 
 
 def landmark_body(recording: Recording, measures: SubjectMeasures, static: Recording | None = None) -> LandmarkBody | None:

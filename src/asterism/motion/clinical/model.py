@@ -23,6 +23,7 @@ from asterism.motion.clinical.upper_body import upper_body_angles
 from asterism.recording import Floats, Recording
 
 MODELS = ("plug-in-gait", "landmarks")
+"""The models by name: wands and measures of the person; both sides of knee and ankle, see `landmark_body`."""
 _LEG = ("KNE", "TIB", "ANK")
 """Markers of Plug-in-Gait without which a leg still has a hip: LTHI and LKNE tell the thigh; the others the shank."""
 _ON = {"ASI": "pelvis", "PSI": "pelvis", "THI": "thigh", "KNE": "thigh", "TIB": "shank", "ANK": "shank", "TOE": "foot"}

@@ -104,6 +104,8 @@ _FEW_FRAMES = 20
 """Frames of a trial from which it is worth as much as others where a marker is known from other trials alone."""
 _OTHER = 1e6
 """s between frames of different trials, which are independent but for the pose."""
+_ALL_MOVED = 2.4
+"""Mean over standard deviation of how far a mate that jumps moves axes of 3, 4, 6 and 10 mates: 1/3, 1/4, 1/6 and 1/10 of its jump."""
 _LEAST = 0.01
 """mm, the least standard deviation that is stated: coordinates in files are no finer."""
 
@@ -340,7 +342,13 @@ def _blended(found: Sequence[_Candidate], learned: int, rules: GapRules, least: 
     scale = max(least, float(np.sqrt((off**2).mean() / expected.mean())), float(np.quantile(ratios, 0.95)) / 1.96)
     # Few blocks tell the scale badly: as in Student's t, with three coordinates for each block that shares no frame with another.
     freedom = 3.0 * max(learned / expected.shape[1], 1.0)
-    return positions, np.maximum(np.sqrt(variance) * scale * float(stdtrit(freedom, 0.975)) / 1.96, _LEAST)
+    deviation = np.sqrt(variance) * scale * float(stdtrit(freedom, 0.975)) / 1.96
+    # A mate that takes another point's label in the gap moves all axes, those of few mates the most: the blocks do not know of it.
+    apart = sum(
+        weight * ((one.positions - positions) ** 2).mean(axis=1) for weight, one in zip(weights, found, strict=True) if weight > 0.0
+    )
+    spread = np.sqrt(apart)
+    return positions, np.maximum(np.where(spread > deviation, _ALL_MOVED * spread, deviation), _LEAST)
 
 
 def _weights(errors: Floats, rules: GapRules) -> Floats:

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from asterism.recording import Floats, Recording, is_unnamed
+from asterism.recording.arrays import nan_median
 
 SAME_PERSON = 0.008
 """m by which distances between steady markers may differ. In `movement`, trials of a session differ by up to 7 mm, other people by 11 mm
@@ -67,8 +68,5 @@ def _distances(recording: Recording, labels: list[str]) -> tuple[Floats, Floats]
     points = recording.positions[:: max(len(recording) // _FRAMES, 1), columns]
     rows, others = np.triu_indices(len(labels), 1)
     apart = np.linalg.norm(points[:, rows] - points[:, others], axis=2)
-    known = np.isfinite(apart).any(axis=0)
-    middle, spread = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
-    middle[known] = np.nanmedian(apart[:, known], axis=0)
-    spread[known] = np.nanmedian(np.abs(apart[:, known] - middle[known]), axis=0)
-    return middle, spread
+    middle = nan_median(apart, axis=0)
+    return middle, nan_median(np.abs(apart - middle), axis=0)
