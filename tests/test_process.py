@@ -17,6 +17,7 @@ import pytest
 import asterism
 from asterism import AsterismError
 from asterism.cli import main
+from asterism.cli._process_tasks import _page
 from asterism.recording import Recording
 from asterism.session import FolderSettings, in_order, plan_session, spread
 from asterism.simulation import simulate_walks
@@ -170,12 +171,107 @@ def test_settings_of_a_folder_hold_below_it(tmp_path: Path) -> None:
         ('[measures]\nBodyMass = "fifty"', "measures must be a table of numbers"),
         ('model = "none.model"', "does not exist"),
         ("[", "no TOML"),
+        ('markers = "none"', "session.toml: marker set 'none' is neither shipped"),
+        ('static = ""', "session.toml: static is empty"),
+        ('static = "."', "which is a folder"),
     ],
 )
 def test_settings_that_cannot_be_used_are_told(text: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "session.toml").write_text(text)
     with pytest.raises(AsterismError, match=said):
         plan_session([(tmp_path / "walk.c3d", Path("walk.c3d"))], [tmp_path])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('vertical = "up"', "'up' is not an axis"),
+        ('vertical = "1,2"', "three finite numbers"),
+        ('fill = "much"', "give none, auto"),
+        ("[measures]\nLKneeWidht = 102", "no measure of a person"),
+        ("[measures]\nLKneeWidth = 10", "from 20 to 250"),
+        ("[measures]\nLKneeWidth = nan", "no name and number"),
+        ('leave_out = ["*"]', "leaves out all of its recordings"),
+    ],
+)
+def test_a_setting_that_an_option_could_not_have_ends_the_run_before_it_begins(
+    text: str, said: str, session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    people = tmp_path / "people"
+    shutil.copytree(session / "p1", people / "ann")
+    (people / "ann" / "session.toml").write_text(text)
+    # the nearest file is not the one to blame
+    (people / "ann" / "later").mkdir()
+    shutil.copy(session / "p1" / "walk.c3d", people / "ann" / "later")
+    (people / "ann" / "later" / "session.toml").write_text('known_labels = "keep"')
+    assert run(people, "-o", tmp_path / "out") == 2
+    told = capsys.readouterr().err
+    assert said in told and str(people / "ann") in told and "later" not in told
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_whose_recordings_are_all_left_out_is_told(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(session, tmp_path / "people")
+    (tmp_path / "people" / "p1" / "session.toml").write_text('leave_out = ["*"]')
+    assert run(tmp_path / "people", "-o", tmp_path / "out", "--dry-run") == 0
+    assert "p1: leave_out in session.toml leaves out all" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("places", "said"),
+    [
+        (("a/b/walk.c3d", "a-b/walk.c3d"), "the person a/b and the person a-b"),
+        (("ann/walk.c3d", "ann/walk.trc"), "walk.trc would both be written to gait/ann/walk.c3d"),
+    ],
+)
+def test_what_would_replace_the_results_of_another_ends_the_run(
+    places: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for place in places:
+        (tmp_path / "people" / place).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "people" / place).touch()
+    assert run(tmp_path / "people", "-o", tmp_path / "out", "--dry-run") == 2
+    assert said in capsys.readouterr().err
+
+
+def test_results_that_lie_in_the_session_are_no_persons(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(session, tmp_path / "people")
+    results = tmp_path / "people" / "results"
+    shutil.copytree(session, results / "labelled")
+    (results / "asterism-process.lock").touch()
+    assert run(tmp_path / "people", "-o", tmp_path / "out", "--dry-run", "--json", "-") == 0
+    told = capsys.readouterr()
+    assert [person["person"] for person in json.loads(told.out)["persons"]] == ["p1", "p2"]
+    assert f"{results} holds results of asterism process and is left out" in told.err
+    # results beside the session, in the folder above it, say nothing of it
+    (tmp_path / "asterism-process.lock").touch()
+    assert run(tmp_path / "people", "-o", tmp_path, "--dry-run") == 0
+    assert run(results, "-o", tmp_path / "out", "--dry-run") == 2
+
+
+def test_a_result_that_could_not_be_written_is_tried_again(
+    session: Path, done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(done, out)
+    target, what = out / "gait" / "p1" / "walk.c3d", (session, "-o", out, "--markers", "helen-hayes")
+    target.unlink()
+    # nothing can be written under this name, as on a disk that is full
+    target.mkdir()
+    shutil.rmtree(out / "records" / "gait")
+    assert run(*what) == 1
+    told = capsys.readouterr().err
+    assert f"{target} cannot be written" in told and "session-no-gait" not in told
+    target.rmdir()
+    run(*what)
+    assert "cannot be written" not in capsys.readouterr().err
+    assert target.is_file()
+
+
+def test_the_page_of_a_walk_called_as_its_person_is_another(tmp_path: Path) -> None:
+    page = _page(tmp_path, Path("ann.c3d"), tmp_path / "reports" / "Ann.html")
+    assert page == tmp_path / "reports" / "ann (walk).html"
+    assert _page(tmp_path, Path("walk.c3d"), tmp_path / "reports" / "Ann.html").name == "walk.html"
 
 
 def test_people_of_one_folder_are_told_by_their_standing_trials() -> None:

@@ -100,7 +100,9 @@ class _Kept(_console.Batch):
         try:
             yield
         except Exception as problem:
-            kept = self.problems if isinstance(problem, AsterismError) else self.faults
+            # a full disk is no property of the recording: what could not be written is tried again by the next run
+            told = isinstance(problem, AsterismError) and not isinstance(problem.__cause__, OSError)
+            kept = self.problems if told else self.faults
             kept[str(path)] = _console.reason(problem)
             self.failed.append(path)
         else:
@@ -217,7 +219,7 @@ def _analysis(
         results = analysed(options, own.walks, batch, copies)
         outputs += [_below(person.out, copies[path]) for path, _ in results]
         parameters += results
-        pages = [(report, results)] + [(person.out / REPORTS / of_place[path].with_suffix(".html"), [(path, one)]) for path, one in results]
+        pages = [(report, results)] + [(_page(person.out, of_place[path], report), [(path, one)]) for path, one in results]
         # one walk is a page already
         for page, shown in pages[: 1 if len(results) < 2 else None] if results else ():
             outputs.append(_below(person.out, page))
@@ -246,6 +248,12 @@ def _write_page(options: GaitOptions, results: list[tuple[Path, GaitAnalysis]], 
     assert options.report is not None
     options.report.parent.mkdir(parents=True, exist_ok=True)
     write_results(options, results, band, _Kept())
+
+
+def _page(out: Path, place: Path, of_person: Path) -> Path:
+    """The page of a walk: beside that of the person, also where the walk is called as the person is."""
+    page = out / REPORTS / place.with_suffix(".html")
+    return page if str(page).casefold() != str(of_person).casefold() else page.with_name(f"{page.stem} (walk).html")
 
 
 def _below(folder: Path, path: Path) -> str:

@@ -14,13 +14,14 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._filling import Fill, fill_limit
-from asterism.cli._folders import check_folder, trials
-from asterism.cli._options import Json, KnownLabels, KnownLabelsOption, Vertical
+from asterism.cli._folders import Trial, check_folder, trials
+from asterism.cli._options import Json, KnownLabels, KnownLabelsOption, Vertical, vertical_axis
 from asterism.errors import AsterismError
+from asterism.recording.display import counted
 
 if TYPE_CHECKING:
     from asterism.cli._process_tasks import PersonOptions, TaskResult
-    from asterism.session import Outcome, PlannedPerson
+    from asterism.session import FolderSettings, Outcome, PlannedPerson
 
 LOCK, TABLE, PARAMETERS, PAGE = "asterism-process.lock", "session.csv", "parameters.csv", "index.html"
 """In the folder of the results: what one run holds, the table of all recordings, that of all parameters, and the page on all."""
@@ -98,6 +99,7 @@ def _check(options: ProcessOptions) -> None:
     if options.model is not None and options.markers is not None:
         raise AsterismError(f"{options.model} has its own marker set; leave out --markers, or --model.")
     fill_limit(options.fill)
+    _check_vertical(options.vertical)
     for path in options.sessions:
         if not path.is_dir():
             raise AsterismError(f"{path} is no folder; name the folder in which the recordings are.")
@@ -113,14 +115,12 @@ def _persons(options: ProcessOptions, batch: _console.Batch) -> list[tuple[Plann
     from asterism.cli._process_tasks import PersonOptions
     from asterism.session import plan_session
 
-    found = trials(options.sessions, batch, without=options.output)
+    found = _recordings(options, batch)
     planned = plan_session([(trial.path, trial.place) for trial in found], options.sessions)
     persons: list[tuple[PlannedPerson, PersonOptions]] = []
     for person in planned:
         settings = person.settings
-        fill_limit(settings.fill or options.fill)
-        if settings.known_labels is not None and settings.known_labels not in set(KnownLabels):
-            raise AsterismError(f"{settings.files[-1]}: known_labels is {settings.known_labels}; write {', '.join(KnownLabels)}.")
+        _check_settings(settings)
         persons.append(
             (
                 person,
@@ -140,7 +140,84 @@ def _persons(options: ProcessOptions, batch: _console.Batch) -> list[tuple[Plann
                 ),
             )
         )
+    _check_places([how for _, how in persons])
+    _tell_left_out(found, persons)
     return persons
+
+
+def _recordings(options: ProcessOptions, batch: _console.Batch) -> list[Trial]:
+    """The recordings of the session, without the results of other runs that lie in it: they would be persons of their own."""
+    found = trials(options.sessions, batch, without=options.output)
+    results: dict[Path, Path | None] = {}
+    for trial in found:
+        # what lies above the session says nothing: results may go there
+        inside = [one for one in trial.path.parents if trial.folder is not None and one.is_relative_to(trial.folder)]
+        results[trial.path] = next((one for one in inside if (one / LOCK).is_file()), None)
+    for folder in sorted({one for one in results.values() if one is not None}):
+        said = f"{folder} holds results of asterism process"
+        if all(results.values()):
+            raise AsterismError(f"{said}; name the folder of the recordings.")
+        _console.notice(f"asterism: {said} and is left out; move it out of the session.")
+    return [trial for trial in found if results[trial.path] is None]
+
+
+def _check_settings(settings: FolderSettings) -> None:
+    """Raise AsterismError, with the name of the file, where it says what an option of the same name could not."""
+    from asterism.cli._clinical import given_measures
+
+    known = "known_labels"
+    if settings.known_labels is not None and settings.known_labels not in set(KnownLabels):
+        raise AsterismError(f"{settings.said[known]}: {known} is {settings.known_labels}; write {', '.join(KnownLabels)}.")
+    with _named(settings, "vertical"):
+        _check_vertical(settings.vertical)
+    with _named(settings, "fill"):
+        fill_limit(settings.fill or "none")
+    with _named(settings, "measures"):
+        given_measures([f"{name}={value!r}" for name, value in settings.measures.items()])
+
+
+def _check_vertical(given: str | None) -> None:
+    from asterism.recording import as_vertical
+
+    axis = vertical_axis(given)
+    if axis is not None:
+        as_vertical(axis)
+
+
+@contextmanager
+def _named(settings: FolderSettings, key: str) -> Iterator[None]:
+    """What is wrong with a setting is told with the file that says it."""
+    try:
+        yield
+    except AsterismError as problem:
+        raise AsterismError(f"{settings.said[key]}: {problem}") from None
+
+
+def _tell_left_out(found: Sequence[Trial], persons: Sequence[tuple[PlannedPerson, PersonOptions]]) -> None:
+    """Say of which folders settings leave out every recording; raises AsterismError where that is all of them."""
+    folders = {trial.path.parent for trial in found} - {path.parent for _, how in persons for path, _ in how.trials}
+    for folder in sorted(folders):
+        said = f"{folder}: leave_out in session.toml leaves out all of its recordings; correct the patterns if that is not what is meant."
+        if not persons:
+            raise AsterismError(said)
+        _console.notice(f"asterism: {said}")
+
+
+def _check_places(persons: Sequence[PersonOptions]) -> None:
+    """Raise AsterismError where two recordings, or two persons, would have one file between them: the second would replace the first."""
+    from asterism.cli._process_tasks import OUTPUTS, REPORTS, file_name
+
+    taken: dict[str, str] = {}
+    for person in persons:
+        targets = [(f"{OUTPUTS}/{place.with_suffix('.c3d').as_posix()}", str(path)) for path, place in person.trials]
+        targets += [(f"{REPORTS}/{file_name(person.name)}.html", f"the person {person.name}")]
+        for target, whose in targets:
+            # some file systems do not distinguish capital letters
+            if (other := taken.setdefault(target.casefold(), whose)) != whose:
+                raise AsterismError(
+                    f"{other} and {whose} would both be written to {target}; rename one, or say in session.toml which files are no "
+                    "trials (leave_out) or what the person is called (person)."
+                )
 
 
 def _show_plan(persons: Sequence[tuple[PlannedPerson, PersonOptions]], options: ProcessOptions) -> None:
@@ -160,7 +237,7 @@ def _show_plan(persons: Sequence[tuple[PlannedPerson, PersonOptions]], options: 
     ]
     if options.json != "-":
         _console.table(
-            f"{len(rows)} persons",
+            counted(len(rows), "person"),
             ["person", "recordings", "standing trial", "labelled by", "fill", "settings"],
             [
                 [
@@ -286,7 +363,7 @@ class _Run:
     def _print(self, rows: Sequence[dict[str, Any]]) -> None:
         walks = sum(row.get("kind") == "walk" for row in rows)
         _console.table(
-            f"{len(rows)} recordings of {len(self.persons)} persons",
+            f"{counted(len(rows), 'recording')} of {counted(len(self.persons), 'person')}",
             ["file", "person", "kind", "labelled", "use", "cycles", "cadence", "m/s"],
             [
                 [

@@ -15,6 +15,7 @@ from typing import Any
 
 from asterism.errors import AsterismError
 from asterism.files.toml import read_toml
+from asterism.recording import MarkerSet, shipped_marker_sets
 from asterism.session.standing import is_standing_name, person_prefix
 
 SETTINGS = "session.toml"
@@ -35,6 +36,7 @@ class FolderSettings:
     leave_out  patterns of files that are no trials: "wand*", "test/*.c3d"
     measures   of the person by Plug-in-Gait's names, mm, degrees and kg
     files      that were read
+    said       the file that says each of these, by its key
     """
 
     person: str = ""
@@ -47,6 +49,7 @@ class FolderSettings:
     leave_out: tuple[str, ...] = ()
     measures: Mapping[str, float] = field(default_factory=dict)
     files: tuple[Path, ...] = ()
+    said: Mapping[str, Path] = field(default_factory=dict)
 
     def leaves_out(self, path: Path) -> bool:
         """Whether a recording is none of the trials."""
@@ -59,7 +62,8 @@ _TEXTS, _PATHS = ("person", "markers", "vertical", "known_labels", "fill"), ("mo
 def settings_of(folder: Path, root: Path) -> FolderSettings:
     """What holds in a folder: the settings of `root`, of the folders between, and its own, each over the one before.
 
-    Raises AsterismError where a file is no TOML, has a key that is none, or a value of another kind.
+    Raises AsterismError where a file is no TOML, has a key that is none, or a value of another kind, or names a marker set or a file
+    that does not exist.
     """
     between = [folder, *folder.parents]
     chain = between[: between.index(root) + 1] if root in between else [folder]
@@ -74,14 +78,18 @@ def settings_of(folder: Path, root: Path) -> FolderSettings:
 
 
 def _over(settings: FolderSettings, path: Path) -> FolderSettings:
-    found: dict[str, Any] = {"files": (*settings.files, path)}
-    for key, value in read_toml(path).items():
+    read = read_toml(path)
+    found: dict[str, Any] = {"files": (*settings.files, path), "said": {**settings.said, **dict.fromkeys(read, path)}}
+    for key, value in read.items():
+        if isinstance(value, str) and key in _TEXTS + _PATHS and not value.strip():
+            raise AsterismError(f"{path}: {key} is empty; give it a value, or take the line out.")
         if key in _TEXTS and isinstance(value, str):
-            found[key] = value
+            found[key] = _marker_set(path, value) if key == "markers" else value
         elif key in _PATHS and isinstance(value, str):
             found[key] = path.parent / value
-            if not found[key].exists():
-                raise AsterismError(f"{path}: {key} names {found[key]}, which does not exist; correct it.")
+            if not found[key].is_file():
+                what = "is a folder" if found[key].is_dir() else "does not exist"
+                raise AsterismError(f"{path}: {key} names {found[key]}, which {what}; name a file.")
         elif key == "leave_out" and isinstance(value, list) and all(isinstance(one, str) for one in value):
             found[key] = (*settings.leave_out, *value)
         elif key == "measures" and isinstance(value, dict) and all(type(one) in (int, float) for one in value.values()):
@@ -89,6 +97,17 @@ def _over(settings: FolderSettings, path: Path) -> FolderSettings:
         else:
             raise AsterismError(f"{path}: {_wrong(key)}")
     return replace(settings, **found)
+
+
+def _marker_set(path: Path, name: str) -> str:
+    """The marker set that a file of settings names: shipped, or a file beside the settings, as a model is."""
+    beside = path.parent / name
+    name = str(beside) if name not in shipped_marker_sets() and beside.is_file() else name
+    try:
+        MarkerSet.load(name)
+    except AsterismError as problem:
+        raise AsterismError(f"{path}: {problem}") from None
+    return name
 
 
 def _wrong(key: str) -> str:

@@ -69,9 +69,10 @@ def fit_rig(labeller: FrameLabeller, frames: Ints) -> CameraAgreement:
         best = _noise_of(_without(labeller, left_out), frames) if left_out else best
     best = replace(best, left_out=np.array(left_out, dtype=np.int64))
     if left_out or best.noise > labeller.rules.noise:
-        best = replace(best, mirrored=_mirrored(labeller, best))
-    if not left_out and not len(best.mirrored) and best.noise > labeller.rules.noise:
-        best = _turned_back(labeller, best)
+        # Mirrored images must explain more than the cameras do when they are turned, which is the likelier fault.
+        turned = best if left_out else _turned_back(labeller, best)
+        mirrored = _mirrored(labeller, turned)
+        best = replace(best, mirrored=mirrored) if len(mirrored) else turned
     return best
 
 
@@ -135,8 +136,11 @@ def _mirrored(labeller: FrameLabeller, fit: CameraAgreement) -> Ints:
     # Mirrored back, the cameras must agree as well as those of a right rig do: noise would explain anything.
     for cameras in (seeing, *([c] for c in seeing)):
         back = replace(labeller, scene=labeller.scene.mirrored(cameras))
-        gain = sum(max(each.gain, 0.0) for each in _found(back, frames).values())
-        if gain > most:
+        found = _found(back, frames)
+        gain = sum(max(each.gain, 0.0) for each in found.values())
+        shown, expected = _sightings(back, found)
+        # One camera more gains a little by chance; one that is mirrored back shows the body.
+        if gain > most and (shown >= labeller.rules.least_shown * expected)[cameras].all():
             most, which = gain, cameras
     return np.array(which, dtype=np.int64)
 
@@ -152,12 +156,18 @@ def _without(labeller: FrameLabeller, cameras: list[int]) -> FrameLabeller:
 
 def _in_doubt(labeller: FrameLabeller, fit: CameraAgreement) -> bool:
     """Whether the cameras contradict each other, or one of them hardly shows the body that the others show."""
-    expected, shown = np.zeros(len(labeller.scene.rig)), np.zeros(len(labeller.scene.rig))
-    for t, found in fit.found.items():
-        camera = np.repeat(np.arange(len(expected)), np.diff(labeller.scene.frame(t)[1]))
-        shown += np.bincount(camera[found.labels >= 0], minlength=len(expected))
-        expected += np.where(found.counts > 0, labeller.expected(found).sum(axis=1), 0.0)
+    shown, expected = _sightings(labeller, fit.found)
     return bool(fit.noise > labeller.rules.noise or (shown < labeller.rules.least_shown * expected).any())
+
+
+def _sightings(labeller: FrameLabeller, found: dict[int, BlobLabels]) -> tuple[Floats, Floats]:
+    """(C,) how many labelled blobs each camera has in these frames, and how many the body lets expect."""
+    expected, shown = np.zeros(len(labeller.scene.rig)), np.zeros(len(labeller.scene.rig))
+    for t, each in found.items():
+        camera = np.repeat(np.arange(len(expected)), np.diff(labeller.scene.frame(t)[1]))
+        shown += np.bincount(camera[each.labels >= 0], minlength=len(expected))
+        expected += np.where(each.counts > 0, labeller.expected(each).sum(axis=1), 0.0)
+    return shown, expected
 
 
 def _noise_of(labeller: FrameLabeller, frames: Ints) -> CameraAgreement:
