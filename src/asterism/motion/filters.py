@@ -176,8 +176,14 @@ def zero_lag_butterworth(values: Floats, rate: float, cut_off: float) -> Floats:
     """
     if cut_off >= 0.45 * rate:
         return values
-    sections = butter(2, cut_off / (0.5 * rate), output="sos")
+    sections = _sections(cut_off / (0.5 * rate))
     return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=min(len(values) - 1, int(2 * rate / cut_off))))
+
+
+@lru_cache(maxsize=64)
+def _sections(share: float) -> Floats:
+    """Of a Butterworth filter of second order whose cut-off is this share of half the rate: all curves of a recording share it."""
+    return np.asarray(butter(2, share, output="sos"))
 
 
 def _of_one_pass(cut_off: float, rate: float) -> float:

@@ -261,10 +261,10 @@ def all_computed_by_the_file(recording: Recording, names: Sequence[str]) -> dict
     columns = {name: labels.index(name) for name in names if name in labels}
     if not columns:
         return {}
-    coordinates = recording.source.coordinates
-    if len(coordinates) != len(recording):
+    if recording.source.layout.frames != len(recording):
         return {}
-    found = {name: np.array(coordinates[:, column], dtype=np.float64) for name, column in columns.items()}
+    coordinates = recording.source.coordinates_of(slice(None), list(columns.values()))
+    found = {name: coordinates[:, place].copy() for place, name in enumerate(columns)}
     for values in found.values():
         values[(values == 0.0).all(axis=1)] = np.nan
     return found
