@@ -221,6 +221,9 @@ def _orthogonal_frames(
     for origin in np.nonzero(exact.sum(axis=1) >= 3)[0]:
         # More than two dozen exact neighbours are a solved rigid body, not axes.
         around = np.nonzero(exact[origin] & ~judged)[0][:24]
+        # Three tips are the least; those of known names are judged already.
+        if len(around) < 3:
+            continue
         arms = some[:, around] - some[:, [origin]]
         lengths = np.linalg.norm(arms, axis=2)
         with np.errstate(invalid="ignore", divide="ignore"):

@@ -92,7 +92,8 @@ def body_size(raw: Floats) -> float:
     # Some two hundred frames tell the size as well as an hour does.
     some = raw[:: max(1, len(raw) // 200)]
     # Numbers from damage must not decide: infinite, or beyond what squares can hold.
-    usable = np.isfinite(some).all(axis=2) & (np.abs(some) < 1e100).all(axis=2) & ~missing_codes(some)
+    x, y, z = np.moveaxis(np.abs(some) < 1e100, 2, 0)
+    usable = x & y & z & ~missing_codes(some)
     some = np.where(usable[:, :, None], some, np.nan)
     some = some[(~np.isnan(some[:, :, 0])).sum(axis=1) > 1]
     if not len(some):

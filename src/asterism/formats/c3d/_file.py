@@ -134,7 +134,9 @@ class C3DFile:
         xyz = np.ascontiguousarray(self.point_words[frames, points, :3])
         with np.errstate(invalid="ignore", over="ignore"):
             stored = self.processor.floats(xyz) if self.layout.real else self.processor.integers(xyz)
-            values = stored.astype(np.float64) * (1.0 if self.layout.real else self.scale)
+            values = stored.astype(np.float64)
+            if not self.layout.real:
+                values *= self.scale
             # Compared this way round, NaN is missing, too.
             x, y, z = np.moveaxis(np.abs(values) < _NOWHERE, 2, 0)
             missing = ~(x & y & z) | missing_codes(values) | missing_codes(stored)
