@@ -209,8 +209,8 @@ def _other_mass(file: str, loads: Mapping[str, Floats], mass: float) -> list[Fin
     nearest = min(borne, key=lambda share: abs(float(np.log(share))) if share > 0.0 else np.inf)
     if abs(nearest - 1.0) <= _SAME_MASS:
         return []
-    sentence = f"{file}: the person's mass is given as {mass:.0f} kg, and the force plates carry about {np.median(borne) * mass:.0f} kg; moments and "
-    sentence += "powers are divided by the mass that is given."
+    sentence = f"{file}: the person's mass is given as {mass:.0f} kg, and the force plates carry about {np.median(borne) * mass:.0f} kg; "
+    sentence += "moments and powers are divided by the mass that is given."
     mend = "Weigh the person, or look for an error in the scale of the plates; give --measure BodyMass=KG."
     return [Finding("kinetics-mass-differs", Severity.WARNING, file, sentence, mend)]
 
