@@ -136,10 +136,12 @@ def size_findings(positions: Floats, labels: Sequence[str], captured: Sequence[i
     """
     size = _person_size(positions, labels, captured)
     if size is None:
-        apart = _apart(positions[:, captured]) if len(captured) >= _FEWEST else 0.0
-        # Ten times too large, that is.
-        size = body_size(positions[:, captured]) if apart > _FURTHEST_NEXT else None
-        if size is None or not size > _LARGEST_PERSON:
+        # Ten times too large, that is: all together, and from point to point.
+        size = body_size(positions[:, captured]) if len(captured) >= _FEWEST else 0.0
+        if not size > _LARGEST_PERSON:
+            return []
+        apart = _apart(positions[:, captured])
+        if not apart > _FURTHEST_NEXT:
             return []
         said = f"its points are {metres(apart)} from each other, too far for markers on a person"
     else:
