@@ -86,6 +86,12 @@ def test_lengths_of_a_file_are_in_the_unit_of_its_points_or_in_mm(unit: float, v
     assert measures.left.knee_width == pytest.approx(read) and ("knee_width" in measures.left.from_file) == (value != 4)
 
 
+@pytest.mark.parametrize(("name", "value"), [("BodyMass", 54500), ("BodyMass", -5), ("MarkerDiameter", 0.014), ("InterAsisDistance", 0.24)])
+def test_a_measure_of_the_whole_person_in_another_unit_is_told(name: str, value: float) -> None:
+    with pytest.raises(AsterismError, match=f"{name} is .*; give it in"):
+        gathered_measures(simulate_walks(1, frames=12, markers="helen-hayes", seed=0)[0], given={name: value})
+
+
 def stood(recording: Recording) -> Recording:
     """The person as in the first frame, all the time."""
     return replace(recording, positions=np.repeat(recording.positions[:1], len(recording), axis=0), events=())
