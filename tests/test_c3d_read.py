@@ -259,6 +259,8 @@ def test_a_float_that_is_no_number_is_missing(tmp_path: Path) -> None:
     visible = read(tmp_path / "walk.c3d").visible
     assert not visible[2, 1]
     assert visible.sum() == visible.size - 1
+    again = open_c3d(tmp_path / "walk.c3d")
+    assert np.array_equal(again.coordinates_of(slice(1, 4), [2, 1]), again.coordinates[1:4, [2, 1]], equal_nan=True)
 
 
 @pytest.mark.parametrize("name", ["pc_int", "dec_int", "sgi_int", "pc_real", "dec_real", "sgi_real"])

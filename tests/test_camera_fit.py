@@ -107,7 +107,7 @@ def test_exchanged_names_are_said() -> None:
 
 
 def test_other_pixels_other_units_another_rig() -> None:
-    rig, _, blobs = filmed(6, frames=40)
+    rig, _, blobs = filmed(6, frames=20)
     assert any("outside its image" in said for said in messages(replace(blobs, xy=2 * blobs.xy), rig))
     in_mm = replace(rig, cameras=tuple(replace(camera, translation=1000 * camera.translation) for camera in rig))
     assert any("millimetres" in said for said in messages(blobs, in_mm))

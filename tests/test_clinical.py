@@ -29,7 +29,7 @@ from asterism.motion.clinical import (
 )
 from asterism.motion.clinical.angles import leg_axes
 from asterism.motion.clinical.measures import computed_by_the_file
-from asterism.motion.clinical.plug_in_gait import joint_centre
+from asterism.motion.clinical.plug_in_gait import along, joint_centre, turns
 from asterism.simulation import simulate_walks
 
 GIVEN = SubjectMeasures(
@@ -76,6 +76,29 @@ def test_a_joint_centre_is_where_its_conditions_meet(turn: float, tilt: float) -
     holed = marker.copy()
     holed[2, 1] = np.nan
     assert np.isnan(joint_centre(upper, holed, wand, 0.06, turn, tilt)).any(axis=1).tolist() == [False, False, True, False, False]
+
+
+def test_axes_of_limbs_and_their_turns_are_those_of_their_definition() -> None:
+    rng = np.random.default_rng(5)
+    line, left = rng.normal(size=(2, 6, 3))
+    line[1], left[2, 0], left[3] = 0.0, np.nan, 2.0 * line[3]
+    axes = along(line, left)
+    for frame in (0, 4, 5):
+        up = line[frame] / np.linalg.norm(line[frame])
+        across = left[frame] - left[frame] @ up * up
+        across /= np.linalg.norm(across)
+        np.testing.assert_allclose(axes[frame], np.stack([np.cross(across, up), across, up], axis=1), atol=1e-12)
+    # what has no length, or is parallel, tells no axes
+    assert np.isfinite(axes).all(axis=(1, 2)).tolist() == [True, False, False, False, True, True]
+    # near to each other: of the two triples of a rotation that nearer to the frame before is given
+    angles = rng.uniform(-1.0, 1.0, 3) + rng.uniform(-0.1, 0.1, (7, 3))
+    parent = Rotation.random(7, random_state=1).as_matrix()
+    for first, order in (("y", "YXZ"), ("x", "XYZ")):
+        child = parent @ Rotation.from_euler(order, angles).as_matrix()
+        child[3, 0, 0] = np.nan
+        found = turns(parent, child, first)
+        np.testing.assert_allclose(np.delete(found, 3, axis=0), np.delete(angles, 3, axis=0), atol=1e-12)
+        assert np.isnan(found[3]).any()
 
 
 def davis_hip(right: float) -> np.ndarray:

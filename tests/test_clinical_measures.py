@@ -86,10 +86,44 @@ def test_lengths_of_a_file_are_in_the_unit_of_its_points_or_in_mm(unit: float, v
     assert measures.left.knee_width == pytest.approx(read) and ("knee_width" in measures.left.from_file) == (value != 4)
 
 
+@pytest.mark.parametrize(("name", "value"), [("BodyMass", 54500), ("BodyMass", -5), ("MarkerDiameter", 0.014), ("InterAsisDistance", 0.24)])
+def test_a_measure_of_the_whole_person_in_another_unit_is_told(name: str, value: float) -> None:
+    with pytest.raises(AsterismError, match=f"{name} is .*; give it in"):
+        gathered_measures(simulate_walks(1, frames=12, markers="helen-hayes", seed=0)[0], given={name: value})
+
+
+def stood(recording: Recording) -> Recording:
+    """The person as in the first frame, all the time."""
+    return replace(recording, positions=np.repeat(recording.positions[:1], len(recording), axis=0), events=())
+
+
+def test_a_walk_given_as_the_standing_trial_is_told() -> None:
+    """Offsets of feet and wands would be means over steps; a person who sways stands."""
+    [walk] = simulate_walks(1, frames=150, markers="helen-hayes", seed=0)
+    sway = np.linspace(0.0, 0.05, len(walk))[:, None, None] * [1.0, 0.0, 0.0]
+    for static, told in ((walk, 1), (stood(walk), 0), (replace(stood(walk), positions=stood(walk).positions + sway), 0)):
+        assert [finding.code for finding in gathered_measures(walk, static)[1]] == ["clinical-static-moves"] * told
+    hidden = walk.positions.copy()
+    hidden[:, walk.labels.index("LANK")] = np.nan
+    assert "clinical-static-moves" not in [one.code for one in gathered_measures(walk, replace(walk, positions=hidden))[1]]
+
+
+def test_walks_of_two_persons_in_one_analysis_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    [walk] = simulate_walks(1, frames=300, markers="helen-hayes", seed=0)
+    files = [tmp_path / name for name in ("ann 1.c3d", "ann 2.c3d", "bob.c3d")]
+    for file, one in zip(files, (walk, walk, replace(walk, positions=0.8 * walk.positions)), strict=True):
+        asterism.write(file, one)
+    main(["gait", *map(str, files)])
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "clinical-other-person" in line]
+    assert "bob.c3d and" in line and "two persons" in line
+    main(["gait", *map(str, files), "--save-band", str(tmp_path / "band.json")])
+    assert "two persons" not in capsys.readouterr().err
+
+
 def test_given_measures_go_before_the_standing_trials_and_these_before_the_files() -> None:
     [walk] = simulate_walks(1, frames=30, markers="helen-hayes", seed=0)
     own = held(walk, LKneeWidth=90, RKneeWidth=91, LAnkleWidth=60, BodyMass=50)
-    static = held(walk, RKneeWidth=95, LAnkleWidth=61, MarkerDiameter=9)
+    static = held(stood(walk), RKneeWidth=95, LAnkleWidth=61, MarkerDiameter=9)
     measures, found = gathered_measures(own, static, {"LAnkleWidth": 62})
     assert (measures.left.knee_width, measures.right.knee_width, measures.left.ankle_width) == (0.090, 0.095, 0.062)
     assert (measures.mass, measures.marker_radius) == (50, pytest.approx(0.0045))
@@ -106,8 +140,8 @@ def test_measures_and_standing_trials_of_another_person_are_told() -> None:
     for share, told in ((1.0, 0), (0.95, 0), (1.15, 1), (0.85, 1)):
         found = gathered_measures(walk, given={"LLegLength": length * share})[1]
         assert [finding.code for finding in found] == ["clinical-other-person"] * told
-    assert not gathered_measures(walk, walk.frames(slice(0, 10)))[1]
-    child = replace(other, positions=0.8 * other.positions)
+    assert not gathered_measures(walk, stood(walk))[1]
+    child = stood(replace(other, positions=0.8 * other.positions))
     codes = [finding.code for finding in gathered_measures(walk, child)[1]]
     assert codes == ["clinical-other-person"]
     sliding = walk.positions.copy()
@@ -115,7 +149,7 @@ def test_measures_and_standing_trials_of_another_person_are_told() -> None:
     still = walk.positions.copy()
     still[:, walk.labels.index("LTHI"), 2] += 0.08
     for positions, told in ((sliding, 0), (still, 1)):
-        moved = gathered_measures(replace(walk, positions=positions), walk)[1]
+        moved = gathered_measures(replace(walk, positions=positions), stood(walk))[1]
         assert [finding.code for finding in moved] == ["clinical-other-person"] * told, (
             "what slides tells no person; what was put anew is said"
         )

@@ -138,9 +138,9 @@ def test_every_door_says_the_same_of_a_file(name: str, place: Path, tmp_path: Pa
     assert new.codes == first.codes and first.status == new.status
 
     shown = doors.run("review", file, "-m", doors.model, "--json", told, "--overwrite")
-    answers["review"] = Answer.of_json(shown.status, json.loads(told.read_text(encoding="utf-8")))
+    content = json.loads(told.read_text(encoding="utf-8"))
+    answers["review"] = Answer.of_json(shown.status, content)
     assert shown.out.splitlines()[0] == re.sub(r" [\d,]+ frames/s,?", "", line).replace("hidden,;", "hidden;"), "one line of a file"
-    content = json.loads(doors.run("review", file, "-m", doors.model, "--json", "-").out)
     assert content["pieces"] == content["files"][0]["look_at"] >= len(content["items"])
 
     model = MarkerModel.load(doors.model)

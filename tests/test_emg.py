@@ -62,6 +62,12 @@ def test_what_moves_slowly_or_hums_above_the_band_is_no_activity() -> None:
     assert envelope(np.sin(2 * np.pi * 5 * times), RATE, wide)[500:-500].max() > 0.5, "the filter does it"
 
 
+def test_channels_go_through_the_filters_together_as_alone() -> None:
+    samples = np.random.default_rng(2).normal([0.0, 3.0], [1.0, 0.1], (2000, 2))
+    together = envelope(samples, RATE)
+    np.testing.assert_allclose(together, np.stack([envelope(one, RATE) for one in samples.T], axis=1), atol=1e-12)
+
+
 def test_a_channel_without_a_side_is_cut_by_both_feet(monkeypatch: pytest.MonkeyPatch, walk: GaitAnalysis) -> None:
     (muscle,), _ = found_in(monkeypatch, walk, channel(bursts(walk, "L", 1.0), "EMG1.v"))
     assert muscle.side is None and set(muscle.cycles) == {"L", "R"}

@@ -182,3 +182,11 @@ def test_gait_and_convert_filter_and_say_so(tmp_path: Path, capsys: pytest.Captu
     assert last_filter(smooth).choice.method == "spline" and len(last_filter(smooth).effects) == len(walk.labels)
     assert np.linalg.norm(smooth.positions - walk.positions, axis=2).max() < 0.02
     assert main(["gait", str(source), "--filter", "median"]) == 2
+
+
+@pytest.mark.parametrize(("cut_off", "told"), [(6.0, False), (1.0, True)])
+def test_a_filter_that_takes_away_movement_is_told(cut_off: float, told: bool) -> None:
+    [walk] = simulate_walks(subjects=1, frames=200, markers="helen-hayes", seed=0)
+    found = filter_trajectories(walk, FilterChoice("butterworth", cut_off)).findings
+    assert [one.code for one in found if one.code == "filter-strong"] == ["filter-strong"] * told
+    assert all("takes away movement" in one.sentence for one in found)

@@ -120,6 +120,12 @@ def test_a_plate_without_corners_is_named(tmp_path: Path) -> None:
     assert plates == () and finding.code == "format-force-plate" and "corners" in finding.sentence
 
 
+def test_a_plate_that_stands_upright_is_named(tmp_path: Path) -> None:
+    """Its corners have z up, and the recording was read with y up."""
+    plates, [finding] = force_plates(asterism.read(written(tmp_path / "plate.c3d", 2), vertical="y"))
+    assert plates == () and finding.code == "format-force-plate" and "stands upright" in finding.sentence
+
+
 def test_samples_are_brought_to_the_frames(tmp_path: Path) -> None:
     recording = asterism.read(written(tmp_path / "plate.c3d", 2))
     [plate], _ = force_plates(recording)

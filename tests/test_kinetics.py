@@ -13,6 +13,7 @@ import asterism
 from asterism import AsterismError, Recording
 from asterism.formats import force_plates
 from asterism.gait import analyse_gait
+from asterism.gait.analysis import _other_mass
 from asterism.motion.clinical import (
     ABOUT_CENTRE,
     KineticErrors,
@@ -231,6 +232,20 @@ def test_the_page_shows_moments_and_powers_with_their_unit(tmp_path: Path, per_k
     assert "knee power" not in (tmp_path / "page.html").read_text()
 
 
+@pytest.mark.parametrize(("given", "told"), [(70.0, ""), (63.0, ""), (154.0, "about 70 kg"), (50.0, "about 70 kg")])
+def test_a_mass_that_the_plates_do_not_carry_is_told(given: float, told: str) -> None:
+    """70 kg on two feet, each on the ground for 60 of 100 parts of the cycle; a foot that brakes bears more, and counts not."""
+    stance = np.linspace(0.0, 1.0, 101) < 0.6
+    force = np.where(stance, 70 * 9.81 / (2 * stance.mean()), 0.0)
+    curves = np.zeros((2, 101, 3))
+    curves[0, :, 2], curves[1, :, 2] = force / given, 1.4 * force / given
+    found = _other_mass("walk.c3d", {"LGroundReactionForce": curves[:1], "RGroundReactionForce": curves, "LKneeMoment": curves}, given)
+    assert [one.code for one in found] == ["kinetics-mass-differs"] * bool(told)
+    assert all(told in one.sentence and f"{given:.0f} kg" in one.sentence for one in found)
+    curves[:, 50:, 2] = np.nan
+    assert not _other_mass("walk.c3d", {"LGroundReactionForce": curves}, given), "half a cycle tells no weight"
+
+
 def test_real_walks_have_the_moments_and_powers_of_the_laboratory() -> None:
     folder = os.environ.get("ASTERISM_DATA")
     path = Path(folder or ".") / "gait-events/plates/NP1003/walk_1003a09.c3d"
@@ -247,6 +262,7 @@ def test_real_walks_have_the_moments_and_powers_of_the_laboratory() -> None:
     for name, power in analysis.kinetics.powers.items():
         theirs = computed_by_the_file(recording, name)
         assert theirs is not None and np.sqrt(np.nanmean((power - theirs[:, 2]) ** 2)) < 0.1, name
+    assert "kinetics-mass-differs" not in [one.code for one in analysis.findings]
     # without a mass the stances are shown, and that they are not per kg is said
     heavy = analyse_gait(recording, plates, replace(subject_measures(recording), mass=None))
     assert heavy.kinetics is not None and not heavy.kinetics.per_kg and "kinetics-mass" in [one.code for one in heavy.findings]

@@ -272,7 +272,7 @@ MARKERS = ("LASI", "RASI", "SACR", "LTHI", "LKNE", "LTIB", "LANK", "LTOE")
 HEAVY = SubjectMeasures(mass=60.0)
 
 
-@pytest.mark.parametrize("frames", ["all", "first", "last"])
+@pytest.mark.parametrize("frames", ["all", "first", pytest.param("last", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("marker", MARKERS)
 def test_clinical_angles_with_a_marker_missing(marker: str, frames: str) -> None:
     recording = standing((30, 5, -8), (60, -3, 6))

@@ -67,7 +67,7 @@ NOTHING: dict[str, Callable[[], Frames]] = {
 }
 
 
-@pytest.mark.parametrize("case", NOTHING)
+@pytest.mark.parametrize("case", [pytest.param(name, marks=pytest.mark.slow) if "nearly" in name else name for name in NOTHING])
 def test_a_recording_without_a_label_is_not_to_be_used(case: str, tmp_path: Path) -> None:
     found = labelled(tmp_path, NOTHING[case]())
     assert not (found.labelling.indices >= 0).any()
@@ -76,7 +76,10 @@ def test_a_recording_without_a_label_is_not_to_be_used(case: str, tmp_path: Path
     assert "label-nothing" in {finding.code for finding in found.findings}
 
 
-@pytest.mark.parametrize(("points", "size"), [(4, 0.05), (6, 0.3), (8, 0.3), (15, 0.3), (40, 0.3)])
+@pytest.mark.parametrize(
+    ("points", "size"),
+    [(4, 0.05), pytest.param(6, 0.3, marks=pytest.mark.slow), (8, 0.3), (15, 0.3), pytest.param(40, 0.3, marks=pytest.mark.slow)],
+)
 def test_a_prop_is_no_body_that_fits(points: int, size: float, tmp_path: Path) -> None:
     """Some of its points may lie as markers do; nothing says that they are these."""
     found = labelled(tmp_path, list(carried(points, size)))

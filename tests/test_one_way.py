@@ -261,6 +261,7 @@ class Doors:
 
     def __init__(self, case: Case, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
         self.case, self.folder, self.capsys, self.monkeypatch = case, folder, capsys, monkeypatch
+        self.listed = False
         self.files = [path.relative_to(folder) for path in case.write(folder)]
         self.models = [model()] * case.models
         self.labeller = RecordingLabeller(self.models or [virtual_model("helen-hayes")])
@@ -293,15 +294,16 @@ class Doors:
 
         with self.monkeypatch.context() as patch:
             patch.setattr(FileLabeller, "label", label)
-            refusal = self.command("review", "--json", "review.json")
+            refusal = self.command("review", "--json", "review.json", "--csv", "items.csv", "--overwrite")
+        self.listed = refusal is None
         if refusal:
             return Answer(refusal=refusal)
         report = json.loads(Path("review.json").read_text())
         return replace(of_labelled(labelled[self.files[0]]), findings=self.mine(report["findings"]))
 
     def answers(self) -> Answer:
-        """The list as a table, in which nothing was filled in."""
-        refused = self.command("review", "--csv", "items.csv", "--json", "-")
+        """The list as a table, which `review` has written unless it was refused, and in which nothing was filled in."""
+        refused = None if self.listed else self.command("review", "--csv", "items.csv", "--json", "-", "--overwrite")
         if refused:
             return Answer(refusal=refused)
         self.command("review", "--answers", "items.csv", "-o", "answered")

@@ -153,7 +153,9 @@ def test_two_runs_do_not_write_to_one_folder(session: Path, tmp_path: Path, caps
 def test_settings_of_a_folder_hold_below_it(tmp_path: Path) -> None:
     inner = tmp_path / "people" / "ann"
     inner.mkdir(parents=True)
-    (tmp_path / "people" / "session.toml").write_text('markers = "cmu"\nleave_out = ["wand*"]\nperson = "x"\n[measures]\nBodyMass = 50')
+    (tmp_path / "people" / "session.toml").write_text(
+        'markers = "cmu"\nleave_out = ["wand*"]\nperson = "x"\n[measures]\nBodyMass = 50\nlkneewidth = 90'
+    )
     (inner / "session.toml").write_text('markers = "helen-hayes"\n[measures]\nLKneeWidth = 102.5\n')
     files = [(inner / name, Path("ann") / name) for name in ("wand 1.c3d", "walk.c3d")]
     (person,) = plan_session(files, [tmp_path / "people"])
@@ -174,6 +176,7 @@ def test_settings_of_a_folder_hold_below_it(tmp_path: Path) -> None:
         ('markers = "none"', "session.toml: marker set 'none' is neither shipped"),
         ('static = ""', "session.toml: static is empty"),
         ('static = "."', "which is a folder"),
+        ("[measures]\nLKneeWidth = 102\nLkneewidth = 104", "given twice"),
     ],
 )
 def test_settings_that_cannot_be_used_are_told(text: str, said: str, tmp_path: Path) -> None:

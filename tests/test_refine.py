@@ -105,7 +105,7 @@ def zoomed(camera: Camera, factor: float) -> Camera:
     return replace(camera, focal=(factor * camera.focal[0], factor * camera.focal[1]))
 
 
-@pytest.mark.parametrize("cameras", [4, 5])
+@pytest.mark.parametrize("cameras", [4, pytest.param(5, marks=pytest.mark.slow)])
 def test_a_turned_zoom_ring_is_told_from_a_bump(cameras: int) -> None:
     true, blobs = filmed(cameras)
     made = refine_rig(blobs, replace(true, cameras=(true[0], zoomed(true[1], 1.04), *true.cameras[2:])), frames=40)
@@ -123,7 +123,7 @@ def late(blobs: Blobs, camera: int, frames: int) -> Blobs:
     return Blobs.from_rows(frame[kept], blobs.camera_of[kept], blobs.xy[kept], blobs.cameras, frames=len(blobs))
 
 
-@pytest.mark.parametrize("frames", [1, -4])
+@pytest.mark.parametrize("frames", [pytest.param(1, marks=pytest.mark.slow), -4])
 def test_a_camera_out_of_step_is_not_mended_as_if_it_were_bumped(frames: int) -> None:
     true, blobs = filmed(6)
     made = refine_rig(late(blobs, 2, frames), true, frames=40)

@@ -127,9 +127,10 @@ def test_a_person_who_lies_is_labelled_right(turn: tuple[int, int, int]) -> None
 
 def test_mirrored_images_are_named_and_give_no_label() -> None:
     given = walk(2)
-    xy, own = given.blobs.xy.copy(), given.blobs.camera_of == 1
+    blobs = given.blobs.frames(slice(0, 15))
+    xy, own = blobs.xy.copy(), blobs.camera_of == 1
     xy[own, 0] = given.rig.cameras[1].size[0] - 1 - xy[own, 0]
-    result = label_views(replace(given.blobs, xy=xy), given.rig, BODY)
+    result = label_views(replace(blobs, xy=xy), given.rig, BODY)
     named = [finding.where for finding in result.findings if finding.code == "views-images-mirrored"]
     assert named == [given.rig.names[1]], f"{[str(finding) for finding in result.findings]}"
     assert (result.labels == -1).all() and result.confidence.max() < 0.9

@@ -179,10 +179,9 @@ def test_fewer_frames_with_ghosts_count_as_much_as_all_of_them(walks):
 
 
 def test_learning_starts_from_the_same_people_in_any_order(walks, tmp_path):
-    """fit(a, b) = fit(a).learn(b) = fit(b).learn(a) = virtual.learn(a, b), where all have the same rules, bit for bit."""
+    """fit(a, b) = fit(b).learn(a), through a file, where both have the same rules, bit for bit."""
     places = {"marker_set": MarkerSet.load("helen-hayes"), "training": START}
     both = content(MarkerModel.fit(walks[:2], **places), tmp_path)
-    assert content(MarkerModel.fit(walks[:1], **places).learn(walks[1:2]), tmp_path) == both
     MarkerModel.fit(walks[1:2], **places).save(tmp_path / "kept.model")
     assert content(MarkerModel.load(tmp_path / "kept.model").learn(walks[:1]), tmp_path) == both
 

@@ -12,6 +12,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -24,7 +25,8 @@ from correcting import Browser, longest, model, served, written
 from asterism import formats
 from asterism.errors import AsterismError
 from asterism.labelling import MarkerModel
-from asterism.recording import Recording
+from asterism.labelling.recording_labeller import RecordingLabeller
+from asterism.recording import Clouds, Recording
 
 websockets = pytest.importorskip("websockets.sync.client")
 pytest.importorskip("starlette")
@@ -32,6 +34,25 @@ pytest.importorskip("uvicorn")
 
 from asterism.web import CorrectionSession, PageAddress, SessionOptions, serve  # noqa: E402
 from asterism.web import session as web_session  # noqa: E402
+
+
+@pytest.fixture(scope="module", autouse=True)
+def walks_labelled_once() -> Iterator[None]:
+    """Sittings of the same walk begin with the same labels: one model labels the same points with the same settings once."""
+    label, kept = RecordingLabeller.label_bodies, dict[tuple[object, ...], Any]()
+
+    def remembered(labeller: RecordingLabeller, clouds: Clouds, progress: Any = None, **more: Any) -> Any:
+        if labeller.models != (model(),):
+            return label(labeller, clouds, progress, **more)
+        tracks = None if clouds.tracks is None else clouds.tracks.tobytes()
+        given = (repr(labeller.settings), clouds.xyz.tobytes(), clouds.offsets.tobytes(), clouds.vertical.tobytes(), tracks, repr(more))
+        if given not in kept:
+            kept[given] = label(labeller, clouds, progress, **more)
+        return kept[given]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RecordingLabeller, "label_bodies", remembered)
+        yield
 
 
 def sitting(folder: Path, count: int = 1, **options: Any) -> CorrectionSession:
@@ -461,7 +482,7 @@ def test_the_command_serves_until_it_is_interrupted(tmp_path: Path) -> None:
     assert run.stdout is not None
     browser = Browser(run.stdout.readline().split()[-1])
     while (trial := browser.get("/api/trials")["trials"][0])["state"] in ("waiting", "labelling"):
-        pass
+        time.sleep(0.02)
     assert trial["state"] == "ready"
     touched(browser)
     run.send_signal(signal.SIGINT)

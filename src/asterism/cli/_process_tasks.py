@@ -212,6 +212,7 @@ def _analysis(
             static=own.standing,
             measure=[f"{name}={value!r}" for name, value in person.measures],
             fill=person.fill,
+            vertical=person.vertical,
             overwrite=True,
             json="-",
         )

@@ -184,6 +184,7 @@ def analysed(
     from asterism.formats import force_plates
     from asterism.gait import analyse_gait, muscles_by_channel, named_channels, write_gait_c3d
     from asterism.motion.clinical import StaticRules
+    from asterism.motion.clinical.gathered import other_person
 
     limit, choice = fill_limit(options.fill), filter_choice(options.filter)
     static = None if options.static is None else _read(options.static, options, batch)
@@ -206,6 +207,9 @@ def analysed(
             recording, found = clean.recording, (*found, *clean.findings)
             measures, doubtful = _clinical.measures_of(recording, static, options.measure, options.hip, rules)
             found = (*found, *doubtful)
+            # a band is of several persons
+            if results and options.save_band is None:
+                found = (*found, *other_person(recording, results[0][1].recording))
             analysis = analyse_gait(recording, plates, measures, static=static, model=options.lower_body)
             analysis = replace(analysis, emg=named_channels(analysis.emg, muscles))
             for finding in [*found, *analysis.findings]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,12 @@ def kinds_by_name(labels: Sequence[str]) -> list[str]:
     A name that ends in O, A, L or P (or O, X, Y, Z; or 0 to 3 without a fourth neighbour) is a segment's axis only where the
     whole family is present.
     """
+    return list(_kinds_by_name(tuple(labels)))
+
+
+# Each point of a file is judged more than once, and the trials of a session have the same points.
+@lru_cache(maxsize=16)
+def _kinds_by_name(labels: tuple[str, ...]) -> tuple[str, ...]:
     bare = [without_subject(label).strip() for label in labels]
     families = _families(bare)
     kinds = []
@@ -67,7 +74,7 @@ def kinds_by_name(labels: Sequence[str]) -> list[str]:
         else:
             # Axes of segments are computed only where the whole family is there: a single LKNEO may be a marker.
             kinds.append(COMPUTED if any(place in family for suffix, family in families if suffix == "OALP") else MARKER)
-    return kinds
+    return tuple(kinds)
 
 
 def point_kinds(labels: Sequence[str], positions: Floats | None = None, declared: Collection[str] = ()) -> list[str]:
@@ -190,11 +197,13 @@ def _wobble(some: Floats) -> tuple[Floats, NDArray[np.int64]]:
     low, high = np.full(seen.shape, np.inf), np.full(seen.shape, -np.inf)
     for frame in some:
         # Frame by frame: all pairs in all frames at once would take too much memory.
-        distance = np.sqrt(((frame[:, None] - frame[None]) ** 2).sum(axis=2))
+        x, y, z = ((own[:, None] - own[None]) ** 2 for own in frame.T)
+        distance = np.sqrt(x + y + z)
         both = np.isfinite(distance)
         seen += both
-        low = np.where(both, np.minimum(low, distance), low)
-        high = np.where(both, np.maximum(high, distance), high)
+        distance[~both] = np.nan
+        np.fmin(low, distance, out=low)
+        np.fmax(high, distance, out=high)
     return np.where(seen > 0, high - low, np.inf), seen
 
 
@@ -212,6 +221,9 @@ def _orthogonal_frames(
     for origin in np.nonzero(exact.sum(axis=1) >= 3)[0]:
         # More than two dozen exact neighbours are a solved rigid body, not axes.
         around = np.nonzero(exact[origin] & ~judged)[0][:24]
+        # Three tips are the least; those of known names are judged already.
+        if len(around) < 3:
+            continue
         arms = some[:, around] - some[:, [origin]]
         lengths = np.linalg.norm(arms, axis=2)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -254,9 +266,11 @@ def _mark_twins_and_offsets(labels: Sequence[str], some: Floats, exact: NDArray[
 
     The name is not used where a point has exact distances from several markers, as on the solved rigid bodies of some systems.
     """
-    for a, b in zip(*np.nonzero(exact), strict=True):
-        with np.errstate(invalid="ignore"):
-            same = np.nanmax(np.abs(some[:, a] - some[:, b])) < _VERY_EXACT
+    one, other = np.nonzero(exact)
+    # Two thousand pairs at once take little memory, and as little time for each as all would.
+    apart = [np.abs(some[:, one[at : at + 2000]] - some[:, other[at : at + 2000]]) for at in range(0, len(one), 2000)]
+    twins = np.concatenate([np.empty(0, dtype=bool), *(np.fmax.reduce(part, axis=(0, 2)) < _VERY_EXACT for part in apart)])
+    for a, b, same in zip(one.tolist(), other.tolist(), twins.tolist(), strict=True):
         # Exact to one marker only: rigid bodies are exact among all of theirs.
         alone = (exact[b] & ~judged).sum() == 1
         extends = alone and labels[b] != labels[a] and labels[b].startswith(labels[a])
@@ -280,13 +294,15 @@ def _mark_midpoints(some: Floats, judged: NDArray[np.bool_]) -> None:
     paths = some[:, markers]
     frame = paths[int(np.isfinite(paths[:, :, 0]).sum(axis=1).argmax())]
     i, j = np.triu_indices(len(markers), k=1)
+    # One coordinate of one frame rules out nearly all triples, and the frame most others, before all frames are looked at.
+    both = frame[i] + frame[j]
     for k in range(len(markers)):
-        # One frame rules out nearly all triples before the others are looked at.
-        close = np.abs(frame[i] + frame[j] - 2 * frame[k]).max(axis=1) < 4 * _EXACT
+        near = np.flatnonzero(np.abs(both[:, 0] - 2 * frame[k, 0]) < 4 * _EXACT)
+        close = near[np.abs(both[near] - 2 * frame[k]).max(axis=1) < 4 * _EXACT]
         for a, b in zip(i[close], j[close], strict=True):
             error = np.abs(paths[:, a] + paths[:, b] - 2 * paths[:, k]).max(axis=1)
             distance = np.linalg.norm(paths[:, a] - paths[:, b], axis=1)
-            both = np.isfinite(error)
+            seen = np.isfinite(error)
             # Two markers in one place have everything between them.
-            if both.sum() >= _FEWEST_FRAMES and k not in (a, b) and error[both].max() < 4 * _EXACT and distance[both].min() > 0.01:
+            if seen.sum() >= _FEWEST_FRAMES and k not in (a, b) and error[seen].max() < 4 * _EXACT and distance[seen].min() > 0.01:
                 judged[markers[k]] = True

@@ -92,7 +92,8 @@ def body_size(raw: Floats) -> float:
     # Some two hundred frames tell the size as well as an hour does.
     some = raw[:: max(1, len(raw) // 200)]
     # Numbers from damage must not decide: infinite, or beyond what squares can hold.
-    usable = np.isfinite(some).all(axis=2) & (np.abs(some) < 1e100).all(axis=2) & ~missing_codes(some)
+    x, y, z = np.moveaxis(np.abs(some) < 1e100, 2, 0)
+    usable = x & y & z & ~missing_codes(some)
     some = np.where(usable[:, :, None], some, np.nan)
     some = some[(~np.isnan(some[:, :, 0])).sum(axis=1) > 1]
     if not len(some):
@@ -135,10 +136,12 @@ def size_findings(positions: Floats, labels: Sequence[str], captured: Sequence[i
     """
     size = _person_size(positions, labels, captured)
     if size is None:
-        apart = _apart(positions[:, captured]) if len(captured) >= _FEWEST else 0.0
-        # Ten times too large, that is.
-        size = body_size(positions[:, captured]) if apart > _FURTHEST_NEXT else None
-        if size is None or not size > _LARGEST_PERSON:
+        # Ten times too large, that is: all together, and from point to point.
+        size = body_size(positions[:, captured]) if len(captured) >= _FEWEST else 0.0
+        if not size > _LARGEST_PERSON:
+            return []
+        apart = _apart(positions[:, captured])
+        if not apart > _FURTHEST_NEXT:
             return []
         said = f"its points are {metres(apart)} from each other, too far for markers on a person"
     else:

@@ -25,6 +25,7 @@ from asterism.motion.clinical import (
     exchanged_finding,
     inverse_dynamics,
 )
+from asterism.motion.clinical.kinetics import GRAVITY
 from asterism.recording import Floats, ForcePlate, Recording, filled_samples
 
 CURVES = ("Pelvis", "Hip", "Knee", "Ankle", "FootProgress", "Thorax", "Spine", "Head", "Neck", "Shoulder", "Elbow", "Wrist")
@@ -151,6 +152,8 @@ def analyse_gait(
             )
     loads, loaded = ({}, {}) if kinetics is None else _loads(recording, cycles, kinetics)
     found += () if kinetics is None else kinetics.findings
+    if kinetics is not None and kinetics.per_kg and clinical is not None:
+        found += _other_mass(file, loads, clinical.subject.mass or 0.0)
     parameters = tuple(parameters_of(walking, cycles))
     muscles, told = emg_of(recording, cycles)
     found += told
@@ -171,6 +174,9 @@ def _curves(values: Mapping[str, Floats], rate: float, cycles: Sequence[Cycle]) 
 
 _KNOWN = 0.9
 """Of a stance, points at which moments are known: strike and off are told to a hundredth. At half, half a stance passes for one."""
+_SAME_MASS = 0.15
+"""Of the mass: the nearest cycle is within 0.07 on 40 walks of 22 people, and 0.18 and 0.19 off on both of one whose mass is wrong. At
+half, a turn on the plate is told; at double, a mass that is a quarter wrong is not."""
 
 
 def _kinetics(recording: Recording, walking: Walking, plates: Sequence[ForcePlate], clinical: ClinicalAngles) -> Kinetics | None:
@@ -183,6 +189,30 @@ def _kinetics(recording: Recording, walking: Walking, plates: Sequence[ForcePlat
     body = replace(body, legs={side: body.legs[side] for side in sides})
     swings = {side: walking.swings(side) for side in sides}
     return inverse_dynamics(clinical.model.with_feet_named(recording), body, plates, contacts, swings, clinical.subject)
+
+
+def _other_mass(file: str, loads: Mapping[str, Floats], mass: float) -> list[Finding]:
+    """Where the plates carry another weight than the given one.
+
+    Over a cycle of even walking or running the ground bears the whole weight, half of it under each foot. The cycle that comes nearest
+    decides, since who turns or brakes puts more on one foot; the median is named.
+    """
+    borne = [
+        2.0 * np.nanmean(curve[:, 2]) / -GRAVITY[2]
+        for name, curves in loads.items()
+        if name.endswith("GroundReactionForce")
+        for curve in curves
+        if np.isfinite(curve[:, 2]).mean() >= _KNOWN
+    ]
+    if not borne:
+        return []
+    nearest = min(borne, key=lambda share: abs(float(np.log(share))) if share > 0.0 else np.inf)
+    if abs(nearest - 1.0) <= _SAME_MASS:
+        return []
+    sentence = f"{file}: the person's mass is given as {mass:.0f} kg, and the force plates carry about {np.median(borne) * mass:.0f} kg; "
+    sentence += "moments and powers are divided by the mass that is given."
+    mend = "Weigh the person, or look for an error in the scale of the plates; give --measure BodyMass=KG."
+    return [Finding("kinetics-mass-differs", Severity.WARNING, file, sentence, mend)]
 
 
 def _loads(recording: Recording, cycles: Sequence[Cycle], kinetics: Kinetics) -> tuple[dict[str, Floats], dict[str, tuple[Cycle, ...]]]:

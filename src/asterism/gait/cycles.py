@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.gait.events import OFF, STRIKE, GaitEvent, Walking
 from asterism.gait.feet import RATE
-from asterism.recording import Floats
+from asterism.recording import Floats, Ints
 
 MIDSTANCE = "Midstance"
 """The event of a foot that stands: the other one, which swings, passes it."""
@@ -97,11 +99,19 @@ def over_cycle(values: Floats, rate: float, cycle: Cycle) -> Floats:
     >>> over_cycle(np.linspace(0.0, 2.0, 201), 100.0, Cycle("L", *events))[[0, 50, 100]].round(6)
     array([0.1, 0.6, 1.1])
     """
-    places = rate * np.linspace(cycle.strike.time, cycle.next_strike.time, POINTS)
-    below = np.floor(places).astype(int)
-    share = (places - below).reshape(-1, *[1] * (values.ndim - 1))
-    inside = (below >= 0) & (below < len(values))
-    lower, upper = (np.clip(below + step, 0, len(values) - 1) for step in (0, 1))
-    out = np.where(share > 0, values[lower] * (1 - share) + values[upper] * share, values[lower])
-    out[~inside | ((below + 1 >= len(values)) & (places > below))] = np.nan
+    lower, upper, share, outside = _places(cycle.strike.time, cycle.next_strike.time, rate, len(values))
+    share = share.reshape(-1, *[1] * (values.ndim - 1))
+    first = values[lower]
+    out = np.where(share > 0, first * (1 - share) + values[upper] * share, first)
+    out[outside] = np.nan
     return np.asarray(out)
+
+
+@lru_cache(maxsize=64)
+def _places(begins: float, ends: float, rate: float, count: int) -> tuple[Ints, Ints, Floats, NDArray[np.bool_]]:
+    """(POINTS,) the samples below and above each point of a cycle, the share of the latter, and what lies outside: alike for all curves."""
+    places = rate * np.linspace(begins, ends, POINTS)
+    below = np.floor(places).astype(np.int64)
+    lower, upper = (np.clip(below + step, 0, count - 1) for step in (0, 1))
+    outside = (below < 0) | (below >= count) | ((below + 1 >= count) & (places > below))
+    return lower, upper, places - below, outside

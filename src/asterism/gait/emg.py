@@ -99,7 +99,7 @@ def emg_of(recording: Recording, cycles: Sequence[Cycle], rules: EmgRules | None
     forwards and backwards.
     """
     rules = rules or EmgRules()
-    channels, left_out, clipped = list[EmgChannel](), dict[str, list[str]](), list[str]()
+    told, left_out, clipped = list[tuple[AnalogChannel, str]](), dict[str, list[str]](), list[str]()
     for channel in analog_channels(recording):
         why = _why(channel)
         if why is None:
@@ -110,8 +110,12 @@ def emg_of(recording: Recording, cycles: Sequence[Cycle], rules: EmgRules | None
             continue
         if _cut_off(channel.samples) > rules.clipped:
             clipped.append(channel.name)
+        told.append((channel, why))
+    channels = list[EmgChannel]()
+    # The channels of a file have one rate, so that all go through the filters together.
+    envelopes = envelope(np.stack([channel.samples for channel, _ in told], axis=1), told[0][0].rate, rules).T if told else ()
+    for (channel, why), values in zip(told, envelopes, strict=True):
         side, muscle = side_and_muscle(channel.name)
-        values = envelope(channel.samples, channel.rate, rules)
         over = {
             foot: np.stack(curves)
             for foot in "LR"
@@ -142,7 +146,7 @@ def _filters(rate: float, low: float, high: float, smooth: float) -> tuple[Float
 
 
 def envelope(samples: Floats, rate: float, rules: EmgRules | None = None) -> Floats:
-    """(S,) the linear envelope of samples (S,), in their unit and at their rate; never below zero. O(S).
+    """The linear envelope of samples (S,), or (S, C) of several channels, in their unit and at their rate; never below zero. O(S C).
 
     >>> times = np.arange(2000) / 1000.0
     >>> burst = np.sin(2 * np.pi * 100 * times) * (times > 1.0)
@@ -153,8 +157,8 @@ def envelope(samples: Floats, rate: float, rules: EmgRules | None = None) -> Flo
     rules = rules or EmgRules()
     band, smooth = _filters(rate, rules.low, rules.high, rules.smooth)
     # An offset would ring through the band-pass at both ends.
-    rectified = np.abs(sosfiltfilt(band, samples - samples.mean()))
-    return np.asarray(np.maximum(sosfiltfilt(smooth, rectified), 0.0))
+    rectified = np.abs(sosfiltfilt(band, samples - samples.mean(axis=0), axis=0))
+    return np.asarray(np.maximum(sosfiltfilt(smooth, rectified, axis=0), 0.0))
 
 
 def side_and_muscle(name: str) -> tuple[str | None, str]:

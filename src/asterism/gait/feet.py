@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,10 +106,11 @@ def feet_of(recording: Recording) -> Feet:
     # a speed needs a sample on either side
     if len(times) < 3:
         raise AsterismError(f"{file} lasts {significant(len(recording) / recording.rate, 3)} s by its rate; gait events need steps.")
-    smooth = {side: [_smooth(part, recording.rate, times, CUT_OFF) for part in pair] for side, pair in feet.items()}
+    parts = _smooth([part for pair in feet.values() for part in pair], recording.rate, times, CUT_OFF)
+    smooth = dict(zip(feet, zip(parts[::2], parts[1::2], strict=True), strict=True))
     middle = np.nansum(hips, axis=0) / np.maximum(np.isfinite(hips).sum(axis=0), 1)
     middle[~np.isfinite(hips).any(axis=0)] = np.nan
-    pelvis = _smooth(middle, recording.rate, times, 6.0)
+    (pelvis,) = _smooth([middle], recording.rate, times, 6.0)
     pointing = sum(toe - heel for heel, toe in smooth.values())[:, :2]  # type: ignore[index]
     ahead = _unit(zero_lag_butterworth(_unit(pointing), RATE, TURNING))
     heels, toes = ({side: pair[which] for side, pair in smooth.items()} for which in (0, 1))
@@ -121,8 +122,11 @@ def _unit(vectors: Floats) -> Floats:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))
 
 
-def _smooth(points: Floats, rate: float, times: Floats, cut_off: float) -> Floats:
-    """Points (F, 3) without gaps, filtered, at other times."""
-    frames, known = np.arange(len(points)), np.isfinite(points).all(axis=1)
-    filled = np.stack([np.interp(frames, frames[known], points[known, axis]) for axis in range(3)], axis=1)
-    return np.asarray(CubicSpline(frames / rate, zero_lag_butterworth(filled, rate, cut_off), axis=0)(times))
+def _smooth(curves: Sequence[Floats], rate: float, times: Floats, cut_off: float) -> list[Floats]:
+    """Curves (F, 3) each without gaps, filtered, at other times; all together."""
+    frames, filled = np.arange(len(curves[0])), []
+    for points in curves:
+        known = np.isfinite(points).all(axis=1)
+        filled += [np.interp(frames, frames[known], points[known, axis]) for axis in range(3)]
+    smooth = CubicSpline(frames / rate, zero_lag_butterworth(np.stack(filled, axis=1), rate, cut_off), axis=0)(times)
+    return np.split(smooth, len(curves), axis=1)

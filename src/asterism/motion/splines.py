@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 from scipy import sparse
 from scipy.interpolate import BSpline
-from scipy.linalg import solveh_banded
+from scipy.linalg.lapack import dpbsv
 from scipy.optimize import minimize_scalar
 
 from asterism.recording import Floats
@@ -44,8 +44,11 @@ def quintic_spline_and_power(curve: Floats) -> tuple[BSpline, float]:
     passed, stopped = _passed(waves)
 
     def solve(power: float) -> Floats:
-        return np.asarray(solveh_banded(fit + 10.0**power * rough, target, lower=True))
+        # as `solveh_banded`, whose checks take longer than its work
+        _, solution, _ = dpbsv(fit + 10.0**power * rough, target, lower=1, overwrite_ab=1)
+        return np.asarray(solution)
 
+    @cache
     def criterion(power: float) -> float:
         free = 1.0 - float((passed / (passed + 10.0**power * stopped)).mean())
         # A curve without noise is met by each spline: the smallest number keeps the logarithm.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,17 +40,17 @@ class ForcePlate:
         """(3,) m, the middle of the surface."""
         return np.asarray(self.corners.mean(axis=0))
 
-    @property
+    @cached_property
     def load(self) -> Floats:
         """(S,) N, the vertical force."""
         return np.asarray(self.force @ self.vertical)
 
-    @property
+    @cached_property
     def loaded(self) -> NDArray[np.bool_]:
         """(S,) whether somebody stands on it."""
         return np.asarray(self.load > LOADED)
 
-    @property
+    @cached_property
     def pressure(self) -> Floats:
         """(S, 3) m, the centre of pressure on the surface; NaN where the plate is not loaded."""
         load = np.where(self.loaded, self.load, np.nan)[:, None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from importlib import resources
 from pathlib import Path
 
@@ -193,6 +193,7 @@ def _near(name: str) -> str:
     return f"shipped sets of such names are {', '.join(near)}" if near else f"the shipped ones are {', '.join(shipped)}"
 
 
+@lru_cache(maxsize=4096)
 def canonical(label: str) -> str:
     """A label without case and punctuation: R.ASIS, r_asis and RASIS give the same.
 
@@ -202,6 +203,7 @@ def canonical(label: str) -> str:
     return re.sub(r"[^\w*]|_", "", label.casefold())
 
 
+@lru_cache(maxsize=4096)
 def is_unnamed(label: str) -> bool:
     """Whether a label only numbers an unnamed point: *12, uname*3, U7, Unlabeled:108, 20100, Unidentified, or nothing at all.
 

@@ -93,7 +93,12 @@ def _over(settings: FolderSettings, path: Path) -> FolderSettings:
         elif key == "leave_out" and isinstance(value, list) and all(isinstance(one, str) for one in value):
             found[key] = (*settings.leave_out, *value)
         elif key == "measures" and isinstance(value, dict) and all(type(one) in (int, float) for one in value.values()):
-            found[key] = {**settings.measures, **{name: float(one) for name, one in value.items()}}
+            # capitals do not tell measures apart
+            own = {name.casefold() for name in value}
+            if len(own) < len(value):
+                raise AsterismError(f"{path}: a measure is given twice, with other capitals; take one out.")
+            above = {name: one for name, one in settings.measures.items() if name.casefold() not in own}
+            found[key] = above | {name: float(one) for name, one in value.items()}
         else:
             raise AsterismError(f"{path}: {_wrong(key)}")
     return replace(settings, **found)

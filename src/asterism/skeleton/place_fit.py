@@ -134,7 +134,8 @@ class _Problem:
         """Where the markers are (T, M, 3), and how they move with their places (T, M, 3, 3)."""
         posed = body.segments()
         at = self.at + body.shifts
-        out, moves = np.empty((self.frames, self.markers, 3)), np.empty((self.frames, self.markers, 3, 3))
+        frames = len(body.where)
+        out, moves = np.empty((frames, self.markers, 3)), np.empty((frames, self.markers, 3, 3))
         for segment in dict.fromkeys(self.segments):
             on = [m for m, each in enumerate(self.segments) if each == segment]
             turned = posed.rotations[segment] * scales_of(body.sizes, segment)
@@ -241,10 +242,12 @@ class _Problem:
         for axis in range(3):
             by_pose[..., axis] = np.cross(np.eye(3)[axis], from_root)
             by_pose[:, :, axis, 3 + axis] = 1.0
-        for i in range(len(TURNS)):
-            degrees = body.degrees.copy()
-            degrees[:, i] += 0.1
-            by_pose[..., 6 + i] = (self.predict(replace(body, degrees=degrees))[0] - guess) / 0.1
+        # The frames with each angle turned a little, one set of them after the other, are posed in one call.
+        turned = np.repeat(body.degrees[None], len(TURNS), axis=0)
+        turned[np.arange(len(TURNS)), :, np.arange(len(TURNS))] += 0.1
+        root, where = np.tile(body.root, (len(TURNS), 1, 1)), np.tile(body.where, (len(TURNS), 1))
+        after, _ = self.predict(replace(body, root=root, where=where, degrees=turned.reshape(-1, len(TURNS))))
+        by_pose[..., 6:] = np.moveaxis((after.reshape(len(TURNS), *guess.shape) - guess) / 0.1, 0, -1)
         return by_size, by_pose
 
 

@@ -129,19 +129,22 @@ class C3DFile:
             values[some] = self.coordinates_of(some)
         return values
 
-    def coordinates_of(self, frames: slice) -> Floats:
-        """`coordinates` of some frames."""
-        xyz = np.ascontiguousarray(self.point_words[frames, :, :3])
+    def coordinates_of(self, frames: slice, points: slice | list[int] = slice(None)) -> Floats:
+        """`coordinates` of some frames and points, by default all."""
+        xyz = np.ascontiguousarray(self.point_words[frames, points, :3])
         with np.errstate(invalid="ignore", over="ignore"):
             stored = self.processor.floats(xyz) if self.layout.real else self.processor.integers(xyz)
-            values = stored.astype(np.float64) * (1.0 if self.layout.real else self.scale)
+            values = stored.astype(np.float64)
+            if not self.layout.real:
+                values *= self.scale
             # Compared this way round, NaN is missing, too.
-            missing = ~(np.abs(values) < _NOWHERE).all(axis=2) | missing_codes(values) | missing_codes(stored)
+            x, y, z = np.moveaxis(np.abs(values) < _NOWHERE, 2, 0)
+            missing = ~(x & y & z) | missing_codes(values) | missing_codes(stored)
         if not self.residuals_are_unused:
-            missing |= self.residuals_of(frames) < 0
+            missing |= self.residuals_of(frames)[:, points] < 0
         # Many programs write zeros for missing points and leave the residual at 0.
         if self.zeros_are_missing:
-            missing |= ~(xyz & self._not_sign).any(axis=2)
+            missing |= (xyz[..., 0] | xyz[..., 1] | xyz[..., 2]) & self._not_sign == 0
         values[missing] = np.nan
         return values
 

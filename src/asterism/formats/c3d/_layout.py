@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import product
 
 import numpy as np
@@ -177,6 +177,8 @@ def _starts(raw: bytes | bytearray, processor: Processor, header: Header) -> lis
     at, size = header.parameters_at, len(raw)
     counted = min(at + BLOCK * max(raw[at + 2], 1), size)
 
+    # Header and parameters mostly name one place, whose parameters are then read once.
+    @cache
     def parameters(start: int) -> Parameters:
         # Parameters end where the data begin, or where their own count says.
         return parse_parameters(bytes(raw[at : start if start > at else counted]), processor)

@@ -49,8 +49,10 @@ def points_of(file: C3DFile, some: slice | None = None) -> Points:
 
     some: the frames, by default all.
     """
-    scale, units, found = unit_of(file)
-    positions = scaled(file.coordinates if some is None else file.coordinates_of(some), scale)
+    raw = file.coordinates if some is None else file.coordinates_of(some)
+    # Some frames of a long recording need not show how large a person is.
+    scale, units, found = unit_of(file, raw if some is None else None)
+    positions = scaled(raw, scale)
     return Points(
         positions=positions,
         labels=tuple(file.labels),
@@ -72,16 +74,21 @@ def points_of(file: C3DFile, some: slice | None = None) -> Points:
 
 def in_metres(file: C3DFile) -> tuple[Floats, float, str, list[Finding]]:
     """(frames, points, 3) m; metres per unit; the unit's name; a finding where the unit is assumed."""
-    scale, units, found = unit_of(file)
-    return scaled(file.coordinates, scale), scale, units, found
+    whole = file.coordinates
+    scale, units, found = unit_of(file, whole)
+    return scaled(whole, scale), scale, units, found
 
 
-def unit_of(file: C3DFile) -> tuple[float, str, list[Finding]]:
-    """Metres per unit, the unit's name, and a finding where the unit is assumed; some 200 frames tell it."""
+def unit_of(file: C3DFile, coordinates: Floats | None = None) -> tuple[float, str, list[Finding]]:
+    """Metres per unit, the unit's name, and a finding where the unit is assumed; some 200 frames tell it.
+
+    coordinates  (frames, points, 3) of the file, where they have been read already
+    """
     # Values that are no lengths are taken for millimetres, as most files keep them, where they are read as markers all the same.
     if holds_values(file):
         return METRES_PER_UNIT["mm"], "mm", []
-    some = file.coordinates_of(slice(None, None, max(1, file.layout.frames // 200)))
+    frames = slice(None, None, max(1, file.layout.frames // 200))
+    some = file.coordinates_of(frames) if coordinates is None else coordinates[frames]
     # Computed points have other sizes and units, and would mislead the guess.
     kinds = point_kinds(file.labels, None, declared_computed(file))
     captured = np.array([kind != COMPUTED for kind in kinds], dtype=bool)

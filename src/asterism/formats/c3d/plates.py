@@ -126,6 +126,9 @@ def _plate(file: C3DFile, number: int, samples: Floats, rate: float, scale: floa
     y = corners[0] + corners[1] - corners[2] - corners[3]
     axes = np.stack([x / np.linalg.norm(x), y / np.linalg.norm(y), np.zeros(3)], axis=1)
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+    # ramps and stairs are less steep than 60 degrees; at 30 ramps are lost, beyond 80 the place on an upright plate is nowhere
+    if abs(float(axes[:, 2] @ vertical)) < 0.5:
+        raise _Unusable("its surface stands upright, as its corners and the vertical have it; look which way is up")
     # The surface is above the sensors. Some programs write the vector the other way round, or moments in another unit than they name.
     below = -origin if origin[2] > 0 else origin
 

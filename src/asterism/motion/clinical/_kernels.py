@@ -85,6 +85,53 @@ def steady_turns(known, other, first, found):
             before[k] = found[frame, k]
 
 
+@kernel
+def limb_axes(line, left, axes):
+    """Axes of a limb in each frame: z along a line, y as near as can be to a direction to the left.
+
+    IN  line, left (T, 3), of any length
+    OUT axes (T, 3, 3), x, y and z as columns; NaN where what tells them is, or has a length of 1e-12 or less
+    O(T), no allocation per frame. Bounds: none.
+    """
+    up, ahead, across, side = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for frame in range(len(axes)):
+        for k in range(3):
+            up[k], side[k] = line[frame, k], left[frame, k]
+        if not _unit(up) > 1e-12:
+            up[:] = math.nan
+        _cross(side, up, ahead)
+        if not _unit(ahead) > 1e-12:
+            ahead[:] = math.nan
+        _cross(up, ahead, across)
+        for k in range(3):
+            axes[frame, k, 0], axes[frame, k, 1], axes[frame, k, 2] = ahead[k], across[k], up[k]
+
+
+@kernel
+def relative_turns(parent, child, x_first, found):
+    """Turns of a child in its parent's axes in each frame, about y, x and z, or about x, y and z.
+
+    IN  parent, child (T, 3, 3), axes as columns; x_first, whether the turn about x comes first
+    OUT found (T, 3) rad, in the order of the turns; NaN where an input is
+    O(T), no allocation per frame. Bounds: none.
+    """
+    r = np.empty((3, 3))
+    for frame in range(len(found)):
+        for i in range(3):
+            for k in range(3):
+                r[i, k] = (
+                    parent[frame, 0, i] * child[frame, 0, k]
+                    + parent[frame, 1, i] * child[frame, 1, k]
+                    + parent[frame, 2, i] * child[frame, 2, k]
+                )
+        sine = r[0, 2] if x_first else -r[1, 2]
+        # Rounding may leave a sine beyond 1; NaN passes.
+        sine = 1.0 if sine > 1.0 else (-1.0 if sine < -1.0 else sine)
+        found[frame, 0] = math.atan2(-r[1, 2], r[2, 2]) if x_first else math.atan2(r[0, 2], r[2, 2])
+        found[frame, 1] = math.asin(sine)
+        found[frame, 2] = math.atan2(-r[0, 1], r[0, 0]) if x_first else math.atan2(r[1, 0], r[1, 1])
+
+
 @kernel(inline=True)
 def _dot(one, other):
     return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]

@@ -139,7 +139,7 @@ def _has_hip(recording: Recording, side: str) -> bool:
 def _nothing(recording: Recording) -> str:
     missing = min((_missing(recording, side) for side in SIDES), key=len)
     if wears_both_sides(recording):
-        seen = {label for column, label in enumerate(recording.labels) if recording.visible[:, column].any()}
+        seen = {label for label, shown in zip(recording.labels, np.asarray(recording.visible.any(axis=0)), strict=True) if shown}
         missing = [name for name in ("LASI", "RASI", *sacrum_markers(recording)) if name not in seen]
     said = f"has no marker {', '.join(missing)}" if missing else "never shows all markers of a leg in one frame"
     return (
@@ -159,13 +159,13 @@ def _told(recording: Recording, model: ClinicalModel) -> Finding:
 def _left_out(recording: Recording, model: ClinicalModel, outputs: Mapping[str, Floats], sides: Sequence[str]) -> list[Finding]:
     """Joints of legs that lack a marker in all frames."""
     found = []
-    seen = {label for column, label in enumerate(recording.labels) if recording.visible[:, column].any()}
+    seen = {label for label, shown in zip(recording.labels, np.asarray(recording.visible.any(axis=0)), strict=True) if shown}
     made = landmark_body(recording, model.measures, model.static) if model.name == "landmarks" else None
     roles = {role for role, column in worn_landmarks(recording).roles.items() if recording.labels[column] in seen}
     roles |= set(() if made is None else made.carried)
     # of a set with wands these are missed first, but where medial markers are worn
     named = with_plug_in_gait_names(recording)
-    shown = {label for column, label in enumerate(named.labels) if recording.visible[:, column].any()}
+    shown = {label for label, shown in zip(named.labels, np.asarray(recording.visible.any(axis=0)), strict=True) if shown}
     wands = any(side + name in named.labels for side in SIDES for name in ("THI", "TIB")) and not roles & {"LME", "RME", "LMM", "RMM"}
     for side in sides:
         absent = [joint for joint in JOINTS if f"{side}{joint.title()}Angles" not in outputs]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from asterism.findings import Finding, Severity
 from asterism.geometry import rotate_z_up
 from asterism.motion.clinical.measures import SIDES, SubjectMeasures
 from asterism.motion.clinical.plug_in_gait import LowerBody, marker_of, walking_axes
+from asterism.motion.rigid.rotations import cross
 from asterism.motion.splines import second_derivative
 from asterism.recording import Floats, ForcePlate, Recording
 from asterism.recording.arrays import nan_median
@@ -168,11 +170,10 @@ def inverse_dynamics(
             order, signs = _ORDERS[joint]
             local = np.einsum("tji,tj->ti", one.below, one.about) / per
             moments[f"{side}{joint}Moment"] = local[:, order] * np.array(signs[side])
-            turn = _turning(one.below, recording.rate, rules) - _turning(one.above, recording.rate, rules)
-            powers[f"{side}{joint}Power"] = np.einsum("ti,ti->t", one.about, turn) / per
+            powers[f"{side}{joint}Power"] = np.einsum("ti,ti->t", one.about, one.turning) / per
             spread = _covariance(one, force, getattr(errors, joint.lower()), errors)
             sigmas[f"{side}{joint}Moment"] = np.sqrt(np.einsum("tji,tjk,tki->ti", one.below, spread, one.below))[:, order] / per
-            turned = np.einsum("ti,tij,tj->t", turn, spread, turn) + (one.about**2).sum(axis=1) * errors.turning**2
+            turned = np.einsum("ti,tij,tj->t", one.turning, spread, one.turning) + (one.about**2).sum(axis=1) * errors.turning**2
             sigmas[f"{side}{joint}Power"] = np.sqrt(turned) / per
         ground[f"{side}GroundReactionForce"] = force @ room / per
     for contact in contacts:
@@ -219,7 +220,7 @@ def _under(
         inside |= _fading(plate, inside)
         centre, on_foot, about = (rotate_z_up(part, recording.vertical) for part in (plate.centre, plate.force, plate.moment))
         force[inside] += on_foot[inside]
-        moment[inside] += (np.cross(centre, on_foot) + about)[inside]
+        moment[inside] += (cross(centre, on_foot) + about)[inside]
         known |= inside
     force[~known] = moment[~known] = np.nan
     return (force, moment), left_out
@@ -263,14 +264,14 @@ class _JointLoad:
     """What acts at a joint on the segment below it, z up.
 
     about        (T, 3) N m, the moment; of the ground alone `by_ground`; pull (T, 3) N, the force
-    below, above  (T, 3, 3) the axes of the segments
+    below        (T, 3, 3) the axes of the segment; turning (T, 3) rad/s, against that above
     """
 
     about: Floats
     by_ground: Floats
     pull: Floats
     below: Floats
-    above: Floats
+    turning: Floats
 
 
 def _covariance(joint: _JointLoad, force: Floats, centre: float, errors: KineticErrors) -> Floats:
@@ -282,7 +283,7 @@ def _covariance(joint: _JointLoad, force: Floats, centre: float, errors: Kinetic
     # Moved by d, a force f gives d x f more: alike in all directions across it.
     found = centre**2 * ((joint.pull**2).sum(axis=1)[:, None, None] * np.eye(3) - outer(joint.pull))
     for axis in (0, 1):
-        found += errors.pressure**2 * outer(np.cross(np.eye(3)[axis], force))
+        found += errors.pressure**2 * outer(cross(np.eye(3)[axis], force))
     found += (errors.plate**2 + errors.mass**2) * outer(joint.by_ground)
     found += errors.inertia**2 * outer(joint.about - joint.by_ground)
     return np.asarray(found)
@@ -298,23 +299,24 @@ def _joints(
     length = rules.foot_length * float(nan_median(np.linalg.norm(toe - leg.ankle, axis=1), axis=0))
     tip = leg.ankle - length * leg.foot[:, :, 2]
     chain = (
-        ("Ankle", rules.foot, leg.ankle, tip, leg.foot, leg.shank),
-        ("Knee", rules.shank, leg.knee, leg.ankle, leg.shank, leg.thigh),
-        ("Hip", rules.thigh, leg.hip, leg.knee, leg.thigh, body.pelvis),
+        ("Ankle", rules.foot, leg.ankle, tip, leg.foot),
+        ("Knee", rules.shank, leg.knee, leg.ankle, leg.shank),
+        ("Hip", rules.thigh, leg.hip, leg.knee, leg.thigh),
     )
+    turnings = [_turning(axes, rate, rules) for axes in (leg.foot, leg.shank, leg.thigh, body.pelvis)]
     out = {}
     # What acts on the lower end of a segment: force, and moment about that end. The ground's moment is moved to the foot's tip.
-    pushed, turned = force, moment - np.cross(tip, force)
+    pushed, turned = force, moment - cross(tip, force)
     by_ground = -turned
-    for joint, segment, upper, lower, axes, above in chain:
+    for (joint, segment, upper, lower, axes), (turning, above) in zip(chain, pairwise(turnings), strict=True):
         arm = lower - upper
         weight = segment.mass * mass
         pull = weight * (second_derivative(upper + segment.centre * arm, rate) - GRAVITY) - pushed
         inertia = weight * (segment.radius * float(nan_median(np.linalg.norm(arm, axis=1), axis=0))) ** 2
-        levers = np.cross(segment.centre * arm, pull) - np.cross((1 - segment.centre) * arm, pushed)
-        about = _spin(axes, inertia, rate, rules) + levers - turned
-        by_ground = by_ground - np.cross(arm, force)
-        out[joint] = _JointLoad(about, by_ground, pull, axes, above)
+        levers = cross(segment.centre * arm, pull) - cross((1 - segment.centre) * arm, pushed)
+        about = _spin(axes, turning, inertia, rate, rules) + levers - turned
+        by_ground = by_ground - cross(arm, force)
+        out[joint] = _JointLoad(about, by_ground, pull, axes, turning - above)
         pushed, turned = -pull, -about
     return out
 
@@ -330,10 +332,9 @@ def _turning(axes: Floats, rate: float, rules: KineticRules) -> Floats:
     return out
 
 
-def _spin(axes: Floats, inertia: float, rate: float, rules: KineticRules) -> Floats:
-    """(T, 3) N m that change the turning of a rod of this inertia (kg m^2) along its z axis."""
+def _spin(axes: Floats, turning: Floats, inertia: float, rate: float, rules: KineticRules) -> Floats:
+    """(T, 3) N m that change the turning (T, 3) rad/s of a rod of this inertia (kg m^2) along its z axis."""
     reach = max(1, round(rules.turning * rate))
-    turning = _turning(axes, rate, rules)
     along = np.einsum("ti,ti->t", turning, axes[:, :, 2])[:, None] * axes[:, :, 2]
     momentum = inertia * (turning - along)
     out = np.full(momentum.shape, np.nan)

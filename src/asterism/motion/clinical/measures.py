@@ -38,12 +38,13 @@ _TURNS = {
     "foot_rotation": "STATICROTOFF",
 }
 _WHOLE = {
-    "INTERASISDISTANCE": ("inter_asis", 0.001),
-    "MARKERDIAMETER": ("marker_radius", 0.0005),
-    "BODYMASS": ("mass", 1.0),
-    "HEADOFFSET": ("head_offset", float(np.pi / 180)),
+    "INTERASISDISTANCE": ("inter_asis", 0.001, 50.0, 500.0, "mm"),
+    "MARKERDIAMETER": ("marker_radius", 0.0005, 1.0, 60.0, "mm"),
+    "BODYMASS": ("mass", 1.0, 2.0, 400.0, "kg"),
+    "HEADOFFSET": ("head_offset", float(np.pi / 180), -90.0, 90.0, "degrees"),
 }
-"""Of the whole person: the field, and its unit by that of `SubjectMeasures.with_values`."""
+"""Of the whole person: the field, its unit by that of `SubjectMeasures.with_values`, and the least and largest that anybody has, from a
+newborn to the heaviest. They tell metres, grams and no number; half and double change nothing of that."""
 _RIGHT_ANGLE = np.pi / 2 + 1e-3
 """rad: a wand may stand in front of a limb, so up to a right angle; what lies beyond is in degrees, or no such angle."""
 
@@ -157,6 +158,9 @@ class SubjectMeasures:
     def _with_value(self, name: str, value: float) -> SubjectMeasures:
         key = name.upper()
         if key in _WHOLE:
+            _, _, least, most, unit = _WHOLE[key]
+            if not least <= value <= most:
+                raise AsterismError(f"{name} is {value:g}; give it in {unit}, from {least:g} to {most:g}.")
             return replace(self, **{_WHOLE[key][0]: value * _WHOLE[key][1]})  # type: ignore[arg-type]
         side, parameter = key[:1], key[1:]
         lengths = _LENGTHS | _ARM_LENGTHS
@@ -175,7 +179,7 @@ class SubjectMeasures:
             if measure in _ARM_LENGTHS:
                 return self.with_arm(side, self.arm(side).with_values({measure: value * 0.001}))
             return self.with_leg(side, self.of(side).with_values({measure: value * 0.001}))
-        if abs(value) > 90.0:
+        if not abs(value) <= 90.0:
             raise AsterismError(f"{name} is {value:g}; give it in degrees, from -90 to 90.")
         return self.with_leg(side, self.of(side).with_values({str(turn): float(np.radians(value))}))
 
@@ -261,10 +265,10 @@ def all_computed_by_the_file(recording: Recording, names: Sequence[str]) -> dict
     columns = {name: labels.index(name) for name in names if name in labels}
     if not columns:
         return {}
-    coordinates = recording.source.coordinates
-    if len(coordinates) != len(recording):
+    if recording.source.layout.frames != len(recording):
         return {}
-    found = {name: np.array(coordinates[:, column], dtype=np.float64) for name, column in columns.items()}
+    coordinates = recording.source.coordinates_of(slice(None), list(columns.values()))
+    found = {name: coordinates[:, place].copy() for place, name in enumerate(columns)}
     for values in found.values():
         values[(values == 0.0).all(axis=1)] = np.nan
     return found

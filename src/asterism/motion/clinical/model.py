@@ -121,11 +121,13 @@ def wears_medial_markers(recording: Recording) -> bool:
 
 def wears_both_sides(recording: Recording) -> bool:
     """Whether a recording itself shows both sides of a knee and of its ankle."""
-    return any(all(side + role in _shown(recording) for role in _MEDIAL) for side in SIDES)
+    shown = _shown(recording)
+    return any(all(side + role in shown for role in _MEDIAL) for side in SIDES)
 
 
 def _shown(recording: Recording) -> set[str]:
-    return {role for role, column in worn_landmarks(recording).roles.items() if recording.visible[:, column].any()}
+    seen = np.asarray(recording.visible.any(axis=0))
+    return {role for role, column in worn_landmarks(recording).roles.items() if seen[column]}
 
 
 def with_leg_markers(recording: Recording, sides: str) -> Recording:

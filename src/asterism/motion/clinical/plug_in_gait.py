@@ -13,11 +13,11 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
-from asterism.motion.clinical._kernels import joint_centres, steady_turns
+from asterism.motion.clinical._kernels import joint_centres, limb_axes, relative_turns, steady_turns
 from asterism.motion.clinical.hip import hip_centre
 from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures, all_computed_by_the_file
 from asterism.motion.joints.anatomy import sacrum_markers
-from asterism.motion.rigid.rotations import unit_vectors
+from asterism.motion.rigid.rotations import cross, unit_vectors
 from asterism.recording import Floats, Recording
 
 TURNS = 30
@@ -68,8 +68,8 @@ def lower_body(recording: Recording, measures: SubjectMeasures, sides: str = "LR
     sacrum = np.mean([marker(name) for name in sacrum_markers(recording)], axis=0)
     origin = (left + right) / 2
     y = unit_vectors(left - right)
-    z = unit_vectors(np.cross(origin - sacrum, y))
-    pelvis = np.stack([np.cross(y, z), y, z], axis=2)
+    z = unit_vectors(cross(origin - sacrum, y))
+    pelvis = np.stack([cross(y, z), y, z], axis=2)
     legs = {}
     for side in sides:
         own = measures.of(side)
@@ -127,9 +127,9 @@ def joint_centre(upper: Floats, marker: Floats, wand: Floats, offset: float, tur
 
 def along(z: Floats, left: Floats) -> Floats:
     """(T, 3, 3) axes: z along the first, y as near as can be to the second."""
-    up = unit_vectors(z)
-    ahead = unit_vectors(np.cross(left, up))
-    return np.stack([ahead, np.cross(up, ahead), up], axis=2)
+    axes = np.empty((len(z), 3, 3))
+    limb_axes(*(np.ascontiguousarray(part, dtype=np.float64) for part in (z, left)), axes)
+    return axes
 
 
 def _about_x(angle: float) -> Floats:
@@ -155,12 +155,9 @@ def turns(parent: Floats, child: Floats, first: str = "y") -> Floats:
     Two triples of turns make one rotation. The one nearer to the frame before is given, so that a foot that turns by more than a right
     angle goes on.
     """
-    r = np.einsum("tji,tjk->tik", parent, child)
-    if first == "y":
-        found = [np.arctan2(r[:, 0, 2], r[:, 2, 2]), np.arcsin(np.clip(-r[:, 1, 2], -1.0, 1.0)), np.arctan2(r[:, 1, 0], r[:, 1, 1])]
-    else:
-        found = [np.arctan2(-r[:, 1, 2], r[:, 2, 2]), np.arcsin(np.clip(r[:, 0, 2], -1.0, 1.0)), np.arctan2(-r[:, 0, 1], r[:, 0, 0])]
-    return _steady(np.stack(found, axis=1), raised=first == "x")
+    found = np.empty((len(child), 3))
+    relative_turns(*(np.ascontiguousarray(axes, dtype=np.float64) for axes in (parent, child)), first == "x", found)
+    return _steady(found, raised=first == "x")
 
 
 def _steady(found: Floats, raised: bool) -> Floats:
@@ -186,7 +183,7 @@ def walking_axes(body: LowerBody) -> Floats:
     ahead = np.zeros(3)
     ahead[axis] = 1.0 if way[axis] >= 0 else -1.0
     up = np.array([0.0, 0.0, 1.0])
-    return np.stack([ahead, np.cross(up, ahead), up], axis=1)
+    return np.stack([ahead, cross(up, ahead), up], axis=1)
 
 
 def thorax_axes(recording: Recording) -> Floats | None:
@@ -196,8 +193,8 @@ def thorax_axes(recording: Recording) -> Floats | None:
     marker = marker_of(recording)
     clavicle, neck, sternum, spine = (marker(name) for name in ("CLAV", "C7", "STRN", "T10"))
     z = unit_vectors(clavicle + neck - sternum - spine)
-    y = unit_vectors(np.cross(z, clavicle + sternum - neck - spine))
-    return np.stack([np.cross(y, z), y, z], axis=2)
+    y = unit_vectors(cross(z, clavicle + sternum - neck - spine))
+    return np.stack([cross(y, z), y, z], axis=2)
 
 
 def angles_of(recording: Recording, body: LowerBody) -> dict[str, Floats]:
@@ -211,11 +208,8 @@ def angles_of(recording: Recording, body: LowerBody) -> dict[str, Floats]:
     found: dict[str, Floats] = {}
     for side, leg in body.legs.items():
         left = 1.0 if side == "L" else -1.0
-        # Turns to the left are outwards on the left and inwards on the right.
-        mirrored = np.array([1.0, -left, -left])
         seen = np.array([1.0, left, -left])
-        found[f"{side}HipAngles"] = turns(body.pelvis, leg.thigh) * mirrored * [-1.0, 1.0, 1.0]
-        found[f"{side}KneeAngles"] = turns(leg.thigh, leg.shank) * mirrored
+        found |= _hip_and_knee(body, side)
         found[f"{side}PelvisAngles"] = turns(room, body.pelvis) * seen
         if leg.foot is not None:
             for name, parent in (("Ankle", leg.distal_shank), ("FootProgress", room)):
@@ -229,6 +223,14 @@ def angles_of(recording: Recording, body: LowerBody) -> dict[str, Floats]:
             found[f"{side}ThoraxAngles"] = turns(room, thorax) * seen
             found[f"{side}SpineAngles"] = turns(thorax, body.pelvis) * seen * [-1.0, 1.0, 1.0]
     return {name: (angles + np.pi) % (2 * np.pi) - np.pi for name, angles in found.items()}
+
+
+def _hip_and_knee(body: LowerBody, side: str) -> dict[str, Floats]:
+    leg, left = body.legs[side], 1.0 if side == "L" else -1.0
+    # Turns to the left are outwards on the left and inwards on the right.
+    mirrored = np.array([1.0, -left, -left])
+    hip, knee = turns(body.pelvis, leg.thigh), turns(leg.thigh, leg.shank)
+    return {f"{side}HipAngles": hip * mirrored * [-1.0, 1.0, 1.0], f"{side}KneeAngles": knee * mirrored}
 
 
 _RADII = np.arange(0.0025, 0.0151, 0.00025)
@@ -251,11 +253,12 @@ def radius_by_the_file(recording: Recording, measures: SubjectMeasures) -> float
     known = np.nonzero(np.isfinite(np.concatenate(list(given.values()), axis=1)).any(axis=1))[0]
     rows = known[np.unique(np.linspace(0, len(known) - 1, min(_FEW, len(known))).astype(int))] if len(known) else known
     some = replace(recording, positions=recording.positions[rows], source=None, origin=None)
+    sides, expected = "".join(dict.fromkeys(name[0] for name in given)), {name: np.radians(values[rows]) for name, values in given.items()}
 
     def off(radius: float) -> float:
-        body = lower_body(some, replace(measures, marker_radius=radius), "".join(dict.fromkeys(name[0] for name in given)))
-        found = angles_of(some, body)
-        apart = np.concatenate([(found[name] - np.radians(values[rows]) + np.pi) % (2 * np.pi) - np.pi for name, values in given.items()])
+        body = lower_body(some, replace(measures, marker_radius=radius), sides)
+        found = {name: angles for side in sides for name, angles in _hip_and_knee(body, side).items()}
+        apart = np.concatenate([(found[name] - values + np.pi) % (2 * np.pi) - np.pi for name, values in expected.items()])
         return float(np.sqrt(np.nanmean(apart**2))) if np.isfinite(apart).any() else float("inf")
 
     errors: dict[float, float] = {}

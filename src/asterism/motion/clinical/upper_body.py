@@ -12,7 +12,7 @@ import numpy as np
 
 from asterism.motion.clinical.measures import SIDES, SubjectMeasures
 from asterism.motion.clinical.plug_in_gait import along, joint_centre, marker_of, thorax_axes, turns
-from asterism.motion.rigid.rotations import unit_vectors
+from asterism.motion.rigid.rotations import cross, unit_vectors
 from asterism.recording import Floats, Recording
 
 HEAD = ("LFHD", "RFHD", "LBHD", "RBHD")
@@ -29,9 +29,9 @@ def head_axes(recording: Recording, offset: float = 0.0) -> Floats | None:
     marker = marker_of(recording)
     left_front, right_front, left_back, right_back = (marker(name) for name in HEAD)
     x = unit_vectors(left_front + right_front - left_back - right_back)
-    z = unit_vectors(np.cross(x, left_front + left_back - right_front - right_back))
+    z = unit_vectors(cross(x, left_front + left_back - right_front - right_back))
     sine, cosine = np.sin(offset), np.cos(offset)
-    return np.stack([x, np.cross(z, x), z], axis=2) @ np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
+    return np.stack([x, cross(z, x), z], axis=2) @ np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
 
 
 def upper_body_angles(recording: Recording, measures: SubjectMeasures, room: Floats) -> dict[str, Floats]:
@@ -70,18 +70,18 @@ def _arm(recording: Recording, side: str, measures: SubjectMeasures, thorax: Flo
     ahead = thorax[:, :, 0]
     chest = marker("CLAV") - radius * ahead
     # below the acromion, at a right angle with the line from the chest
-    down = left * np.cross(ahead, acromion - chest)
+    down = left * cross(ahead, acromion - chest)
     shoulder = joint_centre(chest, acromion, chest + down, own.shoulder_offset + radius)
     between = (thumb_side + little_side) / 2
     # the marker stands beside the elbow's axis, which is at a right angle with the plane of shoulder, marker and wrist
-    beside = left * unit_vectors(np.cross(shoulder - elbow_marker, between - elbow_marker))
+    beside = left * unit_vectors(cross(shoulder - elbow_marker, between - elbow_marker))
     elbow = joint_centre(shoulder, elbow_marker, elbow_marker + beside, own.elbow_width / 2 + radius)
-    palm = left * unit_vectors(np.cross(thumb_side - little_side, elbow - between))
+    palm = left * unit_vectors(cross(thumb_side - little_side, elbow - between))
     wrist = between + (own.wrist_width / 2 + radius) * palm
     # x ahead, y to the left, z up the limb
     z = unit_vectors(shoulder - elbow)
-    y = unit_vectors(np.cross(z, wrist - elbow))
-    humerus = np.stack([np.cross(y, z), y, z], axis=2)
+    y = unit_vectors(cross(z, wrist - elbow))
+    humerus = np.stack([cross(y, z), y, z], axis=2)
     # the elbow is a hinge: both have its axis
     forearm = along(elbow - wrist, y)
     seen = [-1.0, left, -left]
