@@ -83,7 +83,7 @@ def test_another_suffix_and_a_rig_are_refused(walk: Recording, data: Path, tmp_p
     assert not (tmp_path / "walk.csv").exists()
     rig = next((data / "cameras/vicon-rig-walk").glob("*.xcp"))
     assert run("convert", rig, tmp_path / "rig.toml", "--for", "opensim") == 2
-    assert "leave out --markers, --for and --fill" in capsys.readouterr().err
+    assert "leave out --markers, --for, --fill and --filter" in capsys.readouterr().err
 
 
 @given(st.lists(st.floats(-1, 1), min_size=6, max_size=6))

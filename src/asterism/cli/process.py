@@ -17,7 +17,6 @@ from asterism.cli._filling import Fill, fill_limit
 from asterism.cli._folders import Trial, check_folder, trials
 from asterism.cli._options import Json, KnownLabels, KnownLabelsOption, Vertical, vertical_axis
 from asterism.errors import AsterismError
-from asterism.recording.display import counted
 
 if TYPE_CHECKING:
     from asterism.cli._process_tasks import PersonOptions, TaskResult
@@ -222,6 +221,8 @@ def _check_places(persons: Sequence[PersonOptions]) -> None:
 
 def _show_plan(persons: Sequence[tuple[PlannedPerson, PersonOptions]], options: ProcessOptions) -> None:
     """What would be done, as a table and as JSON."""
+    from asterism.recording.display import counted
+
     rows = [
         {
             "person": how.name,
@@ -361,6 +362,8 @@ class _Run:
         return [file_name(person.name) for person in self.persons]
 
     def _print(self, rows: Sequence[dict[str, Any]]) -> None:
+        from asterism.recording.display import counted
+
         walks = sum(row.get("kind") == "walk" for row in rows)
         _console.table(
             f"{counted(len(rows), 'recording')} of {counted(len(self.persons), 'person')}",
