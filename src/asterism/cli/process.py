@@ -383,7 +383,7 @@ class _Run:
             ],
             left=3,
         )
-        _console.result(f"{walks} walks analysed; open {self.options.output / PAGE}")
+        _console.result(f"{counted(walks, 'walk')} analysed; open {self.options.output / PAGE}")
 
 
 def _join(target: Path, tables: Sequence[Path]) -> None:

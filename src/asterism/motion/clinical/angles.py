@@ -207,7 +207,7 @@ def _assumed(recording: Recording, measures: SubjectMeasures, sides: Sequence[st
     """A finding for each leg whose widths nobody gave: they move the joint by half of their error."""
     found = []
     for side in sides:
-        needed = {"knee_width": "an adult's width", "ankle_width": "an adult's width", "leg_length": "the hip by the width of the pelvis"}
+        needed = {"knee_width": "an adult's width", "ankle_width": "an adult's width", "leg_length": "a hip by the width of the pelvis"}
         if measures.hip_regression is not None:
             del needed["leg_length"]
         lacking = [name for name in needed if name not in measures.of(side).from_file]
@@ -219,7 +219,7 @@ def _assumed(recording: Recording, measures: SubjectMeasures, sides: Sequence[st
                     "clinical-measures",
                     Severity.NOTE,
                     _file(recording),
-                    f"{_file(recording)} has no {words} of the {SIDES[side]} leg; {taken} was taken.",
+                    f"{_file(recording)} has no {words} of the {SIDES[side]} leg, so that it has {taken}.",
                     "Give the measures, or a standing trial that holds them.",
                 )
             )
