@@ -496,3 +496,19 @@ def test_a_recording_of_less_than_a_step_is_refused() -> None:
     walk = simulate_walks(1, 60, 50.0, markers="helen-hayes", seed=5)[0]
     with pytest.raises(AsterismError, match=r"lasts 0\.0006 s by its rate"):
         analyse_gait(replace(walk, rate=1e5))
+
+
+def test_a_person_who_turns_is_told() -> None:
+    """The way of a walk is bent; a straight walk, and one on a treadmill, does not turn."""
+    (walk,) = simulate_walks(1, frames=400, markers="helen-hayes", seed=4)
+    positions = walk.positions.copy()
+    middle = np.nanmean(positions[:, :, :2], axis=1)
+    # each frame turned about the person, and the person moved along a circle: the heading turns by a quarter in four seconds
+    angles = np.deg2rad(90.0) * np.arange(400) / 400.0
+    steps = np.diff(middle, axis=0, prepend=middle[:1])
+    turns = np.stack([np.stack([np.cos(angles), -np.sin(angles)], 1), np.stack([np.sin(angles), np.cos(angles)], 1)], 1)
+    path = np.cumsum(np.einsum("txy,ty->tx", turns, steps), axis=0)
+    positions[:, :, :2] = np.einsum("txy,tmy->tmx", turns, positions[:, :, :2] - middle[:, None]) + path[:, None]
+    told = {finding.code for finding in analyse_gait(replace(walk, positions=positions)).findings}
+    assert "gait-turning" in told
+    assert "gait-turning" not in {finding.code for finding in analyse_gait(walk).findings}

@@ -10,7 +10,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
+from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle, turning_cycles
 from asterism.gait.emg import EmgChannel, emg_of
 from asterism.gait.events import Walking, find_events, plate_contacts
 from asterism.gait.fills import angles_with_fills, drawn_fills, events_with_fills
@@ -119,6 +119,17 @@ def analyse_gait(
                 file,
                 f"{file} shows no whole gait cycle: {len(walking.events)} strikes and offs, but no strike, off and strike of one foot.",
                 "Record more steps, or give a longer part of the recording.",
+            )
+        )
+    if turning := turning_cycles(walking, cycles):
+        found.append(
+            Finding(
+                "gait-turning",
+                Severity.NOTE,
+                file,
+                f"{file}: in {len(turning)} of {len(cycles)} cycles the person turns: pelvic rotation, foot progression, width and length of "
+                "steps are not those of a walk straight ahead, nor are means in which these cycles take part.",
+                "Leave the recording out of a report on walking straight ahead.",
             )
         )
     clinical = None
