@@ -127,8 +127,8 @@ def analyse_gait(
                 "gait-turning",
                 Severity.NOTE,
                 file,
-                f"{file}: in {len(turning)} of {len(cycles)} cycles the person turns: pelvic rotation, foot progression, width and length of "
-                "steps are not those of a walk straight ahead, nor are means in which these cycles take part.",
+                f"{file}: in {len(turning)} of {len(cycles)} cycles the person turns: pelvic rotation, foot progression, and the "
+                "width and length of steps are not those of a walk straight ahead, nor are means in which these cycles take part.",
                 "Leave the recording out of a report on walking straight ahead.",
             )
         )
