@@ -512,3 +512,13 @@ def test_a_person_who_turns_is_told() -> None:
     told = {finding.code for finding in analyse_gait(replace(walk, positions=positions)).findings}
     assert "gait-turning" in told
     assert "gait-turning" not in {finding.code for finding in analyse_gait(walk).findings}
+
+
+def test_the_standing_trial_of_a_folder_is_no_walk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "ann"
+    folder.mkdir()
+    (walk,) = simulate_walks(1, frames=150, markers="helen-hayes", seed=4)
+    asterism.write(folder / "walk.c3d", walk)
+    asterism.write(folder / "static.c3d", replace(walk, positions=np.repeat(walk.positions[40:41], 60, axis=0), events=()))
+    main(["gait", str(folder), "--static", str(folder / "static.c3d"), "--json", "-"])
+    assert [Path(one["file"]).name for one in json.loads(capsys.readouterr().out)["files"]] == ["walk.c3d"]

@@ -140,7 +140,10 @@ def gait(options: GaitOptions) -> None:
     filter_choice(options.filter)
     band = None if options.band is None else Band.load(options.band)
     batch = _console.Batch("analysed")
-    walks = trials([*options.files, *options.compare], batch, without=options.c3d)
+    # a standing trial that a folder holds beside the walks is none of them
+    standing = {_console.real_path(path) for path in (options.static, options.compare_static) if path is not None}
+    found = trials([*options.files, *options.compare], batch, without=options.c3d)
+    walks = [trial for trial in found if trial.folder is None or _console.real_path(trial.path) not in standing]
     copies = {} if options.c3d is None else copies_of(walks, options.c3d, inputs, "--c3d")
     later = _paths_below(options.compare)
     results = analysed(options, [walk.path for walk in walks if _console.real_path(walk.path) not in later], batch, copies)
