@@ -271,6 +271,9 @@ RELABEL = """(async () => {
   const { page } = Asterism, at = id => document.getElementById(id), said = [];
   const until = met => new Promise(ok => { const timer = setInterval(() => { if (met()) { clearInterval(timer); ok(); } }, 20); });
   await until(() => document.querySelector("#list .current"));
+  // what is said is gone after a while
+  const say = page.messages.say.bind(page.messages);
+  page.messages.say = (sentence, ...more) => { said.push(sentence); return say(sentence, ...more); };
   page.models = ["gait.model", "gait-2.model"];
   at("relabel").click();
   at("relabel-form").querySelector("button[value=relabel]").click();
