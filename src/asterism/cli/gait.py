@@ -254,6 +254,9 @@ def write_results(
         _show_changes(changes)
     if options.report is not None or options.pdf is not None:
         _write_pages(options, results, compared, band, batch)
+    # bands, and curves as lists, are a third of the time of a run without JSON
+    if options.json is None:
+        return
     content = {
         "command": "gait",
         "files": [{"file": path, "c3d": (copies or {}).get(path), **as_dict(analysis)} for path, analysis in results],
