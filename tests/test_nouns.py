@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import asterism
 from asterism import AsterismError, Clouds, Event, Labelling, Recording
 from asterism.cameras import Camera, Rig
-from asterism.recording import Blobs, ProcessingStep, log_as_text, log_from_text
+from asterism.recording import Blobs, ProcessingStep, SkeletonMotion, log_as_text, log_from_text
 
 RATE = 100.0
 
@@ -216,3 +216,26 @@ def test_an_xarray_has_times_and_labels() -> None:
     array = recording().to_xarray()
     np.testing.assert_array_equal(array.sel(label="RKNE", axis="y"), 0.2)
     assert float(array.time[0]) == pytest.approx(0.1)
+
+
+def two_bones(turn: float, parents: tuple[int, ...] = (-1, 0), scale: float = 1.0) -> SkeletonMotion:
+    """A thigh turned about y, and a shank of 0.4 m turned back by as much."""
+    about = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
+    offsets, ends = np.array([[0, 0, 0], [0, 0, -0.5]]), np.array([[np.nan] * 3, [0, 0, -0.4]])
+    return SkeletonMotion(
+        ("thigh", "shank"), parents, offsets, ends, scale * np.stack([about, about.T])[None], np.array([[0, 0, 1.0]]), RATE
+    )
+
+
+def test_the_joints_of_a_skeleton_follow_its_rotations() -> None:
+    motion = two_bones(np.pi / 2)
+    np.testing.assert_allclose(motion.joints[0], [[0, 0, 1], [-0.5, 0, 1]], atol=1e-12)
+    np.testing.assert_allclose(motion.tips[0, 1], [-0.5, 0, 0.6], atol=1e-12)
+    np.testing.assert_allclose(motion.lengths, [0.5, 0.4])
+
+
+def test_a_skeleton_out_of_order_or_with_a_scaled_rotation_is_refused() -> None:
+    with pytest.raises(AsterismError, match="each bone behind its parent"):
+        two_bones(0.1, parents=(-1, 1))
+    with pytest.raises(AsterismError, match="give rotations only"):
+        two_bones(0.1, scale=1.01)

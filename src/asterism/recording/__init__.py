@@ -10,6 +10,7 @@ from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, ship
 from asterism.recording.place import Place, landmarks
 from asterism.recording.processing import ProcessingStep, log_as_text, log_from_text
 from asterism.recording.shares import LABEL_STATES, SURE, LabelShares, LabelStates, label_shares, label_states
+from asterism.recording.skeleton_motion import SkeletonMotion
 from asterism.recording.trajectories import Event, Recording, keep_labels, subject_of
 from asterism.recording.verdict import Verdict
 from asterism.recording.worn_set import WornSet, worn_marker_sets
@@ -33,6 +34,7 @@ __all__ = [
     "Place",
     "ProcessingStep",
     "Recording",
+    "SkeletonMotion",
     "Verdict",
     "WornSet",
     "as_vertical",
