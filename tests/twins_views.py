@@ -80,7 +80,7 @@ def shared_cost(uv: Floats, variances: Floats, shares: Floats, blobs: list[Float
 
 
 def chained_labels(positions: Floats, weights: Floats, fastest: float, near: float, window: int) -> Floats:
-    """(T, M) nats by which each placed marker has the label of its chain, NaN where none was placed; chains are lists of (frame, marker)."""
+    """(T, M) nats by which each placed marker has the label of its chain, NaN where it was not placed; chains: lists of (frame, marker)."""
     chains: list[list[tuple[int, int]]] = []
     for t, frame in enumerate(positions):
         for m in np.nonzero(np.isfinite(frame[:, 0]))[0].tolist():
