@@ -10,19 +10,19 @@ from hypothesis import strategies as st
 
 from asterism.errors import AsterismError
 from asterism.simulation.views_laboratory import paper_rig
-from asterism.views import load_body
+from asterism.skeleton import load_body
+from asterism.skeleton.body_fit import known_of, pose_recording
+from asterism.skeleton.pose_kernels import place_bones, point_jacobian, take_step
+from asterism.skeleton.posing import posed_bones, posed_points
 from asterism.views._carry_kernels import carry_labels
 from asterism.views._chain_kernels import label_odds, link_chains
 from asterism.views._fit_kernels import evaluate, minimise, project_linear, share_blobs
 from asterism.views._label_kernels import assign_best, margins
 from asterism.views._limb_kernels import fit_limb, screen_limb
-from asterism.views._pose_kernels import place_bones, point_jacobian, take_step
 from asterism.views._visibility_kernels import sight_depths, visible_shares
-from asterism.views.body_fit import known_of, pose_recording
 from asterism.views.chains import continued
 from asterism.views.exchanges import exchanges_of
 from asterism.views.limbs import LimbScreen, LimbSearchRules, evenly, limbs_of
-from asterism.views.posing import posed_bones, posed_points
 from asterism.views.rules import ViewsRules
 from asterism.views.scene import camera_arrays
 from asterism.views.start import place_by_centroids

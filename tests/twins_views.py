@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 
 from asterism.recording import Floats
-from asterism.views import ArticulatedBody
+from asterism.skeleton import ArticulatedBody
 
 
 def rotation_about(axis: Floats, angle: float) -> Floats:

@@ -11,9 +11,9 @@ from asterism.errors import AsterismError
 from asterism.files.journal import Journal
 from asterism.progress import Progress
 from asterism.recording import NULL, Blobs, Floats, Ints
+from asterism.skeleton.body import ArticulatedBody
+from asterism.skeleton.body_file import load_body
 from asterism.views import checks
-from asterism.views.body import ArticulatedBody
-from asterism.views.body_file import load_body
 from asterism.views.chains import continued
 from asterism.views.frame import FrameLabeller
 from asterism.views.lateness import in_step, late_by
