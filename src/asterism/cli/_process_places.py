@@ -7,7 +7,10 @@ session, and a task brings what it reads and takes what it wrote.
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import tempfile
+import weakref
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +19,7 @@ from typing import Any
 from asterism.cli import _printable
 from asterism.errors import AsterismError
 from asterism.files.addresses import RemoteFolder, below, is_address, local_path
+from asterism.files.atomic import write_atomically
 
 Reference = tuple[str | None, str]
 """A file as a message names it: a path alone, or an address of a folder and a place below it."""
@@ -26,15 +30,16 @@ class Places:
     """Where files are: paths of this disk, and the addresses of those that are elsewhere."""
 
     folders: dict[Path, RemoteFolder] = field(default_factory=dict)
-    _scratch: tempfile.TemporaryDirectory[str] | None = None
+    _scratch: Path | None = None
     _brought: set[Path] = field(default_factory=set)
 
     @property
     def scratch(self) -> Path:
         """A folder of temporary files, which goes with this object."""
         if self._scratch is None:
-            self._scratch = tempfile.TemporaryDirectory(prefix="asterism-")
-        return Path(self._scratch.name)
+            self._scratch = Path(tempfile.mkdtemp(prefix="asterism-"))
+            weakref.finalize(self, shutil.rmtree, self._scratch, ignore_errors=True)
+        return self._scratch
 
     def path(self, text: str) -> Path:
         """The path for a folder that is named on the command line; of an address, one in the folder of temporary files."""
@@ -98,10 +103,16 @@ class Places:
         return path.exists() if found is None else found[0].exists(found[1])
 
     def take(self, path: Path) -> None:
-        """Write a file of this disk to its address."""
+        """Write a file of this disk to its address; a table or page names files by their addresses from now on."""
         found = self.remote(path)
-        if found is not None:
-            found[0].store(path, found[1])
+        if found is None:
+            return
+        if path.suffix in (".csv", ".html"):
+            text = path.read_bytes()
+            for folder, remote in self._longest_first():
+                text = text.replace(os.fsencode(folder), remote.address.encode())
+            write_atomically(path, text)
+        found[0].store(path, found[1])
 
     def show(self, folder: Path) -> None:
         """Have a file for each file below a folder at an address: those of settings and marker sets whole, the others empty."""
@@ -128,9 +139,16 @@ class Places:
         if not self.folders or value is None:
             return value
         text = json.dumps(value)
-        for path, folder in sorted(self.folders.items(), key=lambda pair: -len(str(pair[0]))):
+        for path, folder in self._longest_first():
             text = text.replace(json.dumps(str(path))[1:-1], json.dumps(folder.address)[1:-1])
         return json.loads(text)
+
+    def name(self, path: Path) -> str:
+        """A path as results call it: of a temporary file, its address."""
+        return str(self.told(str(path)))
+
+    def _longest_first(self) -> list[tuple[Path, RemoteFolder]]:
+        return sorted(self.folders.items(), key=lambda pair: -len(str(pair[0])))
 
     def forget(self, paths: Iterable[Path]) -> None:
         """Remove files of temporary files that are not needed again."""

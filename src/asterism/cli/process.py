@@ -321,7 +321,7 @@ class _Run:
         for done, ((person, path, place), outcome) in enumerate(zip(of_tasks, self._spread(label_trial, tasks), strict=True)):
             with self.batch.file(path):
                 (row,) = self._result(outcome).rows
-                self.rows[place.as_posix()] = {"person": person.name, **row, "file": self._name(path)}
+                self.rows[place.as_posix()] = {"person": person.name, **row, "file": self.places.name(path)}
             if progress is not None:
                 # analysing a walk takes a tenth of labelling it
                 progress(0.9 * (done + 1) / len(tasks), path.name)
@@ -340,11 +340,6 @@ class _Run:
                         raise AsterismError(sentence)
             if progress is not None:
                 progress(0.9 + 0.1 * (done + 1) / len(self.persons), person.name)
-
-    def _name(self, path: Path) -> str:
-        """A path as the results call it: of a temporary file, its address."""
-        found = self.places.remote(path)
-        return str(path) if found is None else f"{found[0].address}/{found[1]}"
 
     def _spread(self, function: Callable[[PersonTask], TaskResult], tasks: Sequence[PersonTask]) -> Iterator[Outcome[TaskResult]]:
         """What the function gives for each task, in their order. Ends the run where the disk is full: no other task would fare better."""
@@ -384,7 +379,7 @@ class _Run:
         for finding in self._left_over():
             self.batch.found(finding)
         out, rows = self.out, list(self.rows.values())
-        failed = [self._name(path) for path in self.batch.failed]
+        failed = [self.places.name(path) for path in self.batch.failed]
         findings = [Finding.from_dict(one) for one in self.places.told([finding.to_dict() for finding in self.batch.findings])]
         if rows:
             cells = [["" if row.get(name) is None else row.get(name) for name in _COLUMNS] for row in rows]
@@ -398,7 +393,7 @@ class _Run:
                 self._print(rows)
         content = {
             "command": "process",
-            "output": self._name(out),
+            "output": self.places.name(out),
             "files": rows,
             "passed_over": self.batch.passed_over,
             "failed": failed,
@@ -420,7 +415,7 @@ class _Run:
         except ValueError:  # cut off by a power failure
             before = {}
         # what an earlier run has made from other sessions is none of ours
-        session = " ".join(sorted(self._name(path) for path in self.sessions))
+        session = " ".join(sorted(self.places.name(path) for path in self.sessions))
         places, persons = {place.as_posix() for person in self.persons for _, place in person.trials}, set(self._tables())
         earlier = before.get(session, {})
         gone = {place: of_recording(place) for place in earlier.get("recordings", []) if place not in places}
@@ -438,9 +433,9 @@ class _Run:
         if not stale:
             return []
         few = ", ".join(stale[:6]) + (", ..." if len(stale) > 6 else "")
-        said = f"{self._name(self.out)}: the session has no longer what {counted(len(stale), 'result')} were made from: {few}."
+        said = f"{self.places.name(self.out)}: the session has no longer what {counted(len(stale), 'result')} were made from: {few}."
         mend = "Move them away, or bring the recordings back; tables and pages of this run do not count them."
-        return [Finding("session-left-over", Severity.WARNING, self._name(self.out), said, mend)]
+        return [Finding("session-left-over", Severity.WARNING, self.places.name(self.out), said, mend)]
 
     def _tables(self) -> list[str]:
         from asterism.cli._process_tasks import file_name

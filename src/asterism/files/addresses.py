@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import secrets
 from collections.abc import Callable, Iterator
@@ -196,5 +195,5 @@ def _opened(address: str) -> tuple[Any, str]:
 
 def below(folder: Path, address: str) -> Path:
     """Where files of an address go below a folder of this disk: one path for each, whose last part is the file's name."""
-    parts = [re.sub(r'[:*?"<>|\\]+', "-", part) for part in re.split(r"[/]+", address)]
-    return folder.joinpath(*(part for part in parts if part not in ("", os.curdir, os.pardir)))
+    parts = [re.sub(r'[:*?"<>|\\]+|^\.\.?$', "-", part) for part in address.split("/")]
+    return folder.joinpath(*filter(None, parts))

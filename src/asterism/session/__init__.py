@@ -2,10 +2,10 @@
 
 from asterism.labelling.recording_labeller import LabellingSettings
 from asterism.session.finished import FinishedFiles
-from asterism.session.held import LOCK, Held, held
 from asterism.session.labelled import LabelledFile
 from asterism.session.labeller import FileLabeller, body_names, label_file
 from asterism.session.live import LiveLabeller
+from asterism.session.lock import LOCK, Held, held
 from asterism.session.options import CHECK, IGNORE, KEEP, LabellingOptions
 from asterism.session.plan import FolderSettings, PlannedPerson, PlannedTrial, plan_session
 from asterism.session.spread import Each, Outcome, each_of, in_order, spread

@@ -65,6 +65,10 @@ class Holder:
         return f"{self.user} on {self.machine} (process {self.process}, begun {self.since})"
 
 
+_OURS: set[str] = set()
+"""The words of the runs of this process."""
+
+
 class Held:
     """A folder that this run holds: `check` raises where another run has taken it over meanwhile."""
 
@@ -76,6 +80,7 @@ class Held:
 
     def begin(self) -> None:
         """Say that this run is at work, from now on."""
+        _OURS.add(self.holder.word)
         self._write(self.holder)
         self._thread.start()
 
@@ -86,6 +91,7 @@ class Held:
 
     def end(self) -> None:
         """Give no more signs."""
+        _OURS.discard(self.holder.word)
         self._end.set()
         self._thread.join(1.0)
 
@@ -157,7 +163,7 @@ def _held_at(folder: RemoteFolder, tell: Callable[[str], None]) -> Iterator[Held
                 # without a clock of the disk: whoever is at work gives another sign meanwhile
                 raise AsterismError(f"{folder.address}: {before} may be at work in it, and its disk does not tell since when; {_BY_HAND}")
             age = (now - then).total_seconds()
-            same = before.machine == platform.node() and not _runs(before.process)
+            same = before.machine == platform.node() and not _runs(before)
             if age < LOST and not same:
                 _refuse(folder.address, before, age)
             tell(f"{folder.address}: {before} has not ended its run and is at work no longer; this run goes on from there.")
@@ -203,14 +209,14 @@ def _now(folder: Path) -> float:
         return time.time()
 
 
-def _runs(process: int) -> bool:
-    """Whether a process of this machine runs."""
-    if os.name != "posix":
-        return True
+def _runs(holder: Holder) -> bool:
+    """Whether a run of this machine is at work; a process that has this one's number and is not this run has ended."""
+    if holder.process == os.getpid() or os.name != "posix":
+        return holder.word in _OURS or os.name != "posix"
     try:
-        os.kill(process, 0)
+        os.kill(holder.process, 0)
     except ProcessLookupError:
         return False
     except OSError:
         return True
-    return process != os.getpid()
+    return True
