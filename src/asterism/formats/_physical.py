@@ -137,8 +137,8 @@ def _judge_by_geometry(labels: Sequence[str], positions: Floats, kinds: list[str
     # Tips that end in 1 show that the model numbers its axes, so that a lone 0 is an origin.
     if any(named[tip][-1:] == "1" for _, tips in frames_found for tip in tips):
         for place, label in enumerate(named):
-            alone = not any(label[:-1] + digit in named for digit in "123456789")
-            judged[place] |= len(label) > 2 and label[-1] == "0" and not label[-2].isdigit() and alone
+            if len(label) > 2 and label[-1] == "0" and not label[-2].isdigit():
+                judged[place] |= not any(label[:-1] + digit in named for digit in "123456789")
     _mark_midpoints(some[:, candidates], judged)
     for place, point in enumerate(candidates):
         if judged[place]:

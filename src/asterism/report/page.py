@@ -87,15 +87,19 @@ def write_page(path: str | Path, page: Page) -> None:
     players = {f"player-{i}": s.player for i, s in enumerate(page.sections) if s.player}
     facts = {"Asterism": _version(), **page.facts, "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")}
     # Scripts only where something is drawn: a page of tables stays readable by any program.
-    html = _environment().get_template("page.html").render(
-        page=page,
-        facts={name.replace("_", " "): _fact_text(value) for name, value in facts.items() if not _says_nothing(value)},
-        style=template("page.css") + player_style(),
-        script=player_script() + template("page.js") + template("panels.js") if figures or players else "",
-        plotly=_plotly() if figures else "",
-        data=_as_script({"figures": _without_markup(figures), "players": players}),
-        is_cell=lambda cell: isinstance(cell, Cell),
-        singular=singular,
+    html = (
+        _environment()
+        .get_template("page.html")
+        .render(
+            page=page,
+            facts={name.replace("_", " "): _fact_text(value) for name, value in facts.items() if not _says_nothing(value)},
+            style=template("page.css") + player_style(),
+            script=player_script() + template("page.js") + template("panels.js") if figures or players else "",
+            plotly=_plotly() if figures else "",
+            data=_as_script({"figures": _without_markup(figures), "players": players}),
+            is_cell=lambda cell: isinstance(cell, Cell),
+            singular=singular,
+        )
     )
     # Whole or not at all: a browser that reloads must not meet half a page.
     write_atomically(target, utf8(html))
