@@ -196,7 +196,7 @@ def _wobble(some: Floats) -> tuple[Floats, NDArray[np.int64]]:
 
     Where a few frames show that a distance is not exact, its range is that of these frames.
     """
-    there = np.isfinite(some).all(axis=2).astype(np.float64)
+    there: Floats = np.asarray(np.isfinite(some).all(axis=2), dtype=np.float64)
     seen = np.rint(there.T @ there).astype(np.int64)
     range_of = np.full(seen.shape, np.inf)
     one, other = np.triu_indices(len(seen), 1)
@@ -228,7 +228,7 @@ def _orthogonal_frames(
     same_name = stems[:, None] == stems
     found = []
     # An origin keeps exact distances from its three tips.
-    for origin in np.nonzero(exact.sum(axis=1) >= 3)[0]:
+    for origin in np.nonzero(exact.sum(axis=1) >= 3)[0].tolist():
         # More than two dozen exact neighbours are a solved rigid body, not axes.
         around = np.nonzero(exact[origin] & ~judged)[0][:24]
         # Three tips are the least; those of known names are judged already.

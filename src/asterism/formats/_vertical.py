@@ -17,7 +17,7 @@ SAMPLED_FRAMES = 2_000
 """Frames, evenly spread, that tell the vertical of a recording, however long it is: `info` and the reader of long files see the same."""
 
 _MOST_FRAMES = 100
-"""Frames, evenly spread, in which the signs are looked for. With four times as many the same axis is likeliest in all recordings at hand."""
+"""Frames, evenly spread, in which the signs are looked for. With four times as many the same axis is the likeliest in each of 135 files."""
 _PELVIS = 2
 _FLOOR = 0.03
 """Thickness of a floor in sizes of what a frame shows: 6 cm for a person. At half of it the heels of some sets miss it, at double the
