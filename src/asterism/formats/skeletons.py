@@ -69,7 +69,6 @@ def write_skeleton(
         New files have y up and face z in the rest pose. Raises AsterismError where the suffix is another, or the file cannot be written.
 
         >>> import numpy as np
-    from numpy.typing import ArrayLike
         >>> motion = SkeletonMotion(("hips",), (-1,), np.zeros((1, 3)), np.array([[0, 0, 0.4]]), np.tile(np.eye(3), (2, 1, 1, 1)),
         ...                         np.zeros((2, 3)), rate=100.0)
         >>> write_skeleton("hips.bvh", motion)
