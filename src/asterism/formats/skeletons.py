@@ -61,20 +61,20 @@ def write_skeleton(
 ) -> list[str]:
     """Write a skeleton over time as BVH or glTF; returns what the format cannot carry, a phrase each.
 
-        like     a file of the same format whose skeleton, names, axes and unit are kept; of a glTF file with its meshes and all else
-        unit     of length of a BVH; glTF has metres
-        order    of the Euler angles of a BVH, the outermost first
-        missing  "hold" or "interpolate": what becomes of bones in frames in which they are not known
+    like     a file of the same format whose skeleton, names, axes and unit are kept; of a glTF file with its meshes and all else
+    unit     of length of a BVH; glTF has metres
+    order    of the Euler angles of a BVH, the outermost first
+    missing  "hold" or "interpolate": what becomes of bones in frames in which they are not known
 
-        New files have y up and face z in the rest pose. Raises AsterismError where the suffix is another, or the file cannot be written.
+    New files have y up and face z in the rest pose. Raises AsterismError where the suffix is another, or the file cannot be written.
 
-        >>> import numpy as np
-        >>> motion = SkeletonMotion(("hips",), (-1,), np.zeros((1, 3)), np.array([[0, 0, 0.4]]), np.tile(np.eye(3), (2, 1, 1, 1)),
-        ...                         np.zeros((2, 3)), rate=100.0)
-        >>> write_skeleton("hips.bvh", motion)
-        ['the axes of the room: its x, y, z became z, x, y, so that y is up']
-        >>> read_skeleton("hips.bvh", unit="cm").motion
-        SkeletonMotion(bones: 1, frames: 2 at 100 Hz (0.02 s))
+    >>> import numpy as np
+    >>> motion = SkeletonMotion(("hips",), (-1,), np.zeros((1, 3)), np.array([[0, 0, 0.4]]), np.tile(np.eye(3), (2, 1, 1, 1)),
+    ...                         np.zeros((2, 3)), rate=100.0)
+    >>> write_skeleton("hips.bvh", motion)
+    ['the axes of the room: its x, y, z became z, x, y, so that y is up']
+    >>> read_skeleton("hips.bvh", unit="cm").motion
+    SkeletonMotion(bones: 1, frames: 2 at 100 Hz (0.02 s))
     """
     from asterism.formats import bvh, gltf
 
