@@ -177,6 +177,8 @@ def test_gait_and_convert_filter_and_say_so(tmp_path: Path, capsys: pytest.Captu
     [content] = json.loads(table.read_text())["files"]
     assert content["filter"]["filter"] == "butterworth:10"
     assert {one["marker"]: one["spikes"] for one in content["filter"]["markers"]}["LTHI"] == 1
+    knowing = (tmp_path / "page.html").read_text().split("What to know", 1)[1].split("</table>", 1)[0]
+    assert "LTHI in frame 101" in knowing, "the page does not say what the terminal does"
     assert main(["gait", str(source), "--json", "-"]) == 1
     assert json.loads(capsys.readouterr().out)["files"][0]["filter"] == {"filter": "none", "markers": []}
     assert main(["convert", str(source), str(tmp_path / "smooth.c3d"), "--filter", "spline", "--json", str(tmp_path / "c.json")]) == 1
@@ -192,3 +194,8 @@ def test_a_filter_that_takes_away_movement_is_told(cut_off: float, told: bool) -
     found = filter_trajectories(walk, FilterChoice("butterworth", cut_off)).findings
     assert [one.code for one in found if one.code == "filter-strong"] == ["filter-strong"] * told
     assert all("takes away movement" in one.sentence for one in found)
+
+
+@pytest.mark.parametrize(("cut_off", "said"), [(0.1, "0.1 Hz"), (0.016, "0.016 Hz"), (2.96, "3 Hz"), (6.0, "6 Hz")])
+def test_no_cut_off_is_called_0_hz(heel: np.ndarray, cut_off: float, said: str) -> None:
+    assert filter_trajectories(one(heel), FilterChoice("butterworth", cut_off)).span == said

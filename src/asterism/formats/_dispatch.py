@@ -76,6 +76,8 @@ def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None
         kind = _kind_of(path)
         if kind == "C3D":
             return read_c3d(path, wanted, up)
+        if kind == "skeleton":
+            raise NoMarkers(f"{path} holds the bones of a skeleton and no markers; give the recording of which it was made.")
         # Points of cameras are no markers: a folder may hold both, and goes on with the next file.
         if kind == "2D CSV":
             raise NoMarkers(
@@ -275,6 +277,10 @@ def _described(path: Path) -> dict[str, Any]:
         from asterism.formats.c3d._describe import describe_c3d
 
         return describe_c3d(path)
+    if kind == "skeleton":
+        from asterism.formats import skeletons
+
+        return skeletons.describe_skeleton(path)
     if kind == "2D CSV":
         from asterism.formats import csv_blobs
 
@@ -324,6 +330,11 @@ def convert_and_tell(source: str | Path, target: str | Path, vertical: ArrayLike
     source, target = Path(source), Path(target)
     with guarded_reading(source):
         kind = _kind_of(source)
+    if kind == "skeleton":
+        from asterism.formats import skeletons
+
+        found = skeletons.read_skeleton(source, vertical=vertical)
+        return list(found.findings), skeletons.write_skeleton(target, found.motion)
     # A CSV may be either: angles are recognised by having no groups of x, y and z.
     if kind in ("storage", "CSV"):
         table = storage.table_or_none(source)
@@ -356,6 +367,8 @@ def _kind_of(path: Path) -> str:
         head = file.read(8192)
     if not head.strip(b"\x00 \t\r\n"):
         raise AsterismError(f"{path} is empty; export it again.")
+    if suffix in (".bvh", ".glb", ".gltf") or head[:4] == b"glTF":
+        return "skeleton"
     if head[:4] == b"PK\x03\x04":
         return "NPZ"
     if head.startswith(b"MATLAB ") or head[1:4] == b"HDF" or suffix == ".mat":
@@ -384,6 +397,8 @@ def _text_kind(path: Path, head: bytes) -> str | None:
     lines = lines_of(decoded(path, head))
     # A line `sep=;`, by which Excel reads, may stand above.
     first = next((line for line in lines if line.strip()), "").strip().strip('"').casefold()
+    if first == "hierarchy":
+        return "skeleton"
     if first.startswith("format version"):
         return "Motive CSV"
     if first.startswith("pathfiletype") or any(

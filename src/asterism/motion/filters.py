@@ -105,8 +105,13 @@ class FilteredRecording:
         cut_offs = [effect.cut_off for effect in self.effects if math.isfinite(effect.cut_off)]
         if not cut_offs:
             return ""
-        few, many = min(cut_offs), max(cut_offs)
-        return f"{few:.0f} Hz" if many - few < 0.5 else f"{few:.0f} to {many:.0f} Hz"
+        few, many = (_hertz(cut_off) for cut_off in (min(cut_offs), max(cut_offs)))
+        return f"{few} Hz" if few == many else f"{few} to {many} Hz"
+
+
+def _hertz(cut_off: float) -> str:
+    """In whole Hz, below 3 Hz with two digits: "0 Hz" would say that nothing is left."""
+    return f"{cut_off:.2g}" if cut_off < _SLOW else f"{cut_off:.0f}"
 
 
 def filter_trajectories(recording: Recording, choice: FilterChoice, by: str = "") -> FilteredRecording:
@@ -153,6 +158,8 @@ def filter_trajectories(recording: Recording, choice: FilterChoice, by: str = ""
     return FilteredRecording(result, choice, tuple(effects), (*spiked, *_strong(recording, effects)))
 
 
+_SLOW = 3.0
+"""Hz below which half a Hz is a sixth of the cut-off or more."""
 _STRONG = 0.010
 """m, RMS, by which a filter may move a marker: noise and soft tissue are less. 6 Hz move a runner's foot by 8, 3 Hz a walker's by 10,
 1 Hz by 80. At half, 6 Hz for a runner are told; at double, 2 Hz for a walker are not."""

@@ -4,6 +4,9 @@ The body of a virtual person is a skeleton of 19 segments, posed by joint angles
 says, moved as hands and skin move them. Of real people they have typical postures and habits, in numbers, and nothing else.
 """
 
+from asterism.skeleton.body import ArticulatedBody, BodyMarker, Bone, Capsule, Hinge
+from asterism.skeleton.body_file import load_body, save_body, shipped_bodies
+from asterism.skeleton.body_fit import fit_body
 from asterism.skeleton.build import BuildRules
 from asterism.skeleton.counterparts import counterparts, with_markers_of
 from asterism.skeleton.movements import MOVEMENTS
@@ -13,14 +16,23 @@ from asterism.skeleton.worn import WearRules
 
 __all__ = [
     "MOVEMENTS",
+    "ArticulatedBody",
+    "BodyMarker",
+    "Bone",
     "BuildRules",
+    "Capsule",
+    "Hinge",
     "LearnedPlaces",
     "VirtualRules",
     "WearRules",
     "counterparts",
+    "fit_body",
     "learn_places",
+    "load_body",
     "marker_set_of",
     "place_by_name",
+    "save_body",
+    "shipped_bodies",
     "virtual_people",
     "with_landmarks",
     "with_markers_of",
