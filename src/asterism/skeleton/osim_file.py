@@ -29,9 +29,9 @@ def load_osim(path: str | Path, *, spread: float = 0.01) -> KinematicTree:
 
     spread  m, of its markers, which the file does not say; all alike count alike
 
-    Joints: CustomJoint, PinJoint, UniversalJoint and WeldJoint. Functions: Constant, LinearFunction, SimmSpline, PiecewiseLinearFunction and
-    MultiplierFunction. A coordinate that a CoordinateCouplerConstraint gives follows the other one. Locked coordinates stay at their default.
-    Ranges hold where a coordinate is clamped, as in OpenSim. Muscles, masses and contacts are left alone.
+    Joints: CustomJoint, PinJoint, UniversalJoint and WeldJoint. Functions: Constant, LinearFunction, SimmSpline, PiecewiseLinearFunction
+    and MultiplierFunction. A coordinate that a CoordinateCouplerConstraint gives follows the other one. Locked coordinates stay at their
+    default. Ranges hold where a coordinate is clamped, as in OpenSim. Muscles, masses and contacts are left alone.
     Raises AsterismError where the file is damaged, older than OpenSim 4, or has other joints or functions.
     """
     path = Path(path)
@@ -63,7 +63,9 @@ class _Model:
         while waiting:
             ready = [each for each in waiting if each[1][0] in self.inside]
             if not ready:
-                raise AsterismError(f"{self.path}: the joint {waiting[0][0].get('name')} hangs on {waiting[0][1][0]}, which hangs on nothing.")
+                raise AsterismError(
+                    f"{self.path}: the joint {waiting[0][0].get('name')} hangs on {waiting[0][1][0]}, which hangs on nothing."
+                )
             for joint, (parent, at), (child, own) in ready:
                 axes, origin = self.inside[parent]
                 self.inside[child] = own
@@ -93,7 +95,7 @@ class _Model:
             return tuple(self._motion(axis, each.name, False, None) for axis, each in zip(axes, own, strict=True))
         if joint.tag != "CustomJoint":
             raise AsterismError(
-                f"{self.path}: the joint {joint.get('name')} is a {joint.tag}; only CustomJoint, {', '.join(_AXES)} are read, write it as one."
+                f"{self.path}: the joint {joint.get('name')} is a {joint.tag}; write it as a CustomJoint, {' or '.join(_AXES)}."
             )
         moves = {axis.get("name", ""): axis for axis in joint.findall("SpatialTransform/TransformAxis")}
         sliding = {(moves[f"translation{i}"].findtext("coordinates") or "").strip() for i in (1, 2, 3)}
@@ -101,7 +103,10 @@ class _Model:
         self.coordinates += [replace(each, slides=each.name in sliding - turning) for each in own]
         # Slides are along the axes of the parent's side of the joint, so they come before the turns.
         return tuple(
-            motion for kind in ("translation", "rotation") for i in (1, 2, 3) if (motion := self._axis(moves[f"{kind}{i}"], kind)) is not None
+            motion
+            for kind in ("translation", "rotation")
+            for i in (1, 2, 3)
+            if (motion := self._axis(moves[f"{kind}{i}"], kind)) is not None
         )
 
     def _axis(self, axis: Element, kind: str) -> Motion | None:
@@ -122,7 +127,9 @@ class _Model:
         other, by = self.coupled[coordinate]
         identity = len(by.knots) == 1 and by.cubics[0].tolist() == [0.0, 1.0, 0.0, 0.0]
         if curve is not None and not identity:
-            raise AsterismError(f"{self.path}: {coordinate} follows {other} by one function and moves its joint by another; leave one of them.")
+            raise AsterismError(
+                f"{self.path}: {coordinate} follows {other} by one function and moves its joint by another; leave one of them."
+            )
         return Motion(axis, other, slide, curve if identity else by)
 
     def _coordinate(self, given: Element) -> Coordinate:
@@ -173,7 +180,9 @@ class _Model:
             if body not in self.inside:
                 raise AsterismError(f"{self.path}: the marker {marker.get('name')} is on {body}, which hangs on no joint.")
             axes, origin = self.inside[body]
-            markers.append(TreeMarker(marker.get("name", ""), body, _point(axes.T @ (_numbers(marker, "location", 3) - origin)), self.spread))
+            markers.append(
+                TreeMarker(marker.get("name", ""), body, _point(axes.T @ (_numbers(marker, "location", 3) - origin)), self.spread)
+            )
         return tuple(markers)
 
 
@@ -195,9 +204,7 @@ def simm_spline(x: Floats, y: Floats) -> Floats:
         system[0, :2], system[-1, -2:] = (-width[0], width[0]), (width[-1], -width[-1])
         if count > 3:
             thirds = [
-                (
-                    (slope[i + 2] - slope[i + 1]) / (x[i + 3] - x[i + 1]) - (slope[i + 1] - slope[i]) / (x[i + 2] - x[i])
-                ) / (x[i + 3] - x[i])
+                ((slope[i + 2] - slope[i + 1]) / (x[i + 3] - x[i + 1]) - (slope[i + 1] - slope[i]) / (x[i + 2] - x[i])) / (x[i + 3] - x[i])
                 for i in (0, count - 4)
             ]
             right[0], right[-1] = width[0] ** 2 * thirds[0], -(width[-1] ** 2) * thirds[1]
@@ -211,7 +218,7 @@ def simm_spline(x: Floats, y: Floats) -> Floats:
 
 
 def with_coordinate_weights(tree: KinematicTree, weights: Mapping[str, float]) -> KinematicTree:
-    """The tree with coordinates that are pulled to their defaults, by weights as OpenSim's tasks have them: per rad2 against markers' per m2."""
+    """The tree with coordinates that are pulled to their defaults, by weights OpenSim's weights: per rad2, as markers' are per m2."""
     pulled = tuple(replace(c, spread=weights[c.name] ** -0.5) if weights.get(c.name) else c for c in tree.coordinates)
     return replace(tree, coordinates=pulled)
 
