@@ -8,7 +8,7 @@ from asterism.live.frames import LiveFrame, LiveSource, SourceAbout, SourceEnded
 from asterism.live.outputs import ToDatagrams, ToLines, labels_as_json
 from asterism.live.recording import KeptSession, LiveRecorder, recording_of
 from asterism.live.replay import Replay
-from asterism.live.running import Health, LiveSession, LiveOutput
+from asterism.live.running import Health, LiveOutput, LiveSession
 from asterism.live.sources import host_port, open_source
 
 __all__ = [
@@ -20,12 +20,12 @@ __all__ = [
     "LabelChain",
     "LabelledFrame",
     "LiveFrame",
+    "LiveOutput",
     "LiveRecorder",
     "LiveSession",
-    "OfModel",
-    "LiveOutput",
-    "Replay",
     "LiveSource",
+    "OfModel",
+    "Replay",
     "SourceAbout",
     "SourceClock",
     "SourceEnded",
