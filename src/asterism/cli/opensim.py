@@ -54,12 +54,14 @@ def opensim(options: OpenSimOptions) -> None:
     from asterism.errors import AsterismError
     from asterism.motion.clinical import clinical_angles
     from asterism.motion.clinical.gathered import other_person
-    from asterism.opensim import OpenSimTrial, write_opensim
+    from asterism.opensim import OpenSimTrial, generic_model, write_opensim
 
     check_folder(options.output)
     inputs = [*options.files, options.static, options.model, *_clinical.measure_files(options.measure)]
     _console.check_outputs([options.json], inputs, options.overwrite)
     _clinical.given_measures(options.measure)
+    if options.model is not None:
+        generic_model(options.model)
     batch = _console.Batch("written")
     static = None if options.static is None else formats.read(options.static, vertical=options.vertical)
     standing = None if options.static is None else _console.real_path(options.static)

@@ -47,6 +47,7 @@ class OsimModel:
     masses     body -> kg
     rotations  body -> (3, 3), from its axes to the room's; origins  body -> (3,) m in the room
     joints     child body -> joint
+    coupled    coordinates that a constraint makes follow others, such as a patella's
     """
 
     name: str
@@ -54,6 +55,7 @@ class OsimModel:
     rotations: Mapping[str, Floats]
     origins: Mapping[str, Floats]
     joints: Mapping[str, OsimJoint]
+    coupled: frozenset[str] = frozenset()
 
     @property
     def mass(self) -> float:
@@ -73,7 +75,7 @@ class OsimModel:
 
 
 def read_osim(path: str | Path) -> OsimModel:
-    """The skeleton of a model's file, of OpenSim 2 to 4. Muscles, markers, constraints and geometry are not read.
+    """The skeleton of a model's file, of OpenSim 2 to 4. Muscles, markers and geometry are not read.
 
     Raises AsterismError, naming the file, where it holds no model, or joints that hang on no body, in a circle, or by an unknown function.
     """
@@ -105,7 +107,8 @@ def read_osim(path: str | Path) -> OsimModel:
                 rotations[one.child] = turn @ one.inner[0].T
                 origins[one.child] = centre - rotations[one.child] @ one.inner[1]
                 found[one.child] = OsimJoint(one.name, one.parent, one.child, one.coordinates, centre)
-        return OsimModel(model.get("name", path.stem), masses, rotations, origins, found)
+        coupled = frozenset((one.text or "").strip() for one in model.iter("dependent_coordinate_name"))
+        return OsimModel(model.get("name", path.stem), masses, rotations, origins, found, coupled)
 
 
 _Frame = tuple[Floats, Floats]

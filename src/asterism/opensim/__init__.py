@@ -2,7 +2,7 @@
 
 from asterism.opensim.export import OpenSimExport, OpenSimTrial, write_opensim
 from asterism.opensim.person import Person, bodies_of, person_of
-from asterism.opensim.scaling import BodyScale, PlacedMarker, placed_markers, scale_factors
+from asterism.opensim.scaling import BodyScale, PlacedMarker, generic_model, placed_markers, scale_factors
 
 __all__ = [
     "BodyScale",
@@ -11,6 +11,7 @@ __all__ = [
     "Person",
     "PlacedMarker",
     "bodies_of",
+    "generic_model",
     "person_of",
     "placed_markers",
     "scale_factors",

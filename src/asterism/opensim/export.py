@@ -17,12 +17,12 @@ from asterism.files.tables import NumberTable
 from asterism.findings import Finding, Severity
 from asterism.formats import force_plates, write
 from asterism.formats.opensim_forces import companions, write_opensim_forces
-from asterism.formats.opensim_model import OsimModel, read_osim
+from asterism.formats.opensim_model import OsimModel
 from asterism.geometry import z_up_rotation
 from asterism.motion.clinical import ClinicalModel
 from asterism.opensim.documents import MotionTask, ScaleTask, dynamics_setup, kinematics_setup, marker_set, scale_setup
 from asterism.opensim.person import CENTRES, Person, bodies_of, person_of, ridden
-from asterism.opensim.scaling import BodyScale, PlacedMarker, check_bodies, lumbar_share, placed_markers, scale_factors, spreads
+from asterism.opensim.scaling import BodyScale, PlacedMarker, generic_model, lumbar_share, placed_markers, scale_factors, spreads
 from asterism.recording import Floats, Recording, is_unnamed, subject_of
 from asterism.recording.force_plate import ForcePlate
 from asterism.recording.marker_set import without_subject
@@ -101,9 +101,7 @@ def write_opensim(
     folder = Path(folder)
     if not walks:
         raise AsterismError("there is no walk to write for OpenSim; name one.")
-    generic = None if model is None else read_osim(model)
-    if generic is not None:
-        check_bodies(generic, model)
+    generic = None if model is None else generic_model(model)
     trials = _prepared(walks, static)
     still, moving = (trials[0], trials[1:]) if static is not None else (None, trials)
     files = _targets(folder, trials, generic is not None)
@@ -357,7 +355,7 @@ def _held(model: OsimModel, placed: Sequence[PlacedMarker], weights: Mapping[str
         below = set(model.below(body))
         needed = 1 + (joint.parent not in on)
         if joint.parent != "ground" and sum(one in below for one in on) < needed:
-            held += joint.coordinates
+            held += [one for one in joint.coordinates if one not in model.coupled]
     return held
 
 

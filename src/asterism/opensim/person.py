@@ -158,7 +158,7 @@ def bodies_of(labels: Sequence[str]) -> dict[str, str]:
     placed = []
     for markers in shipped_sets().values():
         names = {label: markers.name_of(without_subject(label)) for label in labels}
-        placed.append({label: markers.places[name] for label, name in names.items() if name in markers.places})
+        placed.append({label: markers.places[name] for label, name in names.items() if name is not None and name in markers.places})
     found: dict[str, str] = {}
     for one in sorted(placed, key=len, reverse=True):
         for label, place in one.items():

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.formats.opensim_model import OsimModel
+from asterism.formats.opensim_model import OsimModel, read_osim
 from asterism.motion.clinical import SkinMotion
 from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
 from asterism.opensim.person import SIDES, Person, Segment, along_limb, places_in
@@ -61,13 +62,15 @@ class PlacedMarker:
     centre: bool = False
 
 
-def check_bodies(model: OsimModel, path: object) -> None:
-    """Raise AsterismError where a model lacks a body that legs need."""
+def generic_model(path: str | Path) -> OsimModel:
+    """The model of a file. Raises AsterismError, naming the file, where it holds none, or the model lacks a body that legs need."""
+    model = read_osim(path)
     lacking = [body for body in NEEDED if body not in model.joints]
     if lacking:
         raise AsterismError(
             f"{path}: the model {model.name} has no body {', '.join(lacking)}; give one with the names of gait2392 or Rajagopal's."
         )
+    return model
 
 
 def lumbar_share(model: OsimModel) -> Floats:
@@ -79,8 +82,9 @@ def lumbar_share(model: OsimModel) -> Floats:
 def scale_factors(model: OsimModel, person: Person, trial: Recording) -> dict[str, BodyScale]:
     """The factor of each body of the model, in the order of the bodies.
 
-    Pelvis: between the hip centres. Femur and tibia: between the joint centres. Foot: from the ankle ahead to the toe marker, which
-    sits at the joint of the toes. Torso: from lumbar joint to base of the neck, see `_TRUNK`. Others: as the body that they hang on.
+    Pelvis: between the hip centres. Femur and tibia: between the joint centres. Foot: from the ankle ahead to the toe marker, which sits
+    at the joint of the toes; the mean of both feet. Torso: from lumbar joint to base of the neck, see `_TRUNK`. Others: as the body that
+    they hang on.
     """
 
     def apart(one: str, other: str) -> float:
@@ -103,6 +107,11 @@ def scale_factors(model: OsimModel, person: Person, trial: Recording) -> dict[st
             ahead = float(places_in(person.segments[foot], toe)[0][0])
             length = float((model.joints[f"toes_{letter}"].centre - model.joints[ankle].centre)[0])
             told[ankle] = (ahead, length, f"{side}AJC ahead to {side}TOE")
+    # feet of one person are alike, and a toe marker is put a centimetre off
+    feet = [f"talus_{letter}" for letter in "rl" if f"talus_{letter}" in told]
+    if len(feet) == 2:
+        both = float(np.mean([told[foot][0] for foot in feet]))
+        told |= {foot: (both, told[foot][1], "AJC ahead to TOE, both feet") for foot in feet}
     legs = {name: one for name, one in told.items() if name[:5] in ("femur", "tibia") and np.isfinite(one[0])}
     if not legs:
         raise AsterismError(f"{trial.metadata.get('file', 'the trial')} never shows hip, knee and ankle of a leg; nothing tells its size.")
@@ -151,13 +160,14 @@ def placed_markers(
     slides = {"pelvis": skin.pelvis_m, "femur": skin.thigh_m, "tibia": skin.shank_m, "calcn": skin.foot_m, "toes_": skin.foot_m}
     segments = _limbs(person)
     placed, left = list[PlacedMarker](), dict[str, str]()
+    lacking = ", ".join(dict.fromkeys(body for body in bodies.values() if body not in model.joints))
     for name, points in person.centres.items():
         body = {"HJC": "femur", "KJC": "tibia", "AJC": "talus"}[name[1:4]] + "_" + SIDES[name[0]]
         if np.isfinite(points).any():
             placed.append(PlacedMarker(name, body, model.in_body(body, model.joints[body].centre), _NOISE, centre=True))
     for name, body in bodies.items():
         if body not in model.joints:
-            left[name] = f"the model has no body {body}"
+            left[name] = f"the model has no {lacking}"
             continue
         if body not in segments:
             left[name] = f"nothing tells where the person's {body} is"
