@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import BSpline
 from scipy.linalg import solveh_banded
 from scipy.signal import lfilter
 
@@ -17,7 +18,7 @@ import asterism
 from asterism import AsterismError, formats
 from asterism.cli import main
 from asterism.motion.filters import FilterChoice, filter_trajectories, find_spikes, last_filter
-from asterism.motion.splines import _basis, quintic_spline_and_power, spline_cut_off
+from asterism.motion.splines import _products, quintic_spline_and_power, spline_cut_off
 from asterism.recording import ProcessingStep, Recording
 from asterism.simulation import simulate_walks
 
@@ -91,7 +92,8 @@ def test_the_splines_cut_off_is_where_71_percent_are_left() -> None:
     _, power = quintic_spline_and_power(0.2 * np.sin(np.arange(2000) / 20.0)[:, None] + noise)
     wave = np.sin(2 * np.pi * spline_cut_off(power, 1.0) * np.arange(2000))[:, None]
     # A smoother is linear: what the same smoothness leaves of a wave tells its frequency response.
-    _, basis, fit, rough = _basis(2000)
+    fit, rough = _products(2000)
+    basis = BSpline.design_matrix(np.arange(2000.0), np.arange(-5.0, 2005.0), 5)
     left = basis @ solveh_banded(fit + 10.0**power * rough, basis.T @ wave, lower=True)
     assert left[200:-200].std() / wave[200:-200].std() == pytest.approx(np.sqrt(0.5), abs=0.01)
 
@@ -175,6 +177,8 @@ def test_gait_and_convert_filter_and_say_so(tmp_path: Path, capsys: pytest.Captu
     [content] = json.loads(table.read_text())["files"]
     assert content["filter"]["filter"] == "butterworth:10"
     assert {one["marker"]: one["spikes"] for one in content["filter"]["markers"]}["LTHI"] == 1
+    knowing = (tmp_path / "page.html").read_text().split("What to know", 1)[1].split("</table>", 1)[0]
+    assert "LTHI in frame 101" in knowing, "the page does not say what the terminal does"
     assert main(["gait", str(source), "--json", "-"]) == 1
     assert json.loads(capsys.readouterr().out)["files"][0]["filter"] == {"filter": "none", "markers": []}
     assert main(["convert", str(source), str(tmp_path / "smooth.c3d"), "--filter", "spline", "--json", str(tmp_path / "c.json")]) == 1
@@ -190,3 +194,8 @@ def test_a_filter_that_takes_away_movement_is_told(cut_off: float, told: bool) -
     found = filter_trajectories(walk, FilterChoice("butterworth", cut_off)).findings
     assert [one.code for one in found if one.code == "filter-strong"] == ["filter-strong"] * told
     assert all("takes away movement" in one.sentence for one in found)
+
+
+@pytest.mark.parametrize(("cut_off", "said"), [(0.1, "0.1 Hz"), (0.016, "0.016 Hz"), (2.96, "3 Hz"), (6.0, "6 Hz")])
+def test_no_cut_off_is_called_0_hz(heel: np.ndarray, cut_off: float, said: str) -> None:
+    assert filter_trajectories(one(heel), FilterChoice("butterworth", cut_off)).span == said

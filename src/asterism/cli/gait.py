@@ -214,8 +214,10 @@ def analysed(
             if results and options.save_band is None:
                 found = (*found, *other_person(recording, results[0][1].recording))
             analysis = analyse_gait(recording, plates, measures, static=static, model=options.lower_body)
-            analysis = replace(analysis, emg=named_channels(analysis.emg, muscles))
-            for finding in [*found, *analysis.findings]:
+            # the page says what was found before the analysis as well: plates, fills, spikes, measures
+            found = tuple(dict.fromkeys((*found, *analysis.findings)))
+            analysis = replace(analysis, emg=named_channels(analysis.emg, muscles), findings=found)
+            for finding in found:
                 batch.found(finding)
             if path in copies:
                 copies[path].parent.mkdir(parents=True, exist_ok=True)

@@ -105,8 +105,13 @@ class FilteredRecording:
         cut_offs = [effect.cut_off for effect in self.effects if math.isfinite(effect.cut_off)]
         if not cut_offs:
             return ""
-        few, many = min(cut_offs), max(cut_offs)
-        return f"{few:.0f} Hz" if many - few < 0.5 else f"{few:.0f} to {many:.0f} Hz"
+        few, many = (_hertz(cut_off) for cut_off in (min(cut_offs), max(cut_offs)))
+        return f"{few} Hz" if few == many else f"{few} to {many} Hz"
+
+
+def _hertz(cut_off: float) -> str:
+    """In whole Hz, below 3 Hz with two digits: "0 Hz" would say that nothing is left."""
+    return f"{cut_off:.2g}" if cut_off < _SLOW else f"{cut_off:.0f}"
 
 
 def filter_trajectories(recording: Recording, choice: FilterChoice, by: str = "") -> FilteredRecording:
@@ -153,6 +158,8 @@ def filter_trajectories(recording: Recording, choice: FilterChoice, by: str = ""
     return FilteredRecording(result, choice, tuple(effects), (*spiked, *_strong(recording, effects)))
 
 
+_SLOW = 3.0
+"""Hz below which half a Hz is a sixth of the cut-off or more."""
 _STRONG = 0.010
 """m, RMS, by which a filter may move a marker: noise and soft tissue are less. 6 Hz move a runner's foot by 8, 3 Hz a walker's by 10,
 1 Hz by 80. At half, 6 Hz for a runner are told; at double, 2 Hz for a walker are not."""
@@ -320,8 +327,9 @@ def _farthest(samples: int) -> float:
 def _away(path: Floats) -> Floats:
     """(T,) m, how far each sample is from the cubic through two samples on either side; NaN where one of them is missing."""
     out = np.full(len(path), np.nan)
-    outer = np.stack([path[:-4], path[1:-3], path[3:-1], path[4:]])
-    out[2:-2] = np.linalg.norm(path[2:-2] - np.tensordot(_CUBIC, outer, axes=1), axis=1)
+    farther, nearer = _CUBIC[0] * (path[:-4] + path[4:]), _CUBIC[1] * (path[1:-3] + path[3:-1])
+    off = path[2:-2] - (farther + nearer)
+    out[2:-2] = np.sqrt((off * off).sum(axis=1))
     return out
 
 
