@@ -33,7 +33,8 @@ from asterism.simulation.garment import Folds, PhotoSettings, Wearer, WornGarmen
 from asterism.simulation.soft_tissue import TrialPlan, simulate_soft_tissue
 from asterism.simulation.views_laboratory import simulate_views
 from asterism.simulation.views_motion import simulate_motion
-from asterism.views import label_views, load_body
+from asterism.skeleton import load_body
+from asterism.views import label_views
 from benchmarks.data import GAIT_BODY
 
 pytestmark = pytest.mark.canary

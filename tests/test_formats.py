@@ -632,10 +632,10 @@ def test_no_frames_and_one_frame(tmp_path, suffix, frames):
 
 def test_unknown_suffixes_are_refused(tmp_path):
     with pytest.raises(AsterismError, match="no format has the suffix"):
-        write(tmp_path / "walk.bvh", body())
-    (tmp_path / "walk.bvh").write_text("HIERARCHY\n")
-    with pytest.raises(AsterismError, match=r"walk\.bvh.*C3D, TRC"):
-        read(tmp_path / "walk.bvh")
+        write(tmp_path / "walk.fbx", body())
+    (tmp_path / "walk.fbx").write_text("; FBX 7.4.0 project file\n")
+    with pytest.raises(AsterismError, match=r"walk\.fbx.*C3D, TRC"):
+        read(tmp_path / "walk.fbx")
 
 
 def test_paths_may_be_text(tmp_path):

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
 import os
+import pickle
 import shutil
 import signal
+import tempfile
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +24,7 @@ from asterism import AsterismError
 from asterism.cli import main
 from asterism.cli._process_tasks import _page
 from asterism.recording import Recording
-from asterism.session import FolderSettings, in_order, plan_session, spread
+from asterism.session import FileLabeller, FolderSettings, Outcome, in_order, plan_session, spread
 from asterism.simulation import simulate_walks
 
 
@@ -283,6 +288,148 @@ def test_people_of_one_folder_are_told_by_their_standing_trials() -> None:
     assert [(person.name, len(person.trials)) for person in persons] == [("all ann", 2), ("all bob", 3)]
     assert [person.standing for person in persons] == [Path("all/ann-static.c3d"), Path("all/bob-static.c3d")]
     assert persons[0].settings == FolderSettings()
+
+
+@pytest.fixture
+def one_person(session: Path, tmp_path: Path) -> Path:
+    """A session of one person, which a test may change."""
+    shutil.copytree(session / "p1", tmp_path / "people" / "p1")
+    return tmp_path / "people"
+
+
+@pytest.fixture
+def memory() -> Iterator[Any]:
+    """A file system in memory, empty."""
+    system = pytest.importorskip("fsspec").filesystem("memory")
+    system.store.clear()
+    yield system
+    system.store.clear()
+
+
+def test_a_session_at_an_address_gives_the_same_at_another(
+    one_person: Path, done: Path, memory: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (one_person / "session.toml").write_text('markers = "helen-hayes"')
+    shutil.make_archive(str(tmp_path / "all"), "zip", one_person.parent, "people")
+    what = (f"zip://people::{tmp_path / 'all.zip'}", "-o", "memory://lab/out")
+    assert run(*what, "--json", tmp_path / "all.json") == 0
+    told = capsys.readouterr()
+    for place in ("labelled/p1/static.c3d", "labelled/p1/walk.c3d", "gait/p1/walk.c3d"):
+        assert memory.cat_file(f"/lab/out/{place}") == (done / place).read_bytes(), place
+    content = {path: memory.cat_file(path) for path in memory.find("/lab/out")}
+    assert not [path for path in content if path.endswith(".part")]
+    # what a person reads names addresses, not temporary files
+    named = [told.out, told.err, (tmp_path / "all.json").read_text()]
+    named += [data.decode() for path, data in content.items() if path.endswith((".csv", ".html"))]
+    assert not any(tempfile.gettempdir() + "/asterism-" in text for text in named)
+    assert f"{what[0]}/p1/walk.c3d" in content["/lab/out/session.csv"].decode()
+    # again: nothing is made anew; a correction at the address is, with all that depends on it, and stays
+    ours = ("labelled", "gait", "reports")
+    before = {path: memory.modified(path) for path in content if path.split("/")[3] in ours}
+    assert run(*what) == 0
+    assert before == {path: memory.modified(path) for path in before}
+    asterism.write(tmp_path / "walk.c3d", asterism.read(done / "labelled" / "p1" / "walk.c3d").frames(slice(0, 250)))
+    memory.put_file(str(tmp_path / "walk.c3d"), "/lab/out/labelled/p1/walk.c3d")
+    run(*what)
+    assert memory.cat_file("/lab/out/labelled/p1/walk.c3d") == (tmp_path / "walk.c3d").read_bytes()
+    assert memory.cat_file("/lab/out/gait/p1/walk.c3d") != content["/lab/out/gait/p1/walk.c3d"]
+
+
+def test_a_run_that_was_killed_between_record_and_output_goes_on(one_person: Path, done: Path, memory: Any, tmp_path: Path) -> None:
+    what = (one_person, "-o", "memory://lab/out", "--markers", "helen-hayes")
+    assert run(*what) == 0
+    before = memory.cat_file("/lab/out/labelled/p1/walk.c3d")
+    asterism.write(one_person / "p1" / "walk.c3d", asterism.read(one_person / "p1" / "walk.c3d").frames(slice(0, 200)))
+    run(*what)
+    # the record of the second output is there, and the output is still the first one
+    memory.pipe_file("/lab/out/labelled/p1/walk.c3d", before)
+    run(*what)
+    memory.get_file("/lab/out/labelled/p1/walk.c3d", str(tmp_path / "walk.c3d"))
+    assert len(asterism.read(tmp_path / "walk.c3d")) == 200
+
+
+@pytest.mark.parametrize("full", ["labelled", "gait"])
+def test_a_full_disk_ends_the_run_which_goes_on_later(
+    full: str, one_person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    what = (one_person, "-o", tmp_path / "out", "--markers", "helen-hayes")
+    with monkeypatch.context() as patched:
+        replace_ = os.replace
+
+        def no_room(source: Path, target: Path) -> None:
+            if full in Path(target).parts and "walk" in str(target):
+                raise OSError(errno.ENOSPC, "No space left on device")
+            replace_(source, target)
+
+        patched.setattr(os, "replace", no_room)
+        assert run(*what) == 1
+    said = capsys.readouterr().err
+    assert "No space left on device" in said and "run the same command again" in said and "tasks" in said
+    assert not (tmp_path / "out" / "index.html").exists() and not list((tmp_path / "out").rglob("*.part"))
+    assert run(*what) in (0, 1)
+    assert (tmp_path / "out" / full / "p1" / "walk.c3d").is_file()
+    assert "No space" not in capsys.readouterr().err
+
+
+def test_a_recording_that_changes_meanwhile_is_not_labelled(
+    one_person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    label, walked = FileLabeller.label, one_person / "p1" / "walk.c3d"
+
+    def changing(labeller: FileLabeller, path: Path, *more: Any) -> Any:
+        found = label(labeller, path, *more)
+        if path == walked:
+            path.write_bytes(path.read_bytes() + bytes(512))
+        return found
+
+    what = (one_person, "-o", tmp_path / "out", "--markers", "helen-hayes")
+    with monkeypatch.context() as patched:
+        patched.setattr(FileLabeller, "label", changing)
+        assert run(*what) == 1
+    assert f"{walked} was changed while it was labelled" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "labelled" / "p1" / "walk.c3d").exists()
+    run(*what)
+    assert (tmp_path / "out" / "labelled" / "p1" / "walk.c3d").exists()
+
+
+def test_results_of_recordings_that_have_gone_are_told_until_they_are_moved(
+    one_person: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    what = (one_person, "-o", out, "--markers", "helen-hayes")
+    (one_person / "p1" / "walk.c3d").unlink()
+    shutil.copy(one_person / "p1" / "static.c3d", one_person / "p1" / "static 2.c3d")
+    assert run(*what) == 0
+    (one_person / "p1" / "static 2.c3d").rename(one_person / "p1" / "static 3.c3d")
+    for _ in range(2):
+        capsys.readouterr()
+        assert run(*what) == 1
+        said = capsys.readouterr().err
+        assert "labelled/p1/static 2.c3d" in said and "[session-left-over]" in said and "static 3" not in said
+    assert "session-left-over" not in said.replace("[session-left-over]", "") and "static 2.c3d" in (out / "index.html").read_text()
+    # the results of another session in the same folder are none that were left over
+    shutil.copytree(one_person, tmp_path / "others")
+    run(tmp_path / "others" / "p1", "-o", out, "--markers", "helen-hayes")
+    assert "session-left-over" not in capsys.readouterr().err
+    (out / "labelled" / "p1" / "static 2.c3d").unlink()
+    assert run(*what) == 0
+
+
+def test_what_tasks_are_told_does_not_grow_with_the_folder(session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes = list[int]()
+
+    def only_measured(function: Any, tasks: Any, **how: Any) -> Iterator[Any]:
+        sizes.append(max(len(pickle.dumps(task)) for task in tasks))
+        return iter([(place, Outcome(None, "not done.")) for place in range(len(tasks))])
+
+    monkeypatch.setattr("asterism.session.spread", only_measured)
+    for count in (2, 200):
+        folder = tmp_path / str(count) / "people"
+        folder.mkdir(parents=True)
+        for number in range(count):
+            (folder / f"walk {number}.c3d").touch()
+        assert run(tmp_path / str(count), "-o", tmp_path / f"out {count}") == 2
+    assert max(sizes) < 500 and max(sizes) - min(sizes) < 50
 
 
 def square(task: tuple[int, Path]) -> int:

@@ -15,7 +15,7 @@ from asterism.cli import _console
 from asterism.errors import AsterismError
 from asterism.files.toml import read_toml, tables_of_toml
 from asterism.recording import MarkerSet, Recording
-from asterism.views.body_file import load_body
+from asterism.skeleton.body_file import load_body
 
 
 def python(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:

@@ -22,11 +22,12 @@ from asterism.simulation import simulate_standing, simulate_walks
 from asterism.simulation.cameras import Capsules
 from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.simulation.views_motion import simulate_motion
-from asterism.views import ArticulatedBody, checks, fit_body, label_views, load_body, save_body, shipped_bodies
+from asterism.skeleton import ArticulatedBody, fit_body, load_body, save_body, shipped_bodies
+from asterism.skeleton.posing import posed_points
+from asterism.views import checks, label_views
 from asterism.views.frame import FrameLabeller
 from asterism.views.passes import DirectionalTracker, Starts, _best_path, joined, seen
 from asterism.views.plain import label_stepwise, minimise_plain
-from asterism.views.posing import posed_points
 from asterism.views.result import ViewsLabelling
 from asterism.views.rig_fit import CameraAgreement
 from asterism.views.rules import QUICK, RULES

@@ -17,7 +17,8 @@ from asterism.formats import write_blobs
 from asterism.recording import MarkerSet
 from asterism.simulation import simulate_standing, simulate_walks
 from asterism.simulation.views_laboratory import ViewsSession, simulate_views
-from asterism.views import ArticulatedBody, ViewsLabelling, fit_body, label_views, save_body
+from asterism.skeleton import ArticulatedBody, fit_body, save_body
+from asterism.views import ViewsLabelling, label_views
 from asterism.views.agreement import check_by_model
 from asterism.views.rules import QUICK
 

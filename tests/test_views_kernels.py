@@ -10,17 +10,19 @@ from hypothesis import strategies as st
 
 from asterism.errors import AsterismError
 from asterism.simulation.views_laboratory import paper_rig
-from asterism.views import load_body
+from asterism.skeleton import load_body
+from asterism.skeleton.body_fit import known_of, pose_recording
+from asterism.skeleton.pose_kernels import place_bones, point_jacobian, take_step
+from asterism.skeleton.posing import posed_bones, posed_points
 from asterism.views._carry_kernels import carry_labels
+from asterism.views._chain_kernels import label_odds, link_chains
 from asterism.views._fit_kernels import evaluate, minimise, project_linear, share_blobs
 from asterism.views._label_kernels import assign_best, margins
 from asterism.views._limb_kernels import fit_limb, screen_limb
-from asterism.views._pose_kernels import place_bones, point_jacobian, take_step
 from asterism.views._visibility_kernels import sight_depths, visible_shares
-from asterism.views.body_fit import known_of, pose_recording
+from asterism.views.chains import continued
 from asterism.views.exchanges import exchanges_of
 from asterism.views.limbs import LimbScreen, LimbSearchRules, evenly, limbs_of
-from asterism.views.posing import posed_bones, posed_points
 from asterism.views.rules import ViewsRules
 from asterism.views.scene import camera_arrays
 from asterism.views.start import place_by_centroids
@@ -339,3 +341,39 @@ def test_labels_go_on_with_the_blobs_that_move_as_expected() -> None:
     both = np.array([[10.0, 10.0], [10.5, 10.0]])
     carry_labels(old_uv, old_uv, both, np.array([0, 2]), np.array([0, 1]), both[:1], np.array([0, 1]), 8.0, out)
     assert out[0] == -1, "two labels for one blob are none"
+
+
+@given(st.integers(0, 10_000))
+def test_labels_along_chains_are_those_of_the_twin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    # Steps as long as the points are apart, so that some links are doubtful.
+    positions = rng.uniform(0.0, 0.3, (1, 4, 3)) + np.cumsum(rng.normal(0.0, rng.uniform(0.002, 0.05), (12, 4, 3)), axis=0)
+    positions = np.take_along_axis(positions, np.argsort(rng.random((12, 4)) < 0.1, axis=1)[:, :, None], axis=1)
+    positions[rng.random((12, 4)) < 0.2] = np.nan
+    weights = rng.uniform(0.0, 7.0, (12, 4))
+    frame, marker = np.nonzero(np.isfinite(positions[..., 0]))
+    offsets = np.searchsorted(frame, np.arange(13))
+    previous, following = np.empty((2, len(frame)), dtype=np.int64)
+    link_chains(positions[frame, marker], offsets, 0.2, 0.005, previous, following)
+    odds, total = np.empty(len(frame)), np.zeros(4)
+    label_odds(previous, following, frame, marker, weights[frame, marker], 3, total, odds)
+    expected = twins.chained_labels(positions, weights, 0.2, 0.005, 3)[frame, marker]
+    np.testing.assert_allclose(odds, expected, atol=1e-9)
+    assert not total.any()
+
+
+def test_a_marker_that_becomes_another_one_in_a_single_frame_is_doubted() -> None:
+    # Ankle and heel 6 cm apart, walking on at 1.5 m/s; in frame 5 the heel's point is called ankle and the ankle is not seen.
+    way = np.arange(11)[:, None, None] * np.array([0.03, 0.0, 0.0]) + np.array([[0.0, 0.0, 0.08], [0.0, 0.06, 0.03]])
+    seen, sure = way.copy(), np.full((11, 2), 0.995)
+    seen[5], sure[5] = [way[5, 1], [np.nan] * 3], [0.995, 0.0]
+    shares = continued(seen, sure, 50.0, 5)
+    assert shares[5, 0] < 0.01
+    assert (np.delete(shares, 5, axis=0) > 0.999).all(), "the labels around are as sure as before"
+    # Nothing speaks against a label that begins and stays.
+    assert (continued(way, np.full((11, 2), 0.6), 50.0, 5) == 1.0).all()
+    # Half-way another name: nobody knows which half is right.
+    seen = way.copy()
+    seen[6:, 0], seen[6:, 1] = way[6:, 1], np.nan
+    seen[:6, 0] = np.nan
+    assert 0.2 < continued(seen, np.full((11, 2), 0.995), 50.0, 5)[5, 1] < 0.95

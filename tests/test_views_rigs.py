@@ -14,7 +14,8 @@ from asterism.recording import Blobs, Floats, Ints
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import ImagingSettings, simulate_blobs
 from asterism.simulation.views_laboratory import ViewsSession, simulate_views
-from asterism.views import ViewsLabelling, label_views, load_body
+from asterism.skeleton import load_body
+from asterism.views import ViewsLabelling, label_views
 from asterism.views.detection import detection_shares
 from asterism.views.lateness import in_step
 from asterism.views.rules import RULES

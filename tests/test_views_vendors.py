@@ -17,7 +17,7 @@ from asterism.formats.blobs_2d import read_2d
 from asterism.recording import Blobs, MarkerSet
 from asterism.simulation import simulate_standing, simulate_walks
 from asterism.simulation.views_laboratory import simulate_views
-from asterism.views import fit_body, save_body
+from asterism.skeleton import fit_body, save_body
 
 SERIALS = (20658, 20659, 20701, 20702)
 

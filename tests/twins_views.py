@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 
 from asterism.recording import Floats
-from asterism.views import ArticulatedBody
+from asterism.skeleton import ArticulatedBody
 
 
 def rotation_about(axis: Floats, angle: float) -> Floats:
@@ -77,3 +77,29 @@ def shared_cost(uv: Floats, variances: Floats, shares: Floats, blobs: list[Float
             density = shares[c] * np.exp(-0.5 * square / variances[c]) / (2 * np.pi * variances[c])
             cost -= np.log(strays + density[square < 25 * variances[c]].sum())
     return cost
+
+
+def chained_labels(positions: Floats, weights: Floats, fastest: float, near: float, window: int) -> Floats:
+    """(T, M) nats by which each placed marker has the label of its chain, NaN where it was not placed; chains: lists of (frame, marker)."""
+    chains: list[list[tuple[int, int]]] = []
+    for t, frame in enumerate(positions):
+        for m in np.nonzero(np.isfinite(frame[:, 0]))[0].tolist():
+            for chain in chains:
+                last, old = chain[-1]
+                if last != t - 1:
+                    continue
+                step = float(np.linalg.norm(frame[m] - positions[last, old]))
+                others = [np.linalg.norm(frame[k] - positions[last, old]) for k in range(len(frame)) if k != m]
+                others += [np.linalg.norm(frame[m] - positions[last, k]) for k in range(len(frame)) if k != old]
+                if step <= fastest and min([each for each in others if np.isfinite(each)], default=np.inf) >= 3 * (step / 2 + near):
+                    chain.append((t, m))
+                    break
+            else:
+                chains.append([(t, m)])
+    out = np.full(positions.shape[:2], np.nan)
+    for chain in chains:
+        for t, m in chain:
+            around = [(u, k) for u, k in chain if abs(u - t) <= window]
+            total = {k: sum(weights[u, j] for u, j in around if j == k) for _, k in around}
+            out[t, m] = total.pop(m) - max(total.values(), default=0.0)
+    return out

@@ -6,9 +6,9 @@ from functools import cache
 from pathlib import Path
 
 from asterism.recording import MarkerSet, Recording
-from asterism.views.body import ArticulatedBody
-from asterism.views.body_file import save_body
-from asterism.views.body_fit import fit_body
+from asterism.skeleton.body import ArticulatedBody
+from asterism.skeleton.body_file import save_body
+from asterism.skeleton.body_fit import fit_body
 from benchmarks import data
 
 HELEN_HAYES = MarkerSet.load("helen-hayes").names

@@ -9,7 +9,8 @@ import numpy as np
 
 from asterism.recording import Ints
 from asterism.simulation.views_laboratory import ViewsSession
-from asterism.views import ArticulatedBody, ViewsRules, label_views
+from asterism.skeleton import ArticulatedBody
+from asterism.views import ViewsRules, label_views
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 from benchmarks.views.sessions import (

@@ -11,7 +11,8 @@ import numpy as np
 from asterism.recording import Ints
 from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.simulation.views_motion import simulate_motion
-from asterism.views import ArticulatedBody, ViewsLabelling, load_body
+from asterism.skeleton import ArticulatedBody, load_body
+from asterism.views import ViewsLabelling
 from asterism.views.sights import FROM_BOTH_SIDES
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.views.bodies import body_of_others, trials

@@ -21,7 +21,8 @@ def demo_views(output: Path, seed: int, json: str | None) -> int:
     from asterism.report.views import views_report
     from asterism.simulation import simulate_standing, simulate_walks
     from asterism.simulation.views_laboratory import simulate_views
-    from asterism.views import fit_body, label_views, save_body
+    from asterism.skeleton import fit_body, save_body
+    from asterism.views import label_views
 
     _console.check_new(json, overwrite=True)
     output.mkdir(parents=True, exist_ok=True)

@@ -7,8 +7,10 @@ not done again. A task gives the same however often it is begun.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -18,11 +20,15 @@ from asterism.cli import _console
 from asterism.cli._folders import Trial
 from asterism.cli._labelling import ROW
 from asterism.cli._options import KnownLabels
+from asterism.cli._process_places import Places, Reference
 from asterism.cli.gait import GaitOptions, analysed, write_results
 from asterism.cli.label import LabelOptions, LabelRun
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, guarded_reading
+from asterism.files.atomic import write_atomically
 from asterism.files.plain import as_json
+from asterism.files.stalls import digest, that_answer
 from asterism.findings import Finding, Severity
+from asterism.session.spread import no_room
 
 if TYPE_CHECKING:
     from asterism.gait import Band, GaitAnalysis
@@ -69,13 +75,57 @@ class PersonOptions:
             json="-",
         )
 
+    def plain(self, places: Places) -> dict[str, Any]:
+        """The same as plain values that another machine understands."""
+        files = {name: places.reference(getattr(self, name)) for name in ("out", "model", "static", "band")}
+        trials = [(places.reference(path), place.as_posix()) for path, place in self.trials]
+        known = None if self.known_labels is None else self.known_labels.value
+        # a set is shipped, or in a file
+        markers = places.reference(Path(self.markers)) if self.markers and Path(self.markers).is_file() else self.markers
+        return {**vars(self), **files, "trials": trials, "known_labels": known, "markers": markers}
+
+    @classmethod
+    def of_plain(cls, plain: dict[str, Any], places: Places) -> PersonOptions:
+        """The inverse of `plain`, with paths of this machine; files are brought, but for the trials."""
+        files = {name: places.local(plain[name], bring=name != "out") for name in ("out", "model", "static", "band")}
+        trials = tuple((places.local(path, bring=False), Path(place)) for path, place in plain["trials"])
+        named = plain["markers"]
+        markers = str(places.local((named[0], named[1]))) if isinstance(named, list) else named
+        known = None if plain["known_labels"] is None else KnownLabels(plain["known_labels"])
+        measures = tuple((name, value) for name, value in plain["measures"])
+        return cls(**{**plain, **files, "trials": trials, "known_labels": known, "markers": markers, "measures": measures})
+
 
 @dataclass(frozen=True)
-class LabelTask:
-    """A recording of a person, by its place among the trials."""
+class PersonTask:
+    """A person, whose options are in a file of the results: a folder of a thousand recordings is no message.
 
-    person: PersonOptions
-    place: int
+    out     the folder of the results
+    name    of the person
+    digest  of the file
+    place   of the recording among the person's trials; None for all of them
+    """
+
+    out: Reference
+    name: str
+    digest: str
+    place: int | None = None
+
+
+def write_plan(person: PersonOptions, places: Places) -> PersonTask:
+    """Write the options of a person for the processes that share the work; the task that names them."""
+    data = json.dumps(person.plain(places), indent=1).encode()
+    path = _plan(person.out, person.name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, data)
+    places.take(path)
+    out = places.reference(person.out)
+    assert out is not None
+    return PersonTask(out, person.name, hashlib.sha256(data).hexdigest()[:16])
+
+
+def _plan(out: Path, name: str) -> Path:
+    return out / RECORDS / "plan" / f"{file_name(name)}.json"
 
 
 @dataclass
@@ -85,6 +135,10 @@ class TaskResult:
     rows: list[dict[str, Any]] = field(default_factory=list)
     findings: list[dict[str, str]] = field(default_factory=list)
     failed: dict[str, str] = field(default_factory=dict)
+
+    def told(self, places: Places) -> TaskResult:
+        """The same with addresses in place of the paths of temporary files."""
+        return TaskResult(**places.told(as_json(vars(self)))) if places.folders else self
 
 
 class _Kept(_console.Batch):
@@ -100,6 +154,9 @@ class _Kept(_console.Batch):
         try:
             yield
         except Exception as problem:
+            # all others would meet the same
+            if no_room(problem):
+                raise
             # a full disk is no property of the recording: what could not be written is tried again by the next run
             told = isinstance(problem, AsterismError) and not isinstance(problem.__cause__, OSError)
             kept = self.problems if told else self.faults
@@ -112,29 +169,84 @@ class _Kept(_console.Batch):
         self.findings.append(finding)
 
 
-_RUNS: dict[PersonOptions, tuple[LabelRun, _Kept]] = {}
-"""What labels the person of the last task: models are loaded and narrowed once for all of a person's files."""
+@dataclass
+class _Work:
+    """What a process keeps of the person of its last task: the options, where the files are, and what labels them."""
+
+    person: PersonOptions
+    places: Places
+    run: LabelRun | None = None
+    batch: _Kept = field(default_factory=_Kept)
+
+    @classmethod
+    def of(cls, task: PersonTask) -> _Work:
+        """The work on the person of a task."""
+        if task not in _WORK:
+            _WORK.clear()
+            places = Places()
+            out = places.local(task.out, bring=False)
+            assert out is not None
+            path = _plan(out, task.name)
+            if not places.bring(path):
+                raise AsterismError(f"{path} is not there; a worker must see the folder of the results under this path, or at an address.")
+            data = path.read_bytes()
+            if hashlib.sha256(data).hexdigest()[:16] != task.digest:
+                raise AsterismError(f"{path} is not what this run has written; is another run at work in the folder?")
+            _WORK[task] = cls(PersonOptions.of_plain(json.loads(data), places), places)
+        return _WORK[task]
+
+    def labelling(self) -> LabelRun:
+        """What labels this person's recordings: models are loaded and narrowed once for all of them."""
+        if self.run is None:
+            for path, _ in self.person.trials:
+                # one that cannot be brought is named when it is labelled itself
+                with suppress(AsterismError):
+                    self.places.bring(path)
+            answering = set(that_answer(path for path, _ in self.person.trials))
+            trials = [Trial(*trial) for trial in self.person.trials if trial[0] in answering]
+            self.run = LabelRun.of(self.person.label, trials, self.batch)
+        return self.run
 
 
-def label_trial(task: LabelTask) -> TaskResult:
+_WORK: dict[PersonTask, _Work] = {}
+
+
+def label_trial(task: PersonTask) -> TaskResult:
     """Label one recording of a person, unless this was done."""
+    assert task.place is not None
+    work = _Work.of(dataclasses.replace(task, place=None))
+    try:
+        return _labelled(work, task.place).told(work.places)
+    except AsterismError as problem:
+        raise _told(problem, work.places) from problem
+
+
+def _told(problem: AsterismError, places: Places) -> AsterismError:
+    return type(problem)(places.told(str(problem)))
+
+
+def _labelled(work: _Work, number: int) -> TaskResult:
     from asterism.session import FinishedFiles
 
-    person, (path, place) = task.person, task.person.trials[task.place]
-    if person not in _RUNS:
-        _RUNS.clear()
-        batch = _Kept()
-        _RUNS[person] = LabelRun.of(person.label, [Trial(*trial) for trial in person.trials], batch), batch
-    run, batch = _RUNS[person]
+    person, places = work.person, work.places
+    path, place = person.trials[number]
+    places.bring(path)
+    # a disk that stalls is told here, by a thread that can be left alone
+    with guarded_reading(path):
+        digest(path)
+    run, batch = work.labelling(), work.batch
     shared = list(batch.findings)
     try:
         # a record for each output: several processes write at once
         inputs = [*run.options.inputs, *([person.static] if person.static is not None and person.static != path else [])]
         record = person.out / RECORDS / LABELLED / f"{place.as_posix()}.jsonl"
-        record.parent.mkdir(parents=True, exist_ok=True)
-        finished = FinishedFiles(record.parent, run.options.how, inputs, ROW, record.name)
         target = run.options.output / place
-        if target.exists() and not person.overwrite and finished.finished(place, path, target) is None:
+        for one in (record, target):
+            places.bring(one, again=places.remote(one) is not None)
+        record.parent.mkdir(parents=True, exist_ok=True)
+        finished = FinishedFiles(record.parent, run.options.how_made, inputs, ROW, record.name)
+        before = None if person.overwrite or not target.exists() else finished.finished(place, path, target)
+        if target.exists() and not person.overwrite and before is None:
             if not finished.made_here(place, target):
                 raise AsterismError(
                     f"{path}: {target} was changed by somebody, and the recording or the options are others since; it stays. "
@@ -142,31 +254,48 @@ def label_trial(task: LabelTask) -> TaskResult:
                 )
             run = dataclasses.replace(run, options=dataclasses.replace(run.options, overwrite=True))
         result = dataclasses.replace(run, finished=finished).result(Trial(path, place), None)
+        if before is None:
+            # the record first: it knows the outputs before, too, so that none of them is taken for somebody's
+            places.take(record)
+            places.take(target)
+        places.forget((record, target))
         row = {name: value for name, value in result.row.items() if name != "markers"}
         return TaskResult([as_json(row)], [finding.to_dict() for finding in batch.findings])
     finally:
         batch.findings[:] = shared
 
 
-def analyse_person(person: PersonOptions) -> TaskResult:
+def analyse_person(task: PersonTask) -> TaskResult:
     """Analyse the labelled recordings of a person, unless this was done with the same ones."""
+    work = _Work.of(task)
+    try:
+        return _analysed(work.person, work.places).told(work.places)
+    except AsterismError as problem:
+        raise _told(problem, work.places) from problem
+
+
+def _analysed(person: PersonOptions, places: Places) -> TaskResult:
     from asterism.session import FinishedFiles
 
     labelled = [(place, person.out / LABELLED / place) for _, place in person.trials]
-    labelled = [(place, path) for place, path in labelled if path.exists()]
+    labelled = [(place, path) for place, path in labelled if places.bring(path)]
     if not labelled:
         return TaskResult()
     folder = person.out / RECORDS / OUTPUTS
     folder.mkdir(parents=True, exist_ok=True)
-    how = {name: value for name, value in dataclasses.asdict(person).items() if name not in ("out", "overwrite", "trials")}
+    # files count by what they hold, wherever they are
+    but = ("out", "overwrite", "trials", "model", "markers", "static", "band")
+    how = {name: value for name, value in dataclasses.asdict(person).items() if name not in but}
     how["places"] = [place.as_posix() for place, _ in labelled]
     others = [path for path in (person.static, person.band) if path is not None]
     name = file_name(person.name)
     table = person.out / OUTPUTS / f"{name}.csv"
+    for kept in (folder / f"{name}.jsonl", table):
+        places.bring(kept, again=places.remote(kept) is not None)
     finished = FinishedFiles(folder, how, [*(path for _, path in labelled), *others], (), f"{name}.jsonl")
     source, key = labelled[0][1], Path(name)
     before = None if person.overwrite else finished.finished(key, source, table)
-    if before is not None and all((person.out / one).exists() for one in before.row["outputs"]):
+    if before is not None and all(places.exists(person.out / one) for one in before.row["outputs"]):
         return TaskResult(list(before.row["rows"]), [finding.to_dict() for finding in before.findings])
     result, outputs, findings, write = _analysis(person, labelled, table)
     row = {"rows": result.rows, "outputs": outputs}
@@ -174,9 +303,24 @@ def analyse_person(person: PersonOptions) -> TaskResult:
     if not result.failed:
         finished.begin(key, source, table, row, findings)
     write()
+    for output in outputs:
+        places.take(person.out / output)
     if not result.failed:
         finished.end(key, table, row, findings)
+        places.take(finished.path)
+    places.forget([*(path for _, path in labelled), *(person.out / one for one in outputs), finished.path])
     return result
+
+
+def of_recording(place: str) -> list[str]:
+    """The results of a recording, below the folder of results."""
+    path = Path(place)
+    return [f"{LABELLED}/{place}", f"{OUTPUTS}/{path.with_suffix('.c3d').as_posix()}", f"{REPORTS}/{path.with_suffix('.html').as_posix()}"]
+
+
+def of_person(name: str) -> list[str]:
+    """The results of a person, who is called so as a file."""
+    return [f"{OUTPUTS}/{name}.csv", f"{REPORTS}/{name}.html"]
 
 
 def file_name(name: str) -> str:

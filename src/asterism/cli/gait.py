@@ -396,11 +396,13 @@ def show(path: Path, analysis: GaitAnalysis) -> None:
             )
     where = "treadmill" if analysis.walking.treadmill else "floor"
     sides = [sum(cycle.side == side for cycle in analysis.cycles) for side in "LR"]
+    turning = sum(cycle.turns for cycle in analysis.cycles)
+    turns = f" ({turning} of turns{', in no mean' if turning < sum(sides) else ''})" if turning else ""
     plates = sum(event.source.startswith("plate") for event in analysis.walking.events)
     model = None if analysis.clinical is None else analysis.clinical.model
     angles = "no angles" if model is None else f"angles by {model.title(analysis.recording)}, hip centres by {model.hip}"
     _console.result(
-        f"{path}: {sides[0]} left and {sides[1]} right cycles, on a {where}; {len(analysis.walking.events)} events, "
+        f"{path}: {sides[0]} left and {sides[1]} right cycles{turns}, on a {where}; {len(analysis.walking.events)} events, "
         f"{plates} of them by force plates; {last_filter(analysis.recording)}; {angles}."
     )
     if rows:
@@ -422,7 +424,13 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
         "treadmill": analysis.walking.treadmill,
         "events": [dataclasses.asdict(event) for event in analysis.walking.events],
         "cycles": [
-            {"side": cycle.side, "strike": cycle.strike.time, "off": cycle.off.time, "next_strike": cycle.next_strike.time}
+            {
+                "side": cycle.side,
+                "strike": cycle.strike.time,
+                "off": cycle.off.time,
+                "next_strike": cycle.next_strike.time,
+                "turns": cycle.turns,
+            }
             for cycle in analysis.cycles
         ],
         "midstances": [dataclasses.asdict(event) for event in midstances(analysis.walking)],

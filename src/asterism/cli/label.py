@@ -33,6 +33,7 @@ from asterism.cli._options import (
     Workers,
     WornSets,
 )
+from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.findings import Finding
@@ -88,6 +89,11 @@ class LabelOptions:
             "vertical": self.vertical,
             "markers": self.markers,
         }
+
+    @property
+    def how_made(self) -> dict[str, Any]:
+        """`how`, with the files of marker sets by their names: they count by what they hold, see `inputs`."""
+        return {**self.how, "markers": [Path(one).name if Path(one).is_file() else one for one in self.markers or ()] or None}
 
     @property
     def inputs(self) -> list[Path]:
@@ -178,7 +184,7 @@ class LabelRun:
         # the page shows the points, and the next program may want other axes: both need the whole recording
         in_memory = options.program is not None or options.page is not None
         labeller = file_labeller(options, [trial.path for trial in files], batch, rules=options.rules, in_memory=in_memory)
-        return cls(options, labeller, FinishedFiles(options.output, options.how, options.inputs, ROW), batch, len(files))
+        return cls(options, labeller, FinishedFiles(options.output, options.how_made, options.inputs, ROW), batch, len(files))
 
     def result(self, trial: Trial, progress: Progress | None) -> _Result:
         """Label one file and write it, or take over what an earlier run has finished."""
@@ -200,7 +206,11 @@ class LabelRun:
                 unknown = {name: float("nan") for name in (*LABEL_STATES, "frames_per_second") if before.row.get(name) is None}
                 return _Result({**before.row, **unknown, **here})
             check_output(trial.path, target, self.options.overwrite)
+        state = _state(trial.path)
         labelled = self.labeller.label(trial.path, _share(progress, self.batch, self.count, trial.path))
+        # half of one recording and half of another are labels of nobody
+        if _state(trial.path) != state:
+            raise AsterismError(f"{trial.path} was changed while it was labelled; run this again when it is whole.")
         row, findings = _row(target, labelled), self._findings(labelled)
         for finding in findings:
             self.batch.found(finding)
@@ -236,6 +246,15 @@ class LabelRun:
         from asterism.report import LabelledRecording
 
         return LabelledRecording(labelled.labelling, labelled.clouds, labelled.marker_set, None, labelled.about.first_frame)
+
+
+def _state(path: Path) -> tuple[int, int, int]:
+    """What tells one state of a file from another; a file that has gone was read before."""
+    try:
+        found = path.stat()
+    except OSError:
+        return (0, 0, 0)
+    return found.st_size, found.st_mtime_ns, found.st_ino
 
 
 def _row(target: Path, labelled: LabelledFile) -> dict[str, Any]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Sequence
+import json
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,15 +15,21 @@ from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._filling import Fill, fill_limit
 from asterism.cli._folders import Trial, check_folder, trials
-from asterism.cli._options import Json, KnownLabels, KnownLabelsOption, Vertical, vertical_axis
+from asterism.cli._options import Dask, Json, KnownLabels, KnownLabelsOption, Processes, Vertical, vertical_axis
+from asterism.cli._process_places import Places
 from asterism.errors import AsterismError
+from asterism.files.atomic import write_atomically
+from asterism.files.plain import as_json
+from asterism.findings import Finding, Severity
 
 if TYPE_CHECKING:
-    from asterism.cli._process_tasks import PersonOptions, TaskResult
-    from asterism.session import FolderSettings, Outcome, PlannedPerson
+    from asterism.cli._process_tasks import PersonOptions, PersonTask, TaskResult
+    from asterism.session import FolderSettings, Held, Outcome, PlannedPerson
 
-LOCK, TABLE, PARAMETERS, PAGE = "asterism-process.lock", "session.csv", "parameters.csv", "index.html"
-"""In the folder of the results: what one run holds, the table of all recordings, that of all parameters, and the page on all."""
+TABLE, PARAMETERS, PAGE = "session.csv", "parameters.csv", "index.html"
+"""In the folder of the results: the table of all recordings, that of all parameters, and the page on all."""
+LEDGER = "session.json"
+"""Among the records: which recordings and persons the sessions had."""
 _COLUMNS = ("file", "person", "kind", "frames", "labelled", "use", "look_at", "cycles", "cadence", "speed", "subject", "worn", "report")
 
 
@@ -32,11 +38,16 @@ class ProcessOptions:
     """What `asterism process` is asked to do."""
 
     sessions: Annotated[
-        list[Path], typer.Argument(metavar="SESSION", help="Folders of recordings, one for each person.", show_default=False)
+        list[str],
+        typer.Argument(
+            metavar="SESSION", help="Folders of recordings, one for each person, or their addresses (s3://...).", show_default=False
+        ),
     ]
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where all results go.", show_default=False)]
+    output: Annotated[
+        str, typer.Option("--output", "-o", metavar="FOLDER", help="Where all results go; or an address.", show_default=False)
+    ]
     model: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
             "--model", "-m", metavar="FILE", help="The model that labels; else virtual people who wear the set.", show_default=False
         ),
@@ -48,17 +59,12 @@ class ProcessOptions:
     known_labels: KnownLabelsOption = None
     fill: Fill = "auto"
     band: Annotated[
-        Path | None,
+        str | None,
         typer.Option("--band", metavar="FILE", help="A band of controls, which `asterism gait --save-band` wrote.", show_default=False),
     ] = None
     vertical: Vertical = None
-    workers: Annotated[int, typer.Option(metavar="N", min=1, help="Processes that share the work; the result is the same.")] = 1
-    dask: Annotated[
-        str | None,
-        typer.Option(
-            "--dask", metavar="ADDRESS", help="A Dask scheduler (tcp://host:8786), or local:N, in place of --workers.", show_default=False
-        ),
-    ] = None
+    workers: Processes = 1
+    dask: Dask = None
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Do all anew, also what somebody has corrected.")] = False
     json: Json = None
@@ -78,14 +84,18 @@ def process(options: ProcessOptions) -> None:
     (patterns of files that are no trials) and a table of measures.
     """
     batch = _console.Batch("processed")
-    _check(options)
-    persons = _persons(options, batch)
+    given = _Given.of(options)
+    _check(given)
+    persons = _persons(given, batch)
     if options.dry_run:
-        _show_plan(persons, options)
+        _show_plan(persons, given)
         raise typer.Exit(0)
-    options.output.mkdir(parents=True, exist_ok=True)
-    with _held(options.output):
-        run = _Run(options, persons, batch)
+    from asterism.session import held
+
+    out, remote = given.output, given.places.folders.get(given.output)
+    out.mkdir(parents=True, exist_ok=True)
+    with held(remote or out, lambda sentence: _console.notice(f"asterism: {sentence}")) as hold:
+        run = _Run(given, persons, batch, hold)
         with _console.progress("processing") as progress:
             run.label(progress)
             run.analyse(progress)
@@ -93,29 +103,54 @@ def process(options: ProcessOptions) -> None:
     raise typer.Exit(batch.close())
 
 
-def _check(options: ProcessOptions) -> None:
-    """Raise AsterismError where options contradict each other, or an output cannot be made."""
+@dataclass(frozen=True)
+class _Given:
+    """The options, and the paths of what they name: folders of sessions and results, model and band."""
+
+    options: ProcessOptions
+    places: Places
+    sessions: list[Path]
+    output: Path
+    model: Path | None
+    band: Path | None
+
+    @classmethod
+    def of(cls, options: ProcessOptions) -> _Given:
+        places = Places()
+        sessions, output = [places.path(one) for one in options.sessions], places.path(options.output)
+        return cls(options, places, sessions, output, places.file(options.model), places.file(options.band))
+
+
+def _check(given: _Given) -> None:
+    """Raise AsterismError where options contradict each other, or an output cannot be made. Of addresses, show what is there."""
+    options = given.options
     if options.model is not None and options.markers is not None:
         raise AsterismError(f"{options.model} has its own marker set; leave out --markers, or --model.")
     fill_limit(options.fill)
     _check_vertical(options.vertical)
-    for path in options.sessions:
+    for path in given.sessions:
+        given.places.show(path)
         if not path.is_dir():
             raise AsterismError(f"{path} is no folder; name the folder in which the recordings are.")
-    for given in (options.model, options.band):
-        if given is not None and not given.is_file():
-            raise AsterismError(f"{given} does not exist; correct the name.")
-    check_folder(options.output)
+    for file in (given.model, given.band):
+        if file is not None and not file.is_file():
+            raise AsterismError(f"{file} does not exist; correct the name.")
+    remote = given.places.folders.get(given.output)
+    if remote is None:
+        check_folder(given.output)
+    elif not options.dry_run:
+        remote.check(given.places.scratch)
     _console.check_new(options.json, options.overwrite)
 
 
-def _persons(options: ProcessOptions, batch: _console.Batch) -> list[tuple[PlannedPerson, PersonOptions]]:
+def _persons(given: _Given, batch: _console.Batch) -> list[tuple[PlannedPerson, PersonOptions]]:
     """Who is processed, and how: options, over which the settings of folders count."""
     from asterism.cli._process_tasks import PersonOptions
     from asterism.session import plan_session
 
-    found = _recordings(options, batch)
-    planned = plan_session([(trial.path, trial.place) for trial in found], options.sessions)
+    options = given.options
+    found = _recordings(given, batch)
+    planned = plan_session([(trial.path, trial.place) for trial in found], given.sessions)
     persons: list[tuple[PlannedPerson, PersonOptions]] = []
     for person in planned:
         settings = person.settings
@@ -126,14 +161,14 @@ def _persons(options: ProcessOptions, batch: _console.Batch) -> list[tuple[Plann
                 PersonOptions(
                     name=person.name,
                     trials=tuple((trial.path, trial.place) for trial in person.trials),
-                    out=options.output,
-                    model=settings.model or (None if settings.markers else options.model),
+                    out=given.output,
+                    model=settings.model or (None if settings.markers else given.model),
                     markers=settings.markers or (None if settings.model else options.markers),
                     static=person.standing,
                     vertical=settings.vertical or options.vertical,
                     known_labels=options.known_labels if settings.known_labels is None else KnownLabels(settings.known_labels),
                     fill=settings.fill or options.fill,
-                    band=options.band,
+                    band=given.band,
                     measures=tuple(sorted(settings.measures.items())),
                     overwrite=options.overwrite,
                 ),
@@ -144,9 +179,11 @@ def _persons(options: ProcessOptions, batch: _console.Batch) -> list[tuple[Plann
     return persons
 
 
-def _recordings(options: ProcessOptions, batch: _console.Batch) -> list[Trial]:
+def _recordings(given: _Given, batch: _console.Batch) -> list[Trial]:
     """The recordings of the session, without the results of other runs that lie in it: they would be persons of their own."""
-    found = trials(options.sessions, batch, without=options.output)
+    from asterism.session import LOCK
+
+    found = trials(given.sessions, batch, without=given.output)
     results: dict[Path, Path | None] = {}
     for trial in found:
         # what lies above the session says nothing: results may go there
@@ -219,7 +256,7 @@ def _check_places(persons: Sequence[PersonOptions]) -> None:
                 )
 
 
-def _show_plan(persons: Sequence[tuple[PlannedPerson, PersonOptions]], options: ProcessOptions) -> None:
+def _show_plan(persons: Sequence[tuple[PlannedPerson, PersonOptions]], given: _Given) -> None:
     """What would be done, as a table and as JSON."""
     from asterism.recording.display import counted
 
@@ -236,7 +273,7 @@ def _show_plan(persons: Sequence[tuple[PlannedPerson, PersonOptions]], options: 
         }
         for person, how in persons
     ]
-    if options.json != "-":
+    if given.options.json != "-":
         _console.table(
             counted(len(rows), "person"),
             ["person", "recordings", "standing trial", "labelled by", "fill", "settings"],
@@ -253,45 +290,33 @@ def _show_plan(persons: Sequence[tuple[PlannedPerson, PersonOptions]], options: 
             ],
             left=6,
         )
-    _console.write_json(options.json, {"command": "process", "dry_run": True, "persons": rows})
-
-
-@contextmanager
-def _held(folder: Path) -> Iterator[None]:
-    """While this holds, no other run writes to the folder. Raises AsterismError where one does."""
-    from asterism.files.atomic import holds
-
-    handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
-    try:
-        # the system lets go of it whatever ends the run
-        if holds(handle) is False:
-            raise AsterismError(f"{folder}: another run of asterism process is at work in it; wait for its end, or choose another -o.")
-        yield
-    finally:
-        os.close(handle)
+    plan = given.places.told(as_json({"command": "process", "dry_run": True, "persons": rows}))
+    _console.write_json(given.options.json, plan)
 
 
 class _Run:
     """A run over the persons of a session, and the rows of its table by the place of each recording."""
 
-    def __init__(self, options: ProcessOptions, persons: Sequence[tuple[PlannedPerson, PersonOptions]], batch: _console.Batch) -> None:
-        self.options, self.batch = options, batch
+    def __init__(self, given: _Given, persons: Sequence[tuple[PlannedPerson, PersonOptions]], batch: _console.Batch, hold: Held) -> None:
+        self.options, self.places, self.out, self.batch, self.hold = given.options, given.places, given.output, batch, hold
+        self.sessions = given.sessions
         self.persons = [how for _, how in persons]
         self.rows: dict[str, dict[str, Any]] = {}
-        self.trials = sum(len(person.trials) for person in self.persons)
+        self.tasks: list[PersonTask] = []
 
     def label(self, progress: Any) -> None:
         """Label all recordings; what cannot be labelled is named."""
-        from asterism.cli._process_tasks import LabelTask, label_trial
-        from asterism.session import in_order, spread
+        from asterism.cli._process_tasks import label_trial, write_plan
 
-        tasks = [LabelTask(person, place) for person in self.persons for place in range(len(person.trials))]
-        outcomes = spread(label_trial, tasks, workers=self.options.workers, dask=self.options.dask)
-        for done, (task, outcome) in enumerate(zip(tasks, in_order(outcomes), strict=True)):
-            path, place = task.person.trials[task.place]
+        self.tasks = [write_plan(person, self.places) for person in self.persons]
+        tasks = [
+            replace(task, place=place) for task, person in zip(self.tasks, self.persons, strict=True) for place in range(len(person.trials))
+        ]
+        of_tasks = [(person, *trial) for person in self.persons for trial in person.trials]
+        for done, ((person, path, place), outcome) in enumerate(zip(of_tasks, self._spread(label_trial, tasks), strict=True)):
             with self.batch.file(path):
                 (row,) = self._result(outcome).rows
-                self.rows[place.as_posix()] = {"person": task.person.name, **row, "file": path}
+                self.rows[place.as_posix()] = {"person": person.name, **row, "file": self.places.name(path)}
             if progress is not None:
                 # analysing a walk takes a tenth of labelling it
                 progress(0.9 * (done + 1) / len(tasks), path.name)
@@ -299,10 +324,8 @@ class _Run:
     def analyse(self, progress: Any) -> None:
         """Analyse the recordings of each person."""
         from asterism.cli._process_tasks import analyse_person
-        from asterism.session import in_order, spread
 
-        outcomes = spread(analyse_person, self.persons, workers=self.options.workers, dask=self.options.dask)
-        for done, (person, outcome) in enumerate(zip(self.persons, in_order(outcomes), strict=True)):
+        for done, (person, outcome) in enumerate(zip(self.persons, self._spread(analyse_person, self.tasks), strict=True)):
             with self._failing(person.name):
                 result = self._result(outcome)
                 for row in result.rows:
@@ -313,10 +336,22 @@ class _Run:
             if progress is not None:
                 progress(0.9 + 0.1 * (done + 1) / len(self.persons), person.name)
 
+    def _spread(self, function: Callable[[PersonTask], TaskResult], tasks: Sequence[PersonTask]) -> Iterator[Outcome[TaskResult]]:
+        """What the function gives for each task, in their order. Ends the run where the disk is full: no other task would fare better."""
+        from asterism.session import in_order, spread
+
+        for done, outcome in enumerate(in_order(spread(function, tasks, workers=self.options.workers, dask=self.options.dask))):
+            self.hold.check()
+            if outcome.no_room:
+                _console.error(
+                    f"{outcome.problem} The run ends after {done} of {len(tasks)} tasks: free some space, and run the same command "
+                    "again; it goes on from there."
+                )
+                raise typer.Exit(1)
+            yield outcome
+
     def _result(self, outcome: Outcome[TaskResult]) -> TaskResult:
         """What a task has answered; its findings are told. Raises AsterismError with the problem of one that has none."""
-        from asterism.findings import Finding
-
         if outcome.value is None:
             raise AsterismError(outcome.problem)
         for finding in outcome.value.findings:
@@ -336,25 +371,66 @@ class _Run:
         """Write the tables and the page, and print what became of each recording."""
         from asterism.report.session import session_report
 
-        out, rows = self.options.output, list(self.rows.values())
-        if not rows:
-            return
-        _console.write_csv(out / TABLE, _COLUMNS, [["" if row.get(name) is None else row.get(name) for name in _COLUMNS] for row in rows])
-        _join(out / PARAMETERS, sorted({out / "gait" / f"{name}.csv" for name in self._tables()}))
-        session_report(out / PAGE, rows, self.batch.findings, [*map(str, self.batch.failed)])
-        if self.options.json != "-":
-            self._print(rows)
-        _console.write_json(
-            self.options.json,
-            {
-                "command": "process",
-                "output": out,
-                "files": rows,
-                "passed_over": self.batch.passed_over,
-                "failed": self.batch.failed,
-                "findings": [finding.to_dict() for finding in self.batch.findings],
-            },
-        )
+        for finding in self._left_over():
+            self.batch.found(finding)
+        out, rows = self.out, list(self.rows.values())
+        failed = [self.places.name(path) for path in self.batch.failed]
+        findings = [Finding.from_dict(one) for one in self.places.told([finding.to_dict() for finding in self.batch.findings])]
+        if rows:
+            cells = [["" if row.get(name) is None else row.get(name) for name in _COLUMNS] for row in rows]
+            _console.write_csv(out / TABLE, _COLUMNS, cells)
+            tables = sorted({out / "gait" / f"{name}.csv" for name in self._tables()})
+            _join(out / PARAMETERS, [path for path in tables if self.places.bring(path)])
+            session_report(out / PAGE, rows, findings, failed)
+            for name in (TABLE, PARAMETERS, PAGE):
+                self.places.take(out / name)
+            if self.options.json != "-":
+                self._print(rows)
+        content = {
+            "command": "process",
+            "output": self.places.name(out),
+            "files": rows,
+            "passed_over": self.batch.passed_over,
+            "failed": failed,
+            "findings": [finding.to_dict() for finding in findings],
+        }
+        _console.write_json(self.options.json, self.places.told(as_json(content)))
+
+    def _left_over(self) -> list[Finding]:
+        """The results of recordings and persons that the session had in an earlier run and has no longer, as a finding; and keep today's.
+
+        Nothing is removed: a folder that is not mounted looks as if all were gone, and somebody may have corrected the labels.
+        """
+        from asterism.cli._process_tasks import RECORDS, of_person, of_recording
+        from asterism.recording.display import counted
+
+        ledger = self.out / RECORDS / LEDGER
+        try:
+            before = json.loads(ledger.read_bytes()) if self.places.bring(ledger) else {}
+        except ValueError:  # cut off by a power failure
+            before = {}
+        # what an earlier run has made from other sessions is none of ours
+        session = " ".join(sorted(self.places.name(path) for path in self.sessions))
+        places, persons = {place.as_posix() for person in self.persons for _, place in person.trials}, set(self._tables())
+        earlier = before.get(session, {})
+        gone = {place: of_recording(place) for place in earlier.get("recordings", []) if place not in places}
+        gone |= {f"the person {name}": of_person(name) for name in earlier.get("persons", []) if name not in persons}
+        left = {name: [one for one in outputs if self.places.exists(self.out / one)] for name, outputs in gone.items()}
+        # until somebody has moved them, they are told by each run
+        kept = {
+            "recordings": sorted(places | {one for one in earlier.get("recordings", []) if left.get(one)}),
+            "persons": sorted(persons | {one for one in earlier.get("persons", []) if left.get(f"the person {one}")}),
+        }
+        ledger.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(ledger, json.dumps({**before, session: kept}).encode())
+        self.places.take(ledger)
+        stale = [one for outputs in left.values() for one in outputs]
+        if not stale:
+            return []
+        few = ", ".join(stale[:6]) + (", ..." if len(stale) > 6 else "")
+        said = f"{self.places.name(self.out)}: the session has no longer what {counted(len(stale), 'result')} were made from: {few}."
+        mend = "Move them away, or bring the recordings back; tables and pages of this run do not count them."
+        return [Finding("session-left-over", Severity.WARNING, self.places.name(self.out), said, mend)]
 
     def _tables(self) -> list[str]:
         from asterism.cli._process_tasks import file_name
@@ -383,13 +459,11 @@ class _Run:
             ],
             left=3,
         )
-        _console.result(f"{counted(walks, 'walk')} analysed; open {self.options.output / PAGE}")
+        _console.result(f"{counted(walks, 'walk')} analysed; open {self.out / PAGE}")
 
 
 def _join(target: Path, tables: Sequence[Path]) -> None:
     """One table of those that are there, which have the same columns."""
-    from asterism.files.atomic import write_atomically
-
     lines: list[str] = []
     for path in tables:
         if path.is_file():

@@ -21,6 +21,7 @@ from asterism.formats._dispatch import (
 )
 
 if TYPE_CHECKING:
+    from asterism.formats._bones import SkeletonFile
     from asterism.formats._columns import wanted_columns
     from asterism.formats._computed import computed_labels, without_computed
     from asterism.formats._programs import PROGRAMS, for_program, write_for_program
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from asterism.formats.c3d.plates import force_plates
     from asterism.formats.csv_blobs import read_blobs, write_blobs
     from asterism.formats.opensim_forces import companions
+    from asterism.formats.skeletons import is_skeleton_file, read_skeleton, write_skeleton
     from asterism.formats.storage import TimeSeriesTable, read_table, write_table
 
 __all__ = [
@@ -39,6 +41,7 @@ __all__ = [
     "AnalysisValue",
     "LabelConfidence",
     "ModelPoint",
+    "SkeletonFile",
     "TimeSeriesTable",
     "analog_channels",
     "check_suffix",
@@ -50,11 +53,13 @@ __all__ = [
     "for_program",
     "force_plates",
     "is_recording_file",
+    "is_skeleton_file",
     "read",
     "read_blobs",
     "read_clouds",
     "read_confidence",
     "read_evidence",
+    "read_skeleton",
     "read_table",
     "unlike_a_person",
     "vertical_from_positions",
@@ -65,6 +70,7 @@ __all__ = [
     "write_for_program",
     "write_model_outputs",
     "write_points",
+    "write_skeleton",
     "write_table",
 ]
 
@@ -80,6 +86,8 @@ _MODULE_OF = {
     **dict.fromkeys(("PROGRAMS", "for_program", "write_for_program"), "_programs"),
     "companions": "opensim_forces",
     **dict.fromkeys(("read_blobs", "write_blobs"), "csv_blobs"),
+    "SkeletonFile": "_bones",
+    **dict.fromkeys(("is_skeleton_file", "read_skeleton", "write_skeleton"), "skeletons"),
     **dict.fromkeys(("TimeSeriesTable", "read_table", "write_table"), "storage"),
 }
 

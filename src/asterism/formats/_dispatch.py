@@ -76,6 +76,8 @@ def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None
         kind = _kind_of(path)
         if kind == "C3D":
             return read_c3d(path, wanted, up)
+        if kind == "skeleton":
+            raise NoMarkers(f"{path} holds the bones of a skeleton and no markers; give the recording of which it was made.")
         # Points of cameras are no markers: a folder may hold both, and goes on with the next file.
         if kind == "2D CSV":
             raise NoMarkers(
@@ -159,13 +161,18 @@ def write(
     return [*_function(_WRITERS[suffix])(path, recording), "the confidence of the labels"]
 
 
-def read_confidence(path: str | Path) -> LabelConfidence | None:
-    """The confidence of the labels in a C3D, CSV or NPZ file; None where it has none. Raises AsterismError where it cannot be read."""
+def read_confidence(path: str | Path, *, opened: Any = None) -> LabelConfidence | None:
+    """The confidence of the labels in a C3D, CSV or NPZ file; None where it has none. Raises AsterismError where it cannot be read.
+
+    opened  the `source` of a recording that was read from the file: a C3D file is not read again
+    """
     from asterism.formats import csv_long, csv_wide, npz
     from asterism.formats.c3d._confidence import confidence_of
-    from asterism.formats.c3d._file import open_c3d
+    from asterism.formats.c3d._file import C3DFile, open_c3d
 
     path = Path(path)
+    if isinstance(opened, C3DFile) and opened.path == str(path):
+        return confidence_of(opened)
     kind = _kind_of(path)
     if kind == "C3D":
         return confidence_of(open_c3d(path))
@@ -270,6 +277,10 @@ def _described(path: Path) -> dict[str, Any]:
         from asterism.formats.c3d._describe import describe_c3d
 
         return describe_c3d(path)
+    if kind == "skeleton":
+        from asterism.formats import skeletons
+
+        return skeletons.describe_skeleton(path)
     if kind == "2D CSV":
         from asterism.formats import csv_blobs
 
@@ -319,6 +330,11 @@ def convert_and_tell(source: str | Path, target: str | Path, vertical: ArrayLike
     source, target = Path(source), Path(target)
     with guarded_reading(source):
         kind = _kind_of(source)
+    if kind == "skeleton":
+        from asterism.formats import skeletons
+
+        found = skeletons.read_skeleton(source, vertical=vertical)
+        return list(found.findings), skeletons.write_skeleton(target, found.motion)
     # A CSV may be either: angles are recognised by having no groups of x, y and z.
     if kind in ("storage", "CSV"):
         table = storage.table_or_none(source)
@@ -351,6 +367,8 @@ def _kind_of(path: Path) -> str:
         head = file.read(8192)
     if not head.strip(b"\x00 \t\r\n"):
         raise AsterismError(f"{path} is empty; export it again.")
+    if suffix in (".bvh", ".glb", ".gltf") or head[:4] == b"glTF":
+        return "skeleton"
     if head[:4] == b"PK\x03\x04":
         return "NPZ"
     if head.startswith(b"MATLAB ") or head[1:4] == b"HDF" or suffix == ".mat":
@@ -379,6 +397,8 @@ def _text_kind(path: Path, head: bytes) -> str | None:
     lines = lines_of(decoded(path, head))
     # A line `sep=;`, by which Excel reads, may stand above.
     first = next((line for line in lines if line.strip()), "").strip().strip('"').casefold()
+    if first == "hierarchy":
+        return "skeleton"
     if first.startswith("format version"):
         return "Motive CSV"
     if first.startswith("pathfiletype") or any(

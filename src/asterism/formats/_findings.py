@@ -121,3 +121,8 @@ def repeated_name(sentence: str) -> Finding:
 def nothing_seen(sentence: str) -> Finding:
     """No marker has a sample in any frame."""
     return Finding("format-nothing-seen", Severity.WARNING, "", sentence, "Export the recording again with its trajectories.")
+
+
+def bones_lost(sentence: str) -> Finding:
+    """Bones of a skeleton move in a way that rigid bones on joints do not, or were joined with others."""
+    return Finding("format-bones-rigid", Severity.NOTE, "", sentence, "Export the skeleton with rotations only where that matters.")

@@ -12,8 +12,8 @@ from asterism.cameras import Camera
 from asterism.recording import Floats
 from asterism.report.figures import line
 from asterism.report.page import Page, Section, Table, percent, write_page
+from asterism.skeleton.posing import posed_points
 from asterism.views import ViewsLabelling
-from asterism.views.posing import posed_points
 
 _BODY, _LABEL, _ONE, _LEFT = "rgba(95, 182, 190, 0.25)", "#0b5563", "#c77d1a", "#7d1a2d"
 _HIDDEN = "#6b7c8c"

@@ -5,9 +5,10 @@ from asterism.session.finished import FinishedFiles
 from asterism.session.labelled import LabelledFile
 from asterism.session.labeller import FileLabeller, body_names, label_file
 from asterism.session.live import LiveLabeller
+from asterism.session.lock import LOCK, Held, held
 from asterism.session.options import CHECK, IGNORE, KEEP, LabellingOptions
 from asterism.session.plan import FolderSettings, PlannedPerson, PlannedTrial, plan_session
-from asterism.session.spread import Outcome, in_order, spread
+from asterism.session.spread import Outcome, each_of, in_order, spread
 from asterism.session.standing import is_standing_name, stands
 from asterism.session.trials import has_gaps, read_trial, read_trials, trials_of
 from asterism.session.worn import SetFinder, WornMarkers
@@ -16,9 +17,11 @@ __all__ = [
     "CHECK",
     "IGNORE",
     "KEEP",
+    "LOCK",
     "FileLabeller",
     "FinishedFiles",
     "FolderSettings",
+    "Held",
     "LabelledFile",
     "LabellingOptions",
     "LabellingSettings",
@@ -29,7 +32,9 @@ __all__ = [
     "SetFinder",
     "WornMarkers",
     "body_names",
+    "each_of",
     "has_gaps",
+    "held",
     "in_order",
     "is_standing_name",
     "label_file",

@@ -6,7 +6,6 @@ import hashlib
 import json
 import os
 import re
-import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,8 +15,6 @@ from asterism.files.plain import as_json
 from asterism.findings import Finding
 
 NAME = "asterism-label.jsonl"
-_SLACK = 2 * 10**9
-"""ns by which a file system may round the time of a file down."""
 
 
 @dataclass(frozen=True)
@@ -50,12 +47,15 @@ class FinishedFiles:
         self.how = hashlib.sha256(json.dumps(as_json(how), sort_keys=True).encode()).hexdigest()
         self.inputs = [_hash(path) for path in inputs]
         self.entries: dict[str, dict[str, Any]] = {}
+        self.earlier: dict[str, set[Any]] = {}
         for line in _lines(self.path):
+            output = str(line.get("output"))
             # an output that was begun again is not what the earlier line says
             if line.get("event") == "begun":
-                self.entries[str(line.get("output"))] = line
-            elif line.get("event") == "written" and str(line.get("output")) in self.entries:
-                self.entries[str(line["output"])] |= line
+                self.entries[output] = line
+            elif line.get("event") == "written" and output in self.entries:
+                self.entries[output] |= line
+                self.earlier.setdefault(output, set()).add(line.get("sha256"))
 
     def finished(self, place: Path, source: Path, target: Path) -> FinishedFile | None:
         """What was said of a file that this version has labelled with the same models and options from the same content; else None."""
@@ -64,12 +64,15 @@ class FinishedFiles:
         if entry is None or entry.get("key") != self._key(source):
             return None
         try:
-            written = target.stat().st_mtime_ns
-            # the run was stopped between the two lines: the output counts where it was written after the first one
-            if "sha256" not in entry and written + _SLACK < int(entry["at"]):
+            state, content = _state(target), _hash(target)
+            # the run was stopped between the two lines: the output counts where it is another one than before, whatever the clocks say
+            if state is None or ("sha256" not in entry and state == entry["before"]):
                 return None
             # what somebody corrected by hand stays; the row says that it is no longer what was written
-            changed = "sha256" in entry and entry["sha256"] != _hash(target)
+            changed = "sha256" in entry and entry["sha256"] != content
+            # the new output did not reach its place
+            if changed and content in self.earlier[place.as_posix()]:
+                return None
             # both may be named by other paths today
             named = {str(entry["source"]): str(source), str(entry["target"]): str(target)}
             findings = [_renamed(Finding.from_dict(found), named) for found in entry["findings"]]
@@ -81,11 +84,11 @@ class FinishedFiles:
     def made_here(self, place: Path, target: Path) -> bool:
         """Whether an output is what a run has written, from whatever and however, and nobody has changed it since."""
         entry = self.entries.get(place.as_posix())
-        return entry is not None and ("sha256" not in entry or entry["sha256"] == _hash(target))
+        return entry is not None and ("sha256" not in entry or _hash(target) in self.earlier[place.as_posix()])
 
     def begin(self, place: Path, source: Path, target: Path, row: Mapping[str, Any], findings: Sequence[Finding]) -> None:
         """Note that an output is being made, and what is said of it where the run is stopped before `end`."""
-        about = {"source": str(source), "target": str(target), "key": self._key(source), "at": time.time_ns()}
+        about = {"source": str(source), "target": str(target), "key": self._key(source), "before": _state(target)}
         self._append({"event": "begun", "output": place.as_posix(), **about, **_said(row, findings)})
 
     def end(self, place: Path, target: Path, row: Mapping[str, Any], findings: Sequence[Finding]) -> None:
@@ -137,6 +140,15 @@ def _lines(path: Path) -> list[dict[str, Any]]:
         if isinstance(line, dict):
             found.append(line)
     return found
+
+
+def _state(path: Path) -> list[int] | None:
+    """What tells one state of a file from another; None where there is none. A file that is replaced is another one, also at once."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return [found.st_size, found.st_mtime_ns, found.st_ino]
 
 
 def _hash(path: Path) -> str:

@@ -6,17 +6,24 @@ same however often it is begun, since one whose process was lost is begun again.
 
 from __future__ import annotations
 
+import errno
 import multiprocessing
+import os
+import pickle
 import signal
+import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from asterism.errors import AsterismError
+from asterism.labelling.shared_work import Each
 
 Task = TypeVar("Task")
 Value = TypeVar("Value")
@@ -28,12 +35,21 @@ _PATIENCE = 60.0
 """s for which a scheduler that does not answer is called again: it starts anew in seconds. At half, a slow start is a failure."""
 
 
+_ENDING = 5.0
+"""s for which a process that has nothing left to do may remove what it made; a folder of temporary files goes in a tenth of this."""
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
+
+
 @dataclass(frozen=True)
 class Outcome(Generic[Value]):
-    """What became of one task: its value, or the problem in one sentence where it has none."""
+    """What became of one task: its value, or the problem in one sentence where it has none.
+
+    no_room  whether the disk is full, or the share of it that the user may fill: all other tasks will meet the same
+    """
 
     value: Value | None
     problem: str = ""
+    no_room: bool = False
 
 
 def spread(
@@ -73,7 +89,17 @@ def _outcome(function: Callable[[Task], Value], task: Task) -> Outcome[Value]:
         return Outcome(function(task))
     except Exception as problem:
         expected = isinstance(problem, AsterismError | OSError)
-        return Outcome(None, " ".join(str(problem).split()) if expected else f"{type(problem).__name__}: {problem}")
+        said = " ".join(str(problem).split()) if expected else f"{type(problem).__name__}: {problem}"
+        return Outcome(None, said, no_room(problem))
+
+
+def no_room(problem: BaseException | None) -> bool:
+    """Whether a problem, or what it came from, is a disk that is full."""
+    while problem is not None:
+        if isinstance(problem, OSError) and problem.errno in _NO_ROOM:
+            return True
+        problem = problem.__cause__
+    return False
 
 
 @dataclass
@@ -103,8 +129,11 @@ class _Worker(Generic[Task]):
         self.place = place
         self.pipe.send(task)
 
-    def end(self) -> None:
+    def end(self, *, idle: bool = False) -> None:
+        """End the process; idle: it has no task, and ends by itself, with what it kept on the disk."""
         self.pipe.close()
+        if idle:
+            self.process.join(_ENDING)
         self.process.terminate()
         self.process.join()
 
@@ -145,7 +174,7 @@ def _in_processes(function: Callable[[Task], Value], tasks: Sequence[Task], work
                 if waiting:
                     worker.give(*waiting.popleft())
                 else:
-                    worker.end()
+                    worker.end(idle=True)
                     working.remove(worker)
                 yield place, outcome
     finally:
@@ -246,3 +275,44 @@ def _number(address: str) -> int:
     if not number.isdecimal() or int(number) < 1:
         raise AsterismError(f"--dask {address} is no cluster; write local:2 for two processes, or a scheduler such as tcp://host:8786.")
     return int(number)
+
+
+@contextmanager
+def each_of(folder: Path, *, workers: int = 1, dask: str | None = None) -> Iterator[Each]:
+    """An `Each` whose function may hold much, such as frames or a model, and may give much: both go over the disk, not as messages.
+
+    folder  in which a folder for them is made meanwhile; all workers must see it under this path
+
+    The first task that fails ends all, with AsterismError.
+    """
+    with tempfile.TemporaryDirectory(prefix=".asterism-", dir=folder) as scratch:
+        calls = iter(range(2**31))
+
+        def each(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
+            shared = Path(scratch) / f"{next(calls)}.function"
+            shared.write_bytes(pickle.dumps(function, pickle.HIGHEST_PROTOCOL))
+            tasks = [(str(shared.absolute()), place, item) for place, item in enumerate(items)]
+            for outcome in in_order(spread(_through_disk, tasks, workers=workers, dask=dask)):
+                if outcome.value is None:
+                    raise AsterismError(outcome.problem)
+                kept = Path(outcome.value)
+                yield pickle.loads(kept.read_bytes())
+                kept.unlink()
+
+        yield each
+
+
+_FUNCTIONS: dict[str, Callable[[Any], Any]] = {}
+"""The function of the last task: it is read once by each process."""
+
+
+def _through_disk(task: tuple[str, int, Any]) -> str:
+    """Call the function in a file, and write what it gives into another one, whose path is returned."""
+    shared, place, item = task
+    if shared not in _FUNCTIONS:
+        _FUNCTIONS.clear()
+        _FUNCTIONS[shared] = pickle.loads(Path(shared).read_bytes())
+    # of its own name, since a task that was begun twice is written twice
+    kept = f"{shared}.{place}.{os.getpid()}"
+    Path(kept).write_bytes(pickle.dumps(_FUNCTIONS[shared](item), pickle.HIGHEST_PROTOCOL))
+    return kept

@@ -8,8 +8,8 @@ import numpy as np
 
 from asterism.recording import Floats, Recording
 from asterism.simulation.cameras import Capsules
-from asterism.views.body import ArticulatedBody, as_point
-from asterism.views.posing import posed_points
+from asterism.skeleton.body import ArticulatedBody, as_point
+from asterism.skeleton.posing import posed_points
 
 _FREE_ARMS = ("upper arm raising", "upper arm abduction", "forearm flexion")
 _FREE_DEGREES = {"upper arm raising": (0.0, 110.0), "upper arm abduction": (0.0, 60.0), "forearm flexion": (5.0, 80.0)}

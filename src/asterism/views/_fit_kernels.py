@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.views._pose_kernels import (
+from asterism.skeleton.pose_kernels import (
     HINGES,
     add_priors,
     gather,
@@ -312,64 +312,3 @@ def minimise(body, cameras, known, observing, xy, offsets, labels, sigmas, steps
                     break
     hessian[:] = current
     return cost
-
-
-@kernel
-def fit_positions(body, known, positions, noise, steps, free, pose, rotation):
-    """The pose of a body whose markers' positions are known: Levenberg-Marquardt in space.
-
-    IN  positions (M, 3) m, NaN where missing; noise m, beside each marker's own spread; free (F,)
-    OUT pose (D,), rotation (3, 3): the start, then the result. Returns the cost (nats)
-    O(steps (M D^2 + F^3)).
-    """
-    size, bones, hinges, markers = len(pose), len(body.parents), len(body.axes), len(body.bones)
-    turned, moved, by_scale = np.empty((bones, 3, 3)), np.empty((bones, 3)), np.empty((bones, 3, 3))
-    axes, pivots, points = np.empty((hinges, 3)), np.empty((hinges, 3)), np.empty((markers, 3))
-    hessian, gradient, factor, step = np.empty((size, size)), np.empty(size), np.empty((size, size)), np.empty(size)
-    new_pose, new_rotation = pose.copy(), rotation.copy()
-    jacobian, information, pull = np.empty((3, size)), np.zeros((3, 3)), np.empty(3)
-    best, damping = np.inf, 1e-3
-    for _ in range(steps):
-        place_bones(body.parents, body.pivots, body.hinge_starts, body.axes, new_pose, new_rotation, turned, moved, by_scale, axes, pivots)
-        place_points(body.bones, body.places, new_pose, turned, moved, points)
-        cost = 0.0
-        next_hessian, next_gradient = np.zeros((size, size)), np.zeros(size)
-        for m in range(markers):
-            # Missing markers say nothing.
-            if math.isfinite(positions[m, 0]):
-                weight = 1.0 / (noise * noise + body.spreads[m] * body.spreads[m])
-                for k in range(3):
-                    pull[k] = weight * (positions[m, k] - points[m, k])
-                    information[k, k] = weight
-                    cost += 0.5 * weight * (positions[m, k] - points[m, k]) ** 2
-                b = body.bones[m]
-                point_jacobian(b, body.places[m], points[m], new_pose, turned, by_scale, axes, pivots, body.moves[b], jacobian)
-                gather(jacobian, information, pull, next_hessian, next_gradient)
-        cost += add_priors(
-            new_pose,
-            new_rotation,
-            known.vertical,
-            body.usual,
-            body.precision,
-            known.scale_usual,
-            known.scale_precision,
-            known.tilt_precision,
-            next_hessian,
-            next_gradient,
-        )
-        # Else the next try begins from the best pose with more damping.
-        if cost < best:
-            done = best - cost < 1e-9 * (1.0 + cost)
-            best = cost
-            pose[:], rotation[:] = new_pose, new_rotation
-            hessian, gradient = next_hessian, next_gradient
-            damping *= 0.2
-            if done:
-                break
-        else:
-            damping = 8.0 * damping + 1e-4
-        if not solve_damped(hessian, gradient, free, damping, factor, step):
-            damping = 10.0 * damping + 1e-6
-            step[:] = 0.0
-        take_step(pose, rotation, step, 0.3, body.low, body.high, new_pose, new_rotation)
-    return best

@@ -8,8 +8,8 @@ import numpy as np
 
 from asterism._jit import kernel
 from asterism.geometry.shared_kernels import symmetric_inverse
+from asterism.skeleton.pose_kernels import place_bones, place_points, point_jacobian, solve_damped
 from asterism.views._fit_kernels import add_sight, project_linear
-from asterism.views._pose_kernels import place_bones, place_points, point_jacobian, solve_damped
 
 _NEVER = 1e6
 """nats: no gain comes near."""

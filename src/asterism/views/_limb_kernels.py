@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.skeleton.pose_kernels import HINGES, PLACE, place_bones, place_points
 from asterism.views._fit_kernels import minimise, project_linear
-from asterism.views._pose_kernels import HINGES, PLACE, place_bones, place_points
 
 _FAR = 4.0
 """Standard deviations beyond which a blob says nothing about a marker."""

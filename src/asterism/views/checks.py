@@ -9,7 +9,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.recording import Floats, Ints, canonical
-from asterism.views.body import ArticulatedBody
+from asterism.skeleton.body import ArticulatedBody
 from asterism.views.result import ViewsLabelling
 from asterism.views.rig_fit import CameraAgreement
 from asterism.views.rules import RULES

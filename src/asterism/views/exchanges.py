@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.recording import Ints
-from asterism.views.body import ArticulatedBody
+from asterism.skeleton.body import ArticulatedBody
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,17 +9,18 @@ from itertools import pairwise, permutations
 import numpy as np
 
 from asterism.recording import Floats, Ints
+from asterism.skeleton.arrays import ArticulatedBodyArrays, Known
+from asterism.skeleton.body import ArticulatedBody
+from asterism.skeleton.body_fit import known_of
+from asterism.skeleton.pose_kernels import HINGES, add_priors
+from asterism.skeleton.posing import posed_points
 from asterism.views._carry_kernels import carry_labels
 from asterism.views._fit_kernels import minimise, predict_visible, project_linear
 from asterism.views._label_kernels import label_globally, place_priors, unseen_cost
-from asterism.views._pose_kernels import HINGES, add_priors
-from asterism.views.arrays import ArticulatedBodyArrays, Known, Observing, PinholeArrays
-from asterism.views.body import ArticulatedBody
-from asterism.views.body_fit import known_of
+from asterism.views.arrays import Observing, PinholeArrays
 from asterism.views.exchanges import Exchange, exchanges_of
 from asterism.views.limbs import RULES as LIMB_RULES
 from asterism.views.limbs import Limb, LimbScreen, LimbSearchRules, limbs_of
-from asterism.views.posing import posed_points
 from asterism.views.rules import RULES, ViewsRules
 from asterism.views.scene import ViewsScene
 from asterism.views.start import POSTURES, StartPosture, starts

@@ -11,9 +11,10 @@ from asterism.errors import AsterismError
 from asterism.files.journal import Journal
 from asterism.progress import Progress
 from asterism.recording import NULL, Blobs, Floats, Ints
+from asterism.skeleton.body import ArticulatedBody
+from asterism.skeleton.body_file import load_body
 from asterism.views import checks
-from asterism.views.body import ArticulatedBody
-from asterism.views.body_file import load_body
+from asterism.views.chains import continued
 from asterism.views.frame import FrameLabeller
 from asterism.views.lateness import in_step, late_by
 from asterism.views.passes import DirectionalTracker, ScoredFrame, Starts, joined
@@ -247,6 +248,17 @@ class _Track:
             # Only markers with a label that was given get a place.
             there = found_views > 0
             positions[t, there], covariances[t, there] = found.labels.points[there], found.labels.covariances[there]
+        # A frame alone may be explained better by another body than by the one that the frames around it show.
+        frame_of, there = scene.blobs.frame_of, candidates >= 0
+        sure = np.zeros((frames, markers))
+        np.maximum.at(sure, (frame_of[there], candidates[there]), confidence[there])
+        confidence[there] = np.minimum(
+            confidence[there], continued(positions, sure, scene.blobs.rate, rules.window)[frame_of[there], candidates[there]]
+        )
+        labels[confidence < least_confidence] = NULL
+        views[:] = 0
+        np.add.at(views, (frame_of[labels >= 0], labels[labels >= 0]), 1)
+        positions[views == 0], covariances[views == 0] = np.nan, np.nan
         made = ViewsLabelling(
             scene.rig,
             scene.blobs,

@@ -9,11 +9,12 @@ from itertools import pairwise
 import numpy as np
 
 from asterism.recording import Floats, Ints
+from asterism.skeleton.arrays import ArticulatedBodyArrays, Known
+from asterism.skeleton.body import ArticulatedBody
+from asterism.skeleton.pose_kernels import HINGES, PLACE
+from asterism.skeleton.posing import posed_bones
 from asterism.views._limb_kernels import fit_limb, screen_limb
-from asterism.views._pose_kernels import HINGES, PLACE
-from asterism.views.arrays import ArticulatedBodyArrays, Known, Observing, PinholeArrays
-from asterism.views.body import ArticulatedBody
-from asterism.views.posing import posed_bones
+from asterism.views.arrays import Observing, PinholeArrays
 
 _NONE = np.empty(0, dtype=np.int64)
 

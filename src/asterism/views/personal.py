@@ -10,9 +10,9 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.recording import Floats, Ints
-from asterism.views._pose_kernels import PLACE
-from asterism.views.body import ArticulatedBody, as_point
-from asterism.views.body_fit import PosedFrames, rest_places
+from asterism.skeleton.body import ArticulatedBody, as_point
+from asterism.skeleton.body_fit import PosedFrames, rest_places
+from asterism.skeleton.pose_kernels import PLACE
 from asterism.views.frame import BlobLabels, FrameLabeller
 from asterism.views.scene import cameras_with_blobs
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from asterism.geometry import nearest_point_to_lines
 from asterism.recording import Floats, Ints
+from asterism.skeleton.pose_kernels import HINGES
+from asterism.skeleton.posing import posed_points
 from asterism.views._fit_kernels import minimise, predict_visible, project_linear
-from asterism.views._pose_kernels import HINGES
 from asterism.views.arrays import Observing
 from asterism.views.frame import FrameLabeller
-from asterism.views.posing import posed_points
 
 
 @dataclass(frozen=True)

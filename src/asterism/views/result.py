@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from asterism.cameras import Rig
 from asterism.findings import Finding
 from asterism.recording import NULL, Blobs, Clouds, Floats, Ints, Labelling, Recording
-from asterism.views.body import ArticulatedBody
+from asterism.skeleton.body import ArticulatedBody
 from asterism.views.sights import FROM_PREVIOUS, SightRules, predict_visibility
 
 

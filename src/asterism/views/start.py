@@ -11,9 +11,9 @@ from asterism.cameras import Rig
 from asterism.errors import AsterismError
 from asterism.geometry import rotation_from_vector, z_up_rotation
 from asterism.recording import Floats, Ints
-from asterism.views._pose_kernels import HINGES
-from asterism.views.body import ArticulatedBody, Point
-from asterism.views.posing import posed_points
+from asterism.skeleton.body import ArticulatedBody, Point
+from asterism.skeleton.pose_kernels import HINGES
+from asterism.skeleton.posing import posed_points
 from asterism.views.scene import ViewsScene, cameras_with_blobs
 
 

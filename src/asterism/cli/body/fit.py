@@ -48,7 +48,7 @@ def fit(options: BodyFitOptions) -> None:
     from asterism import formats
     from asterism.errors import AsterismError
     from asterism.recording import MarkerSet
-    from asterism.views import fit_body, save_body
+    from asterism.skeleton import fit_body, save_body
 
     output = options.output
     # `label-views` knows a body model from a shipped one by its suffix

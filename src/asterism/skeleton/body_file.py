@@ -10,7 +10,7 @@ from typing import Any
 
 from asterism.errors import AsterismError, guarded_reading
 from asterism.files.toml import tables_of_toml, toml_text
-from asterism.views.body import ArticulatedBody, BodyMarker, Bone, Capsule, Hinge, Point
+from asterism.skeleton.body import ArticulatedBody, BodyMarker, Bone, Capsule, Hinge, Point
 
 _VERSION = 1
 _MOST = 2000

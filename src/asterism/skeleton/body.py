@@ -11,7 +11,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.recording import Floats, Ints, MarkerSet, canonical
 from asterism.recording.display import Rows, as_html, as_text, listed, significant
-from asterism.views.arrays import ArticulatedBodyArrays
+from asterism.skeleton.arrays import ArticulatedBodyArrays
 
 Point = tuple[float, float, float]
 """A place in space, m."""

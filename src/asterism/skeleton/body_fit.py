@@ -10,12 +10,11 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.geometry import fit_rigid, rotate_z_up
 from asterism.recording import Floats, MarkerSet, Recording, canonical, is_unnamed, without_subject
-from asterism.views import anatomy
-from asterism.views._fit_kernels import fit_positions
-from asterism.views._pose_kernels import HINGES, PLACE, place_bones
-from asterism.views.arrays import Known
-from asterism.views.body import ArticulatedBody, BodyMarker, Hinge, as_point
-from asterism.views.body_file import load_body, shipped_bodies
+from asterism.skeleton import anatomy
+from asterism.skeleton.arrays import Known
+from asterism.skeleton.body import ArticulatedBody, BodyMarker, Hinge, as_point
+from asterism.skeleton.body_file import load_body, shipped_bodies
+from asterism.skeleton.pose_kernels import HINGES, PLACE, fit_positions, place_bones
 
 _ASIS_HEIGHT = 0.555
 """Height of the front of the pelvis as a share of stature, near the tables of Drillis and Contini (1966) for the hip (0.530)."""

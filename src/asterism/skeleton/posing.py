@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from asterism.recording import Floats
-from asterism.views._pose_kernels import place_bones, place_points
-from asterism.views.body import ArticulatedBody
+from asterism.skeleton.body import ArticulatedBody
+from asterism.skeleton.pose_kernels import place_bones, place_points
 
 
 def posed_points(body: ArticulatedBody, pose: Floats, rotation: Floats) -> tuple[Floats, Floats, Floats]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.recording import Floats, canonical
-from asterism.views.body import Bone, Capsule, Hinge, Point, as_point
+from asterism.skeleton.body import Bone, Capsule, Hinge, Point, as_point
 
 BONE_OF = {
     "pelvis": "LASI RASI SACR LPSI RPSI",
