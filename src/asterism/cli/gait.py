@@ -118,7 +118,7 @@ def gait(options: GaitOptions) -> None:
     that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass. --c3d writes all of it into copies of
     the walks.
     --fill fills gaps of markers first, with what other files of the person show, named or beside; events and angles that depend on filled
-    samples are as much less certain, and flagged. --filter smooths markers; by default nothing is filtered, because angles and events need it not.
+    samples are as much less certain, and flagged. --filter smooths markers; by default nothing is filtered: angles and events need it not.
     --compare sets a second session of the person beside the first, before and after a treatment.
     """
     from asterism.cli._folders import copies_of, trials
