@@ -113,7 +113,9 @@ class _Model:
         coordinate = (axis.findtext("coordinates") or "").strip()
         if len(coordinate.split()) > 1:
             raise AsterismError(f"{self.path}: {axis.get('name')} depends on {coordinate}; only one coordinate for each axis is read.")
-        curve = self._curve(next(each for each in axis if each.tag not in ("coordinates", "axis")))
+        given = next(each for each in axis if each.tag not in ("coordinates", "axis"))
+        # Older files have the function in an element of its own.
+        curve = self._curve(given[0] if given.tag == "function" else given)
         if not coordinate and not curve.cubics[0, 0]:
             return None
         plain = len(curve.knots) == 1 and curve.cubics[0].tolist() == [0.0, 1.0, 0.0, 0.0]
@@ -167,7 +169,7 @@ class _Model:
         if len(x) < 2 or len(x) != len(y) or (np.diff(x) <= 0).any():
             raise AsterismError(f"{self.path}: a {function.tag} does not have two or more points in order; correct its x and y.")
         if function.tag == "PiecewiseLinearFunction":
-            slopes = np.diff(y) / np.diff(x)
+            slopes = np.asarray(np.diff(y) / np.diff(x), dtype=np.float64)
             return Curve(x, np.column_stack([y, np.append(slopes, slopes[-1]), np.zeros((len(x), 2))]))
         if function.tag == "SimmSpline":
             return Curve(x, simm_spline(x, y))
@@ -208,7 +210,7 @@ def simm_spline(x: Floats, y: Floats) -> Floats:
                 for i in (0, count - 4)
             ]
             right[0], right[-1] = width[0] ** 2 * thirds[0], -(width[-1] ** 2) * thirds[1]
-        second = np.linalg.solve(system, right)
+        second = np.asarray(np.linalg.solve(system, right), dtype=np.float64)
     first = np.append(slope - width * (second[1:] + 2.0 * second[:-1]), 0.0)
     third = np.append(np.diff(second) / width, 0.0)
     first[-1] = slope[-1] + width[-1] * (second[-2] + 2.0 * second[-1])
