@@ -14,7 +14,7 @@ from asterism import formats
 from asterism.cli import command_line
 from asterism.errors import AsterismError
 from asterism.recording import Recording
-from asterism.skeleton import Person, PersonRules, fit_person, load_body, save_body, solve_kinematics, tree_of
+from asterism.skeleton import FittedPerson, PersonRules, fit_person, load_body, save_body, solve_kinematics, tree_of
 from asterism.skeleton.outputs import kinematics_findings, kinematics_table
 
 FEW = PersonRules(frames=(2, 8))
@@ -47,7 +47,7 @@ def stood() -> Recording:
 
 
 @pytest.fixture(scope="module")
-def person() -> Person:
+def person() -> FittedPerson:
     return fit_person([stood()], [moved(90, 60.0)], rules=FEW)
 
 

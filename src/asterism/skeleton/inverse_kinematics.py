@@ -241,7 +241,7 @@ def solve_points(
 
 
 @dataclass(frozen=True, eq=False)
-class _Block:
+class _SolvedFrames:
     """sd (T, D), misses (T, M), squares and freedom (T,): of the misses, weighted, and what of them is not used up by the fit."""
 
     sd: Floats
@@ -258,7 +258,7 @@ def _block(
     start: tuple[Floats, Floats, Floats] | None,
     rate: float,
     rules: KinematicsRules,
-) -> _Block:
+) -> _SolvedFrames:
     """Solve frames that are smoothed together; the state is written in place."""
     (q, turns, places), (points, weights, known) = state, measured
     arrays, frames, numbers = tree.arrays, len(points), ROOT + len(tree.coordinates)
@@ -288,7 +288,7 @@ def _block(
     # What Student's t lets go does not say how far the others are off.
     robust = np.minimum(shares, 9.0 * solving.tails) if solving.tails > 0 else shares
     counted = 3.0 * (shares > 0).sum(axis=1)
-    return _Block(sd, misses, robust.sum(axis=1), counted - np.minimum(int(arrays.moves.sum()), counted))
+    return _SolvedFrames(sd, misses, robust.sum(axis=1), counted - np.minimum(int(arrays.moves.sum()), counted))
 
 
 def _onwards(tree: KinematicTree, solving: Solving, arrays: tuple[Floats, ...], first: int) -> None:

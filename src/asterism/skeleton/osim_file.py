@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from asterism.errors import AsterismError, guarded_reading
 from asterism.recording import Floats
-from asterism.skeleton.tree import Coordinate, Curve, KinematicTree, Motion, Point, TreeBone, TreeMarker
+from asterism.skeleton.tree import Coordinate, Curve, JointMotion, KinematicTree, Point, TreeBone, TreeMarker
 
 GROUND = "ground"
 
@@ -87,7 +87,7 @@ class _Model:
         parent, child = (frames.get(name, (name, still)) for name in names)
         return parent, child
 
-    def _motions(self, joint: Element) -> tuple[Motion, ...]:
+    def _motions(self, joint: Element) -> tuple[JointMotion, ...]:
         own = [self._coordinate(each) for each in joint.findall("coordinates/Coordinate")]
         if joint.tag in _AXES:
             self.coordinates += own
@@ -109,7 +109,7 @@ class _Model:
             if (motion := self._axis(moves[f"{kind}{i}"], kind)) is not None
         )
 
-    def _axis(self, axis: Element, kind: str) -> Motion | None:
+    def _axis(self, axis: Element, kind: str) -> JointMotion | None:
         coordinate = (axis.findtext("coordinates") or "").strip()
         if len(coordinate.split()) > 1:
             raise AsterismError(f"{self.path}: {axis.get('name')} depends on {coordinate}; only one coordinate for each axis is read.")
@@ -122,17 +122,17 @@ class _Model:
         along = _numbers(axis, "axis", 3)
         return self._motion(_point(along / np.linalg.norm(along)), coordinate, kind == "translation", None if plain else curve)
 
-    def _motion(self, axis: Point, coordinate: str, slide: bool, curve: Curve | None) -> Motion:
+    def _motion(self, axis: Point, coordinate: str, slide: bool, curve: Curve | None) -> JointMotion:
         """A motion, of the coordinate that gives this one where they are coupled."""
         if coordinate not in self.coupled:
-            return Motion(axis, coordinate, slide, curve)
+            return JointMotion(axis, coordinate, slide, curve)
         other, by = self.coupled[coordinate]
         identity = len(by.knots) == 1 and by.cubics[0].tolist() == [0.0, 1.0, 0.0, 0.0]
         if curve is not None and not identity:
             raise AsterismError(
                 f"{self.path}: {coordinate} follows {other} by one function and moves its joint by another; leave one of them."
             )
-        return Motion(axis, other, slide, curve if identity else by)
+        return JointMotion(axis, other, slide, curve if identity else by)
 
     def _coordinate(self, given: Element) -> Coordinate:
         low, high = _numbers(given, "range", 2)
