@@ -10,16 +10,18 @@ import numpy as np
 
 from asterism.files.tables import NumberTable
 from asterism.gait.analysis import GaitAnalysis
-from asterism.gait.cycles import POINTS, Cycle, midstances
+from asterism.gait.cycles import POINTS, Cycle, midstances, without_turns
 from asterism.gait.intervals import PLACED
 from asterism.gait.parameters import PARAMETERS, summarise, symmetries
 from asterism.recording import Floats, shipped_sets
 
 COLUMNS: Mapping[str, type] = {
-    "file": str, "kind": str, "name": str, "side": str, "cycle": int, "percent": int, "axis": str, "value": float, "uncertainty": float,
-    "unit": str, "deviation": float, "cycles": int, "begins_s": float, "ends_s": float, "first_frame": int, "last_frame": int,
+    "file": str, "kind": str, "name": str, "side": str, "cycle": int, "percent": int, "turns": int, "axis": str, "value": float,
+    "uncertainty": float, "unit": str, "deviation": float, "cycles": int, "begins_s": float, "ends_s": float,
+    "first_frame": int, "last_frame": int,
 }  # fmt: skip
 """Of the table. `deviation` is the standard deviation over `cycles` of a mean; s count from the first frame, frames as the file does.
+`turns` is 1 of a cycle in which the person turns: means are of the others, where there are others.
 
 Kinds are "event", "parameter", "mean", "symmetry", "curve", "maximum" and "minimum".
 """
@@ -50,7 +52,7 @@ def _rows(file: str, analysis: GaitAnalysis, curves: bool) -> Iterator[tuple[Any
     recording = analysis.recording
 
     def row(kind: str, name: str, value: float, sigma: float | None, unit: str, begins: float, ends: float, **more: Any) -> tuple[Any, ...]:
-        cells = {"side": None, "cycle": None, "percent": None, "axis": None, "deviation": None, "cycles": None} | more
+        cells = {"side": None, "cycle": None, "turns": None, "percent": None, "axis": None, "deviation": None, "cycles": None} | more
         # A time that is a frame's, but for the last digit, is of this frame alone.
         places = np.round([begins * recording.rate, ends * recording.rate], 6)
         first, last = recording.first_frame + int(np.floor(places[0])), recording.first_frame + int(np.ceil(places[1]))
@@ -63,9 +65,11 @@ def _rows(file: str, analysis: GaitAnalysis, curves: bool) -> Iterator[tuple[Any
         yield row("event", event.label, event.time, event.sigma, "s", event.time, event.time, side=event.side)
     numbers = {(side, one.strike.time): n + 1 for side in "LR" for n, one in enumerate(_of_side(analysis.cycles, side))}
     for one in analysis.parameters:
-        its: dict[str, Any] = {"side": one.side, "cycle": numbers[one.side, one.begins]}
+        its: dict[str, Any] = {"side": one.side, "cycle": numbers[one.side, one.begins], "turns": int(one.turns)}
         yield row("parameter", one.name, one.value, one.sigma, PARAMETERS[one.name], one.begins, one.ends, **its)
-    spans = {side: (own[0].strike.time, own[-1].next_strike.time) for side in "LR" if (own := _of_side(analysis.cycles, side))}
+    spans = {
+        side: (own[0].strike.time, own[-1].next_strike.time) for side in "LR" if (own := _of_side(without_turns(analysis.cycles), side))
+    }
     for mean in summarise(analysis.parameters):
         more: dict[str, Any] = {"side": mean.side, "deviation": _known(mean.deviation), "cycles": mean.count}
         yield row("mean", mean.name, mean.mean, mean.sigma, mean.unit, *spans[mean.side], **more)
@@ -81,7 +85,7 @@ def _rows(file: str, analysis: GaitAnalysis, curves: bool) -> Iterator[tuple[Any
             known = np.flatnonzero(np.isfinite(values[:, axis]))
             if not len(known):
                 continue
-            which = {"side": cycle.side, "cycle": number, "axis": letter}
+            which: dict[str, Any] = {"side": cycle.side, "cycle": number, "turns": int(cycle.turns), "axis": letter}
             places = [("curve", int(percent)) for percent in known]
             places += [("maximum", int(known[values[known, axis].argmax()])), ("minimum", int(known[values[known, axis].argmin()]))]
             for kind, percent in places:

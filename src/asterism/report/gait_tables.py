@@ -207,6 +207,7 @@ def cycle_section(sessions: Sequence[GaitSession]) -> Section:
     from asterism.gait import PARAMETERS
 
     names = [name for name in PARAMETERS if any(one.name == name for session in sessions for one in session.parameters)]
+    turns = any(shown.cycle.turns for session in sessions for shown in session.cycles)
     rows: list[list[str | Cell]] = []
     for session in sessions:
         for number, (_, analysis) in enumerate(session.results):
@@ -214,9 +215,10 @@ def cycle_section(sessions: Sequence[GaitSession]) -> Section:
             for shown in (one for one in session.cycles if one.place[0] == session.offset + number):
                 cycle = shown.cycle
                 row: list[str | Cell] = [Cell(f"{SIDE[cycle.side]}, {shown.name}", place=shown.place)]
+                row += ["turns, in no mean" if not session.counts(cycle) else "turns" if cycle.turns else "straight"] if turns else []
                 for name in names:
                     value = values.get((cycle.side, cycle.strike.time, name), float("nan"))
                     row.append(decimal(value, _DIGITS.get(PARAMETERS[name], 1)))
                 rows.append(row)
-    head = ["cycle", *(f"{name}, {PARAMETERS[name]}" if PARAMETERS[name] else name for name in names)]
+    head = ["cycle", *(["way"] if turns else []), *(f"{name}, {PARAMETERS[name]}" if PARAMETERS[name] else name for name in names)]
     return Section("Each cycle", "A cycle's name leads to its frames.", table=Table(head, rows), folded=True)
