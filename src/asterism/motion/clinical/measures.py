@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.recording import Floats, Recording
+from asterism.recording import Floats, Recording, without_subject
 
 SIDES = {"L": "left", "R": "right"}
 MARKER_RADIUS = 0.007
@@ -281,7 +281,7 @@ def computed_by_the_file(recording: Recording, name: str) -> Floats | None:
 
 def all_computed_by_the_file(recording: Recording, names: Sequence[str]) -> dict[str, Floats]:
     """Those of several quantities that the file has, as `computed_by_the_file` gives one; its points are read once."""
-    labels = [str(label).rpartition(":")[2] for label in getattr(recording.source, "labels", ())]
+    labels = [without_subject(str(label)) for label in getattr(recording.source, "labels", ())]
     columns = {name: labels.index(name) for name in names if name in labels}
     if not columns:
         return {}
