@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 TABLE, PARAMETERS, PAGE = "session.csv", "parameters.csv", "index.html"
 """In the folder of the results: the table of all recordings, that of all parameters, and the page on all."""
+_MOST_PRINTED = 200
+"""Lines of the table on the terminal: what somebody may scroll through."""
 LEDGER = "session.json"
 """Among the records: which recordings and persons the sessions had."""
 _COLUMNS = ("file", "person", "kind", "frames", "labelled", "use", "look_at", "cycles", "cadence", "speed", "subject", "worn", "report")
@@ -495,10 +497,12 @@ class _Run:
                     "–" if row.get("cadence") is None else f"{row['cadence']:.1f}",
                     "–" if row.get("speed") is None else f"{row['speed']:.2f}",
                 ]
-                for row in rows
+                for row in rows[:_MOST_PRINTED]
             ],
             left=3,
         )
+        if len(rows) > _MOST_PRINTED:
+            _console.result(f"... and {len(rows) - _MOST_PRINTED} more; {self.out / TABLE} has all.")
         _console.result(f"{counted(walks, 'walk')} analysed; open {self.out / PAGE}")
 
 
