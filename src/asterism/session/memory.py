@@ -10,8 +10,8 @@ from pathlib import Path
 BASE = 0.4e9
 """Bytes of a process with compiled kernels and a model: 0.27 GB with fifteen markers, 0.4 with sixty."""
 TIMES = 40.0
-"""Bytes for each byte of the recordings that a process holds, at the moment that takes most: 32 were measured with fifteen markers. At half,
-two long recordings at once may end a process, which costs another try; at double, half as many processes work on long ones."""
+"""Bytes for each byte of the recordings that a process holds, at the moment that takes most: 32 were measured with 15 markers. At half, two
+long recordings at once may end a process, which costs another try; at double, half as many processes work on long ones."""
 KEPT = 0.8
 """Share of the free memory that is given away: what else runs needs some, and the estimate is one."""
 
