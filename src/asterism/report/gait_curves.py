@@ -187,7 +187,7 @@ def load_sections(sessions: Sequence[GaitSession]) -> list[Section]:
         text = (
             f"Over {counted['L']} left and {counted['R']} right cycles in which one foot alone was on a plate. Moments are those that the "
             "muscles and ligaments of the person make; a power above zero is work that they do, below zero work that they take up. "
-            "The 95 % interval is what forces, centres of pressure, joint centres, masses and turning speeds leave open."
+            "The 95 % interval is what forces, centres of pressure, joint centres, masses, accelerations and turning speeds leave open."
         )
         if not per_kg:
             text += " Nobody gave the mass of the person, so that they are not per kg and leave out the leg's inertia."
