@@ -189,6 +189,7 @@ READERS = {
     "convert": ("OUT.trc",),
     "evaluate": ("-m", "MODEL", "--occlusions", "0"),
     "gait": (),
+    "opensim": ("-o", "OUT"),
     "events": ("--rules", "squat"),
     "train": ("-o", "OUT.model", "--markers", "helen-hayes", "--no-audit"),
     "learn": ("-o", "OUT.model"),
@@ -196,8 +197,9 @@ READERS = {
     "label": ("-m", "MODEL", "-o", "OUT"),
 }
 """Commands that read recordings, and what they need beside one."""
-OTHERS = {"demo", "warm-up", "detect", "reconstruct", "label-views", "capturability", "process"}
-"""Commands that read none; one that takes minutes and reads as `evaluate` does; and one that takes folders, and labels as `label` does."""
+OTHERS = {"demo", "warm-up", "detect", "reconstruct", "label-views", "capturability", "process", "live"}
+"""Commands that read none; one that takes minutes and reads as `evaluate` does; one that takes folders, and labels as `label` does; and one
+that plays recordings."""
 
 
 def test_every_command_that_reads_recordings_is_asked() -> None:

@@ -22,7 +22,9 @@ import pytest
 import asterism
 from asterism import AsterismError
 from asterism.cli import main
-from asterism.cli._process_tasks import _page
+from asterism.cli._process_tasks import _Kept, _not_analysed, _page
+from asterism.findings import Severity
+from asterism.gait.feet import feet_of
 from asterism.recording import Recording
 from asterism.session import FileLabeller, FolderSettings, Outcome, in_order, plan_session, spread
 from asterism.session.memory import BASE, that_fit
@@ -275,6 +277,25 @@ def test_a_result_that_could_not_be_written_is_tried_again(
     run(*what)
     assert "cannot be written" not in capsys.readouterr().err
     assert target.is_file()
+
+
+def test_what_shows_no_gait_is_told_from_what_could_not_be_analysed() -> None:
+    """Nothing need be done where nobody walks; a missing measure is to be mended, and not called so."""
+    [walk] = simulate_walks(1, frames=30, markers="helen-hayes", seed=0)
+    kept = _Kept()
+    for name, lacking in (("reach.c3d", ("HEE", "TOE")), ("lie.c3d", ("ASI", "ACR"))):
+        with kept.file(Path(name)):
+            columns = [place for place, label in enumerate(walk.labels) if not label.endswith(lacking)]
+            labels = tuple(walk.labels[place] for place in columns)
+            feet_of(replace(walk, positions=walk.positions[:, columns], labels=labels, source=None, metadata={"file": name}))
+    with kept.file(Path("walk.c3d")):
+        raise AsterismError("LKneeWidth is 0.1; give it in mm.")
+    assert list(kept.problems) == ["walk.c3d"] and "no foot with a heel" in kept.no_gait["reach.c3d"]
+    assert "no marker of the pelvis" in kept.no_gait["lie.c3d"]
+    quiet = _not_analysed("reach.c3d", kept.no_gait["reach.c3d"], True)
+    assert (quiet.code, quiet.severity) == ("session-no-gait", Severity.NOTE) and "heels, toes and the pelvis" in quiet.mend
+    told = _not_analysed("walk.c3d", kept.problems["walk.c3d"], False)
+    assert (told.code, told.severity) == ("session-not-analysed", Severity.WARNING) and "walks" not in told.mend
 
 
 def test_the_page_of_a_walk_called_as_its_person_is_another(tmp_path: Path) -> None:

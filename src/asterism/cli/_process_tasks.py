@@ -23,7 +23,7 @@ from asterism.cli._options import KnownLabels
 from asterism.cli._process_places import Places, Reference
 from asterism.cli.gait import GaitOptions, analysed, write_results
 from asterism.cli.label import LabelOptions, LabelRun
-from asterism.errors import AsterismError, guarded_reading
+from asterism.errors import AsterismError, NoGait, guarded_reading
 from asterism.files.atomic import write_atomically
 from asterism.files.plain import as_json
 from asterism.files.stalls import digest, that_answer
@@ -154,6 +154,7 @@ class _Kept(_console.Batch):
     def __init__(self) -> None:
         super().__init__("done")
         self.problems: dict[str, str] = {}
+        self.no_gait: dict[str, str] = {}
         self.faults: dict[str, str] = {}
 
     @contextmanager
@@ -166,7 +167,7 @@ class _Kept(_console.Batch):
                 raise
             # a full disk is no property of the recording: what could not be written is tried again by the next run
             told = isinstance(problem, AsterismError) and not isinstance(problem.__cause__, OSError)
-            kept = self.problems if told else self.faults
+            kept = self.no_gait if isinstance(problem, NoGait) else self.problems if told else self.faults
             kept[str(path)] = _console.reason(problem)
             self.failed.append(path)
         else:
@@ -392,7 +393,8 @@ def _analysis(
                 )
                 rows[-1]["report"] = _below(person.out, report) if path in analyses else None
     # a recording that shows no gait is none that failed
-    findings = [*batch.findings, *(_not_gait(path, sentence) for path, sentence in batch.problems.items())]
+    findings = [*batch.findings, *(_not_analysed(path, sentence, False) for path, sentence in batch.problems.items())]
+    findings += [_not_analysed(path, sentence, True) for path, sentence in batch.no_gait.items()]
 
     def write() -> None:
         table.parent.mkdir(parents=True, exist_ok=True)
@@ -452,10 +454,13 @@ def _subjects(person: PersonOptions, labelled: Sequence[tuple[Path, Path]], batc
     ]
 
 
-def _not_gait(path: str, sentence: str) -> Finding:
-    where = Path(path)
-    said = sentence if where.name in sentence else f"{path}: {sentence}"
-    return Finding("session-no-gait", Severity.NOTE, path, said, "Nothing, where nobody walks in it; its labels are written.")
+def _not_analysed(path: str, sentence: str, shows_no_gait: bool) -> Finding:
+    said = sentence if Path(path).name in sentence else f"{path}: {sentence}"
+    if shows_no_gait:
+        mend = "Nothing, where nobody walks in it: its labels are written. Where somebody does, label heels, toes and the pelvis."
+        return Finding("session-no-gait", Severity.NOTE, path, said, mend)
+    mend = "Mend what is said, and run again; its labels are written, and the person's other recordings are analysed."
+    return Finding("session-not-analysed", Severity.WARNING, path, said, mend)
 
 
 def _summary(analysis: GaitAnalysis | None) -> dict[str, Any]:
