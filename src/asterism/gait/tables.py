@@ -32,7 +32,7 @@ def gait_table(analyses: Sequence[tuple[str, GaitAnalysis]], *, curves: bool = T
     curves  False: without the curves over the cycle and their extremes, which take most of the time and of the rows
 
     Angles are as uncertain as their bands of another session (`angle_bands`), but for fills and strikes, which are those of this cycle.
-    Moments and powers have the uncertainty of `KineticErrors`, the ground's force and muscles none. O(cycles).
+    Moments, powers and the ground's force have the uncertainty of `KineticErrors`. O(cycles).
 
     >>> from asterism.gait import analyse_gait
     >>> from asterism.simulation import simulate_walks
