@@ -22,7 +22,7 @@ from asterism.geometry import z_up_rotation
 from asterism.motion.clinical import ClinicalModel
 from asterism.opensim.documents import MotionTask, ScaleTask, dynamics_setup, kinematics_setup, marker_set, scale_setup
 from asterism.opensim.person import CENTRES, Person, bodies_of, person_of, ridden
-from asterism.opensim.scaling import BodyScale, PlacedMarker, generic_model, lumbar_share, placed_markers, scale_factors, spreads
+from asterism.opensim.scaling import BodyScale, PlacedMarker, generic_model, lumbar_share, moved, placed_markers, scale_factors
 from asterism.recording import Floats, Recording, is_unnamed, subject_of
 from asterism.recording.force_plate import ForcePlate
 from asterism.recording.marker_set import without_subject
@@ -39,6 +39,10 @@ then moved onto it. At half or double the pose stays, because all of them agree 
 _APART = 0.05
 """m, between two markers that tell a factor: a marker put down again is 1 mm off, a fiftieth. At half, twice as much; at double, no child's
 foot has such a pair."""
+
+_ELSEWHERE = 0.05
+"""m RMS, from its place on its segment: skin of a thigh slides by 0.03 m at most. At half, thighs of a run are told; at double, exchanged
+names within a cluster are not."""
 
 
 @dataclass(frozen=True)
@@ -187,6 +191,7 @@ def _documents(session: _Session, found: list[Finding]) -> OpenSimExport:
     for trial in session.moving:
         if trial.name in session.persons:
             own = _motion(session, trial, placed, scaled)
+            found += _elsewhere(trial, moved(session.persons[trial.name], placed))
             weighed[trial.name] = own.weights
             write_atomically(files[f"{trial.name}: kinematics"], utf8(kinematics_setup(trial.name, own)))
             documents.append(files[f"{trial.name}: kinematics"])
@@ -202,7 +207,7 @@ def _documents(session: _Session, found: list[Finding]) -> OpenSimExport:
 
 def _motion(session: _Session, trial: _Prepared, placed: Sequence[PlacedMarker], scaled: str) -> MotionTask:
     """Of one walk; a marker's weight is one over the square of what it is off, in centimetres."""
-    moves = spreads(session.persons[trial.name], placed)
+    moves = moved(session.persons[trial.name], placed)
     weights = {one.name: (0.01 / float(np.hypot(one.sigma, moves[one.name]))) ** 2 for one in placed if one.name in moves}
     loads = session.files.get(f"{trial.name}: loads")
     return MotionTask(
@@ -411,6 +416,17 @@ def _assumed(
         sentence = f"{file}: by their names these markers sit nowhere; they were put on the segment with which they move: {listed}."
         found.append(Finding("opensim-ridden", Severity.NOTE, file, sentence, "Look whether that is so; markers.xml says where they sit."))
     return found
+
+
+def _elsewhere(trial: _Prepared, moves: Mapping[str, float]) -> list[Finding]:
+    far = {name: apart for name, apart in moves.items() if apart > _ELSEWHERE}
+    if not far:
+        return []
+    file = str(trial.recording.metadata.get("file", "the recording"))
+    listed = ", ".join(f"{name} {1000 * apart:.0f} mm" for name, apart in sorted(far.items(), key=lambda one: -one[1]))
+    sentence = f"{file}: markers are elsewhere on their bodies than where they were placed, and weigh little: {listed}."
+    mend = "Look whether they were named right, whether they fell off, or whether the arms were raised in the standing trial."
+    return [Finding("opensim-moved", Severity.NOTE, file, sentence, mend)]
 
 
 def _load(trial: _Prepared, phrase: str) -> Finding:

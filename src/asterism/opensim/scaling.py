@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.formats.opensim_model import OsimModel, read_osim
 from asterism.motion.clinical import SkinMotion
-from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
+from asterism.motion.clinical.landmark_body import worn_landmarks
 from asterism.opensim.person import SIDES, Person, Segment, along_limb, places_in
 from asterism.recording import Floats, Recording
 
@@ -52,6 +52,7 @@ class PlacedMarker:
     """A marker of the generic model.
 
     location  (3,) m in the body's axes; sigma  m, what it is off, besides what a walk shows
+    segment   of the person, and place  (3,) m in its axes
     centre    whether it is a joint centre, which was computed
     """
 
@@ -59,6 +60,8 @@ class PlacedMarker:
     body: str
     location: Floats
     sigma: float
+    segment: str = ""
+    place: Floats = field(default_factory=lambda: np.zeros(3))
     centre: bool = False
 
 
@@ -82,8 +85,8 @@ def lumbar_share(model: OsimModel) -> Floats:
 def scale_factors(model: OsimModel, person: Person, trial: Recording) -> dict[str, BodyScale]:
     """The factor of each body of the model, in the order of the bodies.
 
-    Pelvis: between the hip centres. Femur and tibia: between the joint centres. Foot: from the ankle ahead to the toe marker, which sits
-    at the joint of the toes; the mean of both feet. Torso: from lumbar joint to base of the neck, see `_TRUNK`. Others: as the body that
+    Pelvis: between the hip centres. Femur and tibia: between the joint centres. Foot: from the ankle ahead to the metatarsal heads, where
+    the joint of the toes is; the mean of both feet. Torso: from lumbar joint to base of the neck, see `_TRUNK`. Others: as the body that
     they hang on.
     """
 
@@ -106,12 +109,12 @@ def scale_factors(model: OsimModel, person: Person, trial: Recording) -> dict[st
         if foot in person.segments and toe is not None and f"toes_{letter}" in model.joints:
             ahead = float(places_in(person.segments[foot], toe)[0][0])
             length = float((model.joints[f"toes_{letter}"].centre - model.joints[ankle].centre)[0])
-            told[ankle] = (ahead, length, f"{side}AJC ahead to {side}TOE")
+            told[ankle] = (ahead, length, f"{side}AJC ahead to metatarsal heads")
     # feet of one person are alike, and a toe marker is put a centimetre off
     feet = [f"talus_{letter}" for letter in "rl" if f"talus_{letter}" in told]
     if len(feet) == 2:
         both = float(np.mean([told[foot][0] for foot in feet]))
-        told |= {foot: (both, told[foot][1], "AJC ahead to TOE, both feet") for foot in feet}
+        told |= {foot: (both, told[foot][1], "AJC ahead to metatarsal heads, both feet") for foot in feet}
     legs = {name: one for name, one in told.items() if name[:5] in ("femur", "tibia") and np.isfinite(one[0])}
     if not legs:
         raise AsterismError(f"{trial.metadata.get('file', 'the trial')} never shows hip, knee and ankle of a leg; nothing tells its size.")
@@ -144,9 +147,11 @@ def _median(values: Floats) -> float:
 
 
 def _toe(trial: Recording, person: Person, side: str) -> Floats | None:
-    """(T, 3) m: the toe marker, by whatever name."""
-    named = with_plug_in_gait_names(trial)
-    return person.markers[trial.labels[named.labels.index(f"{side}TOE")]] if f"{side}TOE" in named.labels else None
+    """(T, 3) m: the second metatarsal head, else midway between the first and the fifth, else the toe marker, by whatever names."""
+    at = {role: person.markers[trial.labels[column]] for role, column in worn_landmarks(trial).roles.items()}
+    if f"{side}SM" not in at and {f"{side}FM", f"{side}VM"} <= at.keys():
+        return (at[f"{side}FM"] + at[f"{side}VM"]) / 2
+    return at.get(f"{side}SM", at.get(f"{side}TOE"))
 
 
 def placed_markers(
@@ -172,6 +177,7 @@ def placed_markers(
         if body not in segments:
             left[name] = f"nothing tells where the person's {body} is"
             continue
+        segment = body
         place, _ = places_in(segments[body], person.markers[name])
         if not np.isfinite(place).all():
             left[name] = f"it is never seen together with the markers of {body}"
@@ -181,7 +187,7 @@ def placed_markers(
         if body.startswith("calcn") and toes in model.joints and point[0] - model.joints[toes].centre[0] > _TOES / scales[body].factor:
             body = toes
         sigma = float(np.hypot(_NOISE, slides.get(body if body == "pelvis" else body[:5], _TRUNK_SKIN)))
-        placed.append(PlacedMarker(name, body, model.in_body(body, point), sigma))
+        placed.append(PlacedMarker(name, body, model.in_body(body, point), sigma, segment, place))
     return placed, left
 
 
@@ -213,14 +219,17 @@ def _on_model(model: OsimModel, body: str, place: Floats) -> Floats:
     return np.asarray(joints[body].centre + axes @ place)
 
 
-def spreads(person: Person, markers: Sequence[PlacedMarker]) -> dict[str, float]:
-    """Marker -> m, how far it moves on its segment in a walk (RMS); those that the walk does not show are left out."""
+def moved(person: Person, markers: Sequence[PlacedMarker]) -> dict[str, float]:
+    """Marker -> m, how far it is from its place on its segment in a walk (RMS); those that the walk does not show are left out.
+
+    The place is the standing trial's: shoulders of raised arms are elsewhere than in a walk.
+    """
     segments = _limbs(person)
     found = {}
     for marker in markers:
-        body = marker.body.replace("toes_", "calcn_")
-        if marker.name in person.markers and body in segments and not marker.centre:
-            _, moves = places_in(segments[body], person.markers[marker.name])
-            if np.isfinite(moves):
-                found[marker.name] = moves
+        if marker.name in person.markers and marker.segment in segments:
+            apart = ((segments[marker.segment].local(person.markers[marker.name]) - marker.place) ** 2).sum(axis=1)
+            apart = apart[np.isfinite(apart)]
+            if len(apart):
+                found[marker.name] = float(np.sqrt(apart.mean()))
     return found
