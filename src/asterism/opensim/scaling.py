@@ -12,7 +12,7 @@ from asterism.errors import AsterismError
 from asterism.formats.opensim_model import OsimModel, read_osim
 from asterism.motion.clinical import SkinMotion
 from asterism.motion.clinical.landmark_body import worn_landmarks
-from asterism.opensim.person import SIDES, Person, Segment, along_limb, places_in
+from asterism.opensim.person import CENTRES, SIDES, Person, Segment, along_limb, places_in
 from asterism.recording import Floats, Recording
 
 NEEDED = ("pelvis", *(f"{body}_{side}" for side in "rl" for body in ("femur", "tibia", "talus", "calcn")), "torso")
@@ -86,8 +86,8 @@ def scale_factors(model: OsimModel, person: Person, trial: Recording) -> dict[st
     """The factor of each body of the model, in the order of the bodies.
 
     Pelvis: between the hip centres. Femur and tibia: between the joint centres. Foot: from the ankle ahead to the metatarsal heads, where
-    the joint of the toes is; the mean of both feet. Torso: from lumbar joint to base of the neck, see `_TRUNK`. Others: as the body that
-    they hang on.
+    the joint of the toes is; the mean of both feet. Torso: from lumbar joint to base of the neck, see `_TRUNK`. Arms: between their
+    joint centres. Others: as the body that they hang on.
     """
 
     def apart(one: str, other: str) -> float:
@@ -98,6 +98,8 @@ def scale_factors(model: OsimModel, person: Person, trial: Recording) -> dict[st
         )
 
     def between(one: str, other: str) -> float:
+        if not {one, other} <= model.joints.keys():
+            return float("nan")
         return float(np.linalg.norm(model.joints[one].centre - model.joints[other].centre))
 
     told = {"pelvis": (apart("RHJC", "LHJC"), between("femur_r", "femur_l"), "RHJC to LHJC")}
@@ -110,6 +112,13 @@ def scale_factors(model: OsimModel, person: Person, trial: Recording) -> dict[st
             ahead = float(places_in(person.segments[foot], toe)[0][0])
             length = float((model.joints[f"toes_{letter}"].centre - model.joints[ankle].centre)[0])
             told[ankle] = (ahead, length, f"{side}AJC ahead to metatarsal heads")
+        told[f"humerus_{letter}"] = (
+            apart(f"{side}SJC", f"{side}EJC"),
+            between(f"humerus_{letter}", f"ulna_{letter}"),
+            f"{side}SJC to {side}EJC",
+        )
+        for body in (f"ulna_{letter}", f"radius_{letter}"):
+            told[body] = (apart(f"{side}EJC", f"{side}WJC"), between(f"ulna_{letter}", f"hand_{letter}"), f"{side}EJC to {side}WJC")
     # feet of one person are alike, and a toe marker is put a centimetre off
     feet = [f"talus_{letter}" for letter in "rl" if f"talus_{letter}" in told]
     if len(feet) == 2:
@@ -123,7 +132,7 @@ def scale_factors(model: OsimModel, person: Person, trial: Recording) -> dict[st
         trunk = _median(np.linalg.norm(person.trunk - person.segments["torso"].centre, axis=1))
         sides = [between(f"femur_{side}", f"tibia_{side}") + between(f"tibia_{side}", f"talus_{side}") for side in "rl"]
         told["torso"] = (trunk, _TRUNK * float(np.mean(sides)), "lumbar joint to base of neck")
-    told = {name: one for name, one in told.items() if np.isfinite(one[0]) and one[0] > 0 and one[1] > 0}
+    told = {name: one for name, one in told.items() if name in model.joints and one[0] > 0 and one[1] > 0}
     found = {name: BodyScale(name, measured / own, measured, own, by) for name, (measured, own, by) in told.items()}
     return {name: found[name] if name in found else _hanging(model, name, found, size) for name in model.joints}
 
@@ -167,8 +176,8 @@ def placed_markers(
     placed, left = list[PlacedMarker](), dict[str, str]()
     lacking = ", ".join(dict.fromkeys(body for body in bodies.values() if body not in model.joints))
     for name, points in person.centres.items():
-        body = {"HJC": "femur", "KJC": "tibia", "AJC": "talus"}[name[1:4]] + "_" + SIDES[name[0]]
-        if np.isfinite(points).any():
+        body = CENTRES[name]
+        if body in model.joints and np.isfinite(points).any():
             placed.append(PlacedMarker(name, body, model.in_body(body, model.joints[body].centre), _NOISE, centre=True))
     for name, body in bodies.items():
         if body not in model.joints:
@@ -210,13 +219,14 @@ def _on_model(model: OsimModel, body: str, place: Floats) -> Floats:
     joints = model.joints
     if body == "pelvis":
         return np.asarray((joints["femur_l"].centre + joints["femur_r"].centre) / 2 + place)
-    below = {"femur": "tibia", "tibia": "talus"}.get(body[:5])
-    if below is None:
-        # the foot's places count from the ankle
-        return np.asarray((joints[f"talus_{body[-1]}"] if body.startswith("calcn") else joints[body]).centre + place)
-    along = joints[body].centre - joints[f"{below}_{body[-1]}"].centre
-    axes = along_limb(along[None], np.array([[0.0, 0.0, 1.0]]))[0]
-    return np.asarray(joints[body].centre + axes @ place)
+    # of a foot places count from the ankle, of the radius from the elbow
+    name, side = body[:-2], body[-2:]
+    first = joints.get({"calcn": "talus", "radius": "ulna"}.get(name, name) + side, joints[body]).centre
+    lower = joints.get({"femur": "tibia", "tibia": "talus", "humerus": "ulna", "radius": "hand"}.get(name, "") + side)
+    if lower is None:
+        return np.asarray(first + place)
+    axes = along_limb((first - lower.centre)[None], np.array([[0.0, 0.0, 1.0]]))[0]
+    return np.asarray(first + axes @ place)
 
 
 def moved(person: Person, markers: Sequence[PlacedMarker]) -> dict[str, float]:
