@@ -22,7 +22,7 @@ from asterism.geometry import z_up_rotation
 from asterism.motion.clinical import ClinicalModel
 from asterism.motion.clinical.static import with_knee_markers
 from asterism.opensim.documents import MotionTask, ScaleTask, dynamics_setup, kinematics_setup, marker_set, scale_setup
-from asterism.opensim.person import CENTRES, Person, bodies_of, has_leg, person_of, ridden
+from asterism.opensim.person import CENTRES, PersonInTrial, bodies_of, has_leg, person_of, ridden
 from asterism.opensim.scaling import BodyScale, PlacedMarker, generic_model, lumbar_share, moved, placed_markers, scale_factors
 from asterism.recording import Floats, Recording, is_unnamed, subject_of
 from asterism.recording.force_plate import ForcePlate
@@ -156,7 +156,7 @@ class _Session:
     scaled_by: _Prepared
     standing: bool
     moving: Sequence[_Prepared]
-    persons: Mapping[str, Person]
+    persons: Mapping[str, PersonInTrial]
 
 
 def _documents(session: _Session, found: list[Finding]) -> OpenSimExport:
@@ -336,7 +336,7 @@ def _beside(model: Path, folder: Path) -> str:
         return str(model.absolute())
 
 
-def _pairs(placed: Sequence[PlacedMarker], scales: Mapping[str, BodyScale], person: Person) -> dict[str, tuple[str, str]]:
+def _pairs(placed: Sequence[PlacedMarker], scales: Mapping[str, BodyScale], person: PersonInTrial) -> dict[str, tuple[str, str]]:
     """Body -> two points whose distance tells its factor; bodies of a foot share one."""
     found: dict[str, tuple[str, str]] = {}
     centres = {marker.name for marker in placed if marker.centre}
@@ -371,16 +371,16 @@ def _pairs(placed: Sequence[PlacedMarker], scales: Mapping[str, BodyScale], pers
 def _held(model: OsimModel, placed: Sequence[PlacedMarker], weights: Mapping[str, float]) -> list[str]:
     """Coordinates that no marker tells: none is below the joint, or a single one below two joints in a row."""
     on = [marker.body for marker in placed if marker.name in weights]
-    held = list[str]()
+    held, coupled = list[str](), {coupler.dependent for coupler in model.couplers}
     for body, joint in model.joints.items():
         below = set(model.below(body))
         needed = 1 + (joint.parent not in on)
         if joint.parent != "ground" and sum(one in below for one in on) < needed:
-            held += [one for one in joint.coordinates if one not in model.coupled]
+            held += [one for one in joint.coordinates if one not in coupled]
     return held
 
 
-def _mass(scaled_by: _Prepared, person: Person, standing: bool) -> tuple[float | None, list[Finding]]:
+def _mass(scaled_by: _Prepared, person: PersonInTrial, standing: bool) -> tuple[float | None, list[Finding]]:
     """kg: that which was given or the file holds; else what the plates bear in the standing trial, where both feet stand on them."""
     clinical = scaled_by.clinical
     if clinical is not None and clinical.measures.mass is not None:

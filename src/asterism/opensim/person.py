@@ -61,7 +61,7 @@ class Segment:
 
 
 @dataclass(frozen=True)
-class Person:
+class PersonInTrial:
     """The person of one trial.
 
     turn      (3, 3) from the recording's axes to OpenSim's: y up, x along that axis of the room along which the person walks or looks
@@ -78,7 +78,7 @@ class Person:
     trunk: Floats | None = None
 
 
-def person_of(recording: Recording, clinical: ClinicalModel, lumbar: Floats) -> Person:
+def person_of(recording: Recording, clinical: ClinicalModel, lumbar: Floats) -> PersonInTrial:
     """The person of a trial, by the clinical model of its legs. O(T).
 
     lumbar  (3,): the lumbar joint from midway between the hips, in the pelvis' axes, as a share of the distance between the hips
@@ -113,10 +113,10 @@ def person_of(recording: Recording, clinical: ClinicalModel, lumbar: Floats) -> 
     for side in SIDES:
         arm, joints = _arm(recording, clinical, side, turned)
         segments, centres = segments | arm, centres | joints
-    return Person(turn, segments, centres, markers, neck)
+    return PersonInTrial(turn, segments, centres, markers, neck)
 
 
-def has_leg(person: Person) -> bool:
+def has_leg(person: PersonInTrial) -> bool:
     """Whether hip, knee and ankle of a leg are known together."""
     legs = [[person.centres[side + joint] for joint in ("HJC", "KJC", "AJC") if side + joint in person.centres] for side in SIDES]
     return any(len(leg) == 3 and bool(np.isfinite(np.stack(leg)).all(axis=(0, 2)).any()) for leg in legs)
@@ -216,7 +216,7 @@ def places_in(segment: Segment, points: Floats) -> tuple[Floats, float]:
     return place, float(np.sqrt(((local - place) ** 2).sum(axis=1).mean()))
 
 
-def ridden(person: Person, names: Iterable[str], least: float) -> dict[str, str]:
+def ridden(person: PersonInTrial, names: Iterable[str], least: float) -> dict[str, str]:
     """Name -> body of markers whose name says nothing: that segment in which a marker moves least while the person moves.
 
     least  how many times more it must move in every other segment

@@ -12,7 +12,7 @@ from asterism.errors import AsterismError
 from asterism.formats.opensim_model import OsimModel, read_osim
 from asterism.motion.clinical import SkinMotion
 from asterism.motion.clinical.landmark_body import worn_landmarks
-from asterism.opensim.person import CENTRES, SIDES, Person, Segment, along_limb, places_in
+from asterism.opensim.person import CENTRES, SIDES, PersonInTrial, Segment, along_limb, places_in
 from asterism.recording import Floats, Recording
 
 NEEDED = ("pelvis", *(f"{body}_{side}" for side in "rl" for body in ("femur", "tibia", "talus", "calcn")), "torso")
@@ -82,7 +82,7 @@ def lumbar_share(model: OsimModel) -> Floats:
     return np.asarray((model.joints["torso"].centre - (left + right) / 2) / np.linalg.norm(right - left))
 
 
-def scale_factors(model: OsimModel, person: Person, trial: Recording) -> dict[str, BodyScale]:
+def scale_factors(model: OsimModel, person: PersonInTrial, trial: Recording) -> dict[str, BodyScale]:
     """The factor of each body of the model, in the order of the bodies.
 
     Pelvis: between the hip centres. Femur and tibia: between the joint centres. Foot: from the ankle ahead to the metatarsal heads, where
@@ -155,7 +155,7 @@ def _median(values: Floats) -> float:
     return float(np.median(seen)) if len(seen) else float("nan")
 
 
-def _toe(trial: Recording, person: Person, side: str) -> Floats | None:
+def _toe(trial: Recording, person: PersonInTrial, side: str) -> Floats | None:
     """(T, 3) m: the second metatarsal head, else midway between the first and the fifth, else the toe marker, by whatever names."""
     at = {role: person.markers[trial.labels[column]] for role, column in worn_landmarks(trial).roles.items()}
     if f"{side}SM" not in at and {f"{side}FM", f"{side}VM"} <= at.keys():
@@ -164,7 +164,7 @@ def _toe(trial: Recording, person: Person, side: str) -> Floats | None:
 
 
 def placed_markers(
-    model: OsimModel, person: Person, scales: Mapping[str, BodyScale], bodies: Mapping[str, str], skin: SkinMotion | None = None
+    model: OsimModel, person: PersonInTrial, scales: Mapping[str, BodyScale], bodies: Mapping[str, str], skin: SkinMotion | None = None
 ) -> tuple[list[PlacedMarker], dict[str, str]]:
     """The markers on the generic model, so that scaled they are where the person's are; and why others are left out, by name.
 
@@ -200,7 +200,7 @@ def placed_markers(
     return placed, left
 
 
-def _limbs(person: Person) -> dict[str, Segment]:
+def _limbs(person: PersonInTrial) -> dict[str, Segment]:
     """The segments, those of legs along the line between their joints, with the thigh's axis: the model's knee only bends."""
     found = dict(person.segments)
     for side, letter in SIDES.items():
@@ -229,7 +229,7 @@ def _on_model(model: OsimModel, body: str, place: Floats) -> Floats:
     return np.asarray(first + axes @ place)
 
 
-def moved(person: Person, markers: Sequence[PlacedMarker]) -> dict[str, float]:
+def moved(person: PersonInTrial, markers: Sequence[PlacedMarker]) -> dict[str, float]:
     """Marker -> m, how far it is from its place on its segment in a walk (RMS); those that the walk does not show are left out.
 
     The place is the standing trial's: shoulders of raised arms are elsewhere than in a walk.
