@@ -449,6 +449,7 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
             name: {
                 "low": np.round(np.degrees(band.low), 3),
                 "high": np.round(np.degrees(band.high), 3),
+                "same_placement": dict(zip(("low", "high"), np.round(np.degrees(band.same_placement), 3), strict=True)),
                 "standard": {source: np.round(np.degrees(part), 3) for source, part in band.standard.items()},
             }
             for name, band in analysis.bands.items()
