@@ -208,7 +208,7 @@ def test_gait_writes_tables_and_a_page(tmp_path: Path, capsys: pytest.CaptureFix
     assert "walking speed" in capsys.readouterr().out
     found = json.loads((tmp_path / "gait.json").read_text())["files"][0]
     assert found["measures"]["left"]["knee_width"] == pytest.approx(0.102)
-    assert {"low", "high", "standard"} == set(found["bands_deg"]["LKneeAngles"]) and "95 % interval" in page.read_text()
+    assert {"low", "high", "standard", "same_placement"} == set(found["bands_deg"]["LKneeAngles"]) and "95 % interval" in page.read_text()
     with table.open() as lines:
         rows = list(csv.DictReader(lines))
     each = [row for row in rows if row["kind"] == "parameter"]

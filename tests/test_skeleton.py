@@ -15,7 +15,7 @@ from asterism.skeleton._smooth_kernels import likelihood, smoothed_variances, sm
 from asterism.skeleton._tree_kernels import assemble, factorise, inverse_diagonal, pose_tree, solve_factored
 from asterism.skeleton.inverse_kinematics import KinematicsRules, Solving
 from asterism.skeleton.osim_file import load_osim, simm_spline
-from asterism.skeleton.tree import Coordinate, Curve, KinematicTree, Motion, TreeBone, TreeMarker
+from asterism.skeleton.tree import Coordinate, Curve, JointMotion, KinematicTree, TreeBone, TreeMarker
 
 pytestmark = pytest.mark.kernels
 
@@ -30,10 +30,16 @@ def leg() -> KinematicTree:
     askew = Rotation.from_rotvec([0.2, -0.1, 0.3]).as_matrix()
     bones = (
         TreeBone("pelvis", "", np.zeros(3)),
-        TreeBone("thigh", "pelvis", np.array([0.0, 0.1, -0.1]), (Motion((0, -1, 0), "flexion"), Motion((1, 0, 0), "abduction")), askew),
-        TreeBone("kneecap", "thigh", np.array([0.05, 0.0, -0.4]), (Motion((0, 0, 1), "knee", True, slide), Motion((0, 1, 0), "knee"))),
-        TreeBone("shank", "thigh", np.array([0.0, 0.0, -0.4]), (Motion((1, 0, 0), "knee", True, slide), Motion((0, 1, 0), "knee"))),
-        TreeBone("foot", "shank", np.array([0.0, 0.0, -0.4]), (Motion((0, 0, 1), "", False, slide), Motion((0, -1, 0), "ankle"))),
+        TreeBone(
+            "thigh", "pelvis", np.array([0.0, 0.1, -0.1]), (JointMotion((0, -1, 0), "flexion"), JointMotion((1, 0, 0), "abduction")), askew
+        ),
+        TreeBone(
+            "kneecap", "thigh", np.array([0.05, 0.0, -0.4]), (JointMotion((0, 0, 1), "knee", True, slide), JointMotion((0, 1, 0), "knee"))
+        ),
+        TreeBone(
+            "shank", "thigh", np.array([0.0, 0.0, -0.4]), (JointMotion((1, 0, 0), "knee", True, slide), JointMotion((0, 1, 0), "knee"))
+        ),
+        TreeBone("foot", "shank", np.array([0.0, 0.0, -0.4]), (JointMotion((0, 0, 1), "", False, slide), JointMotion((0, -1, 0), "ankle"))),
     )
     coordinates = tuple(Coordinate(name, 0.1, 0.5, -0.3, 1.5) for name in ("flexion", "abduction", "knee", "ankle"))
     rng = np.random.default_rng(3)

@@ -117,8 +117,8 @@ def gait(options: GaitOptions) -> None:
     file, of --static and of --measure. Several walks of one person go into one report. A foot
     that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass. --c3d writes all of it into copies of
     the walks.
-    --fill fills gaps of markers first, with what the other files of the same person show; events and angles that depend on filled samples
-    are as much less certain, and flagged. --filter smooths markers; by default nothing is filtered, because angles and events need it not.
+    --fill fills gaps of markers first, with what other files of the person show, named or beside; events and angles that depend on filled
+    samples are as much less certain, and flagged. --filter smooths markers; by default nothing is filtered: angles and events need it not.
     --compare sets a second session of the person beside the first, before and after a treatment.
     """
     from asterism.cli._folders import copies_of, trials
@@ -188,6 +188,7 @@ def analysed(
     from asterism.gait import analyse_gait, muscles_by_channel, named_channels, write_gait_c3d
     from asterism.motion.clinical import StaticRules
     from asterism.motion.clinical.gathered import other_person
+    from asterism.session import trials_of
 
     limit, choice = fill_limit(options.fill), filter_choice(options.filter)
     static = None if options.static is None else _read(options.static, options, batch)
@@ -202,7 +203,7 @@ def analysed(
             recording = _read(path, options, batch)
             plates, found = force_plates(recording)
             if limit is not None:
-                fill = filled(recording, limit, [one for one in trials if one != path], options.vertical)
+                fill = filled(recording, limit, trials_of(path, trials), options.vertical)
                 recording, found = fill.recording, (*found, *fill.findings)
                 if options.json != "-" and (fill.gaps or fill.findings):
                     _console.result(f"{path}: {filled_text(fill)}.")
@@ -448,6 +449,7 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
             name: {
                 "low": np.round(np.degrees(band.low), 3),
                 "high": np.round(np.degrees(band.high), 3),
+                "same_placement": dict(zip(("low", "high"), np.round(np.degrees(band.same_placement), 3), strict=True)),
                 "standard": {source: np.round(np.degrees(part), 3) for source, part in band.standard.items()},
             }
             for name, band in analysis.bands.items()

@@ -28,7 +28,9 @@ class LiveOptions:
 
     source: Annotated[
         str | None,
-        typer.Argument(metavar="[SOURCE]", help="Where frames come from: udp://HOST:PORT for frames as JSON.", show_default=False),
+        typer.Argument(
+            metavar="[SOURCE]", help="Where frames come from: natnet://HOST for Motive, udp://HOST:PORT for JSON.", show_default=False
+        ),
     ] = None
     replay: Annotated[
         Path | None, typer.Option("--replay", metavar="FILE", help="Play a recording instead, at its own rate.", show_default=False)

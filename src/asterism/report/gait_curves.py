@@ -83,7 +83,7 @@ def angle_section(sessions: Sequence[GaitSession], band: Band | None) -> list[Se
             "where nobody did. It is no spread of the cycles."
         )
     names = session_names(sessions)
-    sections = [Section("Angles over the gait cycle", text, drawing=drawn_panels(panels, names))]
+    sections = [Section("Angles over the gait cycle", text, drawing=drawn_panels(panels, names)), *_certainty(sessions[-1])]
     if names is not None and (rows := _differences(panels)):
         said = (
             f"Of the mean curves, {names[1]} less {names[0]}. The interval holds 95 % of the differences that two sessions would show of "
@@ -92,6 +92,42 @@ def angle_section(sessions: Sequence[GaitSession], band: Band | None) -> list[Se
         head = ["angle", "side", "mean difference, °", "largest, °", "at", "± 95 % there, °", "exceeds it over"]
         sections.append(Section("Angles of two sessions", said, table=Table(head, rows, left=2)))
     return sections
+
+
+_SAID = {"measures": "measures", "fills": "fills", "events": "strikes", "placement": "placement"}
+"""What makes angles uncertain, by the sources of `asterism.gait.angle_bands`."""
+
+
+def _certainty(session: GaitSession) -> list[Section]:
+    """How certain mean curves are with the markers where they are, and from session to session: a row for each angle that has a band."""
+    rows: list[list[str | Cell]] = []
+    for quantity, which, title in ANGLES:
+        here: dict[str, str] = {}
+        anew: dict[str, str] = {}
+        variance: dict[str, float] = {}
+        for letter in SIDE:
+            bands = [one.bands[name] for one in session.analyses if (name := f"{letter}{quantity}Angles") in one.bands]
+            ends = [[(one.high - one.low)[:, which], np.subtract(*one.same_placement[::-1])[:, which]] for one in bands]
+            if not np.isfinite(ends).any():
+                continue
+            anew[letter], here[letter] = (f"{half:.1f}" for half in np.degrees(np.nanmean(ends, axis=(0, 2)) / 2))
+            for one in bands:
+                for source, part in one.standard.items():
+                    variance[source] = variance.get(source, 0.0) + float(np.nanmean(part[:, which] ** 2))
+        if anew:
+            most = max(variance, key=variance.__getitem__)
+            share = 100 * variance[most] / max(sum(variance.values()), 1e-12)
+            sides = [found.get(letter, "–") for found in (here, anew) for letter in SIDE]
+            rows.append([title, *sides, f"{_SAID[most]}, {share:.0f} %"])
+    if not rows:
+        return []
+    text = (
+        "± 95 % of the mean curves, on average over the cycle. This session: the markers stay where they are; open are what nobody "
+        "measured of the person (measures), filled samples (fills) and the times of strikes. Another session: the same with markers "
+        "placed anew (placement). The last column says which of them has the most of the variance."
+    )
+    head = ["angle", *(f"{when}, {side}, ±°" for when in ("this session", "another session") for side in SIDE.values()), "most by"]
+    return [Section("How certain the angles are", text, table=Table(head, rows, left=1))]
 
 
 def _differences(panels: Sequence[CyclePanel]) -> list[list[str | Cell]]:
@@ -151,7 +187,7 @@ def load_sections(sessions: Sequence[GaitSession]) -> list[Section]:
         text = (
             f"Over {counted['L']} left and {counted['R']} right cycles in which one foot alone was on a plate. Moments are those that the "
             "muscles and ligaments of the person make; a power above zero is work that they do, below zero work that they take up. "
-            "The 95 % interval is what forces, centres of pressure, joint centres, masses and turning speeds leave open."
+            "The 95 % interval is what forces, centres of pressure, joint centres, masses, accelerations and turning speeds leave open."
         )
         if not per_kg:
             text += " Nobody gave the mass of the person, so that they are not per kg and leave out the leg's inertia."

@@ -19,7 +19,7 @@ from asterism.skeleton.place_fit import RULES as PLACE_FIT
 from asterism.skeleton.place_fit import STARTS, PlacedBody
 from asterism.skeleton.place_learning import RULES as PLACES
 from asterism.skeleton.place_learning import guess_places, lay_skeleton, marker_set_of
-from asterism.skeleton.tree import Coordinate, KinematicTree, Motion, Point, TreeBone, TreeMarker
+from asterism.skeleton.tree import Coordinate, JointMotion, KinematicTree, Point, TreeBone, TreeMarker
 
 _REVERSED = frozenset(
     {
@@ -97,7 +97,7 @@ RULES = PersonRules()
 
 
 @dataclass(frozen=True, eq=False)
-class Person:
+class FittedPerson:
     """A person's skeleton.
 
     tree      bones, joints with coordinates, and markers with places and spreads
@@ -126,7 +126,7 @@ def lengths_of_bones(tree: KinematicTree) -> dict[str, float]:
 
 def fit_person(
     standing: Sequence[Recording], moving: Sequence[Recording] = (), *, markers: MarkerSet | None = None, rules: PersonRules = RULES
-) -> Person:
+) -> FittedPerson:
     """The skeleton of one person, from standing trials, moving ones, or both.
 
     markers  the set that is worn; by default all named markers. Where its places are not said they are known by their names in the shipped
@@ -148,7 +148,7 @@ def fit_person(
     tree = _tree(body, worn, segments, known.title or "skeleton", rules)
     columns = [known.names.index(name) for name in worn]
     findings = [] if standing else [_no_standing(recordings[0])]
-    return Person(refine(tree, points[:, columns], rules), known.title, tuple(findings))
+    return FittedPerson(refine(tree, points[:, columns], rules), known.title, tuple(findings))
 
 
 def _no_standing(recording: Recording) -> Finding:
@@ -211,7 +211,9 @@ def _tree(body: PlacedBody, worn: Sequence[str], segments: Sequence[str], title:
             else size * np.array(joint.at) + sum((lengths[name] * np.array(by) for name, by in joint.along), np.zeros(3))
         )
         turns = () if root else joint.turns
-        bones.append(TreeBone(joint.segment, "" if root else joint.carrier, offset, tuple(Motion(_axis(joint, t), t.name) for t in turns)))
+        bones.append(
+            TreeBone(joint.segment, "" if root else joint.carrier, offset, tuple(JointMotion(_axis(joint, t), t.name) for t in turns))
+        )
         coordinates += [_coordinate(turn) for turn in turns]
         plain = joint.segment.removeprefix("left ").removeprefix("right ")
         if plain in _ENDS:

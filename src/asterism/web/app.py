@@ -134,8 +134,7 @@ class _Api:
 
     def gaps(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
         trial = self._trial(request)
-        # Found outside the trial's lock: that can take seconds, and answers go on.
-        fill = trial.finishing.gaps(trial.snapshot())
+        fill = trial.gaps()
         with trial.opened() as correction:
             return plain_gaps(correction, fill)
 
@@ -145,7 +144,7 @@ class _Api:
             span = MarkerSpan(asked.get("marker", ""), int(asked.get("first", "")), int(asked.get("last", "")))
         except ValueError:
             raise _Refused(400, "the address needs a gap, such as ?marker=LKNE&first=0&last=9.") from None
-        return plain_graph(trial.finishing.gaps(trial.snapshot()), span)
+        return plain_graph(trial.gaps(), span)
 
     def events(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
         trial = self._trial(request)
@@ -287,7 +286,7 @@ def _filled(trial: CorrectionTrial, verb: str, given: dict[str, Any]) -> Callabl
     if any(isinstance(row.get(name), bool) or not isinstance(row.get(name), int) for row in rows for name in ("first", "last")):
         raise _Refused(400, "a gap's first and last frame are whole numbers.")
     spans = tuple(MarkerSpan(row["marker"], row["first"], row["last"]) for row in rows)
-    known = {span for span, _ in spans_of(trial.finishing.gaps(trial.snapshot()))} if verb == "fill" else set()
+    known = {span for span, _ in spans_of(trial.gaps())} if verb == "fill" else set()
 
     def act(correction: Correction) -> CorrectionChange:
         # What was accepted is taken back even where labels have changed since.
