@@ -358,3 +358,17 @@ def test_limbs_of_points_without_known_names_are_called_by_their_points() -> Non
     plain = replace(analysis, recording=replace(analysis.recording, labels=tuple(f"P{n}" for n in range(len(walk.labels)))))
     names = limb_names(plain)
     assert names[1] == "my arm" and re.match(r"P\d+", names[0]) and len(set(names)) == 3
+
+
+def test_who_has_no_name_in_the_file_is_called_as_the_folder_is(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
+    folder = tmp_path / "bert"
+    folder.mkdir()
+    (folder / "walk.c3d").touch()
+    for metadata, said in (
+        ({"file": str(folder / "walk.c3d")}, "bert (the folder)"),
+        ({"file": str(folder / "walk.c3d"), "subject": "ann"}, ">ann<"),
+        ({"file": "simulated walk"}, ">–<"),
+    ):
+        gait_report(tmp_path / "p.html", [("walk", replace(walks[0], recording=replace(walks[0].recording, metadata=metadata)))])
+        row = (tmp_path / "p.html").read_text().split('<td class="text">person<')[1].split("</tr>")[0]
+        assert said in row and ("bert" in row) == ("bert" in said)

@@ -8,6 +8,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from asterism.recording import Floats
+from asterism.recording.display import listed
 from asterism.report.cycle_panels import CurvesOfSide, CycleCurve, CyclePanel, drawn_panels
 from asterism.report.gait_curves import session_names, shown_curve
 from asterism.report.gait_session import SIDE, GaitSession
@@ -39,6 +40,8 @@ def muscle_section(sessions: Sequence[GaitSession]) -> list[Section]:
     )
     if any(channel.side is None for channel in channels):
         text += " The files do not say which side some of them are of; these are drawn over the cycles of both feet."
+    if rectified := list(dict.fromkeys(channel.name for channel in channels if channel.rectified)):
+        text += f" The files hold {listed(rectified)} rectified, so that the band-pass is left out there."
     drawing = drawn_panels(panels, session_names(sessions), "mean ± 1 SD of the cycles")
     return [Section("Muscle activity over the gait cycle", text, drawing=drawing)]
 

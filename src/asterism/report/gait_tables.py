@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,7 @@ from asterism.report.page import NOTHING, Cell, Section, Table, decimal
 
 if TYPE_CHECKING:
     from asterism.gait import Band, ParameterSummary
+    from asterism.recording import Recording
 
 _DIGITS = {"m": 3, "s": 3, "m/s": 3, "": 3}
 """Behind the point, by unit; one elsewhere."""
@@ -33,7 +35,7 @@ def person_section(sessions: Sequence[GaitSession]) -> Section:
 
 
 def _person(session: GaitSession) -> dict[str, str | Cell]:
-    people = list(dict.fromkeys(str(name) for one in session.analyses if (name := one.recording.metadata.get("subject"))))
+    people = list(dict.fromkeys(name for one in session.analyses if (name := _name(one.recording))))
     found: dict[str, str | Cell] = {
         "person": Cell(", ".join(people) or NOTHING, 0.6 if len(people) > 1 else 0.0),
         "walks": ", ".join(name for name, _ in session.results),
@@ -57,6 +59,12 @@ def _person(session: GaitSession) -> dict[str, str | Cell]:
                 told.append(f"{side} {1000 * value:.0f} mm{'' if known else ', assumed'}")
         found[title] = Cell("; ".join(told) or NOTHING, 0.6 if doubtful else 0.0)
     return found
+
+
+def _name(recording: Recording) -> str:
+    """What the file calls its person, else what its folder does, which is said; nothing of what was not read from a file."""
+    subject, file = recording.metadata.get("subject"), Path(str(recording.metadata.get("file") or ""))
+    return str(subject) if subject else f"{file.absolute().parent.name} (the folder)" if file.is_file() else ""
 
 
 def parameter_section(session: GaitSession, band: Band | None) -> Section:
