@@ -107,7 +107,10 @@ def _band(analyses: Sequence[GaitAnalysis], people: Sequence[str]) -> Band:
             curves.setdefault(name[1:].removesuffix("Angles"), {}).setdefault(person, []).extend(cycles)
     who = {person for by_person in curves.values() for person in by_person}
     if len(who) < 2:
-        raise AsterismError(f"a band needs whole gait cycles of two people or more, and {len(who)} has some; give more controls.")
+        raise AsterismError(
+            f"a band needs whole gait cycles of two people or more, and {len(who)} has some (cycles of turns do not count beside others); "
+            "give more controls."
+        )
     mean, deviation, count = {}, {}, 0
     for name, by_person in curves.items():
         means = np.stack([np.nanmean(cycles, axis=0) for cycles in by_person.values()])
@@ -160,7 +163,7 @@ def profile_scores(analyses: Sequence[GaitAnalysis], band: Band, *, sigmas: bool
 
     >>> from asterism.gait import analyse_gait
     >>> from asterism.simulation import simulate_walks
-    >>> walks = [analyse_gait(walk) for walk in simulate_walks(3, frames=300, markers="helen-hayes", seed=0)]
+    >>> walks = [analyse_gait(walk) for walk in simulate_walks(3, frames=300, markers="helen-hayes", seed=4)]
     >>> scores = profile_scores(walks[:1], band_of(walks, ["a", "b", "c"]))
     >>> [score.side for score in scores], bool(0 < scores[0].gps < 0.5)
     (['L', 'R'], True)
