@@ -20,7 +20,7 @@ from asterism.geometry import fit_rigid, vector_from_rotation, z_up_rotation
 from asterism.progress import Progress
 from asterism.recording import Floats, MarkerSet, Recording, SkeletonMotion
 from asterism.skeleton._smooth_kernels import best_ratio, smoothed_variances, smoothing_step
-from asterism.skeleton._tree_kernels import ROOT, follow, linearise, pose_frames, pose_tree
+from asterism.skeleton._tree_kernels import ROOT, follow, linearise, pose_frames, pose_tree, shared_variances
 from asterism.skeleton.tree import KinematicTree
 
 
@@ -43,6 +43,9 @@ class KinematicsRules:
     noise           m, of a marker's measured position beside its spread: 1 mm is what a calibrated volume gives
     tails           degrees of freedom of Student's t, by which a marker that is far off pulls less (Lange et al. 1989 advise 4); 0: by its
                     square, as OpenSim does. At 2 a marker is let go sooner, at 8 one that is 10 cm off turns the body by half as much again
+    shared          variance by which all markers of a bone move together, in units of that by which each moves by itself: what skin does as
+                    one is no smaller than how it deforms (Barre et al., IEEE Trans Biomed Eng 60, 2013). It is not seen, and moves no
+                    angle; at half or double of it standard deviations are 0.83 and 1.28 times as large
     limit_deg       degrees that a joint goes beyond its range at the price of one standard deviation: what goniometers repeat
     limit_m         m, the same of a joint that slides
     ridge           what nothing else says of a number, per m2 or rad2: a standard deviation of 100 rad, far beyond anything
@@ -58,6 +61,7 @@ class KinematicsRules:
 
     noise: float = 0.001
     tails: float = 4.0
+    shared: float = 1.0
     limit_deg: float = 5.0
     limit_m: float = 0.005
     ridge: float = 1e-4
@@ -167,8 +171,9 @@ def solve_kinematics(
     own name or by one of the recording's spellings of it. Missing markers are allowed in any frame.
 
     Standard deviations are those of the normal equations, times what markers are off more than they are expected to. What of a course is
-    white is averaged out by its neighbours; what remains moves with the skin, and is not. They hold the skin of one segment's markers for
-    independent, and grow where a segment is not seen. Raises AsterismError where no frame shows three markers of the tree.
+    white is averaged out by its neighbours; what remains moves with the skin, and is not. Skin under all markers of a bone moves together,
+    too (`KinematicsRules.shared`). They grow where a segment is not seen.
+    Raises AsterismError where no frame shows three markers of the tree.
     """
     columns = MarkerSet(tree.labels).columns_of(recording.labels)
     points = np.full((len(recording.positions), len(columns), 3), np.nan)
@@ -283,12 +288,22 @@ def _block(
         open_ = variances[:, ROOT:] * arrays.precision > 0.5
         usual = np.where(open_, max(1.0 - 1.0 / (rules.usual_s * rate), 0.0), 0.0) * arrays.precision
         _smoothed(tree, solving, (points, weights, usual), state, ratios, (misses, entries), rules)
-    sd = np.sqrt(_total(variances, white, ratios, known, _unrolled(q, turns, places)) if smooth else variances)
+    total = _total(variances, white, ratios, known, _unrolled(q, turns, places)) if smooth else variances
+    shared = np.empty_like(variances)
+    shared_variances(arrays, solving, points, weights, rules.shared * _spreads(tree), q, turns, places, shared)
+    sd = np.sqrt(total + shared)
     shares = np.where(np.isfinite(misses), weights * misses**2, 0.0)
     # What Student's t lets go does not say how far the others are off.
     robust = np.minimum(shares, 9.0 * solving.tails) if solving.tails > 0 else shares
     counted = 3.0 * (shares > 0).sum(axis=1)
     return _SolvedFrames(sd, misses, robust.sum(axis=1), counted - np.minimum(int(arrays.moves.sum()), counted))
+
+
+def _spreads(tree: KinematicTree) -> Floats:
+    """(B,) m2, the mean variance of the markers of each bone about their places."""
+    on = tree.arrays.bones
+    squares = np.bincount(on, weights=[marker.spread**2 for marker in tree.markers], minlength=len(tree.bones))
+    return np.asarray(squares / np.maximum(np.bincount(on, minlength=len(tree.bones)), 1))
 
 
 def _onwards(tree: KinematicTree, solving: Solving, arrays: tuple[Floats, ...], first: int) -> None:
@@ -461,8 +476,8 @@ def _smoothed(
             q[:], turns[:], places[:] = kept
             cost()
             return
-        # A thousandth of a nat per frame moves nothing by a twentieth of its standard deviation.
-        if before - now < 1e-3 * len(q):
+        # A thousandth of a nat for each number is a step of a twentieth of its standard deviation.
+        if before - now < 1e-3 * steps.size:
             return
 
 
