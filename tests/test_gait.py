@@ -288,6 +288,14 @@ def test_a_band_is_kept_and_a_person_is_as_far_from_it_as_their_curves(tmp_path:
     for score in profile_scores([replace(moved, curves=bent)], kept):
         assert np.degrees(score.variables["knee flexion"]) == pytest.approx(10.0, abs=0.01)
         assert np.degrees(score.gps) == pytest.approx(10.0 / 3.0, abs=0.01), "one of nine"
+        assert score.gps_sigma is None
+    walk = replace(moved, curves=bent)
+    for score in profile_scores([walk], kept, sigmas=True):
+        # A knee that is off by a degree more throughout is a degree further away, and the score by a third of it.
+        parts = walk.bands[f"{score.side}KneeAngles"].standard.values()
+        off = float(np.mean(np.sqrt(sum(part[:, 0] ** 2 for part in parts))))
+        assert score.sigmas["knee flexion"] == pytest.approx(off, rel=1e-3) and np.radians(0.5) < off
+        assert score.gps_sigma == pytest.approx(off / 3.0, rel=1e-2) and score.gdi_sigma is not None
     with pytest.raises(AsterismError, match="two people or more"):
         band_of(walks, ["a", "a", "a"])
 

@@ -33,8 +33,8 @@ which ten within 0.002, and 0.24 on one that was computed as a walk. At half, an
 _ROUNDED = 0.5
 """mm, degrees or kg, by which what is given may differ from what a file holds without a word: a rounded number."""
 _USUAL = 2.5
-"""Standard deviations of `MeasurePriors` within which a width lies, of the leg's length: knees 0.06 to 0.19, ankles 0.056 to 0.106; of
-25 people are 0.10 to 0.16 and 0.07 to 0.103. At half, one person in five is told; at double, no mistake is."""
+"""Standard deviations of `MeasurePriors` within which a width lies, of the leg's length: knees 0.06 to 0.19, ankles 0.056 to 0.106;
+25 people have 0.10 to 0.16 and 0.07 to 0.103. At half, one person in five is told; at double, no mistake is."""
 _SAME_WIDTH = 0.2
 """By which the wider of two knees or ankles is wider: a swollen one is by less. At half, people with arthritis are told; at double, a
 knee's width typed as an ankle's (0.6 of it) is just told."""
