@@ -200,8 +200,10 @@ def _turning_points(curve: Floats, feet: Feet, rules: EventRules) -> list[int]:
     least = max(rules.least_step * usual, rules.least_swing * feet.leg_length)
     beyond = [curve.min() - 2 * least]
     peaks, _ = find_peaks(np.concatenate([beyond, curve, beyond]), prominence=least, distance=int(0.25 * RATE))
-    sides = [(peak - 1, curve[peak - 1] - curve[: peak - 1], curve[peak - 1] - curve[peak:]) for peak in peaks.tolist()]
-    drops = [(peak, before.max(initial=0.0), after.max(initial=0.0)) for peak, before, after in sides]
+    # the lowest that came before, and that comes after: with a look at all samples for each step, memory goes with the square of a walk
+    before, after = np.minimum.accumulate(curve), np.minimum.accumulate(curve[::-1])[::-1]
+    tops = [(peak, curve[peak], before[max(peak - 1, 0)], after[min(peak + 1, len(curve) - 1)]) for peak in (peaks - 1).tolist()]
+    drops = [(peak, max(top - earlier, 0.0), max(top - later, 0.0)) for peak, top, earlier, later in tops]
     # The highest point of all is only a peak where the curve itself, not what was put beyond its ends, falls.
     return [peak for peak, before, after in drops if min(before, after) > _DROP and max(before, after) >= least]
 

@@ -206,6 +206,7 @@ def score_sections(sessions: Sequence[GaitSession], band: Band | None) -> list[S
     rows = [row(title, lambda one, title=title: angle(one.variables[title], one.sigmas.get(title))) for _, _, title in SCORED]  # type: ignore[misc]
     rows.append(row("Gait Profile Score", lambda one: angle(one.gps, one.gps_sigma)))
     head = ["angle", *(", ".join(filter(None, (SIDE[side], sessions[number].name))) for number, side in columns)]
+    usual = usual_score(band)
     text = (
         f"Degrees from the mean of {band.people} people, root mean square over the cycle (Baker et al. 2009). "
         "± is one standard uncertainty from session to session, by the angles' own."
@@ -213,7 +214,22 @@ def score_sections(sessions: Sequence[GaitSession], band: Band | None) -> list[S
     if any(score.gdi is not None for score in of.values()):
         rows.append(row("Gait Deviation Index", lambda one: cell(one.gdi, one.gdi_sigma, 0)))
         text += " The index is 100 for the mean of these people, and 10 less for each standard deviation of theirs (GDI*)."
+    if usual is not None:
+        # What a number is to be held against stands beside it.
+        told = {"Gait Profile Score": f"{usual[1]:.1f} ({usual[0]:.1f} to {usual[2]:.1f})", "Gait Deviation Index": "100 (90 to 110)"}
+        rows = [[*row, told.get(str(row[0]), "")] for row in rows]
+        head.append("controls, mean (± 1 SD)")
+        text += " Each of them was held against the others."
     return [Section("Scores", text, table=Table(head, rows))]
+
+
+def usual_score(band: Band) -> tuple[float, float, float] | None:
+    """degrees: the Gait Profile Score of a band's own people, a standard deviation below the mean, the mean, one above; None if unknown."""
+    if band.log_score is None:
+        return None
+    mean, deviation = band.log_score
+    low, middle, high = np.degrees(np.exp([mean - deviation, mean, mean + deviation])).tolist()
+    return low, middle, high
 
 
 def cycle_section(sessions: Sequence[GaitSession]) -> Section:
