@@ -174,7 +174,7 @@ UP = np.array([0.0, 0.0, 1.0])
 def loaded_at(places: np.ndarray, high: float = 0.0) -> ForcePlate:
     """A plate that bears 600 N at these places (S, 2), a hundred samples per second."""
     force = np.tile([0.0, 0.0, 600.0], (len(places), 1))
-    corners = CORNERS + [0.0, 0.0, high]
+    corners = CORNERS + np.array([0.0, 0.0, high])
     arm = np.column_stack([places, np.full(len(places), high)]) - corners.mean(axis=0)
     return ForcePlate(1, corners, force, np.cross(arm, force), 100.0, UP)
 
@@ -208,7 +208,7 @@ def test_two_feet_and_no_foot_on_a_plate_are_not_one() -> None:
     # one after the other
     after = np.column_stack([np.repeat([1.25, 1.55], 50), np.full(100, 2.2)])
     assert foot_on(loaded_at(after), slice(0, 100), feet, 100.0) == BOTH
-    away = {side: points + [0.0, 3.0, 0.0] for side, points in feet.items()}
+    away = {side: points + np.array([0.0, 3.0, 0.0]) for side, points in feet.items()}
     for none in (
         away,
         {side: np.full_like(points, np.nan) for side, points in feet.items()},
