@@ -328,6 +328,38 @@ def test_a_pelvis_alone_moves_no_model(session: Path, tmp_path: Path, capsys: py
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"walk.trc"}
 
 
+def test_one_leg_scales_both(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("walk", "stands"):
+        recording = formats.read(session / f"{name}.c3d")
+        kept = [label for label in recording.labels if label[0] != "L" or label[1:] in ("ASI", "PSI", "SHO")]
+        formats.write(tmp_path / f"{name}.npz", replace(recording.select(kept), source=None, origin=None, taken=()))
+    words = [tmp_path / "walk.npz", "--static", tmp_path / "stands.npz", "-m", session / "round.osim", "-o", tmp_path / "out"]
+    words += ["--json", tmp_path / "a.json", "--measure", "BodyMass=70"]
+    assert main(["opensim", *(str(one) for one in words)]) == 1
+    told = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
+    scales = told["scales"]
+    assert scales["femur_l"]["factor"] == scales["femur_r"]["factor"] and scales["femur_l"]["by"] == "as femur_r"
+    # both hips are known by the pelvis, on which its markers sit as far to either side
+    assert scales["pelvis"]["by"] == "RHJC to LHJC"
+    left, right = (told["markers"][f"{side}ASI"]["location_m"] for side in "LR")
+    assert left[2] == pytest.approx(-right[2], abs=0.03) and left[2] < 0
+    [held] = [one for one in told["findings"] if one["code"] == "opensim-held"]
+    assert held["severity"] == "warning" and "hip_flexion_l" in held["sentence"] and "hip_flexion_r" not in held["sentence"]
+
+
+def test_of_two_people_the_first_is_written(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    walk = formats.read(session / "walk.c3d")
+    positions = np.concatenate([walk.positions, np.add(walk.positions, [0, 1.5, 0])], axis=1)
+    labels = tuple(f"{name}:{label}" for name in ("Ann", "Bob") for label in walk.labels)
+    formats.write(tmp_path / "two.npz", replace(walk, positions=positions, labels=labels, source=None, origin=None, taken=()))
+    words = [tmp_path / "two.npz", "-m", session / "round.osim", "-o", tmp_path / "out", "--measure", "BodyMass=70"]
+    assert main(["opensim", *(str(one) for one in words)]) == 1
+    assert "[recording-several-people]" in capsys.readouterr().err
+    names, rows, _ = trc(tmp_path / "out" / "two.trc")
+    assert sorted(names[: len(walk.labels)]) == sorted(walk.labels) and len(names) == len(walk.labels) + 12
+    assert np.isfinite(rows).any()
+
+
 def test_arms_sit_on_a_model_with_arms(session: Path, tmp_path: Path) -> None:
     text = written_model(tmp_path / "arms.osim", arms=True)
     words = [session / "walk.c3d", "--static", session / "stands.c3d", "-m", text, "-o", tmp_path / "out", "--json", tmp_path / "a.json"]

@@ -118,14 +118,14 @@ def write_opensim(
     there = [path for path in files.values() if path.exists()]
     if there and not overwrite:
         raise AsterismError(f"{there[0]} exists; choose another folder with -o, or replace it with --overwrite.")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise AsterismError(f"{folder} cannot be made ({problem.strerror or problem}); name another folder with -o.") from problem
     found = [finding for trial in trials for finding in trial.findings]
     share = np.array([-0.2, 0.9, 0.0]) if generic is None else lumbar_share(generic)
     known = {trial.name: person_of(trial.recording, trial.clinical, share) for trial in trials if trial.clinical is not None}
     persons = {name: person for name, person in known.items() if has_leg(person)}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise AsterismError(f"{folder} cannot be made ({problem.strerror or problem}); name another folder with -o.") from problem
     for trial in trials:
         person = persons.get(trial.name)
         turn = person.turn if person is not None else _turn(trial.recording)
@@ -258,7 +258,9 @@ def _with_plain_names(recording: Recording) -> tuple[Recording, list[Finding]]:
     seen = np.asarray(recording.visible.any(axis=0))
     labels = [label for label, shown in zip(recording.labels, seen, strict=True) if shown and not is_unnamed(label)]
     if not labels:
-        raise AsterismError(f"{recording.metadata.get('file', 'the recording')} has no point with a name for OpenSim; label it first.")
+        raise AsterismError(
+            f"{recording.metadata.get('file', 'the recording')} never shows a point with a name, which OpenSim needs; label it first."
+        )
     names, found = list[str](), list[Finding]()
     for label in labels:
         name = _plain(without_subject(label))
