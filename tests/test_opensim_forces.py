@@ -12,7 +12,6 @@ import pytest
 
 from asterism import formats
 from asterism.cli import main
-from asterism.formats.opensim_forces import contacts_on
 from asterism.recording import ForcePlate
 
 RATE, EACH, FRAMES = 100.0, 10, 60
@@ -132,7 +131,7 @@ def test_contacts_are_steps_not_drift_nor_shaking() -> None:
     def contacts(heights: np.ndarray) -> list[tuple[int, int]]:
         forces = np.column_stack([np.zeros((len(heights), 2)), heights])
         plate = ForcePlate(1, CORNERS, forces, np.zeros_like(forces), 1000.0, np.array([0.0, 0.0, 1.0]))
-        return [(run.start, run.stop) for run in contacts_on(plate)]
+        return [(run.start, run.stop) for run in plate.contacts]
 
     heights = np.concatenate([np.zeros(100), np.full(200, 600.0), np.zeros(200), np.full(300, 30.0), np.zeros(100)])
     assert contacts(heights) == [(100, 300)], "thirty newtons are the plate's drift"
@@ -164,7 +163,7 @@ def test_a_step_bears_the_weight_of_the_body(name: str, data: Path) -> None:
     recording = formats.read(data / f"gait-events/plates/{name}.c3d")
     plates, findings = formats.force_plates(recording)
     # From one strike to the next the plates bear all of the body, which is as fast up and down at both: the mean is its weight.
-    strikes = sorted(contact.start for plate in plates for contact in contacts_on(plate))
+    strikes = sorted(contact.start for plate in plates for contact in plate.contacts)
     loads = np.sum([plate.load[strikes[1] : strikes[2]] for plate in plates], axis=0)
     assert recording.source is not None and not findings
     [mass] = recording.source.parameters.values("PROCESSING", "BODYMASS")
