@@ -19,7 +19,6 @@ from asterism.formats._bones import (
     fill_unknown,
     forward_of,
     from_euler,
-    in_axes_of,
     turned_into,
     unlike,
     vertical_of,
@@ -441,7 +440,7 @@ def _write(path: Path, head: list[str], values: Floats, frame_time: float) -> No
 
 def _write_like(path: Path, motion: SkeletonMotion, document: Document, source: SkeletonFile) -> list[str]:
     """Write the motion through the channels of another file's bones. Raises AsterismError where it has not the same bones."""
-    motion = in_axes_of(motion, source.motion)
+    motion = motion.in_axes(source.motion.vertical, source.motion.forward)
     if motion.names != source.motion.names:
         raise AsterismError("the motion has other bones than the file whose hierarchy is to be kept; map it to that skeleton first.")
     joints, first = document.joints, len(document.joints) - len(motion.names)

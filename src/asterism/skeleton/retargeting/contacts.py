@@ -1,0 +1,234 @@
+"""A skeleton's feet over time in; where their soles are, and when heel and ball stand on something, out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d, minimum_filter1d
+
+from asterism.recording import Event, Floats, SkeletonMotion
+from asterism.skeleton.retargeting.body_parts import SIDES, BodyParts
+
+POINTS = ("heel", "ball")
+"""Of the sole. Where the skeleton has no joint of the toes, the ball is the end of the foot."""
+
+_STILL = 0.20
+"""m/s times the root of the leg's length over 0.9 m: a point of the sole that is faster hardly stands. Soles in stance are at 0.02 to
+0.10 m/s by the noise of joints, in swing at 1 to 4 m/s. At half of it noisy stances break up, at double strikes begin a frame early."""
+_NEAR = 0.03
+"""m for a leg of 0.9 m: height over its lowest place around, at which a point hardly stands. A ball of the foot rises by 10 mm while
+the heel lifts. At half of it the roll over the toes is lost, at double the heel stays down too long."""
+_AROUND = 0.25
+"""s to both sides, in which the lowest place of a point is sought: half a swing, so that a foot in the air is held against the floor."""
+_SHORTEST = 0.06
+"""s: shorter contacts are none. A sprinter's foot is down for 0.09 s."""
+_SMOOTH = 0.015
+"""s, over which velocities are smoothed: two frames at 120 Hz."""
+_BELT = 0.25
+"""m/s, of soles on the floor, above which they stand on a belt. Treadmills walk from 0.3 m/s on; drifting soles are below 0.05 m/s."""
+_USUAL_SOLE = 0.045
+"""Of stature, the ankle's height over the sole, where a skeleton ends at the ankles: the share of textbooks is 0.039 to 0.046."""
+_USUAL_FOOT = 0.40
+"""Of the shank's length, from the ankle to the ball, where a skeleton has no end of the foot."""
+_HEEL = 0.25
+"""Of the distance from the ankle to the ball, how far the heel is behind the ankle."""
+
+
+@dataclass(frozen=True)
+class Sole:
+    """Points of a foot in the axes of its bone. heel, ball, tip (3,) m from the joints of the foot, the foot, and the toe or foot.
+
+    toe  the bone of the toes, or -1
+    """
+
+    foot: int
+    toe: int
+    heel: Floats
+    ball: Floats
+    tip: Floats
+
+
+@dataclass(frozen=True)
+class FootContacts:
+    """When soles stand, over T frames.
+
+    standing  side -> (T, 2) bool of `POINTS`
+    level     side -> (T, 2) m, the height over the floor on which each point stands; NaN where it does not
+    belt      (3,) m/s, of what they stand on; zeros unless that is a treadmill
+    floor     m, the height of the floor in the room
+    source    "events" or "movement"
+    """
+
+    standing: Mapping[str, NDArray[np.bool_]]
+    level: Mapping[str, Floats]
+    belt: Floats
+    floor: float
+    source: str
+
+
+def soles_of(motion: SkeletonMotion, parts: BodyParts) -> dict[str, Sole]:
+    """The sole of each foot, in a room with z up, of a skeleton that stands in its rest pose."""
+    places, ends = motion.rest_joints, motion.ends
+    feet = {side: parts.bones[f"{side} foot"] for side in SIDES}
+    tips = dict[str, Floats | None]()
+    toes = dict[str, int]()
+    for side, foot in feet.items():
+        toe = parts.bones.get(f"{side} toe", -1)
+        below = [b for b, parent in enumerate(motion.parents) if parent == foot]
+        if toe < 0 and len(below) == 1 and not np.isfinite(ends[foot]).all():
+            toe = below[0]
+        toes[side] = toe
+        last = toe if toe >= 0 else foot
+        behind = [b for b, parent in enumerate(motion.parents) if parent == last]
+        tips[side] = (
+            places[last] + ends[last]
+            if np.isfinite(ends[last]).all()
+            else places[behind[0]]
+            if behind
+            else places[toe]
+            if toe >= 0
+            else None
+        )
+    low = [places[foot][2] for foot in feet.values()] + [places[toe][2] for toe in toes.values() if toe >= 0]
+    low += [tip[2] for tip in tips.values() if tip is not None]
+    stature = float(np.ptp(np.concatenate([places, (places + ends)[np.isfinite(ends).all(axis=1)]])[:, 2]))
+    ankles = float(np.mean([places[foot][2] for foot in feet.values()]))
+    # a foot that ends no lower than its ankle says nothing of its sole
+    floor = min(low) if min(low) < ankles - 0.2 * _USUAL_SOLE * stature else ankles - _USUAL_SOLE * stature
+    soles = {}
+    for side, foot in feet.items():
+        toe, tip = toes[side], tips[side]
+        shank = float(np.linalg.norm(places[foot] - places[parts.bones[f"{side} shank"]]))
+        at = places[foot]
+        ahead = (places[toe] if toe >= 0 else at) - at if tip is None else tip - at
+        ahead = np.array([ahead[0], ahead[1], 0.0])
+        length = float(np.linalg.norm(ahead))
+        ahead = ahead / length if length > 0.05 * shank else np.array([1.0, 0.0, 0.0])
+        length = length if length > 0.05 * shank else _USUAL_FOOT * shank
+        ball = np.array([*places[toe][:2], floor]) if toe >= 0 else np.array([*(at + length * ahead)[:2], floor])
+        to_ball = float(np.linalg.norm((ball - at)[:2]))
+        heel = np.array([*(at - _HEEL * to_ball * ahead)[:2], floor])
+        end = ball if tip is None or toe < 0 else np.array([*tip[:2], floor])
+        soles[side] = Sole(foot, toe, heel - at, ball - at, end - (places[toe] if toe >= 0 else at))
+    return soles
+
+
+def sole_points(motion: SkeletonMotion, sole: Sole) -> Floats:
+    """(T, 3, 3) m, heel, ball and tip in the room."""
+    turned, joints = motion.turned, motion.joints
+    last = sole.toe if sole.toe >= 0 else sole.foot
+    foot = joints[:, sole.foot, None] + np.stack([sole.heel, sole.ball]) @ turned[:, sole.foot].swapaxes(1, 2)
+    return np.concatenate([foot, (joints[:, last] + turned[:, last] @ sole.tip)[:, None]], axis=1)
+
+
+def find_contacts(motion: SkeletonMotion, parts: BodyParts, events: Iterable[Event] = ()) -> FootContacts:
+    """When heel and ball of each foot stand, by how still and low they are; within foot strike and foot off where events are given.
+
+    motion  in a room with z up
+    events  of the recording, times in s from its first frame; those of a side without a strike and an off are not used
+
+    A point stands on any height, as on stairs, and moves with the belt of a treadmill.
+    """
+    soles, rate = soles_of(motion, parts), motion.rate
+    points = {side: sole_points(motion, sole)[:, :2] for side, sole in soles.items()}
+    leg = leg_length(motion, parts)
+    every = np.concatenate(list(points.values()), axis=1)
+    lowest = every[:, :, 2].min(axis=1)
+    floor = float(np.quantile(lowest, 0.1))
+    speeds = {side: np.gradient(gaussian_filter1d(one, _SMOOTH * rate, axis=0), 1.0 / rate, axis=0) for side, one in points.items()}
+    near, still = _NEAR * leg / 0.9, _STILL * np.sqrt(leg / 0.9)
+    belt = _belt(every, np.concatenate(list(speeds.values()), axis=1), motion.root, floor, near, rate)
+    given = _phases(events, len(motion), rate)
+    standing, level = dict[str, NDArray[np.bool_]](), dict[str, Floats]()
+    for side, one in points.items():
+        width = 2 * int(_AROUND * rate) + 1
+        over = one[:, :, 2] - minimum_filter1d(one[:, :, 2], width, axis=0, mode="nearest")
+        speed = np.linalg.norm(speeds[side] - belt, axis=2)
+        evidence = np.exp(-((speed / still) ** 2) - (over / near) ** 2)
+        down = evidence > 0.5
+        if side in given:
+            down &= given[side][:, None]
+            # in a stance something stands: what stands most
+            none = given[side] & ~down.any(axis=1)
+            down[none, evidence[none].argmax(axis=1)] = True
+        standing[side] = np.stack([_long(column, _SHORTEST * rate) for column in down.T], axis=1)
+        level[side] = _levels(standing[side], one[:, :, 2] - floor, near)
+    return FootContacts(standing, level, belt, floor, "events" if given else "movement")
+
+
+def leg_length(motion: SkeletonMotion, parts: BodyParts) -> float:
+    """m, from hip to sole, along the bones and down from the ankle, the mean of both sides."""
+    places, soles = motion.rest_joints, soles_of(motion, parts)
+    lengths = []
+    for side in SIDES:
+        hip, knee, ankle = (places[parts.bones[f"{side} {part}"]] for part in ("thigh", "shank", "foot"))
+        lengths.append(np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee) - soles[side].heel[2])
+    return float(np.mean(lengths))
+
+
+def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First frame, and the one behind the last, of each stretch of frames that are flagged."""
+    edges = np.nonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))[0]
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def _long(flags: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:
+    """Without stretches that are shorter than `least` frames, after breaks that are as short were closed."""
+    out = flags.copy()
+    for a, b in stretches(~out):
+        if a > 0 and b < len(out) and b - a < 0.5 * least:
+            out[a:b] = True
+    for a, b in stretches(out):
+        # at the ends of the recording a contact may go on outside
+        if b - a < least and a > 0 and b < len(out):
+            out[a:b] = False
+    return out
+
+
+def _levels(standing: NDArray[np.bool_], height: Floats, near: float) -> Floats:
+    """(T, 2) m, what each point stands on: the median of its height over a contact; the floor where that is near."""
+    level = np.full(standing.shape, np.nan)
+    for p in range(standing.shape[1]):
+        for a, b in stretches(standing[:, p]):
+            middle = float(np.median(height[a:b, p]))
+            level[a:b, p] = 0.0 if abs(middle) < 1.5 * near else middle
+    return level
+
+
+def _belt(points: Floats, speeds: Floats, root: Floats, floor: float, near: float, rate: float) -> Floats:
+    """(3,) m/s, the velocity of what soles stand on; zero unless the low points of all frames move alike and the body stays."""
+    low = points[:, :, 2] < np.maximum(points[:, :, 2].min(axis=1, keepdims=True), floor) + 0.5 * near
+    low &= points[:, :, 2] < floor + near
+    if low.sum() < 0.5 * rate:
+        return np.zeros(3)
+    velocity = np.median(speeds[low], axis=0) * (1.0, 1.0, 0.0)
+    speed = float(np.linalg.norm(velocity))
+    spread = np.median(np.linalg.norm((speeds[low] - velocity)[:, :2], axis=1))
+    travelled = float(np.linalg.norm((root[-1] - root[0])[:2])) / (len(root) / rate)
+    # who slides over the floor goes with the feet; on a belt the body stays
+    return velocity if speed > _BELT and spread < 0.4 * speed and travelled < 0.5 * speed else np.zeros(3)
+
+
+def _phases(events: Iterable[Event], frames: int, rate: float) -> dict[str, NDArray[np.bool_]]:
+    """side -> (T,) whether the foot is between a strike and the off behind it; sides with both kinds of events only."""
+    found = dict[str, NDArray[np.bool_]]()
+    for side in SIDES:
+        own = sorted((event.time, "strike" in event.label.casefold()) for event in events if _is_foot(event, side))
+        if not any(strike for _, strike in own) or all(strike for _, strike in own):
+            continue
+        down = np.zeros(frames, dtype=np.bool_)
+        # before the first event the foot is in the other state
+        at, state = 0.0, not own[0][1]
+        for time, strike in [*own, (frames / rate, True)]:
+            down[max(0, round(at * rate)) : max(0, round(time * rate))] = state
+            at, state = time, strike
+        found[side] = down
+    return found
+
+
+def _is_foot(event: Event, side: str) -> bool:
+    label = event.label.casefold()
+    return event.context.casefold()[:1] == side[0] and ("strike" in label or "off" in label)
