@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from statistics import median
 from typing import TypeVar
 
 import asterism
 from asterism.recording import Recording
+from asterism.session import each_of
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -27,11 +27,13 @@ class BenchmarkRun:
 
     models   a folder that keeps trained models for the processes of this run, or None. Whoever names one that outlives the code empties it.
     jobs     processes that share the folds of a row; rows that measure time run in one
+    dask     in place of these, a cluster as `asterism process --dask` takes it, whose machines see the folder of the models
     """
 
     quick: bool = False
     models: Path | None = None
     jobs: int = 1
+    dask: str | None = None
     trained: dict[str, asterism.MarkerModel] = field(default_factory=dict)
 
     def report(self, text: str) -> None:
@@ -40,12 +42,14 @@ class BenchmarkRun:
 
     def each(self, work: Callable[[BenchmarkRun, Item], Result], items: Sequence[Item]) -> Iterator[Result]:
         """The results of a function over items, in their order; with several jobs both must be picklable."""
-        if self.jobs == 1 or len(items) == 1:
+        if (self.jobs == 1 and self.dask is None) or len(items) == 1:
             yield from (work(self, item) for item in items)
             return
-        alone = replace(self, jobs=1, trained={})
-        with ProcessPoolExecutor(self.jobs, mp_context=get_context("spawn")) as pool:
-            yield from pool.map(partial(work, alone), items)
+        alone = replace(self, jobs=1, dask=None, trained={})
+        kept = self.models or Path(tempfile.gettempdir())
+        kept.mkdir(parents=True, exist_ok=True)
+        with each_of(kept, workers=self.jobs, dask=self.dask) as each:
+            yield from each(partial(work, alone), items)
 
     def fit(self, recordings: Sequence[Recording], people: Sequence[str], **options: object) -> asterism.MarkerModel:
         """Train a model, or take the one that this run has trained from the same recordings."""

@@ -24,7 +24,7 @@ _SCRIPTS = {
     "files": "vertical.vertical logs.logs",
     "hostile": "long_recordings.long_recordings damaged_files.damaged_files",
     "motion": "paper.toy gait.knee clinical.plug_in_gait angles.sparse angles.dense coverage.coverage",
-    "gait": "events.events events.peers gaps.gaps kinetics.kinetics parameters.parameters bands.bands",
+    "gait": "events.events events.peers gaps.gaps kinetics.kinetics parameters.parameters bands.bands speed.speed",
     "house": "startup.startup install.install install.ci",
 }
 CHAPTERS = {

@@ -44,13 +44,14 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="few frames and folds, to see that it runs; the numbers mean little")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows into a file, too")
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes that share the folds of a row")
+    parser.add_argument("--dask", metavar="ADDRESS", help="in place of --jobs, a Dask cluster that sees --models; or local:N")
     parser.add_argument("--models", type=Path, help="keep trained models in this folder; empty it when the code has changed")
 
 
 def _measure(rows: Iterable[Row], given: argparse.Namespace) -> int:
     entries, failed = [], []
     with tempfile.TemporaryDirectory() as scratch:
-        run = BenchmarkRun(given.quick, given.models or Path(scratch), given.jobs)
+        run = BenchmarkRun(given.quick, given.models or Path(scratch), given.jobs, given.dask)
         for chapter, row in rows:
             started, processor = time.perf_counter(), time.process_time()
             try:

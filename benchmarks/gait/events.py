@@ -20,11 +20,13 @@ NEAR = 0.15
 GROUPS = {
     "children, straight": ("gait/*/straight.c3d", 7.0, 11.0),
     "children, turns": ("gait/*/turn*.c3d", 12.0, 12.0),
+    "children, turns, by plates": ("gait/*/turn*.c3d", 12.0, 12.0),
     "plates, other people": ("gait-events/plates/*/*.c3d", 7.0, 11.0),
     "treadmills": ("gait-events/treadmill/*.c3d", 7.0, 11.0),
     "Parkinson": ("gait-events/parkinson/*.c3d", 12.0, 15.0),
 }
-"""Files, and the mean absolute errors in ms that are asked for strikes and offs."""
+"""Files, and the mean absolute errors in ms that are asked for strikes and offs. Where plates are named, they tell the truth; elsewhere the
+file's events do, of which those off plates were set by hand: in turns 20 to 35 ms before all that tells a strike in the curves."""
 STORED = {"LHS": ("L", STRIKE), "RHS": ("R", STRIKE), "LTO": ("L", OFF), "RTO": ("R", OFF)}
 
 
@@ -83,7 +85,7 @@ def _apart(benchmark: BenchmarkRun, name: str, pattern: str, find: Finder) -> tu
     shares: dict[str, list[float]] = {STRIKE: [], OFF: []}
     for path in sorted(folder().glob(pattern))[: 2 if benchmark.quick else None]:
         found = find(path)
-        for side, label, time in _true(path, name == "plates, other people"):
+        for side, label, time in _true(path, "plates" in name):
             own = [(abs(one.time - time), one.sigma) for one in found if (one.side, one.label) == (side, label)]
             off, sigma = min(own, default=(np.inf, 1.0))
             apart[label].append(off)

@@ -128,6 +128,13 @@ VirtualPeople = Annotated[
     ),
 ]
 Workers = Annotated[int, typer.Option(metavar="N", min=1, help="Threads that share the work; the result is the same.")]
+Processes = Annotated[int, typer.Option("--workers", metavar="N", min=1, help="Processes that share the work; the result is the same.")]
+Dask = Annotated[
+    str | None,
+    typer.Option(
+        "--dask", metavar="ADDRESS", help="A Dask scheduler (tcp://host:8786), or local:N, in place of --workers.", show_default=False
+    ),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
 Json = Annotated[
     str | None,

@@ -12,6 +12,7 @@ from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._folders import recordings_of
 from asterism.cli._options import (
+    Dask,
     Files,
     FrameWise,
     HitRate,
@@ -19,6 +20,7 @@ from asterism.cli._options import (
     Markers,
     Overwrite,
     PartialSolvers,
+    Processes,
     Report,
     Rules,
     RulesOption,
@@ -28,6 +30,7 @@ from asterism.cli._options import (
     marker_names,
     numbers,
 )
+from asterism.cli._sharing import shared
 from asterism.cli.audit import as_numbered
 from asterism.errors import AsterismError
 
@@ -58,6 +61,8 @@ class EvaluateOptions:
     target_hit_rate: HitRate = 0.999
     partial_solvers: PartialSolvers = None
     seed: Seed = 0
+    workers: Processes = 1
+    dask: Dask = None
     vertical: Vertical = None
     overwrite: Overwrite = False
     report: Report = None
@@ -80,7 +85,8 @@ def evaluate(options: EvaluateOptions) -> None:
     Without --model, --markers names the set whose virtual people label: none of them was ever recorded.
 
     With --leave-one-subject-out the figures hold for people that the model has not seen; --markers, --target-hit-rate and --partial-solvers
-    belong to it. Rules other than whole-body need partial solvers, searched bottom-up where nothing else is said.
+    belong to it. Rules other than whole-body need partial solvers, searched bottom-up where nothing else is said. With --dask, the command
+    must run in a folder that all machines of the cluster see.
     """
     settings = _settings(options)
     from asterism import labelling
@@ -99,7 +105,7 @@ def evaluate(options: EvaluateOptions) -> None:
     # names that are exchanged make right labels wrong
     for error in labelling.check_names(recordings, None if model is None else model.marker_set).errors:
         batch.found(as_numbered(error, recordings).finding)
-    with _console.progress("evaluating") as progress:
+    with shared(options.workers, options.dask, Path.cwd()), _console.progress("evaluating") as progress:
         if model is not None:
             evaluation = labelling.evaluate(model, recordings, **settings, progress=progress)
         else:

@@ -15,7 +15,7 @@ from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._filling import Fill, fill_limit
 from asterism.cli._folders import Trial, check_folder, trials
-from asterism.cli._options import Json, KnownLabels, KnownLabelsOption, Vertical, vertical_axis
+from asterism.cli._options import Dask, Json, KnownLabels, KnownLabelsOption, Processes, Vertical, vertical_axis
 from asterism.cli._process_places import Places
 from asterism.errors import AsterismError
 from asterism.files.atomic import write_atomically
@@ -63,13 +63,8 @@ class ProcessOptions:
         typer.Option("--band", metavar="FILE", help="A band of controls, which `asterism gait --save-band` wrote.", show_default=False),
     ] = None
     vertical: Vertical = None
-    workers: Annotated[int, typer.Option(metavar="N", min=1, help="Processes that share the work; the result is the same.")] = 1
-    dask: Annotated[
-        str | None,
-        typer.Option(
-            "--dask", metavar="ADDRESS", help="A Dask scheduler (tcp://host:8786), or local:N, in place of --workers.", show_default=False
-        ),
-    ] = None
+    workers: Processes = 1
+    dask: Dask = None
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Do all anew, also what somebody has corrected.")] = False
     json: Json = None

@@ -14,6 +14,7 @@ from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._folders import recordings_of
 from asterism.cli._options import (
+    Dask,
     Features,
     Files,
     HitRate,
@@ -22,6 +23,7 @@ from asterism.cli._options import (
     MarkerTargets,
     Overwrite,
     PartialSolvers,
+    Processes,
     Seed,
     Vertical,
     VirtualPeople,
@@ -29,6 +31,7 @@ from asterism.cli._options import (
     feature_names,
     marker_targets,
 )
+from asterism.cli._sharing import shared
 from asterism.cli.audit import LEARNED_AS_NAMED, as_numbered
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity, exit_status
@@ -51,6 +54,8 @@ class TrainOptions:
     features: Features = None
     virtual_people: VirtualPeople = None
     seed: Seed = 0
+    workers: Processes = 1
+    dask: Dask = None
     audit: Annotated[
         bool,
         typer.Option("--audit/--no-audit", help="Look through the files first, and leave out labels that cannot be right."),
@@ -67,7 +72,7 @@ def train(options: TrainOptions) -> None:
     Recordings of several people make a model that holds for people it has not seen. Without --markers the set is the markers that most
     people wear; the others are named. A marker is learned from the files that have it. The files are audited first: labels that cannot be
     right are named and left out, and the exit status is then 1. A file that cannot be used stops the training before it starts, and is
-    named.
+    named. With --dask, the folder of the model must be one that all machines of the cluster see.
     """
     check_hit_rate(options.target_hit_rate)
     # mistakes in options are told before any file is read
@@ -86,7 +91,8 @@ def train(options: TrainOptions) -> None:
     if options.audit:
         recordings, errors, otherwise = _without_damage(recordings, marker_set, options.seed)
     started = time.perf_counter()
-    with _console.progress("training") as progress:
+    work = shared(options.workers, options.dask, options.output.absolute().parent)
+    with work, _console.progress("training") as progress:
         model = MarkerModel.fit(
             recordings,
             seed=options.seed,

@@ -161,13 +161,18 @@ def write(
     return [*_function(_WRITERS[suffix])(path, recording), "the confidence of the labels"]
 
 
-def read_confidence(path: str | Path) -> LabelConfidence | None:
-    """The confidence of the labels in a C3D, CSV or NPZ file; None where it has none. Raises AsterismError where it cannot be read."""
+def read_confidence(path: str | Path, *, opened: Any = None) -> LabelConfidence | None:
+    """The confidence of the labels in a C3D, CSV or NPZ file; None where it has none. Raises AsterismError where it cannot be read.
+
+    opened  the `source` of a recording that was read from the file: a C3D file is not read again
+    """
     from asterism.formats import csv_long, csv_wide, npz
     from asterism.formats.c3d._confidence import confidence_of
-    from asterism.formats.c3d._file import open_c3d
+    from asterism.formats.c3d._file import C3DFile, open_c3d
 
     path = Path(path)
+    if isinstance(opened, C3DFile) and opened.path == str(path):
+        return confidence_of(opened)
     kind = _kind_of(path)
     if kind == "C3D":
         return confidence_of(open_c3d(path))

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.recording import Floats, canonical, is_unnamed, without_subject
+from asterism.recording import Floats, Ints, canonical, is_unnamed, without_subject
 from asterism.recording.arrays import nan_median
 
 MARKER, COMPUTED, UNNAMED = "marker", "computed", "unnamed"
@@ -137,8 +137,8 @@ def _judge_by_geometry(labels: Sequence[str], positions: Floats, kinds: list[str
     # Tips that end in 1 show that the model numbers its axes, so that a lone 0 is an origin.
     if any(named[tip][-1:] == "1" for _, tips in frames_found for tip in tips):
         for place, label in enumerate(named):
-            alone = not any(label[:-1] + digit in named for digit in "123456789")
-            judged[place] |= len(label) > 2 and label[-1] == "0" and not label[-2].isdigit() and alone
+            if len(label) > 2 and label[-1] == "0" and not label[-2].isdigit():
+                judged[place] |= not any(label[:-1] + digit in named for digit in "123456789")
     _mark_midpoints(some[:, candidates], judged)
     for place, point in enumerate(candidates):
         if judged[place]:
@@ -192,19 +192,29 @@ def _mark_far_values(some: Floats, points: list[int], kinds: list[str]) -> None:
 
 
 def _wobble(some: Floats) -> tuple[Floats, NDArray[np.int64]]:
-    """(P, P) m, the range of the distance of two points; and (P, P) the number of frames in which both are present."""
-    seen = np.zeros((some.shape[1],) * 2, dtype=np.int64)
-    low, high = np.full(seen.shape, np.inf), np.full(seen.shape, -np.inf)
-    for frame in some:
-        # Frame by frame: all pairs in all frames at once would take too much memory.
-        x, y, z = ((own[:, None] - own[None]) ** 2 for own in frame.T)
-        distance = np.sqrt(x + y + z)
-        both = np.isfinite(distance)
-        seen += both
-        distance[~both] = np.nan
-        np.fmin(low, distance, out=low)
-        np.fmax(high, distance, out=high)
-    return np.where(seen > 0, high - low, np.inf), seen
+    """(P, P) m, the range of the distance of two points; and (P, P) the number of frames in which both are present.
+
+    Where a few frames show that a distance is not exact, its range is that of these frames.
+    """
+    there: Floats = np.asarray(np.isfinite(some).all(axis=2), dtype=np.float64)
+    seen = np.rint(there.T @ there).astype(np.int64)
+    range_of = np.full(seen.shape, np.inf)
+    one, other = np.triu_indices(len(seen), 1)
+    # Three frames rule out nearly all pairs.
+    for frames in (some[:: max(1, len(some) // 3)], some):
+        low, high = np.full(len(one), np.inf), np.full(len(one), -np.inf)
+        for frame in frames:
+            # Frame by frame: all pairs in all frames at once would take too much memory.
+            x, y, z = (own[one] - own[other] for own in frame.T)
+            distance = np.sqrt(x * x + y * y + z * z)
+            np.fmin(low, distance, out=low)
+            np.fmax(high, distance, out=high)
+        apart = np.where(high >= low, high - low, np.inf)
+        range_of[one, other] = range_of[other, one] = apart
+        left = (apart < _EXACT) | (high < low)
+        one, other = one[left], other[left]
+    np.fill_diagonal(range_of, 0.0)
+    return range_of, seen
 
 
 def _orthogonal_frames(
@@ -218,27 +228,38 @@ def _orthogonal_frames(
     same_name = stems[:, None] == stems
     found = []
     # An origin keeps exact distances from its three tips.
-    for origin in np.nonzero(exact.sum(axis=1) >= 3)[0]:
+    for origin in np.nonzero(exact.sum(axis=1) >= 3)[0].tolist():
         # More than two dozen exact neighbours are a solved rigid body, not axes.
         around = np.nonzero(exact[origin] & ~judged)[0][:24]
         # Three tips are the least; those of known names are judged already.
         if len(around) < 3:
             continue
-        arms = some[:, around] - some[:, [origin]]
-        lengths = np.linalg.norm(arms, axis=2)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            same_length = np.nanmax(np.abs(lengths[:, :, None] - lengths[:, None, :]), axis=0) < 2 * _EXACT
-            arms = arms / lengths[:, :, None]
-            cosines = np.abs(np.einsum("tik,tjk->tij", arms, arms))
-        square = np.nan_to_num(cosines, nan=0.0).max(axis=0) < _RIGHT_ANGLE
-        square &= np.isfinite(cosines).sum(axis=0) >= _FEWEST_FRAMES
-        square &= exact[np.ix_(around, around)] & (same_length | same_name[np.ix_(around, around)])
+        near = np.ix_(around, around)
+        # Two frames show of most origins that nothing is square there.
+        if _squares(some[:: len(some) - 1], origin, around, exact[near], same_name[near], 0).sum() < 6:
+            continue
+        square = _squares(some, origin, around, exact[near], same_name[near], _FEWEST_FRAMES)
         # Each pair of square arms once, and the third one square to both.
         for i, j in zip(*np.nonzero(np.triu(square)), strict=True):
             found += [
                 (int(origin), (int(around[i]), int(around[j]), int(around[k]))) for k in np.nonzero(square[i] & square[j])[0] if k > j
             ]
     return found
+
+
+def _squares(
+    some: Floats, origin: int, around: Ints, exact: NDArray[np.bool_], same_name: NDArray[np.bool_], fewest: int
+) -> NDArray[np.bool_]:
+    """(n, n) which of the points around an origin are at right angles there in all frames, `fewest` of which show both."""
+    arms = some[:, around] - some[:, [origin]]
+    lengths = np.sqrt((arms * arms).sum(axis=2))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        arms /= lengths[:, :, None]
+        cosines = np.abs(arms @ arms.transpose(0, 2, 1))
+        longer = np.fmax.reduce(np.abs(lengths[:, :, None] - lengths[:, None, :]), axis=0)
+    same_length = ~(longer >= 2 * _EXACT)
+    found = np.fmax.reduce(cosines, axis=0)
+    return ~(found >= _RIGHT_ANGLE) & (np.isfinite(cosines).sum(axis=0) >= fewest) & exact & (same_length | same_name)
 
 
 def _mark_frames(
@@ -296,8 +317,10 @@ def _mark_midpoints(some: Floats, judged: NDArray[np.bool_]) -> None:
     i, j = np.triu_indices(len(markers), k=1)
     # One coordinate of one frame rules out nearly all triples, and the frame most others, before all frames are looked at.
     both = frame[i] + frame[j]
-    for k in range(len(markers)):
-        near = np.flatnonzero(np.abs(both[:, 0] - 2 * frame[k, 0]) < 4 * _EXACT)
+    order = np.argsort(both[:, 0])
+    begin, end = (np.searchsorted(both[order, 0], 2 * frame[:, 0] + margin) for margin in (-4 * _EXACT, 4 * _EXACT))
+    for k in np.flatnonzero(end > begin).tolist():
+        near = order[begin[k] : end[k]]
         close = near[np.abs(both[near] - 2 * frame[k]).max(axis=1) < 4 * _EXACT]
         for a, b in zip(i[close], j[close], strict=True):
             error = np.abs(paths[:, a] + paths[:, b] - 2 * paths[:, k]).max(axis=1)

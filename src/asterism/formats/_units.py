@@ -89,8 +89,8 @@ def body_size(raw: Floats) -> float:
 
     About the height of a whole body. A few missing points do not matter. NaN with fewer than two points.
     """
-    # Some two hundred frames tell the size as well as an hour does.
-    some = raw[:: max(1, len(raw) // 200)]
+    # Some fifty frames tell the size as well as an hour does: with half or double of them it differs by less than 1 %.
+    some = raw[:: max(1, len(raw) // 50)]
     # Numbers from damage must not decide: infinite, or beyond what squares can hold.
     x, y, z = np.moveaxis(np.abs(some) < 1e100, 2, 0)
     usable = x & y & z & ~missing_codes(some)

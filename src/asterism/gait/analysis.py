@@ -45,6 +45,7 @@ class GaitAnalysis:
     loaded      the same names -> these cycles
     fill_sigmas as `curves`, rad: the standard deviation that filled samples add; 0 where none takes part, empty where nothing was filled
     emg         the muscles that the file holds, with their envelopes over the cycles
+    plates      the force plates that were given
     """
 
     recording: Recording
@@ -59,6 +60,7 @@ class GaitAnalysis:
     loaded: Mapping[str, tuple[Cycle, ...]] = field(default_factory=dict)
     fill_sigmas: Mapping[str, Floats] = field(default_factory=dict)
     emg: tuple[EmgChannel, ...] = ()
+    plates: tuple[ForcePlate, ...] = ()
 
     @cached_property
     def load_sigmas(self) -> Mapping[str, Floats]:
@@ -169,7 +171,7 @@ def analyse_gait(
     muscles, told = emg_of(recording, cycles)
     found += told
     return GaitAnalysis(
-        recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads, loaded, fill_sigmas, muscles
+        recording, walking, cycles, parameters, clinical, curves, tuple(found), kinetics, loads, loaded, fill_sigmas, muscles, tuple(plates)
     )
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from time import perf_counter
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.labelling.marker_model import METHODS, MarkerModel
 from asterism.labelling.reliability import ConfidenceScore, ConfidenceTally
+from asterism.labelling.shared_work import each_shared, is_shared
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts, simulate_occlusions
 from asterism.progress import Progress
 from asterism.recording import LABEL_STATES, Clouds, Floats, Ints, Labelling, LabelShares, Recording, label_states, subject_of
@@ -111,6 +114,16 @@ class _Tally:
     seconds: float = 0.0
     evaluations: float = 0.0
 
+    def add(self, other: _Tally) -> None:
+        """Take in the labels of other recordings."""
+        self.truth += other.truth
+        self.given += other.given
+        self.confidence += other.confidence
+        self.subjects += other.subjects
+        self.states.update(other.states)
+        self.seconds += other.seconds
+        self.evaluations += other.evaluations
+
     def by_confidence(self) -> ConfidenceTally:
         """The labels counted by their confidence, grouped by subject; by recording where all are of one subject."""
         tally, several = ConfidenceTally(), len(set(self.subjects)) > 1
@@ -137,6 +150,7 @@ def evaluate(
     as a whole, as `asterism label` does, and each frame by itself where the rules know no time. At every moment exactly so many visible
     markers are hidden, and so many ghosts lie within 0.15 m of a marker; which, `seed` decides. For whole recordings gaps last 0.1 to 1 s
     and ghosts 0.05 to 0.5 s; for single frames both are drawn anew in every frame.
+    Within `shared_by`, others do parts of the work; all but the times is the same.
     Raises AsterismError where a recording's columns are not the model's markers, more markers should be hidden than there are, or `time`
     is asked of other rules than "whole-body".
     """
@@ -173,28 +187,40 @@ def leave_one_subject_out(
         fit_options["miner"] = "bottom-up"
     total: dict[tuple[int, int], _Tally] = {}
     names: tuple[str, ...] = ()
-    for i, out in enumerate(people):
-        report = _sub_progress(progress, i, len(people), f"without {out}")
-        kept = [j for j, name in enumerate(whose) if name != out]
-        model = MarkerModel.fit(
-            [recordings[j] for j in kept],
-            subjects=[whose[j] for j in kept],
-            seed=seed,
-            progress=_sub_progress(report, 0, 2, "training"),
-            **fit_options,
-        )
-        own = [recordings[j] for j, name in enumerate(whose) if name == out]
-        report_labelling = _sub_progress(report, 1, 2, "labelling")
-        for condition, tally in _run_conditions(model, own, [out] * len(own), plan, report_labelling).items():
-            known = total.setdefault(condition, _Tally())
-            known.truth += tally.truth
-            known.given += tally.given
-            known.confidence += tally.confidence
-            known.subjects += tally.subjects
-            known.seconds += tally.seconds
-            known.evaluations += tally.evaluations
-        names = model.marker_set.names
+    # in one process, each person's part of the work tells how far it is
+    report = None if is_shared() else progress
+    found = each_shared(partial(_without_one, recordings, whose, people, plan, fit_options, report), range(len(people)), map)
+    for done, (names, tallies) in enumerate(found):  # noqa: B007
+        for condition, tally in tallies.items():
+            total.setdefault(condition, _Tally()).add(tally)
+        if progress is not None and report is None:
+            progress((done + 1) / len(people), f"without {people[done]}")
     return _evaluation(total, names, people, plan)
+
+
+def _without_one(
+    recordings: Sequence[Recording],
+    whose: Sequence[str],
+    people: Sequence[str],
+    plan: _EvaluationPlan,
+    fit_options: Mapping[str, Any],
+    progress: Progress | None,
+    number: int,
+) -> tuple[tuple[str, ...], dict[tuple[int, int], _Tally]]:
+    """The names of a model of all people but one, and what its labels of that one are worth."""
+    out = people[number]
+    report = _sub_progress(progress, number, len(people), f"without {out}")
+    kept = [j for j, name in enumerate(whose) if name != out]
+    model = MarkerModel.fit(
+        [recordings[j] for j in kept],
+        subjects=[whose[j] for j in kept],
+        seed=plan.seed,
+        progress=_sub_progress(report, 0, 2, "training"),
+        **fit_options,
+    )
+    own = [recordings[j] for j, name in enumerate(whose) if name == out]
+    tallies = _run_conditions(model, own, [out] * len(own), plan, _sub_progress(report, 1, 2, "labelling"))
+    return model.marker_set.names, tallies
 
 
 def expected_calibration_error(confidence: Floats, right: Any) -> tuple[float, list[tuple[float, float, int]]]:
@@ -261,7 +287,11 @@ def _in_time(time: bool | None, rules: str) -> bool:
 
 
 def _run_conditions(
-    model: MarkerModel, recordings: Sequence[Recording], subjects: Sequence[str], plan: _EvaluationPlan, progress: Progress | None
+    model: MarkerModel,
+    recordings: Sequence[Recording],
+    subjects: Sequence[str],
+    plan: _EvaluationPlan,
+    progress: Progress | None,
 ) -> dict[tuple[int, int], _Tally]:
     names = model.marker_set.names
     for recording in recordings:
@@ -271,26 +301,36 @@ def _run_conditions(
                 "read it with the model's marker set."
             )
     _check_occlusions(plan.occlusions, len(names))
-    if recordings and len(recordings[0]):  # two frames, so that compiling is not counted as labelling
-        plan.label(model, recordings[0].frames(slice(0, 2)).clouds())
     tallies = {(k, g): _Tally() for g in plan.ghosts for k in plan.occlusions}
-    done = 0
-    for (k, g), tally in tallies.items():
-        for r, (recording, subject) in enumerate(zip(recordings, subjects, strict=True)):
-            clouds, truth = plan.clouds(recording, r, k, g)
-            start = perf_counter()
-            labelling, evaluations = plan.label(model, clouds)
-            tally.seconds += perf_counter() - start
-            tally.evaluations += evaluations
-            tally.truth.append(truth)
-            tally.given.append(labelling.indices)
-            tally.confidence.append(labelling.confidence)
-            tally.subjects.append(subject)
-            tally.states.update({name: int(held.sum()) for name, held in vars(label_states(labelling, clouds)).items()})
-            done += 1
-            if progress:
-                progress(done / (len(tallies) * len(recordings)), "labelling")
+    items = [(condition, r) for condition in tallies for r in range(len(recordings))]
+    found = each_shared(partial(_try, model, recordings, subjects, plan), items, map)
+    for done, ((condition, _), tally) in enumerate(zip(items, found, strict=True)):
+        tallies[condition].add(tally)
+        if progress:
+            progress((done + 1) / len(items), "labelling")
     return tallies
+
+
+def _try(
+    model: MarkerModel, recordings: Sequence[Recording], subjects: Sequence[str], plan: _EvaluationPlan, item: tuple[tuple[int, int], int]
+) -> _Tally:
+    """The labels of one recording under one condition, hidden markers and ghosts, beside the truth."""
+    (hidden, ghosts), number = item
+    recording = recordings[number]
+    # two frames, so that compiling is not counted as labelling
+    if len(recording) and model not in _COMPILED:
+        _COMPILED.add(model)
+        plan.label(model, recording.frames(slice(0, 2)).clouds())
+    clouds, truth = plan.clouds(recording, number, hidden, ghosts)
+    start = perf_counter()
+    labelling, evaluations = plan.label(model, clouds)
+    seconds = perf_counter() - start
+    states: Counter[str] = Counter({name: int(held.sum()) for name, held in vars(label_states(labelling, clouds)).items()})
+    return _Tally([truth], [labelling.indices], [labelling.confidence], [subjects[number]], states, seconds, evaluations)
+
+
+_COMPILED: WeakSet[MarkerModel] = WeakSet()
+"""The models that have labelled in this process."""
 
 
 def _evaluation(tallies: dict[tuple[int, int], _Tally], names: tuple[str, ...], subjects: list[str], plan: _EvaluationPlan) -> Evaluation:

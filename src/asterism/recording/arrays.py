@@ -61,9 +61,18 @@ def nan_quantile(values: Floats, shares: ArrayLike, axis: int) -> Floats:
         return np.full((np.size(shares), *np.delete(values.shape, axis)), np.nan)
     # Sorting puts NaN last, so that the values that are there come first.
     ordered = np.sort(values, axis=axis)
-    # At least 0: a row without a value takes its first NaN.
-    last = np.maximum((~np.isnan(values)).sum(axis=axis, keepdims=True) - 1, 0)
+    missing = np.isnan(values)
     found = []
+    if not missing.any():
+        # All rows have their quantiles in the same places.
+        for share in np.atleast_1d(shares):
+            place = share * (values.shape[axis] - 1)
+            low = int(place)
+            below, above = (ordered.take(at, axis=axis) for at in (low, min(low + 1, values.shape[axis] - 1)))
+            found.append(below + (above - below) * (place - low))
+        return np.stack(found)
+    # At least 0: a row without a value takes its first NaN.
+    last = np.maximum((~missing).sum(axis=axis, keepdims=True) - 1, 0)
     for share in np.atleast_1d(shares):
         place = share * last
         low = np.floor(place).astype(np.int64)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from html import escape
+from itertools import pairwise
 
 import numpy as np
 
@@ -50,7 +52,7 @@ class CurvesOfSide:
     interval: tuple[Floats, Floats] | None = None
     earlier: bool = False
 
-    @property
+    @cached_property
     def mean(self) -> Floats:
         """(101,) over the cycles in which the curve is known; NaN where none knows it."""
         curves = np.stack([one.values for one in self.cycles])
@@ -167,24 +169,34 @@ class _Scale:
 
     def path(self, values: Floats) -> str:
         """A line from 0 to 100 %, broken where the values are."""
-        known = np.flatnonzero(np.isfinite(values))
-        parts = []
-        for run in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
-            if len(run):
-                heights = np.rint(self.y(values[run])).astype(int)
-                # Steps from point to point are shorter to write than places.
-                steps = " ".join(f"{_PER_PERCENT} {step}" for step in np.diff(heights))
-                parts.append(f"M{_LEFT + _PER_PERCENT * int(run[0])} {heights[0]}" + (f"l{steps}" if steps else ""))
-        return "".join(parts)
+        return "".join(f"M{_place(first, heights[0])}{_steps(heights, 1)}" for first, heights in self._runs(values))
 
     def area(self, low: Floats, high: Floats) -> str:
         """What lies between two curves, as far as both are known."""
-        known = np.flatnonzero(np.isfinite(low) & np.isfinite(high))
-        edges = [
-            [f"{_LEFT + _PER_PERCENT * at} {height:.0f}" for at, height in zip(known, self.y(edge[known]), strict=True)]
-            for edge in (low, high)
-        ]
-        return f"M{'L'.join([*edges[0], *edges[1][::-1]])}Z" if len(known) else ""
+        both = np.isfinite(low) & np.isfinite(high)
+        below, above = (self._runs(np.where(both, edge, np.nan)) for edge in (low, high))
+        return "".join(
+            f"M{_place(first, lower[0])}{_steps(lower, 1)}L{_place(first + len(upper) - 1, upper[-1])}{_steps(upper[::-1], -1)}Z"
+            for (first, lower), (_, upper) in zip(below, above, strict=True)
+        )
+
+    def _runs(self, values: Floats) -> list[tuple[int, list[int]]]:
+        """Where each unbroken part of a curve begins, %, and its heights."""
+        known = np.flatnonzero(np.isfinite(values))
+        heights = np.rint(self.y(values[known])).astype(np.int64).tolist()
+        breaks = [0, *(np.flatnonzero(np.diff(known) > 1) + 1).tolist(), len(known)]
+        return [(int(known[begin]), heights[begin:end]) for begin, end in pairwise(breaks) if end > begin]
+
+
+def _place(percent: int, height: int) -> str:
+    return f"{_LEFT + _PER_PERCENT * percent} {height}"
+
+
+def _steps(heights: Sequence[int], way: int) -> str:
+    """From point to point, a percent each: shorter to write than places."""
+    step = way * _PER_PERCENT
+    rises = [str(after - before) for before, after in pairwise(heights)]
+    return f"l{step} " + f" {step} ".join(rises) if rises else ""
 
 
 def _grid(scale: _Scale, ticks: Floats) -> str:

@@ -233,8 +233,6 @@ def _events(sessions: Sequence[GaitSession]) -> list[Section]:
 
 def _player(sessions: Sequence[GaitSession]) -> Section:
     """All recordings, with force plates and the cycles of both feet."""
-    from asterism.formats import force_plates
-
     shown = []
     for session in sessions:
         for name, analysis in session.results:
@@ -251,7 +249,7 @@ def _player(sessions: Sequence[GaitSession]) -> Section:
                     recording.first_frame,
                     start=min(max(start, 0), max(len(recording) - 1, 0)),
                     names_shown="none",
-                    plates=[plate for plate in force_plates(recording)[0] if _as_long(plate, analysis)],
+                    plates=[plate for plate in analysis.plates if _as_long(plate, analysis)],
                     cycles=cycles,
                 )
             )

@@ -81,11 +81,10 @@ def _stances(analysis: GaitAnalysis, side: str) -> Iterator[tuple[float, float]]
 
 def _contacts(analysis: GaitAnalysis) -> Iterator[tuple[int, float, float, bool]]:
     """Each load on a plate: the plate, from and to s, and whether it counts in moments and powers."""
-    from asterism.formats import force_plates
     from asterism.gait import plate_contacts
 
     recording, kinetics = analysis.recording, analysis.kinetics
-    for contact in plate_contacts(recording, analysis.walking.feet, force_plates(recording)[0]):
+    for contact in plate_contacts(recording, analysis.walking.feet, analysis.plates):
         ground = None if kinetics is None or contact.side is None else kinetics.ground.get(f"{contact.side}GroundReactionForce")
         middle = min(round(0.5 * (contact.begins + contact.ends) * recording.rate), len(recording) - 1)
         yield contact.plate, contact.begins, contact.ends, ground is not None and bool(np.isfinite(ground[middle]).all())

@@ -85,29 +85,38 @@ def write_page(path: str | Path, page: Page) -> None:
     target = Path(path)
     figures = {f"figure-{i}": s.figure for i, s in enumerate(page.sections) if s.figure is not None}
     players = {f"player-{i}": s.player for i, s in enumerate(page.sections) if s.player}
-    # Every text is escaped: labels and file names come from files of others.
-    environment = Environment(
+    facts = {"Asterism": _version(), **page.facts, "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")}
+    # Scripts only where something is drawn: a page of tables stays readable by any program.
+    html = (
+        _environment()
+        .get_template("page.html")
+        .render(
+            page=page,
+            facts={name.replace("_", " "): _fact_text(value) for name, value in facts.items() if not _says_nothing(value)},
+            style=template("page.css") + player_style(),
+            script=player_script() + template("page.js") + template("panels.js") if figures or players else "",
+            plotly=_plotly() if figures else "",
+            data=_as_script({"figures": _without_markup(figures), "players": players}),
+            is_cell=lambda cell: isinstance(cell, Cell),
+            singular=singular,
+        )
+    )
+    # Whole or not at all: a browser that reloads must not meet half a page.
+    write_atomically(target, utf8(html))
+
+
+@cache
+def _environment() -> Environment:
+    """The pages' templates, compiled once for all pages of a process. Every text is escaped: labels and names come from others' files."""
+    return Environment(
         loader=PackageLoader("asterism.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         finalize=visible_text,
+        auto_reload=False,
     )
-    facts = {"Asterism": _version(), **page.facts, "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")}
-    # Scripts only where something is drawn: a page of tables stays readable by any program.
-    html = environment.get_template("page.html").render(
-        page=page,
-        facts={name.replace("_", " "): _fact_text(value) for name, value in facts.items() if not _says_nothing(value)},
-        style=template("page.css") + player_style(),
-        script=player_script() + template("page.js") + template("panels.js") if figures or players else "",
-        plotly=_plotly() if figures else "",
-        data=_as_script({"figures": _without_markup(figures), "players": players}),
-        is_cell=lambda cell: isinstance(cell, Cell),
-        singular=singular,
-    )
-    # Whole or not at all: a browser that reloads must not meet half a page.
-    write_atomically(target, utf8(html))
 
 
 _OWN_TAGS = re.compile("&lt;(/?extra|br)>")

@@ -85,7 +85,7 @@ def label_confidence(recording: Recording) -> Floats | None:
     if not file or not Path(file).is_file():
         return None
     try:
-        known = read_confidence(file)
+        known = read_confidence(file, opened=recording.source)
     except AsterismError:
         return None
     if known is None or len(known.values) != len(recording):

@@ -25,7 +25,7 @@ class BoneRules:
     longest: float = 0.65
     by_length: float = 0.15
     segment: float = 0.01
-    frames: int = 200
+    frames: int = 100
 
 
 _RULES = BoneRules()
@@ -42,20 +42,25 @@ def marker_bones(positions: Floats, names: Sequence[str], marker_set: MarkerSet 
     some = some[:: max(1, len(some) // _RULES.frames)]
     if not len(some):
         return []
-    gaps = np.linalg.norm(positions[some][:, :, None] - positions[some][:, None], axis=3)
+    # Each pair once, axis by axis: a fifth of the time that all coordinate differences at once take.
+    one, other = np.triu_indices(len(names), 1)
+    x, y, z = np.ascontiguousarray(positions[some].transpose(2, 0, 1))
+    gaps = np.sqrt((x[:, one] - x[:, other]) ** 2 + (y[:, one] - y[:, other]) ** 2 + (z[:, one] - z[:, other]) ** 2)
     seen = np.isfinite(gaps)
-    # Two markers that are rarely seen together have no reliable distance.
-    frequent = seen.sum(axis=0) >= max(3, len(some) // 10)
-    number = np.maximum(seen.sum(axis=0), 1)
-    mean = np.where(seen, gaps, 0.0).sum(axis=0) / number
-    spread = np.sqrt(np.where(seen, (gaps - mean) ** 2, 0.0).sum(axis=0) / number)
+    together = seen.sum(axis=0)
+    number = np.maximum(together, 1)
+    gaps[~seen] = 0.0
+    mean = gaps.sum(axis=0) / number
+    spread = np.sqrt(np.maximum((gaps**2).sum(axis=0) / number - mean**2, 0.0))
     # Bones keep their length; of those that do, the short ones are likelier.
-    cost = 1e-6 + spread + _RULES.by_length * mean
+    cost = np.zeros((len(names), len(names)))
+    cost[one, other] = 1e-6 + spread + _RULES.by_length * mean
     index = {canonical(name): i for i, name in enumerate(names)}
     for members in known.segments.values() if known else ():
         segment = [index[canonical(name)] for name in members if canonical(name) in index]
         # Within a segment first: it is rigid by its definition.
         cost[np.ix_(segment, segment)] *= _RULES.segment
-    cost[~frequent | (mean > _RULES.longest)] = 0.0
-    np.fill_diagonal(cost, 0.0)
-    return [[int(a), int(b)] for a, b in zip(*minimum_spanning_tree(np.triu(cost)).nonzero(), strict=True)]
+    # Two markers that are rarely seen together have no reliable distance.
+    left_out = (together < max(3, len(some) // 10)) | (mean > _RULES.longest)
+    cost[one[left_out], other[left_out]] = 0.0
+    return [[int(a), int(b)] for a, b in zip(*minimum_spanning_tree(cost).nonzero(), strict=True)]

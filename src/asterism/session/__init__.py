@@ -8,7 +8,7 @@ from asterism.session.live import LiveLabeller
 from asterism.session.lock import LOCK, Held, held
 from asterism.session.options import CHECK, IGNORE, KEEP, LabellingOptions
 from asterism.session.plan import FolderSettings, PlannedPerson, PlannedTrial, plan_session
-from asterism.session.spread import Each, Outcome, each_of, in_order, spread
+from asterism.session.spread import Outcome, each_of, in_order, spread
 from asterism.session.standing import is_standing_name, stands
 from asterism.session.worn import SetFinder, WornMarkers
 
@@ -17,7 +17,6 @@ __all__ = [
     "IGNORE",
     "KEEP",
     "LOCK",
-    "Each",
     "FileLabeller",
     "FinishedFiles",
     "FolderSettings",

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from asterism.errors import AsterismError
+from asterism.labelling.shared_work import Each
 
 Task = TypeVar("Task")
 Value = TypeVar("Value")
@@ -274,10 +275,6 @@ def _number(address: str) -> int:
     if not number.isdecimal() or int(number) < 1:
         raise AsterismError(f"--dask {address} is no cluster; write local:2 for two processes, or a scheduler such as tcp://host:8786.")
     return int(number)
-
-
-Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[Any]]
-"""Calls a function for each of some items, somewhere, and gives the values in the order of the items."""
 
 
 @contextmanager

@@ -95,11 +95,11 @@ def learn_places(
     """
     if not recordings:
         raise AsterismError("places are learned from a labelled recording; give one.")
-    guessed, doubts = _guesses(marker_set, rules)
+    guessed, doubts = guess_places(marker_set, rules)
     people: dict[str, list[dict[str, tuple[str, Floats]]]] = {}
     misses: list[float] = []
     for recording in recordings:
-        body, markers, places = _placed(marker_set, recording, guessed, doubts, rules, fit)
+        body, markers, places = lay_skeleton(marker_set, recording, guessed, doubts, rules, fit)
         seen = {name: (place.segment, np.array(place.at) + shift) for name, place, shift in zip(markers, places, body.shifts, strict=True)}
         people.setdefault(subject_of(recording), []).append(seen)
         misses.append(float(np.nanmedian(body.misses)))
@@ -110,7 +110,7 @@ def learn_places(
     return LearnedPlaces(replace(marker_set, places=places_of), known, len(people), float(np.median(misses)), tuple(findings))
 
 
-def _guesses(marker_set: MarkerSet, rules: PlaceRules, loose_names: float = 0.0) -> tuple[dict[str, Place], dict[str, float]]:
+def guess_places(marker_set: MarkerSet, rules: PlaceRules, loose_names: float = 0.0) -> tuple[dict[str, Place], dict[str, float]]:
     """Markers whose place is about known, and how far it is doubted, m.
 
     loose_names: share of the names that a set must know for its markers to count that are on no landmark.
@@ -141,7 +141,7 @@ def _on_landmark(place: Place) -> bool:
     return any((known.segment, known.at) == (left.plain_segment, left.at) for known in landmarks().values())
 
 
-def _placed(
+def lay_skeleton(
     marker_set: MarkerSet,
     recording: Recording,
     guessed: Mapping[str, Place],
@@ -399,7 +399,7 @@ def place_by_name(marker_set: MarkerSet) -> MarkerSet:
     >>> place_by_name(MarkerSet(("LKNE", "RKNE", "hat"))).places["RKNE"].segment
     'right thigh'
     """
-    guessed, _ = _guesses(marker_set, RULES, loose_names=0.8)
+    guessed, _ = guess_places(marker_set, RULES, loose_names=0.8)
     return replace(marker_set, places={name: guessed[name] for name in marker_set.names if name in guessed})
 
 

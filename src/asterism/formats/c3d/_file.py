@@ -99,10 +99,16 @@ class C3DFile:
         return self.processor.floats(fourth) if self.layout.real else self.processor.integers(fourth).astype(np.float32)
 
     @cached_property
+    def _negative(self) -> NDArray[np.bool_]:
+        """(frames, points) whether the residual is negative."""
+        return np.concatenate(
+            [np.zeros((0, self.layout.points), bool), *(self.residuals_of(some) < 0 for some in ranges(self.layout.frames))]
+        )
+
+    @cached_property
     def _signs_of_residuals(self) -> tuple[bool, bool]:
         """Whether some, and whether all residuals are negative."""
-        negative = [self.residuals_of(some) < 0 for some in ranges(self.layout.frames)]
-        return any(some.any() for some in negative), all(some.all() for some in negative)
+        return bool(self._negative.any()), bool(self._negative.all())
 
     @cached_property
     def residuals_are_unused(self) -> bool:
@@ -124,6 +130,8 @@ class C3DFile:
     @property
     def coordinates(self) -> Floats:
         """(frames, points, 3) in the file's unit, NaN where a point is missing, not finite or impossibly far away; made anew each time."""
+        if self.layout.frames <= _FRAMES_AT_ONCE:
+            return self.coordinates_of(slice(None))
         values = np.empty((self.layout.frames, self.layout.points, 3))
         for some in ranges(self.layout.frames):
             values[some] = self.coordinates_of(some)
@@ -139,9 +147,12 @@ class C3DFile:
                 values *= self.scale
             # Compared this way round, NaN is missing, too.
             x, y, z = np.moveaxis(np.abs(values) < _NOWHERE, 2, 0)
-            missing = ~(x & y & z) | missing_codes(values) | missing_codes(stored)
+            missing = ~(x & y & z) | missing_codes(stored)
+            # Scaled integers may give such a number as well.
+            if not self.layout.real:
+                missing |= missing_codes(values)
         if not self.residuals_are_unused:
-            missing |= self.residuals_of(frames)[:, points] < 0
+            missing |= self._negative[frames][:, points]
         # Many programs write zeros for missing points and leave the residual at 0.
         if self.zeros_are_missing:
             missing |= (xyz[..., 0] | xyz[..., 1] | xyz[..., 2]) & self._not_sign == 0
@@ -155,7 +166,7 @@ class C3DFile:
         for some in ranges(self.layout.frames):
             xyz = self.point_words[some, :, :3]
             stored = self.processor.floats(np.ascontiguousarray(xyz)) if self.layout.real else self.processor.integers(xyz)
-            found.append(stored[missing_codes(stored) & ~(self.residuals_of(some) < 0)])
+            found.append(stored[missing_codes(stored) & ~self._negative[some]])
         return np.concatenate([np.empty((0, 3)), *found])
 
     @property

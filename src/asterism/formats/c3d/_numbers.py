@@ -76,7 +76,11 @@ class Processor:
 
     def unsigned_at(self, raw: bytes | bytearray, offset: int) -> int:
         """One unsigned 16-bit integer; 0 where the bytes end before."""
-        return int(self.words16(raw, 1, offset)[0]) if offset + 2 <= len(raw) else 0
+        return self.unsigned_of(raw[offset : offset + 2]) if offset + 2 <= len(raw) else 0
+
+    def unsigned_of(self, two: bytes | bytearray) -> int:
+        """Two bytes as an unsigned integer."""
+        return int.from_bytes(two, "little" if self.order == "<" else "big")
 
     def bytes_of_unsigned(self, value: int) -> bytes:
         """One unsigned 16-bit integer as bytes."""

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import prod
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +26,7 @@ _MOST_VALUES = 1 << 20
 _HEADER = 4
 
 
-@dataclass(frozen=True)
-class Record:
+class Record(NamedTuple):
     """One group or parameter: its bytes `raw`, from its name's length up to the next record, and what they say."""
 
     raw: bytes
@@ -199,7 +199,7 @@ def parse_parameters(section: bytes, processor: Processor) -> Parameters:
     at = _HEADER
     while at + 2 <= len(section):
         # A negative length marks a locked name.
-        size = int.from_bytes(section[at : at + 1], "little", signed=True)
+        size = _signed(section[at])
         if size == 0:
             break
         record, problem = _record_at(section, at, abs(size), processor)
@@ -235,13 +235,17 @@ def _foreign(parameters: Parameters) -> list[bytes]:
     return [raw for raw in strings if _utf8(raw) is None]
 
 
+def _signed(byte: int) -> int:
+    return byte - 256 if byte > 127 else byte
+
+
 def _record_at(section: bytes, at: int, size: int, processor: Processor) -> tuple[Record | None, str]:
-    group = int.from_bytes(section[at + 1 : at + 2], "little", signed=True)
+    group = _signed(section[at + 1])
     link = at + 2 + size
     if link + 2 > len(section):
         return None, f"the parameter section breaks off at byte {at}"
     name = text_of(section[at + 2 : link])
-    step = processor.unsigned_at(section, link)
+    step = processor.unsigned_of(section[link : link + 2])
     # Groups have negative numbers; parameters the number of their group.
     if group <= 0:
         # A link of 0 ends the chain, so that the length comes from the record itself.
@@ -251,7 +255,7 @@ def _record_at(section: bytes, at: int, size: int, processor: Processor) -> tupl
         return Record(section[at:stop], name, -group, True, step == 0), ""
     if link + 4 > len(section):
         return None, f"the parameter section breaks off in parameter {name}"
-    kind = int.from_bytes(section[link + 2 : link + 3], "little", signed=True)
+    kind = _signed(section[link + 2])
     rank = section[link + 3]
     dimensions = tuple(section[link + 4 : link + 4 + rank])
     count = prod(dimensions)
@@ -303,6 +307,9 @@ def make_parameter(
 def text_of(raw: bytes, encoding: str = LATIN) -> str:
     """Characters of a file as text: UTF-8 where it is, else that encoding; blanks and NUL padding taken off."""
     raw = _unpadded(raw)
+    # Nearly all texts are ASCII, of which nothing need be tried.
+    if raw.isascii():
+        return raw.decode("ascii").strip()
     text = _utf8(raw)
     return raw.decode(encoding, errors="replace").strip() if text is None else text
 

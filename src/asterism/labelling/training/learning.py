@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.features.motion_points import frames_with_motion
 from asterism.labelling.features.registry import kinds_of, needs_motion
 from asterism.labelling.partial.search_strategies import check_miner
+from asterism.labelling.shared_work import each_shared, in_threads
 from asterism.labelling.training.calibration import (
     BESIDE_VIRTUAL_IN_FRAMES,
     BESIDE_VIRTUAL_IN_TIME,
@@ -304,20 +304,13 @@ def learn_body(
     the confidence (frames without and with points left over). Nothing is tried on virtual people: these teach, and judge nobody.
     """
     progress(0.0, "learning the body")
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        try:
-            whole = pool.submit(fit_whole, frames, people, config, virtual)
-            # All bodies are learned side by side: the fits release the lock of the interpreter.
-            folds = _folds(people, config.rules.folds, alone=virtual is None)
-            parts = [pool.submit(_fit_without, frames, people, out, config, i, virtual) for i, out in enumerate(folds)]
-            body, anchors = whole.result()
-            progress(0.2, "trying it on people left out")
-            learned = [part for part in (future.result() for future in parts) if part is not None]
-            in_frames, in_time = _try_on_left_out(pool, learned, stretches, anchors.triples, config, progress, few=virtual is not None)
-        # Also at Ctrl-C: the tasks that have not begun must not keep the process alive.
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    folds = _folds(people, config.rules.folds, alone=virtual is None)
+    # All bodies are learned side by side: the whole one, and that without each group of people.
+    whole, *parts = each_shared(partial(_fit, frames, people, folds, config, virtual), range(-1, len(folds)), in_threads)
+    body, anchors = whole
+    progress(0.2, "trying it on people left out")
+    learned = [part for part in parts if part is not None]
+    in_frames, in_time = _try_on_left_out(learned, stretches, anchors.triples, config, progress, few=virtual is not None)
     sides = [in_frames.left_over == side for side in (0, 1)]
     none, some = (Calibration.fit(in_frames.margin[side], in_frames.right[side]) for side in sides)
     count = len(np.unique(people))
@@ -326,6 +319,15 @@ def learn_body(
     usual_score = float(np.median([part.usual_score for part in learned]))
     # The median of several smaller models is steadier than the whole model's own score on its training.
     return LearnedBody(body, anchors, usual_score, (none, some), LabelCalibration.fitted(in_frames, count, of_frames), certainty)
+
+
+def _fit(
+    frames: Floats, people: Ints, folds: Sequence[NDArray[np.bool_]], config: TrainingConfig, virtual: VirtualFrames | None, number: int
+) -> Any:
+    """`fit_whole` for the number -1, else `_fit_without` the fold of this number."""
+    if number < 0:
+        return fit_whole(frames, people, config, virtual)
+    return _fit_without(frames, people, folds[number], config, number, virtual)
 
 
 def fit_whole(frames: Floats, people: Ints, config: TrainingConfig, virtual: VirtualFrames | None = None) -> tuple[BodyModel, Anchors]:
@@ -413,7 +415,6 @@ def _fit_without(
 
 
 def _try_on_left_out(
-    pool: ThreadPoolExecutor,
     learned: Sequence[_LearnedFromOthers],
     stretches: Sequence[tuple[int, Recording]],
     triples: Ints,
@@ -428,24 +429,35 @@ def _try_on_left_out(
 
     Each group's frames and stretches are tasks of their own, so that no thread waits for the last group.
     """
-    rules = _fewer_trials(config.rules) if few else config.rules
-    tasks = []
-    for part in learned:
-        # Intervals of the whole training would have seen the people left out.
-        anchors = with_intervals(_triples_within(triples, part.markers), part.frames, part.people, AnchorRules())
-        model = BodyLabeller.from_model(part.body, anchors, rules.frames.with_usual_score(part.usual_score))
-        chosen = _some_stretches(stretches, np.unique(part.tested_people), part.markers, rules)
-        # Each group draws its own occlusions, whatever the order in which tasks end.
-        seed = config.seed + part.number
-        settings = (RecordingLabellingSettings(), SubjectRules(), rules.body, seed)
-        tasks.append(pool.submit(_try_frames, model, part.tested, part.tested_people, rules, seed, few))
-        tasks.append(pool.submit(run_trials, model, chosen, rules.time_trials, *settings))
+    items = [(number, in_time) for number in range(len(learned)) for in_time in (False, True)]
     found = []
-    for i, task in enumerate(tasks):
-        found.append(task.result())
-        progress(0.2 + 0.8 * (i + 1) / len(tasks), "trying it on people left out")
+    for trials in each_shared(partial(_try_group, learned, stretches, triples, config, few), items, in_threads):
+        found.append(trials)
+        progress(0.2 + 0.8 * len(found) / len(items), "trying it on people left out")
     # Tasks alternate between frames and stretches, in the order in which they were handed in.
     return LabelTrials.together(found[::2]), LabelTrials.together(found[1::2])
+
+
+def _try_group(
+    learned: Sequence[_LearnedFromOthers],
+    stretches: Sequence[tuple[int, Recording]],
+    triples: Ints,
+    config: TrainingConfig,
+    few: bool,
+    item: tuple[int, bool],
+) -> LabelTrials:
+    """The trials of one group of people left out, in frames or in time."""
+    rules = _fewer_trials(config.rules) if few else config.rules
+    part, in_time = learned[item[0]], item[1]
+    # Intervals of the whole training would have seen the people left out.
+    anchors = with_intervals(_triples_within(triples, part.markers), part.frames, part.people, AnchorRules())
+    model = BodyLabeller.from_model(part.body, anchors, rules.frames.with_usual_score(part.usual_score))
+    # Each group draws its own occlusions, whatever the order in which tasks end.
+    seed = config.seed + part.number
+    if not in_time:
+        return _try_frames(model, part.tested, part.tested_people, rules, seed, few)
+    chosen = _some_stretches(stretches, np.unique(part.tested_people), part.markers, rules)
+    return run_trials(model, chosen, rules.time_trials, RecordingLabellingSettings(), SubjectRules(), rules.body, seed)
 
 
 def least_confidence(target_hit_rate: float) -> float:

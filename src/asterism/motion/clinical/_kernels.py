@@ -20,6 +20,7 @@ def joint_centres(upper, marker, wand, offset, turn, tilt, steps, centres):
     """
     axis, first, second, line = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     to_marker, to_wand, arm = np.empty(3), np.empty(3), np.empty(3)
+    angle, gain = 0.0, 1.0
     sine_of_corner, cosine_of_corner = math.sin(0.5 * math.pi + tilt), math.cos(0.5 * math.pi + tilt)
     for frame in range(len(centres)):
         for k in range(3):
@@ -36,10 +37,14 @@ def joint_centres(upper, marker, wand, offset, turn, tilt, steps, centres):
             first[k] = arm[k] - along * axis[k]
         _unit(first)
         _cross(axis, first, second)
-        angle, change, before = 0.0, 0.0, 0.0
+        # The frame before ends near where this one does: half of the steps.
+        if not abs(angle) < 4.0:
+            angle, gain = 0.0, 1.0
+        change, before = 0.0, 0.0
         for done in range(steps):
+            c, s = math.cos(angle), math.sin(angle)
             for k in range(3):
-                out = math.cos(angle) * first[k] + math.sin(angle) * second[k]
+                out = c * first[k] + s * second[k]
                 centres[frame, k] = marker[frame, k] - offset * (sine * axis[k] + cosine * out)
             if turn == 0.0:
                 break
@@ -58,10 +63,13 @@ def joint_centres(upper, marker, wand, offset, turn, tilt, steps, centres):
             step = (step + math.pi) % (2 * math.pi) - math.pi
             # What the last change did tells how far to go (the secant method): a whole step leaves a twentieth.
             moved = before - step
-            change = step * (change / moved if done > 0 and 0.5 < moved / change < 2.0 else 1.0)
+            if done > 0:
+                gain = change / moved if 0.5 < moved / change < 2.0 else 1.0
+            change = step * gain
             before = step
             angle += change
-            if not abs(step) > 1e-12:
+            # What is left is a hundredth of it, or less: 1e-13 m of a joint.
+            if not abs(step) > 1e-10:
                 break
 
 
@@ -113,9 +121,11 @@ def relative_turns(parent, child, x_first, found):
 
     IN  parent, child (T, 3, 3), axes as columns; x_first, whether the turn about x comes first
     OUT found (T, 3) rad, in the order of the turns; NaN where an input is
+    Returns the largest middle turn, rad, to either side; 0 where none is known.
     O(T), no allocation per frame. Bounds: none.
     """
     r = np.empty((3, 3))
+    largest = 0.0
     for frame in range(len(found)):
         for i in range(3):
             for k in range(3):
@@ -130,6 +140,10 @@ def relative_turns(parent, child, x_first, found):
         found[frame, 0] = math.atan2(-r[1, 2], r[2, 2]) if x_first else math.atan2(r[0, 2], r[2, 2])
         found[frame, 1] = math.asin(sine)
         found[frame, 2] = math.atan2(-r[0, 1], r[0, 0]) if x_first else math.atan2(r[1, 0], r[1, 1])
+        # NaN is never larger.
+        if abs(found[frame, 1]) > largest:
+            largest = abs(found[frame, 1])
+    return largest
 
 
 @kernel(inline=True)

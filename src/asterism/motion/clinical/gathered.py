@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -13,7 +13,8 @@ from asterism.motion.clinical.landmark_body import with_plug_in_gait_names, worn
 from asterism.motion.clinical.measures import MARKER_RADIUS, SIDES, SubjectMeasures, subject_measures
 from asterism.motion.clinical.plug_in_gait import radius_by_the_file
 from asterism.motion.clinical.static import StaticRules, with_static_offsets
-from asterism.recording import Recording
+from asterism.recording import Floats, Recording
+from asterism.recording.arrays import nan_quantile
 
 _SAME_LEG = 0.07
 """Of a leg's length, by which markers may show another one: they show 0.4 % less to 2.5 % more on four people of three laboratories."""
@@ -88,14 +89,14 @@ def _another_radius(recording: Recording, named: float, fitted: float) -> Findin
     )
 
 
-def _distance(recording: Recording, one: str, other: str, share: float = 50.0) -> float:
-    """m between two markers: what this share of the frames, in %, stays below; NaN where they are never seen together."""
-    if one not in recording.labels or other not in recording.labels:
-        return float("nan")
-    places = [recording.labels.index(name) for name in (one, other)]
-    apart = np.linalg.norm(recording.positions[:, places[0]] - recording.positions[:, places[1]], axis=1)
-    seen = apart[np.isfinite(apart)]
-    return float(np.percentile(seen, share)) if len(seen) else float("nan")
+def _distances(recording: Recording, pairs: Sequence[tuple[str, str]], *shares: float) -> Floats:
+    """(shares, pairs) m between two markers: what so much of the frames stays below; NaN where they are never seen together."""
+    column = {name: place for place, name in reversed([*enumerate(recording.labels)])}
+    apart = np.full((len(recording), len(pairs)), np.nan)
+    known = [place for place, pair in enumerate(pairs) if set(pair) <= column.keys()]
+    one, other = (recording.positions[:, [column[pairs[place][end]] for place in known]] for end in (0, 1))
+    apart[:, known] = np.sqrt(((one - other) ** 2).sum(axis=2))
+    return nan_quantile(apart, shares, axis=0)
 
 
 def _on_segments(recording: Recording) -> list[list[str]]:
@@ -140,9 +141,10 @@ def _body_differs(recording: Recording, static: Recording) -> str:
     pairs = [pair for one, other in zip(*columns, strict=True) for pair in combinations([name for name in one if name in other], 2)]
     recording, static = with_plug_in_gait_names(recording), with_plug_in_gait_names(static)
     # what slides over a joint, as on the kneecap, tells no person
-    pairs = [pair for pair in pairs if _distance(recording, *pair, 75.0) < (1.0 + _SAME_PERSON) * _distance(recording, *pair, 25.0)]
-    ratios = [_distance(recording, *pair) / _distance(static, *pair) for pair in pairs]
-    known = np.log([ratio for ratio in ratios if np.isfinite(ratio) and ratio > 0.0])
+    low, middle, high = _distances(recording, pairs, 0.25, 0.5, 0.75)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = (middle / _distances(static, pairs, 0.5)[0])[high < (1.0 + _SAME_PERSON) * low]
+    known = np.log(ratios[np.isfinite(ratios) & (ratios > 0.0)])
     off = float(np.sqrt(np.mean(known**2))) if len(known) >= _FEW else 0.0
     if off <= _SAME_PERSON:
         return ""
@@ -154,7 +156,8 @@ def _other_length(recording: Recording, measures: SubjectMeasures) -> list[Findi
     found, recording = [], with_plug_in_gait_names(recording)
     for side, word in SIDES.items():
         given = measures.of(side).leg_length
-        shown = _distance(recording, f"{side}ASI", f"{side}KNE", 95.0) + _distance(recording, f"{side}KNE", f"{side}ANK")
+        thigh = _distances(recording, [(f"{side}ASI", f"{side}KNE")], 0.95)[0, 0]
+        shown = thigh + _distances(recording, [(f"{side}KNE", f"{side}ANK")], 0.5)[0, 0]
         if given is not None and np.isfinite(shown) and abs(shown / given - 1.0) > _SAME_LEG:
             sentence = f"{_file(recording)}: the {word} leg's length is given as {1000 * given:.0f} mm, and its markers show about "
             sentence += f"{1000 * shown:.0f} mm: the measures are another person's, or the length was measured otherwise."

@@ -12,7 +12,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from asterism.findings import Finding, Severity
 from asterism.geometry import rotate_z_up
@@ -158,7 +157,7 @@ def inverse_dynamics(
             )
         )
     moments, powers, ground, sigmas = {}, {}, {}, {}
-    room = walking_axes(body)
+    room, pelvis = walking_axes(body), _turning(body.pelvis, recording.rate, rules)
     for side, leg in body.legs.items():
         if leg.foot is None:
             continue
@@ -166,14 +165,15 @@ def inverse_dynamics(
         found += [_bad_step(file, side, contact, why) for contact, why in left_out]
         mass = measures.mass or 0.0
         per = measures.mass or 1.0
-        for joint, one in _joints(recording, body, side, rules, mass, force, moment).items():
+        for joint, one in _joints(recording, body, side, rules, mass, force, moment, pelvis).items():
             order, signs = _ORDERS[joint]
             local = np.einsum("tji,tj->ti", one.below, one.about) / per
             moments[f"{side}{joint}Moment"] = local[:, order] * np.array(signs[side])
             powers[f"{side}{joint}Power"] = np.einsum("ti,ti->t", one.about, one.turning) / per
-            spread = _covariance(one, force, getattr(errors, joint.lower()), errors)
-            sigmas[f"{side}{joint}Moment"] = np.sqrt(np.einsum("tji,tjk,tki->ti", one.below, spread, one.below))[:, order] / per
-            turned = np.einsum("ti,tij,tj->t", one.turning, spread, one.turning) + (one.about**2).sum(axis=1) * errors.turning**2
+            ways = np.concatenate([one.below, one.turning[:, :, None]], axis=2)
+            spread = _variances(one, force, getattr(errors, joint.lower()), errors, ways)
+            sigmas[f"{side}{joint}Moment"] = np.sqrt(spread[:, :3])[:, order] / per
+            turned = spread[:, 3] + (one.about**2).sum(axis=1) * errors.turning**2
             sigmas[f"{side}{joint}Power"] = np.sqrt(turned) / per
         ground[f"{side}GroundReactionForce"] = force @ room / per
     for contact in contacts:
@@ -274,25 +274,28 @@ class _JointLoad:
     turning: Floats
 
 
-def _covariance(joint: _JointLoad, force: Floats, centre: float, errors: KineticErrors) -> Floats:
-    """(T, 3, 3) (N m)^2 of a joint's moment, whose centre is known to `centre` (m) along each direction; `force` (T, 3) N of the ground."""
+def _variances(joint: _JointLoad, force: Floats, centre: float, errors: KineticErrors, ways: Floats) -> Floats:
+    """(T, N) variance of a joint's moment, N m, along vectors `ways` (T, 3, N), times the squares of their lengths.
 
-    def outer(one: Floats) -> Floats:
-        return np.asarray(np.einsum("ti,tj->tij", one, one))
+    centre: m, to which the joint's centre is known along each direction; force (T, 3) N of the ground.
+    """
+
+    def along(vectors: Floats) -> Floats:
+        """The squares of what vectors (T, 3) have along the ways."""
+        return np.asarray((vectors[:, None] @ ways)[:, 0] ** 2)
 
     # Moved by d, a force f gives d x f more: alike in all directions across it.
-    found = centre**2 * ((joint.pull**2).sum(axis=1)[:, None, None] * np.eye(3) - outer(joint.pull))
+    found = centre**2 * ((joint.pull**2).sum(axis=1)[:, None] * (ways**2).sum(axis=1) - along(joint.pull))
     for axis in (0, 1):
-        found += errors.pressure**2 * outer(cross(np.eye(3)[axis], force))
-    found += (errors.plate**2 + errors.mass**2) * outer(joint.by_ground)
-    found += errors.inertia**2 * outer(joint.about - joint.by_ground)
-    return np.asarray(found)
+        found += errors.pressure**2 * along(cross(np.eye(3)[axis], force))
+    found += (errors.plate**2 + errors.mass**2) * along(joint.by_ground)
+    return np.asarray(found + errors.inertia**2 * along(joint.about - joint.by_ground))
 
 
 def _joints(
-    recording: Recording, body: LowerBody, side: str, rules: KineticRules, mass: float, force: Floats, moment: Floats
+    recording: Recording, body: LowerBody, side: str, rules: KineticRules, mass: float, force: Floats, moment: Floats, pelvis: Floats
 ) -> dict[str, _JointLoad]:
-    """By joint, what acts on the segment below it."""
+    """By joint, what acts on the segment below it; pelvis: its turning (T, 3) rad/s."""
     leg, rate = body.legs[side], recording.rate
     assert leg.foot is not None
     toe = marker_of(recording)(f"{side}TOE")
@@ -303,7 +306,7 @@ def _joints(
         ("Knee", rules.shank, leg.knee, leg.ankle, leg.shank),
         ("Hip", rules.thigh, leg.hip, leg.knee, leg.thigh),
     )
-    turnings = [_turning(axes, rate, rules) for axes in (leg.foot, leg.shank, leg.thigh, body.pelvis)]
+    turnings = [*(_turning(axes, rate, rules) for axes in (leg.foot, leg.shank, leg.thigh)), pelvis]
     out = {}
     # What acts on the lower end of a segment: force, and moment about that end. The ground's moment is moved to the foot's tip.
     pushed, turned = force, moment - cross(tip, force)
@@ -325,10 +328,13 @@ def _turning(axes: Floats, rate: float, rules: KineticRules) -> Floats:
     """(T, 3) rad/s, in the world, of axes (T, 3, 3); NaN at the ends and where axes are missing."""
     reach = max(1, round(rules.turning * rate))
     out = np.full((len(axes), 3), np.nan)
-    step = np.einsum("tij,tkj->tik", axes[2 * reach :], axes[: -2 * reach])
-    rows = np.flatnonzero(np.isfinite(step).all(axis=(1, 2)))
-    if len(rows):
-        out[rows + reach] = Rotation.from_matrix(step[rows]).as_rotvec() * rate / (2 * reach)
+    step = axes[2 * reach :] @ axes[: -2 * reach].transpose(0, 2, 1)
+    # The rotation vector of less than half a turn, NaN where axes are: no segment turns further in so short a time.
+    twice = np.stack([step[:, 2, 1] - step[:, 1, 2], step[:, 0, 2] - step[:, 2, 0], step[:, 1, 0] - step[:, 0, 1]], axis=1)
+    sine = np.linalg.norm(twice, axis=1)
+    angle = np.arctan2(sine, np.trace(step, axis1=1, axis2=2) - 1.0)
+    length = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 0.5)
+    out[reach:-reach] = twice * length[:, None] * rate / (2 * reach)
     return out
 
 

@@ -156,15 +156,15 @@ def turns(parent: Floats, child: Floats, first: str = "y") -> Floats:
     angle goes on.
     """
     found = np.empty((len(child), 3))
-    relative_turns(*(np.ascontiguousarray(axes, dtype=np.float64) for axes in (parent, child)), first == "x", found)
-    return _steady(found, raised=first == "x")
+    largest = relative_turns(*(np.ascontiguousarray(axes, dtype=np.float64) for axes in (parent, child)), first == "x", found)
+    # Only one that comes near a right angle can have gone past it; an arm may be raised in the first frame.
+    return _steady(found) if first == "x" or largest > _NEAR_RIGHT else found
 
 
-def _steady(found: Floats, raised: bool) -> Floats:
-    """The turns, each frame's triple near that before; `raised`: the first frame may be past a right angle, as of a raised arm."""
+def _steady(found: Floats) -> Floats:
+    """The turns, each frame's triple near that before."""
     known = np.nonzero(np.isfinite(found).all(axis=1))[0]
-    # Only one that comes near a right angle can have gone past it.
-    if len(known) and (raised or np.abs(found[known, 1]).max() > _NEAR_RIGHT):
+    if len(known):
         other = found * [1.0, -1.0, 1.0] + np.pi
         # No foot is upside down: of the first frame's two triples, that with less of the other turns.
         first = min((found[known[0]], (other[known[0]] + np.pi) % (2 * np.pi) - np.pi), key=lambda turn: np.abs(turn[[0, 2]]).sum())
@@ -205,12 +205,14 @@ def angles_of(recording: Recording, body: LowerBody) -> dict[str, Floats]:
     """
     room = np.broadcast_to(walking_axes(body), body.pelvis.shape)
     thorax = thorax_axes(recording)
+    pelvis = turns(room, body.pelvis)
+    trunk = None if thorax is None else (turns(room, thorax), turns(thorax, body.pelvis))
     found: dict[str, Floats] = {}
     for side, leg in body.legs.items():
         left = 1.0 if side == "L" else -1.0
         seen = np.array([1.0, left, -left])
         found |= _hip_and_knee(body, side)
-        found[f"{side}PelvisAngles"] = turns(room, body.pelvis) * seen
+        found[f"{side}PelvisAngles"] = pelvis * seen
         if leg.foot is not None:
             for name, parent in (("Ankle", leg.distal_shank), ("FootProgress", room)):
                 about_y, about_x, about_z = turns(parent, leg.foot).T
@@ -219,10 +221,11 @@ def angles_of(recording: Recording, body: LowerBody) -> dict[str, Floats]:
                 if name == "FootProgress":
                     angles = [about_y, left * about_z, -left * about_x]
                 found[f"{side}{name}Angles"] = np.stack(angles, axis=1)
-        if thorax is not None:
-            found[f"{side}ThoraxAngles"] = turns(room, thorax) * seen
-            found[f"{side}SpineAngles"] = turns(thorax, body.pelvis) * seen * [-1.0, 1.0, 1.0]
-    return {name: (angles + np.pi) % (2 * np.pi) - np.pi for name, angles in found.items()}
+        if trunk is not None:
+            found[f"{side}ThoraxAngles"] = trunk[0] * seen
+            found[f"{side}SpineAngles"] = trunk[1] * (seen * [-1.0, 1.0, 1.0])
+    # Most angles are within half a turn, and a remainder takes as long as the turns themselves.
+    return {name: (angles + np.pi) % (2 * np.pi) - np.pi if (np.abs(angles) > np.pi).any() else angles for name, angles in found.items()}
 
 
 def _hip_and_knee(body: LowerBody, side: str) -> dict[str, Floats]:
@@ -237,6 +240,8 @@ _RADII = np.arange(0.0025, 0.0151, 0.00025)
 """m: radii of markers that are tried."""
 _FEW = 60
 """Frames on which they are tried."""
+_MEETS = np.radians(0.02)
+"""rad RMS: angles that a radius meets as well as files store them; a radius that is 0.1 mm off leaves 0.05 degrees and more."""
 _FITS = np.radians(0.5)
 """rad RMS: angles that no radius brings nearer were computed by another model or from other measures, and tell no radius."""
 
@@ -267,19 +272,24 @@ def radius_by_the_file(recording: Recording, measures: SubjectMeasures) -> float
         errors.update({radius: off(radius) for radius in radii.tolist() if radius not in errors})
         return min(errors, key=errors.__getitem__)
 
+    stated = measures.marker_radius
     try:
+        left = off(stated)
+        if left < _MEETS:
+            return stated
         # The angles follow the radius evenly, so that the square of what is left is a parabola: three radii tell where it is lowest.
         three = _RADII[[0, len(_RADII) // 2, -1]]
         best = best_of(three)
         bend, slope, _ = np.polyfit(three, [errors[radius] ** 2 for radius in three.tolist()], 2)
         place = int(np.argmin(np.abs(_RADII - (-slope / (2 * bend) if bend > 0 else best))))
+        best = best_of(_RADII[[place]])
+        if errors[best] < _MEETS:
+            return float(best)
         while (best := best_of(_RADII[max(place - 1, 0) : place + 2])) != _RADII[place]:
             place = int(np.argmin(np.abs(_RADII - best)))
-        # The stated one may lie between those that are tried, and explain the angles best.
-        stated = measures.marker_radius
-        best = best_of(np.array([stated]))
     except AsterismError:
         return None
-    # One that differs by rounding is the stated one.
-    best = stated if abs(best - stated) < 1e-6 else best
+    # The stated one may lie between those that are tried; one that differs by rounding is the stated one.
+    if left < errors[best] or abs(best - stated) < 1e-6:
+        return stated if left < _FITS else None
     return float(best) if errors[best] < _FITS else None

@@ -1,0 +1,435 @@
+"""A kinematic tree and labelled trajectories in; the coordinates of its joints over time, each with its standard deviation, out.
+
+Weighted least squares on all markers in each frame (Lu and O'Connor, J Biomech 32, 1999), with bounds of the joints that give, and then
+over all frames together, as smooth as the trajectories themselves say that the person moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from asterism.errors import AsterismError
+from asterism.geometry import fit_rigid, vector_from_rotation, z_up_rotation
+from asterism.progress import Progress
+from asterism.recording import Floats, MarkerSet, Recording, SkeletonMotion
+from asterism.skeleton._smooth_kernels import best_ratio, smoothed_variances, smoothing_step
+from asterism.skeleton._tree_kernels import ROOT, follow, linearise, pose_frames, pose_tree
+from asterism.skeleton.tree import KinematicTree
+
+
+class Solving(NamedTuple):
+    """What the kernels take of `KinematicsRules`: see there; limit_precision (Q,) per square of the coordinate's unit."""
+
+    tails: float
+    limit_precision: Floats
+    ridge: float
+    steps: int
+    least_decrease: float
+    lost: float
+    lost_at_most: float
+
+
+@dataclass(frozen=True)
+class KinematicsRules:
+    """How inverse kinematics is solved.
+
+    noise           m, of a marker's measured position beside its spread: 1 mm is what a calibrated volume gives
+    tails           degrees of freedom of Student's t, by which a marker that is far off pulls less (Lange et al. 1989 advise 4); 0: by its
+                    square, as OpenSim does. At 2 a marker is let go sooner, at 8 one that is 10 cm off turns the body by half as much again
+    limit_deg       degrees that a joint goes beyond its range at the price of one standard deviation: what goniometers repeat
+    limit_m         m, the same of a joint that slides
+    ridge           what nothing else says of a number, per m2 or rad2: a standard deviation of 100 rad, far beyond anything
+    steps           of Levenberg and Marquardt in a frame; five are usual
+    least_decrease  nats, the expected gain of a step below which a frame is done: 0.0014 standard deviations
+    lost            mean square miss of the markers, in their own variances, above which a frame is tried from other starts
+    lost_at_most    what one marker may add to that, so that a single wrong one does not count as lost
+    smooth          whether frames are smoothed together
+    rounds          of smoothing at most: the equations are linear in small steps
+    block, overlap  frames that are smoothed together, and by how much their neighbours take part: seconds at any usual rate
+    """
+
+    noise: float = 0.001
+    tails: float = 4.0
+    limit_deg: float = 5.0
+    limit_m: float = 0.005
+    ridge: float = 1e-4
+    steps: int = 60
+    least_decrease: float = 1e-6
+    lost: float = 9.0
+    lost_at_most: float = 50.0
+    smooth: bool = True
+    rounds: int = 4
+    block: int = 4000
+    overlap: int = 200
+
+
+RULES = KinematicsRules()
+
+
+@dataclass(frozen=True, eq=False)
+class Kinematics:
+    """The movement of a kinematic tree over T frames.
+
+    tree         what moved
+    coordinates  (T, Q) rad, or m where a joint slides
+    turns        (T, 3, 3) from the root's axes to those of a room whose z is up; places (T, 3) m there
+    sd           (T, D) standard deviations of the root's place (m) and turn (rad), then of the coordinates; see `solve_kinematics`
+    misses       (T, M) m, how far each marker is from where the tree has it; NaN where it is not seen
+    known        (T,) whether a frame shows markers enough; others hold what their neighbours say
+    rate         frames per second
+    vertical     (3,) up, in the recording's axes
+    noise_scale  how much farther markers are off than their spreads say: a factor of standard deviations
+    """
+
+    tree: KinematicTree
+    coordinates: Floats
+    turns: Floats
+    places: Floats
+    sd: Floats
+    misses: Floats
+    known: np.ndarray
+    rate: float
+    vertical: Floats
+    noise_scale: float
+
+    def __len__(self) -> int:
+        return len(self.coordinates)
+
+    @cached_property
+    def posed(self) -> tuple[Floats, Floats]:
+        """(T, B, 3, 3) from the bones' axes to the recording's, and (T, B, 3) m, their joints there."""
+        frames, bones = len(self), len(self.tree.bones)
+        turned, joints = np.empty((frames, bones, 3, 3)), np.empty((frames, bones, 3))
+        pose_frames(self.tree.arrays, self.coordinates, self.turns, self.places, turned, joints)
+        back = z_up_rotation(self.vertical).T
+        return np.asarray(back @ turned), np.asarray(joints @ back.T)
+
+    @property
+    def marker_positions(self) -> Floats:
+        """(T, M, 3) m, where the tree has its markers, in the recording's axes."""
+        turned, joints = self.posed
+        arrays = self.tree.arrays
+        return np.asarray(joints[:, arrays.bones] + np.einsum("tmij,mj->tmi", turned[:, arrays.bones], arrays.places))
+
+    def motion(self) -> SkeletonMotion:
+        """The movement as a skeleton that stands in the room's axes where no bone is turned; frames that show too little are NaN.
+
+        Raises AsterismError where a joint slides: bones would change their length.
+        """
+        if any(motion.slide for bone in self.tree.bones for motion in bone.motions):
+            raise AsterismError(f"{self.tree.title}: a joint of it slides, so its bones have no constant length; write its coordinates.")
+        turned, joints = self.posed
+        # The rest pose is drawn in z-up axes; the recording's may have another vertical.
+        axes = z_up_rotation(self.vertical).T
+        parents = self.tree.arrays.parents
+        own = turned @ axes.T
+        rotations = np.empty_like(own)
+        for bone, parent in enumerate(parents):
+            rotations[:, bone] = own[:, bone] if parent < 0 else own[:, parent].swapaxes(1, 2) @ own[:, bone]
+        rotations[~self.known], root = np.nan, joints[:, 0].copy()
+        root[~self.known] = np.nan
+        ends = np.array([self.tree.ends.get(name, (np.nan,) * 3) for name in self.tree.bone_names], dtype=np.float64)
+        return SkeletonMotion(
+            self.tree.bone_names,
+            tuple(int(parent) for parent in parents),
+            self.tree.arrays.offsets @ axes.T,
+            ends @ axes.T,
+            rotations,
+            root,
+            self.rate,
+            self.vertical,
+            axes @ np.array([1.0, 0.0, 0.0]),
+        )
+
+
+def solve_kinematics(
+    tree: KinematicTree,
+    recording: Recording,
+    *,
+    weights: Mapping[str, float] | None = None,
+    rules: KinematicsRules = RULES,
+    progress: Progress | None = None,
+) -> Kinematics:
+    """The coordinates of a tree whose markers a recording shows.
+
+    weights  marker -> m-2, instead of the inverse square of its spread and noise; a marker that is not named has none
+
+    The recording's confidence of a label, and the standard deviation of a filled place, lessen a marker's weight. A marker counts by its
+    own name or by one of the recording's spellings of it. Missing markers are allowed in any frame.
+
+    Standard deviations are those of the normal equations, times what markers are off more than they are expected to. What of a course is
+    white is averaged out by its neighbours; what remains moves with the skin, and is not. They hold the skin of one segment's markers for
+    independent, and grow where a segment is not seen. Raises AsterismError where no frame shows three markers of the tree.
+    """
+    columns = MarkerSet(tree.labels).columns_of(recording.labels)
+    points = np.full((len(recording.positions), len(columns), 3), np.nan)
+    up = z_up_rotation(recording.vertical)
+    points[:, columns >= 0] = recording.positions[:, columns[columns >= 0]] @ up.T
+    scales = _weights(tree, recording, columns, weights, rules)
+    return solve_points(tree, points, scales, recording.rate, vertical=recording.vertical, rules=rules, progress=progress)
+
+
+def _weights(
+    tree: KinematicTree, recording: Recording, columns: np.ndarray, given: Mapping[str, float] | None, rules: KinematicsRules
+) -> Floats:
+    """(T, M) m-2."""
+    if given is not None:
+        return np.tile([given.get(name, 0.0) for name in tree.labels], (len(recording.positions), 1)).astype(np.float64)
+    variance = np.array([marker.spread**2 + rules.noise**2 for marker in tree.markers])
+    return np.tile(1.0 / variance, (len(recording.positions), 1))
+
+
+def solve_points(
+    tree: KinematicTree,
+    points: Floats,
+    weights: Floats,
+    rate: float,
+    *,
+    vertical: Floats | None = None,
+    rules: KinematicsRules = RULES,
+    progress: Progress | None = None,
+) -> Kinematics:
+    """As `solve_kinematics`, of positions (T, M, 3) m of the tree's markers in a room whose z is up, with weights (T, M) m-2."""
+    arrays = tree.arrays
+    points, weights = np.ascontiguousarray(points, dtype=np.float64), np.ascontiguousarray(weights, dtype=np.float64)
+    frames, numbers = len(points), ROOT + len(tree.coordinates)
+    seen = np.asarray((np.isfinite(points[:, :, 0]) & (weights > 0)).sum(axis=1))
+    known = np.asarray(seen >= 3)
+    if not known.any():
+        raise AsterismError(f"{tree.title}: no frame shows three of its markers ({', '.join(tree.labels[:5])}, ...); label them.")
+    slides = np.array([c.slides for c in tree.coordinates], dtype=np.bool_)
+    limits = np.where(slides, rules.limit_m, np.radians(rules.limit_deg)) ** -2.0
+    solving = Solving(rules.tails, limits, rules.ridge, rules.steps, rules.least_decrease, rules.lost, rules.lost_at_most)
+    q, turns, places = np.tile(tree.start, (frames, 1)), np.tile(np.eye(3), (frames, 1, 1)), np.zeros((frames, 3))
+    sd, misses = np.empty((frames, numbers)), np.full(points.shape[:2], np.nan)
+    state = (q, turns, places)
+    start: tuple[Floats, Floats, Floats] | None = None
+    squares = np.full(frames, np.nan)
+    freedom = np.full(frames, np.nan)
+    for first in range(0, frames, rules.block):
+        last = min(first + rules.block, frames)
+        # A block's neighbours take part in its smoothing, and are then left as they were.
+        low, high = max(first - rules.overlap, 0), min(last + rules.overlap, frames)
+        part = slice(low, high)
+        inner, keep = slice(first - low, last - low), slice(first, last)
+        own = (q[part].copy(), turns[part].copy(), places[part].copy())
+        found = _block(tree, solving, points[part], weights[part], known[part], own, start, rules)
+        for whole, block in zip(state, own, strict=True):
+            whole[keep] = block[inner]
+        sd[keep], misses[keep] = found.sd[inner], found.misses[inner]
+        squares[keep], freedom[keep] = found.squares[inner], found.freedom[inner]
+        start = (q[last - 1], turns[last - 1], places[last - 1])
+        if progress is not None:
+            progress(last / frames, f"{last} of {frames} frames")
+    shown = known & (freedom > 0)
+    scale = float(np.sqrt(squares[shown].sum() / freedom[shown].sum())) if shown.any() else 1.0
+    # Half the scale of the whole trial, half the frame's own: a frame alone has few markers to tell its scale from.
+    own_scale = np.sqrt(np.where(shown, 0.5 * (scale**2 + squares / np.maximum(freedom, 1.0)), scale**2))
+    sd *= np.maximum(own_scale, 1.0)[:, None]
+    sd[:, ~arrays.moves] = 0.0
+    up = np.array([0.0, 0.0, 1.0]) if vertical is None else vertical
+    return Kinematics(tree, q, turns, places, sd, misses, known, rate, up, scale)
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """sd (T, D), misses (T, M), squares and freedom (T,): of the misses, weighted, and what of them is not used up by the fit."""
+
+    sd: Floats
+    misses: Floats
+    squares: Floats
+    freedom: Floats
+
+
+def _block(
+    tree: KinematicTree,
+    solving: Solving,
+    points: Floats,
+    weights: Floats,
+    known: np.ndarray,
+    state: tuple[Floats, Floats, Floats],
+    start: tuple[Floats, Floats, Floats] | None,
+    rules: KinematicsRules,
+) -> _Block:
+    """Solve frames that are smoothed together; the state is written in place."""
+    q, turns, places = state
+    arrays, frames, numbers = tree.arrays, len(points), ROOT + len(tree.coordinates)
+    costs, misses = np.zeros(frames), np.full(points.shape[:2], np.nan)
+    variances, entries = np.empty((frames, numbers)), np.empty((frames, numbers + len(arrays.row_columns)))
+    work = (costs, misses, variances, entries)
+    # The fullest of the first frames tells the pose from nothing; from there to both ends.
+    counts = np.isfinite(points[:, :, 0]).sum(axis=1)
+    anchor = int(np.argmax(counts))
+    _begin(tree, solving, points, weights, anchor, state, start, work)
+    back = tuple(np.ascontiguousarray(part[: anchor + 1][::-1]) for part in (points, weights, *state, *work))
+    _onwards(tree, solving, back, 0)
+    for whole, part in zip((*state, *work), back[2:], strict=True):
+        whole[: anchor + 1] = part[::-1]
+    forth = tuple(part[anchor:] for part in (points, weights, *state, *work))
+    _onwards(tree, solving, forth, 0)
+    white, ratios = np.zeros(numbers), np.full(numbers, np.inf)
+    smooth = rules.smooth and frames >= 10
+    if smooth:
+        white, ratios = _strengths(tree, variances, q, turns, places, known)
+        _smoothed(tree, solving, (points, weights), state, ratios, (misses, entries), rules)
+    sd = np.sqrt(_total(variances, white, ratios, known) if smooth else variances)
+    shares = np.where(np.isfinite(misses), weights * misses**2, 0.0)
+    # What Student's t lets go does not say how far the others are off.
+    robust = np.minimum(shares, 9.0 * solving.tails) if solving.tails > 0 else shares
+    counted = 3.0 * (shares > 0).sum(axis=1)
+    return _Block(sd, misses, robust.sum(axis=1), counted - np.minimum(int(arrays.moves.sum()), counted))
+
+
+def _onwards(tree: KinematicTree, solving: Solving, arrays: tuple[Floats, ...], first: int) -> None:
+    """Follow frames in order; where the tree got lost, begin anew and go on."""
+    points, weights, *rest = arrays
+    state, work = (rest[0], rest[1], rest[2]), (rest[3], rest[4], rest[5], rest[6])
+    frames, tries = len(points), 0
+    while first < frames:
+        reached = follow(tree.arrays, solving, points, weights, first, frames, *state, *work)
+        if reached >= frames:
+            return
+        lost = reached - 1
+        # Each frame that is lost is tried anew, but not for ever: a tree that fits none of them is not found by trying.
+        if tries < 50:
+            kept = tuple(part[lost].copy() for part in state)
+            _begin(tree, solving, points, weights, lost, state, kept, work)
+            tries += 1
+        first = lost + 1
+        if first < frames:
+            for part in state:
+                part[first] = part[lost]
+
+
+def _begin(
+    tree: KinematicTree,
+    solving: Solving,
+    points: Floats,
+    weights: Floats,
+    frame: int,
+    state: tuple[Floats, Floats, Floats],
+    start: tuple[Floats, ...] | None,
+    work: tuple[Floats, ...],
+) -> None:
+    """The best state of one frame from several starts: the poses that the tree knows, each laid on the markers as one rigid thing."""
+    q, turns, places = state
+    guesses = [] if start is None else [start]
+    seen = np.isfinite(points[frame, :, 0]) & (weights[frame] > 0)
+    poses = tree.starts if tree.starts.size else tree.start[None]
+    poses = np.concatenate([tree.start[None], poses])
+    if tree.free and seen.sum() >= 3:
+        for pose in poses:
+            rest = _markers(tree, pose)[seen]
+            turn, place = fit_rigid(rest, points[frame, seen], weights[frame, seen])
+            guesses.append((pose, turn, place))
+    elif not tree.free:
+        guesses += [(pose, np.eye(3), np.zeros(3)) for pose in poses]
+    found = []
+    for guess in guesses or [(tree.start, np.eye(3), np.zeros(3))]:
+        for whole, part in zip(state, guess, strict=True):
+            whole[frame] = part
+        follow(tree.arrays, solving, points, weights, frame, frame + 1, q, turns, places, *work)
+        found.append((float(work[0][frame]), [part[frame].copy() for part in (*state, *work)]))
+    _, best = min(found, key=lambda each: each[0])
+    for whole, part in zip((*state, *work), best, strict=True):
+        whole[frame] = part
+
+
+def _markers(tree: KinematicTree, pose: Floats) -> Floats:
+    """(M, 3) m, the markers of a pose whose root stands at the origin."""
+    arrays, bones = tree.arrays, len(tree.bones)
+    turned, joints, twists = np.empty((bones, 3, 3)), np.empty((bones, 3)), np.empty((len(arrays.numbers), 6))
+    pose_tree(arrays, pose, np.eye(3), np.zeros(3), turned, joints, twists)
+    return np.asarray(joints[arrays.bones] + np.einsum("mij,mj->mi", turned[arrays.bones], arrays.places))
+
+
+def _unrolled(q: Floats, turns: Floats, places: Floats) -> Floats:
+    """(T, D) the numbers over time: the root's turn as the sum of its rotations from frame to frame."""
+    steps = vector_from_rotation(turns[1:] @ turns[:-1].swapaxes(1, 2)).reshape(-1, 3) if len(turns) > 1 else np.empty((0, 3))
+    return np.concatenate([places, np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)]), q], axis=1)
+
+
+def _strengths(
+    tree: KinematicTree, variances: Floats, q: Floats, turns: Floats, places: Floats, known: np.ndarray
+) -> tuple[Floats, Floats]:
+    """Of each number: the factor of its variances that is white noise, and the ratio of its second differences to it. By likelihood."""
+    course = _unrolled(q, turns, places)
+    white, ratios = np.zeros(course.shape[1]), np.full(course.shape[1], np.inf)
+    for d in np.nonzero(tree.arrays.moves)[0]:
+        seen = np.where(known, variances[:, d], np.inf)
+        # A frame without markers says nothing: as much noise as a thousand others.
+        noise = np.minimum(seen, 1e3 * np.median(variances[known, d]))
+        ratios[d], white[d] = best_ratio(np.ascontiguousarray(course[:, d]), noise)
+    return white, ratios
+
+
+def _total(variances: Floats, white: Floats, ratios: Floats, known: np.ndarray) -> Floats:
+    """(T, D) the variances of smoothed numbers: what is left of the white share, and the rest as it was."""
+    total = np.empty_like(variances)
+    usual = np.median(variances[known], axis=0)
+    for d in range(variances.shape[1]):
+        if not np.isfinite(ratios[d]):
+            total[:, d] = variances[:, d]
+            continue
+        smoothed = np.empty(len(variances))
+        smoothed_variances(np.minimum(variances[:, d], 1e3 * usual[d]), ratios[d], smoothed)
+        share = min(float(white[d]), 1.0)
+        # Where a frame itself says nothing, its neighbours' own error is the least that remains.
+        total[:, d] = white[d] * smoothed + (1.0 - share) * np.minimum(variances[:, d], usual[d])
+    return total
+
+
+def _smoothed(
+    tree: KinematicTree,
+    solving: Solving,
+    measured: tuple[Floats, Floats],
+    state: tuple[Floats, Floats, Floats],
+    ratios: Floats,
+    out: tuple[Floats, Floats],
+    rules: KinematicsRules,
+) -> None:
+    """Gauss and Newton over all frames together: their costs, and the squares of second differences by `ratios`. Writes the state."""
+    q, turns, places = state
+    points, weights, misses, entries = *measured, *out
+    penalties = np.where(np.isfinite(ratios) & tree.arrays.moves, 1.0 / ratios, 0.0)
+    gradients, steps = np.empty((len(q), ROOT + q.shape[1])), np.empty((len(q), ROOT + q.shape[1]))
+
+    def cost() -> tuple[float, Floats]:
+        data = linearise(tree.arrays, solving, points, weights, q, turns, places, gradients, misses, entries)
+        bends = np.diff(_unrolled(q, turns, places), n=2, axis=0)
+        return data + 0.5 * float((penalties * bends**2).sum()), bends
+
+    now, bends = cost()
+    for _ in range(rules.rounds):
+        right = gradients.copy()
+        for shift, factor in ((0, 1.0), (1, -2.0), (2, 1.0)):
+            right[shift : shift + len(bends)] -= factor * penalties * bends
+        smoothing_step(tree.arrays, entries, penalties, right, 200, steps)
+        before, kept = now, (q.copy(), turns.copy(), places.copy())
+        length = 1.0
+        while True:
+            q[:] = kept[0] + length * steps[:, ROOT:]
+            places[:] = kept[2] + length * steps[:, :3]
+            turns[:] = Rotation.from_rotvec(length * steps[:, 3:6]).as_matrix() @ kept[1]
+            now, bends = cost()
+            if now <= before or length < 0.1:
+                break
+            length *= 0.5
+        if now > before:
+            q[:], turns[:], places[:] = kept
+            cost()
+            return
+        # A thousandth of a nat per frame moves nothing by a twentieth of its standard deviation.
+        if before - now < 1e-3 * len(q):
+            return
+
+
+def with_spreads(tree: KinematicTree, spreads: Mapping[str, float]) -> KinematicTree:
+    """The tree with other spreads of its markers (m)."""
+    return replace(tree, markers=tuple(replace(marker, spread=spreads.get(marker.name, marker.spread)) for marker in tree.markers))
