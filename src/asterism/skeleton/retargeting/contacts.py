@@ -13,7 +13,7 @@ from asterism.recording import Event, Floats, SkeletonMotion
 from asterism.skeleton.retargeting.body_parts import SIDES, BodyParts
 
 POINTS = ("heel", "ball")
-"""Of the sole. Where the skeleton has no joint of the toes, the ball is the end of the foot."""
+"""Of the sole: below the ankle and a little behind it, and below the joint of the toes."""
 
 _STILL = 0.20
 """m/s times the root of the leg's length over 0.9 m: a point of the sole that is faster hardly stands. Soles in stance are at 0.02 to
@@ -25,14 +25,21 @@ _AROUND = 0.25
 """s to both sides, in which the lowest place of a point is sought: half a swing, so that a foot in the air is held against the floor."""
 _SHORTEST = 0.06
 """s: shorter contacts are none. A sprinter's foot is down for 0.09 s."""
+_SHORTEST_ABOVE = 0.2
+"""s, the same away from the floor: nobody stands on a stair for less, and feet in the air turn round within that."""
 _SMOOTH = 0.015
 """s, over which velocities are smoothed: two frames at 120 Hz."""
 _BELT = 0.25
 """m/s, of soles on the floor, above which they stand on a belt. Treadmills walk from 0.3 m/s on; drifting soles are below 0.05 m/s."""
+_SLOPE = 0.01
+"""By which floors of recordings rise, as a standard deviation: a wand laid 5 mm askew over half a metre. At half of it slopes of 2 % are
+halved over a few steps, at double two steps tilt the floor by their noise."""
 _USUAL_SOLE = 0.045
 """Of stature, the ankle's height over the sole, where a skeleton ends at the ankles: the share of textbooks is 0.039 to 0.046."""
-_USUAL_FOOT = 0.40
-"""Of the shank's length, from the ankle to the ball, where a skeleton has no end of the foot."""
+_USUAL_FOOT = 0.48
+"""Of the shank's length, from the ankle to the tip of the toes, where a skeleton has no end of the foot."""
+_BALL = 0.66
+"""Of the distance from the ankle to the tip of the toes, how far ahead the ball is, where a skeleton has no joint of the toes."""
 _HEEL = 0.25
 """Of the distance from the ankle to the ball, how far the heel is behind the ankle."""
 
@@ -58,14 +65,14 @@ class FootContacts:
     standing  side -> (T, 2) bool of `POINTS`
     level     side -> (T, 2) m, the height over the floor on which each point stands; NaN where it does not
     belt      (3,) m/s, of what they stand on; zeros unless that is a treadmill
-    floor     m, the height of the floor in the room
+    floor     (3,): the height of the floor at the room's origin in m, and its rise along x and y
     source    "events" or "movement"
     """
 
     standing: Mapping[str, NDArray[np.bool_]]
     level: Mapping[str, Floats]
     belt: Floats
-    floor: float
+    floor: Floats
     source: str
 
 
@@ -108,10 +115,11 @@ def soles_of(motion: SkeletonMotion, parts: BodyParts) -> dict[str, Sole]:
         length = float(np.linalg.norm(ahead))
         ahead = ahead / length if length > 0.05 * shank else np.array([1.0, 0.0, 0.0])
         length = length if length > 0.05 * shank else _USUAL_FOOT * shank
-        ball = np.array([*places[toe][:2], floor]) if toe >= 0 else np.array([*(at + length * ahead)[:2], floor])
+        to_toes = places[toe] - at if toe >= 0 else _BALL * length * ahead
+        ball = np.array([*(at + to_toes)[:2], floor])
         to_ball = float(np.linalg.norm((ball - at)[:2]))
         heel = np.array([*(at - _HEEL * to_ball * ahead)[:2], floor])
-        end = ball if tip is None or toe < 0 else np.array([*tip[:2], floor])
+        end = np.array([*(at + length * ahead if tip is None else tip)[:2], floor])
         soles[side] = Sole(foot, toe, heel - at, ball - at, end - (places[toe] if toe >= 0 else at))
     return soles
 
@@ -137,10 +145,10 @@ def find_contacts(motion: SkeletonMotion, parts: BodyParts, events: Iterable[Eve
     leg = leg_length(motion, parts)
     every = np.concatenate(list(points.values()), axis=1)
     lowest = every[:, :, 2].min(axis=1)
-    floor = float(np.quantile(lowest, 0.1))
+    floor = np.array([float(np.quantile(lowest, 0.1)), 0.0, 0.0])
     speeds = {side: np.gradient(gaussian_filter1d(one, _SMOOTH * rate, axis=0), 1.0 / rate, axis=0) for side, one in points.items()}
     near, still = _NEAR * leg / 0.9, _STILL * np.sqrt(leg / 0.9)
-    belt = _belt(every, np.concatenate(list(speeds.values()), axis=1), motion.root, floor, near, rate)
+    belt = _belt(every, np.concatenate(list(speeds.values()), axis=1), motion.root, floor[0], near, rate)
     given = _phases(events, len(motion), rate)
     standing, level = dict[str, NDArray[np.bool_]](), dict[str, Floats]()
     for side, one in points.items():
@@ -155,8 +163,42 @@ def find_contacts(motion: SkeletonMotion, parts: BodyParts, events: Iterable[Eve
             none = given[side] & ~down.any(axis=1)
             down[none, evidence[none].argmax(axis=1)] = True
         standing[side] = np.stack([_long(column, _SHORTEST * rate) for column in down.T], axis=1)
-        level[side] = _levels(standing[side], one[:, :, 2] - floor, near)
+    if not belt.any():
+        floor = _floor(points, standing, floor, near)
+    for side, one in points.items():
+        level[side] = _levels(standing[side], one[:, :, 2] - height_of(floor, one), near, rate)
+        standing[side] &= np.isfinite(level[side])
     return FootContacts(standing, level, belt, floor, "events" if given else "movement")
+
+
+def height_of(floor: Floats, points: Floats) -> Floats:
+    """(...) m, the height of a floor, as `FootContacts` has it, under points (..., 3)."""
+    return floor[0] + points[..., :2] @ floor[1:]
+
+
+def _floor(points: Mapping[str, Floats], standing: Mapping[str, NDArray[np.bool_]], floor: Floats, near: float) -> Floats:
+    """The plane on which soles stand, from the contacts that are near to it: recorded floors are not quite level.
+
+    Ridge regression: soles are off by `near` / 3 each, and rooms by `_SLOPE`, so that one step does not tilt a floor.
+    """
+    places = np.array(
+        [np.median(points[side][a:b, p], axis=0) for side, flags in standing.items() for p in range(2) for a, b in stretches(flags[:, p])]
+    ).reshape(-1, 3)
+    if not len(places):
+        return floor
+    middle = places[:, :2].mean(axis=0)
+    design = np.column_stack([np.ones(len(places)), places[:, :2] - middle])
+    ridge = np.diag([0.0, 1.0, 1.0]) * (near / 3 / _SLOPE) ** 2
+    found = floor.copy()
+    for _ in range(3):
+        # what stands on a stair is no floor
+        close = np.abs(places[:, 2] - height_of(found, places)) < 2 * near
+        if not close.any():
+            return found
+        rows = design[close]
+        height, *slope = np.linalg.solve(rows.T @ rows + ridge, rows.T @ places[close, 2])
+        found = np.array([height - middle @ slope, *slope])
+    return found
 
 
 def leg_length(motion: SkeletonMotion, parts: BodyParts) -> float:
@@ -188,13 +230,16 @@ def _long(flags: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:
     return out
 
 
-def _levels(standing: NDArray[np.bool_], height: Floats, near: float) -> Floats:
-    """(T, 2) m, what each point stands on: the median of its height over a contact; the floor where that is near."""
+def _levels(standing: NDArray[np.bool_], height: Floats, near: float, rate: float) -> Floats:
+    """(T, 2) m, what each point stands on: the median of its height over a contact; the floor where that is near; NaN for nothing."""
     level = np.full(standing.shape, np.nan)
     for p in range(standing.shape[1]):
         for a, b in stretches(standing[:, p]):
             middle = float(np.median(height[a:b, p]))
-            level[a:b, p] = 0.0 if abs(middle) < 1.5 * near else middle
+            if abs(middle) < 1.5 * near:
+                level[a:b, p] = 0.0
+            elif b - a >= _SHORTEST_ABOVE * rate:
+                level[a:b, p] = middle
     return level
 
 

@@ -12,14 +12,18 @@ from asterism.recording import Floats
 from asterism.skeleton.retargeting.contacts import stretches
 
 FADE = 0.12
-"""s, in which a correction comes and goes beside a contact: a third of a swing. At half feet jerk, at double they float in swing."""
+"""s, in which four fifths of a correction come or go beside a contact: a third of a swing. At half feet jerk, at double they float."""
 _HELD = 1e3
-"""Weight of standing feet, of their smoothness being 1 over `FADE` frames to the fourth: a curve of 0.1 m over a contact is off by 0.1 mm."""
+"""Weight of standing feet. At half or double of it they stand as exactly to 0.1 mm."""
 _BACK = 1e-4
-"""Weight of no correction at all, on the same scale."""
+"""Weight of no correction, on the same scale."""
 _STRAIGHT = 0.998
 """Of the length of a limb, how far it reaches without being stretched to a line: 7 degrees of flexion. Where the movement itself is
-straighter, that far. At half the remaining share knees lock visibly, at double the pelvis is lowered where that can be spared."""
+straighter, that far. At half the remaining share knees lock visibly, at double hips come down where that can be spared."""
+_PROJECTIONS = 20
+"""In turn on two spheres, whose common points are near: twenty leave 1e-4 of the way where legs are not at their widest."""
+ROUNDS = 4
+"""Times that frames in which a foot goes below the floor, or is out of reach, are asked for more; each leaves a tenth or less."""
 _HINGE = 0.05
 """Sine of the flexion, 3 degrees, below which a limb bends in the plane of its rest pose: noise would bend straight knees sideways."""
 
@@ -30,18 +34,23 @@ def smooth_offsets(wanted: Floats, weight: Floats, rate: float, groups: list[tup
     wanted  (T, P, n), weight (T, P): P requests per frame, of which those without weight do not count
     groups  (request, first frame, frame behind the last): within one, the curve may be as wanted plus any constant of that group's own
 
-    Least squares over curve and constants with the second difference as roughness; sparse, O(T).
+    Least squares over curve and constants with first and second differences as roughness; sparse, O(T).
     """
     frames, _, columns = wanted.shape
-    groups = groups or []
-    n = max(1.0, FADE * rate)
+    groups, wanted = groups or [], np.nan_to_num(wanted)
+    # constants are free: near zero, their own weight does not draw them
+    for p, a, b in groups:
+        wanted[a:b, p] -= wanted[a:b, p].mean(axis=0)
+    n = max(1.0, FADE * rate / 3.0)
     held = _HELD * weight
     diagonal = held.sum(axis=1) + _BACK
     matrix = sparse.diags([diagonal], [0], shape=(frames, frames), format="csc")
     if frames > 2:
         second = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(frames - 2, frames))
-        matrix = matrix + _BACK * n**4 * (second.T @ second)
-    right = (held[:, :, None] * np.nan_to_num(wanted)).sum(axis=1)
+        first = sparse.diags([-1.0, 1.0], [0, 1], shape=(frames - 1, frames))
+        # together (1 - n^2 d^2/dt^2)^2, whose response to a step does not overshoot
+        matrix = matrix + _BACK * (n**4 * (second.T @ second) + 2 * n**2 * (first.T @ first))
+    right = (held[:, :, None] * wanted).sum(axis=1)
     if groups:
         coupling = np.zeros((frames, len(groups)))
         own, own_right = np.zeros(len(groups)), np.zeros((len(groups), columns))
@@ -100,18 +109,35 @@ def bend(root: Floats, middle: Floats, end: Floats, target: Floats, hinge: Float
     return _between(upper, axis, new_upper, turned), _between(lower, axis, new_lower, turned)
 
 
-def drop_to_reach(hips: Floats, ankles: Floats, length: float, now: Floats) -> Floats:
-    """(T,) m, how far hips (T, 3) must come down so that ankles (T, 3) are in reach of a leg.
+def reach_of(length: float, now: Floats) -> Floats:
+    """(T,) m, how far a leg of this length may reach. now (T,) m: as far as it does in the movement, which may be straighter."""
+    found: Floats = np.maximum(_STRAIGHT * length, np.minimum(now, length * (1 - 1e-6)))
+    return found
 
-    now (T,) m, the distance in the movement itself, which may be straighter than a leg that is bent to reach
 
-    An ankle that is too far to the side is not reached by any; then the hips stay.
+def shift_to_reach(hips: Floats, ankles: Floats, reach: Floats, stands: NDArray[np.bool_], rate: float) -> Floats:
+    """(T, 3) m, a smooth curve by which the body moves so that the legs that stand reach their feet.
+
+    hips, ankles (T, 2, 3) m; reach (T, 2) m; stands (T, 2) bool
+
+    The shortest way there is along the legs, found by projecting on the spheres of both feet in turn. Feet further apart than two legs
+    reach stay out of reach.
     """
-    reach = np.maximum(_STRAIGHT * length, np.minimum(now, length))
-    across = np.linalg.norm((ankles - hips)[:, :2], axis=1)
-    up = (hips - ankles)[:, 2]
-    below = np.sqrt(np.maximum(reach**2 - across**2, 0.0))
-    return np.where(across < reach, np.maximum(up - below, 0.0), 0.0)
+
+    def needed(shift: Floats) -> Floats:
+        start = shift
+        for _ in range(_PROJECTIONS):
+            for leg in range(2):
+                away = hips[:, leg] + shift - ankles[:, leg]
+                distance = np.linalg.norm(away, axis=1)
+                over = np.where(stands[:, leg], np.maximum(distance - reach[:, leg], 0.0), 0.0)
+                shift = shift - (over / np.maximum(distance, 1e-9))[:, None] * away
+        return shift - start
+
+    shift = needed(np.zeros((len(hips), 3)))
+    # each direction by itself, so that the curve is nowhere further than the way that is needed near by
+    curve = np.stack([smooth_hull(np.maximum(one, 0.0), rate) - smooth_hull(np.maximum(-one, 0.0), rate) for one in shift.T], axis=1)
+    return curve + needed(curve)
 
 
 def shortest(before: Floats, after: Floats) -> Floats:

@@ -17,16 +17,23 @@ from asterism.findings import Finding, Severity
 from asterism.recording import Event, Floats, SkeletonMotion
 from asterism.recording.bone_names import FINGERS
 from asterism.skeleton.retargeting.body_parts import SIDES, BodyParts, body_parts
-from asterism.skeleton.retargeting.contacts import FootContacts, Sole, find_contacts, leg_length, sole_points, soles_of, stretches
-from asterism.skeleton.retargeting.legs import bend, drop_to_reach, groups_of, shortest, smooth_hull, smooth_offsets
+from asterism.skeleton.retargeting.contacts import (
+    FootContacts,
+    Sole,
+    find_contacts,
+    height_of,
+    leg_length,
+    sole_points,
+    soles_of,
+    stretches,
+)
+from asterism.skeleton.retargeting.legs import ROUNDS, bend, groups_of, reach_of, shift_to_reach, shortest, smooth_hull, smooth_offsets
 from asterism.skeleton.retargeting.measures import FeetErrors, feet_errors
 
 _UP, _AHEAD = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 _STANDING = 0.7
 """Cosine to the vertical of thighs and shanks from which a rest pose stands: 45 degrees. Feet apart in a rest pose are at 15 degrees."""
 _NEXT = {"thigh": "shank", "shank": "foot", "upper arm": "forearm", "forearm": "hand", "hand": "middle 1"}
-_ROUNDS = 4
-"""Times that feet which go below the floor are lifted; each leaves a tenth of the depth or less."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +47,7 @@ class Retargeted:
     correspondence  for each bone of the character that is driven: its part, the person's bones, and how both were found
     free            the character's bones that keep their place on the bone above
     before, after   the errors of the feet in `copied` and in `motion`
-    lowered         (T,) m, how far the hips came down for legs to reach
+    moved           (T, 3) m, in a room with z up, how far the hips were moved for legs to reach the floor
     findings        what a person should know
     """
 
@@ -52,7 +59,7 @@ class Retargeted:
     free: tuple[str, ...]
     before: FeetErrors
     after: FeetErrors
-    lowered: Floats
+    moved: Floats
     findings: tuple[Finding, ...]
 
 
@@ -101,11 +108,11 @@ def retarget(
     world, said = _rotations(person, figure)
     hips = _hips(person, seen.floor) * scale
     copied = _posed(figure, world, hips, motion.rate)
-    contacts = replace(seen, belt=seen.belt * scale, floor=0.0, level={side: level * scale for side, level in seen.level.items()})
+    contacts = replace(seen, belt=seen.belt * scale, floor=np.zeros(3), level={side: level * scale for side, level in seen.level.items()})
     soles = soles_of(figure.motion, figure.parts)
-    result, lowered = copied, np.zeros(len(motion))
+    result, moved = copied, np.zeros((len(motion), 3))
     if feet:
-        result, lowered = _with_feet_held(figure, world, hips, copied, contacts, soles)
+        result, moved = _with_feet_held(figure, world, hips, copied, contacts, soles)
     if hands:
         result = _with_hands_placed(person, figure, result, scale, seen.floor, world)
     driven = {figure.motion.names.index(one) for _, one, _, _ in said}
@@ -120,12 +127,12 @@ def retarget(
         free,
         before,
         after,
-        lowered,
-        tuple(_findings(person, figure, seen, scale, lowered)),
+        moved,
+        tuple(_findings(person, figure, seen, scale, moved)),
     )
 
 
-def _findings(person: _Standing, figure: _Standing, seen: FootContacts, scale: float, lowered: Floats) -> list[Finding]:
+def _findings(person: _Standing, figure: _Standing, seen: FootContacts, scale: float, moved: Floats) -> list[Finding]:
     found = []
 
     def note(code: str, sentence: str, mend: str, severity: Severity = Severity.NOTE) -> None:
@@ -147,10 +154,14 @@ def _findings(person: _Standing, figure: _Standing, seen: FootContacts, scale: f
             note("by-tree", said, "Check them, and name them in a TOML file where they are wrong.", Severity.WARNING)
     if seen.belt.any():
         note("treadmill", f"The feet stand on a belt that moves at {np.linalg.norm(seen.belt):.2f} m/s; they are held on it.", "")
+    slope = float(np.linalg.norm(seen.floor[1:]))
+    if slope > 0.01:
+        note("floor-slope", f"The floor of the recording rises by {100 * slope:.1f} %; it was laid level.", "")
     if not any(flags.any() for flags in seen.standing.values()):
         note("no-contacts", "No foot stands anywhere; feet are not held.", "", Severity.WARNING)
-    if lowered.max(initial=0.0) > 0.05 * scale:
-        note("lowered", f"The hips come down by up to {1e3 * lowered.max():.0f} mm so that legs reach the floor.", "")
+    most = float(np.linalg.norm(moved, axis=1).max(initial=0.0))
+    if most > 0.05 * scale:
+        note("hips-moved", f"The hips are moved by up to {1e3 * most:.0f} mm so that legs reach the floor.", "")
     return found
 
 
@@ -311,10 +322,11 @@ def _direction(one: _Standing, side: str, part: str) -> Floats | None:
     return along / length if length > 1e-6 else None
 
 
-def _hips(person: _Standing, floor: float) -> Floats:
+def _hips(person: _Standing, floor: Floats) -> Floats:
     """(T, 3) m, the middle of the hip joints, from the floor."""
     joints = person.motion.joints
-    return np.mean([joints[:, person.parts.bones[f"{side} thigh"]] for side in SIDES], axis=0) - np.array([0.0, 0.0, floor])
+    middle: Floats = np.mean([joints[:, person.parts.bones[f"{side} thigh"]] for side in SIDES], axis=0)
+    return middle - height_of(floor, middle)[:, None] * _UP
 
 
 def _posed(figure: _Standing, world: Mapping[int, Floats], hips: Floats, rate: float) -> SkeletonMotion:
@@ -342,7 +354,7 @@ def _posed(figure: _Standing, world: Mapping[int, Floats], hips: Floats, rate: f
 def _with_feet_held(
     figure: _Standing, world: Mapping[int, Floats], hips: Floats, copied: SkeletonMotion, contacts: FootContacts, soles: dict[str, Sole]
 ) -> tuple[SkeletonMotion, Floats]:
-    """The copied motion with feet that stand, and (T,) m how far its hips were lowered."""
+    """The copied motion with feet that stand, and (T, 3) m how far its hips were moved."""
     rate, parts = copied.rate, figure.parts
     belt = np.arange(len(copied))[:, None] / rate * contacts.belt
     world = dict(world)
@@ -355,7 +367,7 @@ def _with_feet_held(
         turned = world.get(sole.foot, copied.turned[:, sole.foot])
         world[sole.foot] = _level(turned, sole, contacts.standing[side].all(axis=1), rate)
     lifted = _posed(figure, world, hips, rate)
-    targets, drops = dict[str, Floats](), np.zeros(len(copied))
+    targets, legs = dict[str, Floats](), list[tuple[Floats, Floats]]()
     for side, sole in soles.items():
         points = sole_points(_toe_flat(lifted, sole, contacts, side), sole) - belt[:, None]
         move = _held(points, contacts, side, rate)
@@ -364,17 +376,18 @@ def _with_feet_held(
         ankle = lifted.joints[:, sole.foot]
         length = float(np.linalg.norm((knee - thigh)[0]) + np.linalg.norm((ankle - knee)[0]))
         now = np.linalg.norm(ankle - thigh, axis=1)
-        # who stands draws the hips down, a foot in the air does not
-        stands = contacts.standing[side].any(axis=1)
-        drops = np.maximum(drops, np.where(stands, drop_to_reach(thigh, targets[side], length, now), 0.0))
-    lowered = smooth_hull(drops, rate)
-    posed = _posed(figure, world, hips - lowered[:, None] * _UP, rate)
+        legs.append((thigh, reach_of(length, now)))
+    # who stands draws the hips along, a foot in the air does not
+    stands = np.stack([contacts.standing[side].any(axis=1) for side in soles], axis=1)
+    thighs, reach = (np.stack(one, axis=1) for one in zip(*legs, strict=True))
+    moved = shift_to_reach(thighs, np.stack([targets[side] for side in soles], axis=1), reach, stands, rate)
+    posed = _posed(figure, world, hips + moved, rate)
     for side in SIDES:
         world |= _bent(posed, parts, side, ("thigh", "shank", "foot"), targets[side])
-    result = _posed(figure, world, hips - lowered[:, None] * _UP, rate)
+    result = _posed(figure, world, hips + moved, rate)
     for side, sole in soles.items():
         result = _toe_flat(result, sole, contacts, side)
-    return result, lowered
+    return result, moved
 
 
 def _above(motion: SkeletonMotion, bone: int) -> list[int]:
@@ -414,7 +427,7 @@ def _held(points: Floats, contacts: FootContacts, side: str, rate: float) -> Flo
     needed = np.maximum(ground[:, :2] - points[:, :2, 2], (ground[:, 1] - points[:, 2, 2])[:, None]).max(axis=1)
     lift = smooth_offsets(up, weight, rate)[:, 0]
     low = np.zeros(len(points))
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         deep = needed - lift
         if deep.max() < 1e-4:
             break
@@ -456,14 +469,15 @@ def _bent(motion: SkeletonMotion, parts: BodyParts, side: str, limb: tuple[str, 
 
 
 def _with_hands_placed(
-    person: _Standing, figure: _Standing, result: SkeletonMotion, scale: float, floor: float, world: Mapping[int, Floats]
+    person: _Standing, figure: _Standing, result: SkeletonMotion, scale: float, floor: Floats, world: Mapping[int, Floats]
 ) -> SkeletonMotion:
     """The motion with wrists where the person's are, from the floor under the hips, in the character's size."""
-    joints = person.motion.joints - np.array([0.0, 0.0, floor])
+    joints = person.motion.joints
     limb, changed = ("upper arm", "forearm", "hand"), dict[int, Floats]()
     for side in SIDES:
         if all(f"{side} {part}" in parts.bones for part in limb for parts in (person.parts, figure.parts)):
-            target = scale * joints[:, person.parts.bones[f"{side} hand"]]
+            wrist = joints[:, person.parts.bones[f"{side} hand"]]
+            target = scale * (wrist - height_of(floor, wrist)[:, None] * _UP)
             changed |= _bent(result, figure.parts, side, limb, target)
     turned = result.turned.copy()
     keep = {b: turned[:, b] for b in range(len(result.names)) if b in world} | changed

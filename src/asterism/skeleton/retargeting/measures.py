@@ -42,13 +42,13 @@ class FeetErrors:
 
 
 def feet_errors(motion: SkeletonMotion, soles: dict[str, Sole], contacts: FootContacts) -> FeetErrors:
-    """The errors of the feet of a motion in a room with z up, whose contacts are these; floor and levels are the motion's own."""
+    """The errors of the feet of a motion in a room with z up, whose contacts are these, and its floor at z = 0."""
     slips, below = list[float](), np.zeros(len(motion))
     travelled = np.arange(len(motion))[:, None] / motion.rate * contacts.belt
     for side, sole in soles.items():
         points, standing = sole_points(motion, sole), contacts.standing[side]
         ground = np.where(standing, np.nan_to_num(contacts.level[side]), 0.0)
-        depth = contacts.floor + np.column_stack([ground, ground[:, 1]]) - points[:, :, 2]
+        depth = np.column_stack([ground, ground[:, 1]]) - points[:, :, 2]
         below = np.maximum(below, depth.max(axis=1))
         for p in range(2):
             for a, b in stretches(standing[:, p]):

@@ -1,0 +1,59 @@
+"""Characters of any proportions for tests and benchmarks: bones as animation programs name and pose them, without a movement."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asterism.recording import SkeletonMotion
+
+MIXAMO = {"thigh": "UpLeg", "shank": "Leg", "foot": "Foot", "toe": "ToeBase", "clavicle": "Shoulder", "upper arm": "Arm", "forearm": "ForeArm", "hand": "Hand"}
+
+
+def character(
+    legs: float = 1.0, arms: float = 1.0, size: float = 1.0, spine: int = 3, down: float = 0.0, without: tuple[str, ...] = ()
+) -> SkeletonMotion:
+    """A figure of 1.75 m with y up that faces z, in a T pose, named as by Mixamo.
+
+    legs, arms  lengths as shares of usual ones
+    size        of the whole figure
+    spine       bones between hips and neck
+    down        degrees by which the arms hang from the T pose
+    without     parts that are left out: "toe", "hand", "clavicle", "neck", "head"
+    """
+    bones: list[tuple[str, str, tuple[float, float, float]]] = [("Hips", "", (0.0, 0.0, 0.0))]
+    names = ["Spine", *(f"Spine{i}" for i in range(1, spine))]
+    for i, name in enumerate(names):
+        bones.append((name, names[i - 1] if i else "Hips", (0.0, 0.10 if not i else 0.28 / max(1, spine - 1), 0.0)))
+    chest = names[-1] if names else "Hips"
+    if "neck" not in without:
+        bones.append(("Neck", chest, (0.0, 0.16, 0.0)))
+    if "head" not in without:
+        bones.append(("Head", "Neck" if "neck" not in without else chest, (0.0, 0.09, 0.01)))
+    cosine, sine = np.cos(np.radians(down)), np.sin(np.radians(down))
+    ends: dict[str, tuple[float, float, float]] = {"Head": (0.0, 0.20, 0.0)}
+    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+        shoulder = chest
+        if "clavicle" not in without:
+            bones.append((f"{side}Shoulder", chest, (sign * 0.05, 0.13, 0.0)))
+            shoulder = f"{side}Shoulder"
+        along = np.array([sign * cosine, -sine, 0.0])
+        bones.append((f"{side}Arm", shoulder, (sign * (0.13 if "clavicle" not in without else 0.18), 0.0, 0.0)))
+        bones.append((f"{side}ForeArm", f"{side}Arm", tuple(0.28 * arms * along)))
+        if "hand" not in without:
+            bones.append((f"{side}Hand", f"{side}ForeArm", tuple(0.26 * arms * along)))
+        ends[f"{side}Hand" if "hand" not in without else f"{side}ForeArm"] = tuple(0.17 * along)
+        bones.append((f"{side}UpLeg", "Hips", (sign * 0.09, -0.05, 0.0)))
+        bones.append((f"{side}Leg", f"{side}UpLeg", (0.0, -0.44 * legs, 0.005)))
+        bones.append((f"{side}Foot", f"{side}Leg", (0.0, -0.43 * legs, -0.01)))
+        if "toe" not in without:
+            bones.append((f"{side}ToeBase", f"{side}Foot", (sign * 0.01, -0.07, 0.13)))
+            ends[f"{side}ToeBase"] = (0.0, 0.0, 0.07)
+        else:
+            ends[f"{side}Foot"] = (0.0, -0.07, 0.17)
+    order = [name for name, _, _ in bones]
+    parents = tuple(order.index(parent) if parent else -1 for _, parent, _ in bones)
+    offsets = size * np.array([offset for _, _, offset in bones])
+    tips = size * np.array([ends.get(name, (np.nan,) * 3) for name in order])
+    rotations = np.tile(np.eye(3), (1, len(order), 1, 1))
+    root = np.array([[0.0, size * (0.05 + 0.87 * legs + 0.07), 0.0]])
+    return SkeletonMotion(tuple(order), parents, offsets, tips, rotations, root, 30.0, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
