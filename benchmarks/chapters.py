@@ -25,7 +25,7 @@ _SCRIPTS = {
     "hostile": "long_recordings.long_recordings damaged_files.damaged_files",
     "motion": "paper.toy gait.knee clinical.plug_in_gait angles.sparse angles.dense coverage.coverage",
     "gait": "events.events events.peers gaps.gaps kinetics.kinetics parameters.parameters bands.bands speed.speed",
-    "house": "startup.startup install.install install.ci",
+    "house": "startup.startup install.install install.ci process.process process.cluster",
 }
 CHAPTERS = {
     chapter: {script.partition(".")[2].replace("_", "-"): script for script in scripts.split()} for chapter, scripts in _SCRIPTS.items()

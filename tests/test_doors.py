@@ -196,8 +196,9 @@ READERS = {
     "label": ("-m", "MODEL", "-o", "OUT"),
 }
 """Commands that read recordings, and what they need beside one."""
-OTHERS = {"demo", "warm-up", "detect", "reconstruct", "label-views", "capturability", "process"}
-"""Commands that read none; one that takes minutes and reads as `evaluate` does; and one that takes folders, and labels as `label` does."""
+OTHERS = {"demo", "warm-up", "detect", "reconstruct", "label-views", "capturability", "process", "live"}
+"""Commands that read none; one that takes minutes and reads as `evaluate` does; one that takes folders, and labels as `label` does; and one
+that plays recordings."""
 
 
 def test_every_command_that_reads_recordings_is_asked() -> None:

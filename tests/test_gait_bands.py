@@ -164,7 +164,8 @@ def test_bands_of_a_minute_are_those_of_one_of_its_cycles() -> None:
     minute = replace(recording, positions=np.tile(recording.positions[begin:end], (50, 1, 1)))
     many = replace(one, recording=minute, cycles=cycles, curves={name: np.repeat(walk().curves[name][:1], 49, axis=0)})
     widths = [found.bands[name].standard["placement"] for found in (one, many)]
-    np.testing.assert_allclose(widths[1], widths[0], atol=0.05 * float(widths[0].max()))
+    # A copy ends with the first frame of the next one, which is another frame of the stride.
+    np.testing.assert_allclose(widths[1][:-1], widths[0][:-1], atol=0.05 * float(widths[0].max()))
 
 
 def test_markers_by_other_spellings_have_the_same_bands_and_what_nothing_tells_has_none() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import twins_skeleton as twins
+from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
 from asterism.errors import AsterismError
@@ -13,6 +14,7 @@ from asterism.skeleton import load_body, solve_kinematics, tree_of
 from asterism.skeleton._smooth_kernels import likelihood, smoothed_variances, smoothing_step
 from asterism.skeleton._tree_kernels import assemble, factorise, inverse_diagonal, pose_tree, solve_factored
 from asterism.skeleton.inverse_kinematics import KinematicsRules, Solving
+from asterism.skeleton.osim_file import load_osim, simm_spline
 from asterism.skeleton.tree import Coordinate, Curve, KinematicTree, Motion, TreeBone, TreeMarker
 
 pytestmark = pytest.mark.kernels
@@ -105,7 +107,8 @@ def test_frames_are_smoothed_as_by_one_dense_matrix(leg) -> None:
         pairs = [(k, arrays.row_columns[p]) for k in range(10) for p in range(arrays.row_starts[k], arrays.row_starts[k + 1])]
         entries.append([*np.diag(lower), *(lower[k, j] for k, j in pairs)])
     penalties, right, steps = rng.uniform(0.1, 1e4, 10), rng.normal(0, 1, (frames, 10)), np.empty((frames, 10))
-    smoothing_step(leg.arrays, np.array(entries), penalties, right, 1000, steps)
+    values, basis = eigh(np.mean(blocks, axis=0), np.diag(penalties))
+    smoothing_step(leg.arrays, np.array(entries), penalties, np.ascontiguousarray(basis), values, right, 1000, steps)
     expected = np.linalg.solve(twins.smoothing_matrix(np.array(blocks), penalties), right.ravel()).reshape(frames, 10)
     assert np.allclose(steps, expected, atol=2e-3 * np.abs(expected).max())
 
@@ -157,3 +160,134 @@ def test_too_few_markers_are_refused() -> None:
     tree = tree_of(load_body("plug-in-gait"))
     with pytest.raises(AsterismError, match="no frame shows three of its markers"):
         solve_kinematics(tree, Recording(np.zeros((5, 2, 3)), ("LASI", "RASI"), 100.0))
+
+
+_JOINT = """<CustomJoint name="{name}"><socket_parent_frame>{parent}_offset</socket_parent_frame>
+<socket_child_frame>{child}_offset</socket_child_frame><coordinates>{coordinates}</coordinates><frames>
+<PhysicalOffsetFrame name="{parent}_offset"><socket_parent>/bodyset/{parent}</socket_parent><translation>{at}</translation>
+<orientation>{turned}</orientation></PhysicalOffsetFrame>
+<PhysicalOffsetFrame name="{child}_offset"><socket_parent>/bodyset/{child}</socket_parent><translation>{own}</translation>
+<orientation>0 0 0.2</orientation></PhysicalOffsetFrame></frames><SpatialTransform>{axes}</SpatialTransform></CustomJoint>"""
+_AXIS = '<TransformAxis name="{name}"><coordinates>{coordinate}</coordinates><axis>{axis}</axis>{function}</TransformAxis>'
+_LINE = "<LinearFunction><coefficients>1 0</coefficients></LinearFunction>"
+_NONE = "<Constant><value>0</value></Constant>"
+_POINTS = "<SimmSpline><x>-2 -1 0 0.5 1</x><y>0.01 0.03 0 -0.02 -0.01</y></SimmSpline>"
+_SPLINE = f"<MultiplierFunction><function>{_POINTS}</function><scale>2</scale></MultiplierFunction>"
+
+
+def _coordinate(name: str, locked: str = "false") -> str:
+    states = f"<clamped>false</clamped><locked>{locked}</locked>"
+    return f'<Coordinate name="{name}"><default_value>0.1</default_value><range>-2 2</range>{states}</Coordinate>'
+
+
+def _joint(name: str, parent: str, child: str, coordinates: str, moves: dict[str, tuple[str, str]], **places: str) -> str:
+    axes = {
+        "rotation1": "0 0 1",
+        "rotation2": "1 0 0",
+        "rotation3": "0 1 0",
+        "translation1": "1 0 0",
+        "translation2": "0 1 0",
+        "translation3": "0 0 1",
+    }
+    written = [
+        _AXIS.format(name=each, axis=axis, coordinate=moves.get(each, ("", _NONE))[0], function=moves.get(each, ("", _NONE))[1])
+        for each, axis in axes.items()
+    ]
+    places = {"at": "0 0 0", "turned": "0 0 0", "own": "0 0 0"} | places
+    return _JOINT.format(name=name, parent=parent, child=child, coordinates=coordinates, axes="".join(written), **places)
+
+
+@pytest.fixture
+def osim(tmp_path):
+    """A thigh in the ground, a shank whose knee slides, a patella that follows it; the patella's joint is listed first."""
+    bend = {"rotation1": ("knee", _LINE), "translation1": ("knee", _SPLINE)}
+    joints = (
+        _joint("patellar", "thigh", "patella", _coordinate("beta"), {"rotation1": ("beta", _LINE)}, at="0.05 -0.4 0")
+        + _joint(
+            "hip",
+            "ground",
+            "thigh",
+            _coordinate("hip") + _coordinate("held", "true"),
+            {"rotation1": ("hip", _LINE), "rotation3": ("held", _LINE)},
+        )
+        + _joint("knee", "thigh", "shank", _coordinate("knee"), bend, at="0 -0.4 0", turned="0.3 0.1 0", own="0 0.02 0")
+    )
+    coupler = """<CoordinateCouplerConstraint name="c"><isEnforced>true</isEnforced><coupled_coordinates_function><LinearFunction>
+<coefficients>1 0</coefficients></LinearFunction></coupled_coordinates_function>
+<independent_coordinate_names>knee</independent_coordinate_names><dependent_coordinate_name>beta</dependent_coordinate_name></CoordinateCouplerConstraint>"""
+    markers = "".join(
+        f'<Marker name="{body}{i}"><socket_parent_frame>/bodyset/{body}</socket_parent_frame><location>0.0{i} -0.1 0.05</location></Marker>'
+        for body in ("thigh", "shank", "patella")
+        for i in range(3)
+    )
+    path = tmp_path / "leg.osim"
+    path.write_text(
+        f'<OpenSimDocument Version="40000"><Model name="leg"><length_units>meters</length_units><JointSet><objects>{joints}</objects>'
+        f"</JointSet><ConstraintSet><objects>{coupler}</objects></ConstraintSet><MarkerSet><objects>{markers}</objects></MarkerSet></Model></OpenSimDocument>"
+    )
+    return path
+
+
+def test_an_opensim_model_is_posed_as_its_file_says(osim) -> None:
+    tree = load_osim(osim)
+    assert [c.name for c in tree.coordinates] == ["hip", "held", "knee"]
+    assert [c.locked for c in tree.coordinates] == [False, True, False]
+    hip, held, knee = q = np.array([0.4, 0.1, -0.7])
+    about = {name: axis for name, axis in zip("xyz", np.eye(3), strict=True)}
+
+    def turn(axis: str, angle: float) -> np.ndarray:
+        return Rotation.from_rotvec(angle * about[axis]).as_matrix()
+
+    inner = turn("z", 0.2)
+    thigh = turn("z", hip) @ turn("y", held) @ inner.T
+    frame = Rotation.from_euler("XYZ", [0.3, 0.1, 0.0]).as_matrix()
+    slide = 2.0 * float(
+        twins.value_of(
+            Curve(np.array([-2.0, -1, 0, 0.5, 1]), simm_spline(np.array([-2.0, -1, 0, 0.5, 1]), np.array([0.01, 0.03, 0, -0.02, -0.01]))),
+            knee,
+        )
+    )
+    knee_at = thigh @ (np.array([0, -0.4, 0]) + frame @ np.array([slide, 0, 0]))
+    shank = thigh @ frame @ turn("z", knee) @ inner.T
+    at = np.array([0.01, -0.1, 0.05])
+    places = twins.markers_of(tree, q, np.eye(3), np.zeros(3))
+    assert np.allclose(places[1], thigh @ at)
+    assert np.allclose(places[4], knee_at + shank @ (at - np.array([0, 0.02, 0])))
+    assert np.allclose(places[7], thigh @ (np.array([0.05, -0.4, 0]) + turn("z", knee) @ inner.T @ at)), "the patella follows the knee"
+    recording = Recording(
+        np.array([twins.markers_of(tree, q + 0.2 * np.array([k, 0, -k]), np.eye(3), np.zeros(3)) for k in range(3)]), tree.labels, 50.0
+    )
+    found = solve_kinematics(tree, recording, rules=GAUSS)
+    assert np.allclose(found.coordinates[:, 0], q[0] + 0.2 * np.arange(3), atol=1e-4)
+    assert np.allclose(found.coordinates[:, 2], q[2] - 0.2 * np.arange(3), atol=1e-4)
+    assert (found.sd[:, 7] == 0).all(), "what is locked is known"
+    with pytest.raises(AsterismError, match="a joint of it slides"):
+        found.motion()
+
+
+def test_a_simm_spline_goes_through_its_points_smoothly_and_ends_like_their_cubics() -> None:
+    x, y = np.array([-2.0, -1.2, 0.1, 0.5, 1.4, 2.0]), np.array([0.3, -0.1, 0.2, 0.6, 0.5, -0.4])
+    a, b, c, d = simm_spline(x, y).T
+    u = np.diff(x)
+    assert np.allclose((a + b * np.append(u, 0) + c * np.append(u, 0) ** 2 + d * np.append(u, 0) ** 3)[:-1], y[1:])
+    assert np.allclose((b[:-1] + 2 * c[:-1] * u + 3 * d[:-1] * u**2)[:-1], b[1:-1]), "first derivatives meet"
+    assert np.allclose((2 * c[:-1] + 6 * d[:-1] * u)[:-1], 2 * c[1:-1]), "second derivatives meet"
+    assert d[0] == pytest.approx(np.polyfit(x[:4], y[:4], 3)[0])
+    assert d[-2] == pytest.approx(np.polyfit(x[-4:], y[-4:], 3)[0])
+
+
+def test_an_opensim_model_that_cannot_be_read_says_why(osim) -> None:
+    text = osim.read_text()
+    for wrong, right, said in (
+        ("<JointSet>", "<Joints>", "open it in OpenSim 4"),
+        ("meters", "inches", "save it in meters"),
+        (
+            "<MultiplierFunction><function><SimmSpline><x>-2 -1 0 0.5 1</x>",
+            "<MultiplierFunction><function><SimmSpline><x>-2 -1 0 0 1</x>",
+            "points in order",
+        ),
+        ("/bodyset/patella</socket_parent_frame>", "/bodyset/hat</socket_parent_frame>", "hangs on no joint"),
+    ):
+        osim.write_text(text.replace(wrong, right).replace("</JointSet>", "</Joints>" if "Joints" in right else "</JointSet>"))
+        with pytest.raises(AsterismError, match=said):
+            load_osim(osim)

@@ -27,6 +27,7 @@ GUIDE = {
         "confidence",
         "cameras",
         "views",
+        "live",
         "garment",
         "motion",
         "thesis",

@@ -69,6 +69,7 @@ _EXAMPLES = {
     "motion": "asterism motion walk.c3d --uncertainty --report motion.html",
     "gait": "asterism gait walk*.c3d --static static.c3d --report gait.html",
     "events": "asterism events squats.c3d --rules squat",
+    "live": "asterism live --replay walk.c3d --markers plug-in-gait -o labelled.c3d",
     "label-views": "asterism label-views 2d.csv --rig rig.toml --body gait15 -o labelled.c3d",
 }
 """Each verb, which is a function in a module of its name, and its example."""
@@ -76,6 +77,7 @@ _HEADINGS = {
     "Every day": ("demo", "name", "train", "label", "process", "review", "learn", "evaluate", "info", "convert", "warm-up"),
     "Labels and marker sets under test": ("audit", "mend", "capturability"),
     "From your own cameras": ("detect", "calibrate", "reconstruct", "rig", "label-views", "body"),
+    "While it happens": ("live",),
     "Movement": ("gait", "events", "segment", "motion"),
     "Garments": ("garment",),
 }

@@ -75,12 +75,13 @@ def label_views(options: LabelViewsOptions) -> None:
     from asterism.formats import check_suffix
     from asterism.formats.blobs_2d import read_2d
     from asterism.labelling import MarkerModel
+    from asterism.skeleton import load_body
     from asterism.views.rules import QUICK, RULES
 
     output = options.output
     check_suffix(output)
     _console.check_outputs([output, options.labels, options.report, options.json], [options.blobs, options.rig], options.overwrite)
-    body = views.load_body(options.body)
+    body = load_body(options.body)
     # the body stands on the ground: without a vertical it cannot be placed
     rig = _upright(read_rig(options.rig), options)
     # in the rig's order, so that camera numbers mean the same in both

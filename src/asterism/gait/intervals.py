@@ -98,7 +98,7 @@ def angle_bands(
     if not wands:
         return _of_landmarks(analysis, clinical.model, curves, sources, placed)
     recording, times = _some(analysis)
-    recording = with_plug_in_gait_names(recording)
+    recording = _without_trunk(with_plug_in_gait_names(recording))
     reported = _angles(recording, clinical.subject, sides)
     curves = {name: values for name, values in curves.items() if name in reported}
     middle, parts = reported, {source: {name: np.zeros_like(values) for name, values in reported.items()} for source in SOURCES}
@@ -173,6 +173,12 @@ def _some(analysis: AnalysedWalk) -> tuple[Recording, Floats]:
     chosen = np.array(sorted(rows))
     positions = rotate_z_up(recording.positions[chosen], recording.vertical)
     return replace(recording, positions=positions, vertical=np.array([0.0, 0.0, 1.0]), source=None, origin=None), chosen / recording.rate
+
+
+def _without_trunk(recording: Recording) -> Recording:
+    """The recording without the markers of the trunk, whose angles have no band and would be computed each time."""
+    places = [place for place, label in enumerate(recording.labels) if label not in ("CLAV", "C7", "STRN", "T10")]
+    return replace(recording, positions=recording.positions[:, places], labels=tuple(recording.labels[place] for place in places))
 
 
 def _as_known(analysis: AnalysedWalk) -> SubjectMeasures:

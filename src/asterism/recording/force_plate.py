@@ -77,6 +77,10 @@ class ForcePlate:
 
         Raises AsterismError where the plate has fewer samples than frames.
         """
+        # Events, moments and the page ask for the same frames.
+        known = self._at_frames.get((rate, frames))
+        if known is not None:
+            return known
         step = self.rate / rate
         if step < 0.999 or len(self.force) < frames * step - step:
             raise AsterismError(f"plate {self.number} has {len(self.force)} samples at {self.rate:g} Hz, too few for {frames} frames.")
@@ -84,7 +88,13 @@ class ForcePlate:
         begins = np.clip(edges[:-1], 0, len(self.force) - 1)
         ends = np.clip(edges[1:], begins + 1, len(self.force))
         force, moment = (_means(values, begins, ends) for values in (self.force, self.moment))
-        return replace(self, force=force, moment=moment, rate=rate)
+        self._at_frames[rate, frames] = replace(self, force=force, moment=moment, rate=rate)
+        return self._at_frames[rate, frames]
+
+    @cached_property
+    def _at_frames(self) -> dict[tuple[float, int], ForcePlate]:
+        """What `at` has given."""
+        return {}
 
 
 def _means(values: Floats, begins: Ints, ends: Ints) -> Floats:

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from asterism.recording import Floats
+from asterism.recording import Floats, Ints
 from asterism.report.figures import SIDES
 
 _WIDTH, _HEIGHT = 3600, 1900
@@ -180,10 +180,10 @@ class _Scale:
             for (first, lower), (_, upper) in zip(below, above, strict=True)
         )
 
-    def _runs(self, values: Floats) -> list[tuple[int, list[int]]]:
+    def _runs(self, values: Floats) -> list[tuple[int, Ints]]:
         """Where each unbroken part of a curve begins, %, and its heights."""
         known = np.flatnonzero(np.isfinite(values))
-        heights = np.rint(self.y(values[known])).astype(np.int64).tolist()
+        heights = np.rint(self.y(values[known])).astype(np.int64)
         breaks = [0, *(np.flatnonzero(np.diff(known) > 1) + 1).tolist(), len(known)]
         return [(int(known[begin]), heights[begin:end]) for begin, end in pairwise(breaks) if end > begin]
 
@@ -192,11 +192,10 @@ def _place(percent: int, height: int) -> str:
     return f"{_LEFT + _PER_PERCENT * percent} {height}"
 
 
-def _steps(heights: Sequence[int], way: int) -> str:
+def _steps(heights: Ints, way: int) -> str:
     """From point to point, a percent each: shorter to write than places."""
     step = way * _PER_PERCENT
-    rises = [str(after - before) for before, after in pairwise(heights)]
-    return f"l{step} " + f" {step} ".join(rises) if rises else ""
+    return f"l{step} " + f" {step} ".join(map(str, np.diff(heights).tolist())) if len(heights) > 1 else ""
 
 
 def _grid(scale: _Scale, ticks: Floats) -> str:

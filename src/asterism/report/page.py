@@ -227,6 +227,7 @@ def _plotly() -> str:
     return deflated(np.frombuffer(load().encode("utf-8"), dtype=np.uint8))
 
 
+@cache
 def _version() -> str:
     try:
         return metadata.version("asterism")

@@ -25,7 +25,7 @@ class BoneRules:
     longest: float = 0.65
     by_length: float = 0.15
     segment: float = 0.01
-    frames: int = 100
+    frames: int = 50
 
 
 _RULES = BoneRules()

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
 from asterism.errors import AsterismError
@@ -397,7 +398,8 @@ def _smoothed(
     """Gauss and Newton over all frames together: their costs, and the squares of second differences by `ratios`. Writes the state."""
     q, turns, places = state
     points, weights, misses, entries = *measured, *out
-    penalties = np.where(np.isfinite(ratios) & tree.arrays.moves, 1.0 / ratios, 0.0)
+    # Numbers that are held have no step, whatever their penalty.
+    penalties = np.where(np.isfinite(ratios), 1.0 / ratios, 1.0)
     gradients, steps = np.empty((len(q), ROOT + q.shape[1])), np.empty((len(q), ROOT + q.shape[1]))
 
     def cost() -> tuple[float, Floats]:
@@ -410,7 +412,7 @@ def _smoothed(
         right = gradients.copy()
         for shift, factor in ((0, 1.0), (1, -2.0), (2, 1.0)):
             right[shift : shift + len(bends)] -= factor * penalties * bends
-        smoothing_step(tree.arrays, entries, penalties, right, 200, steps)
+        smoothing_step(tree.arrays, entries, penalties, *_basis(tree, entries, penalties), right, 200, steps)
         before, kept = now, (q.copy(), turns.copy(), places.copy())
         length = 1.0
         while True:
@@ -428,6 +430,16 @@ def _smoothed(
         # A thousandth of a nat per frame moves nothing by a twentieth of its standard deviation.
         if before - now < 1e-3 * len(q):
             return
+
+
+def _basis(tree: KinematicTree, entries: Floats, penalties: Floats) -> tuple[Floats, Floats]:
+    """What takes the mean normal equations and the penalties apart, see `smoothing_step`: (D, D) and (D,)."""
+    arrays, size = tree.arrays, len(penalties)
+    mean, whole = entries.mean(axis=0), np.zeros((size, size))
+    rows = np.repeat(np.arange(size), np.diff(arrays.row_starts))
+    whole[rows, arrays.row_columns] = mean[size:]
+    values, basis = eigh(whole + whole.T + np.diag(mean[:size]), np.diag(penalties))
+    return np.ascontiguousarray(basis), values
 
 
 def with_spreads(tree: KinematicTree, spreads: Mapping[str, float]) -> KinematicTree:

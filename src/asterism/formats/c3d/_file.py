@@ -196,7 +196,11 @@ class C3DFile:
             offsets = np.where(offsets < 0, offsets + 65536, offsets)
         # Damaged scales may overflow; the samples are then infinite, and nothing else suffers.
         with np.errstate(all="ignore"):
-            return (samples - offsets) * scales * (1.0 if general is None else general)
+            samples -= offsets
+            samples *= scales
+            if general not in (None, 1.0):
+                samples *= general
+        return samples
 
     def _per_channel(self, name: str, default: float) -> Floats:
         values = self.parameters.values("ANALOG", name)[: self.analog_channels]

@@ -1,0 +1,217 @@
+"""`asterism live`: a camera system or a recording that is played in; labels of each frame, at once, out."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import threading
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from asterism.cli import _console
+from asterism.cli._command import takes
+from asterism.cli._options import Json, Overwrite, Vertical
+from asterism.errors import AsterismError
+from asterism.findings import Severity
+
+if TYPE_CHECKING:
+    from asterism.live import Health, LiveOutput, LiveRecorder, LiveSession, LiveSource
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """What `asterism live` is asked to do."""
+
+    source: Annotated[
+        str | None,
+        typer.Argument(metavar="[SOURCE]", help="Where frames come from: udp://HOST:PORT for frames as JSON.", show_default=False),
+    ] = None
+    replay: Annotated[
+        Path | None, typer.Option("--replay", metavar="FILE", help="Play a recording instead, at its own rate.", show_default=False)
+    ] = None
+    speed: Annotated[float, typer.Option("--speed", metavar="N", help="Play N times as fast.")] = 1.0
+    loop: Annotated[bool, typer.Option("--loop", help="Play it again and again.")] = False
+    model: Annotated[
+        Path | None, typer.Option("--model", "-m", metavar="FILE", help="A trained model; else virtual people.", show_default=False)
+    ] = None
+    markers: Annotated[
+        str | None,
+        typer.Option(
+            "--markers", metavar="SET", help="The marker set worn: a shipped one, or a TOML file; else it is found.", show_default=False
+        ),
+    ] = None
+    rate: Annotated[
+        float | None, typer.Option("--rate", metavar="HZ", help="Frames per second; else by the times.", show_default=False)
+    ] = None
+    delay: Annotated[int, typer.Option("--delay", metavar="FRAMES", min=0, help="Frames to wait for, which make labels surer.")] = 0
+    vertical: Vertical = None
+    to: Annotated[
+        list[str],
+        typer.Option("--to", metavar="ADDRESS", help="Pass labelled frames on: udp://HOST:PORT, as JSON. Several times."),
+    ] = field(default_factory=list)
+    lines: Annotated[bool, typer.Option("--lines", help="Print each labelled frame as a line of JSON.")] = False
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Record, and write the labelled recording at the end.", show_default=False),
+    ] = None
+    finish: Annotated[
+        Path | None,
+        typer.Option("--finish", metavar="FILE", help="Write what a session that was killed left behind, to --output.", show_default=False),
+    ] = None
+    seconds: Annotated[float | None, typer.Option("--seconds", metavar="S", min=0.0, help="Stop after so long.", show_default=False)] = None
+    overwrite: Overwrite = False
+    json: Json = None
+
+
+@takes(LiveOptions)
+def live(options: LiveOptions) -> None:
+    """Label frames while they come in.
+
+    A frame gets its labels a few milliseconds after its points arrive, or as many frames later as --delay says. Where frames come faster
+    than they are labelled, the oldest that waits is left out and counted: what is passed on is never old. Frames that were lost on the way,
+    came late or could not be read are counted and told at the end. Stop with Ctrl-C. A recording holds all frames that came. Until the end
+    they are in a file beside the output, so that a session that is killed loses half a second at most.
+    """
+    from asterism.live import LiveRecorder, session_findings
+
+    if options.finish is not None:
+        _finish(options)
+        raise typer.Exit(0)
+    unfinished = None if options.output is None else options.output.with_name(options.output.name + ".live")
+    if options.lines and options.json == "-":
+        raise AsterismError("--lines and --json - both print to standard output; give --json a file.")
+    if options.model is not None and options.markers is not None:
+        raise AsterismError("a model has its own marker set; give either --model or --markers.")
+    _console.check_outputs([options.output, options.json], [options.replay, options.model], options.overwrite)
+    if unfinished is not None and unfinished.exists():
+        raise AsterismError(
+            f"{unfinished} is there from a session that was not finished; write it with --finish {unfinished} -o FILE.c3d, or remove it."
+        )
+    source = _source(options)
+    recorder: LiveRecorder | None = None
+    try:
+        session = _session(options, source)
+        if unfinished is not None:
+            recorder = LiveRecorder(unfinished, source.about.name, source.about.vertical)
+            session.keeper = recorder
+        health = _run(session, options)
+    finally:
+        source.close()
+        if recorder is not None:
+            recorder.close()
+    findings = session_findings(health, source.about.name, recorder)
+    if recorder is not None and unfinished is not None and options.output is not None and recorder.kept:
+        _written(unfinished, options.output, options.rate)
+        unfinished.unlink()
+    elif unfinished is not None:
+        unfinished.unlink(missing_ok=True)
+    if options.json != "-" and not options.lines:
+        _show(source.about.name, health)
+    for finding in findings:
+        _console.report(finding)
+    content = {
+        "command": "live",
+        "source": source.about.name,
+        "output": options.output,
+        **dataclasses.asdict(health),
+        "findings": [finding.to_dict() for finding in findings],
+    }
+    _console.write_json(options.json, content)
+    raise typer.Exit(1 if any(finding.severity > Severity.NOTE for finding in findings) else 0)
+
+
+def _source(options: LiveOptions) -> LiveSource:
+    from asterism.live import open_source
+    from asterism.live.replay import Replay
+
+    if (options.source is None) == (options.replay is None):
+        raise AsterismError("give one source: an address such as udp://127.0.0.1:5000, or a recording with --replay FILE.")
+    if options.replay is not None:
+        return Replay(options.replay, speed=options.speed, loop=options.loop)
+    return open_source(str(options.source), math.nan if options.rate is None else options.rate)
+
+
+def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
+    from asterism.labelling.marker_model import MarkerModel
+    from asterism.live import LiveSession, ToDatagrams, ToLines, host_port, make_labeller
+    from asterism.recording import as_vertical
+
+    model = None if options.model is None else MarkerModel.load(options.model)
+    make = make_labeller(model, options.markers, options.delay)
+    if options.vertical is not None:
+        from asterism.cli._options import vertical_axis
+
+        up, of_axes = as_vertical(vertical_axis(options.vertical) or "z"), make
+        make = lambda rate, _: of_axes(rate, up)  # noqa: E731 -- the axis that was given counts
+    outputs: list[LiveOutput] = [ToDatagrams(host_port(address, "udp://127.0.0.1:5001")) for address in options.to]
+    if options.lines:
+        outputs.append(ToLines())
+    return LiveSession(source, make, outputs, options.delay, waits=options.replay is not None)
+
+
+def _run(session: LiveSession, options: LiveOptions) -> Health:
+    """Run until the source ends, the time is over, or Ctrl-C."""
+    import sys
+
+    timer = None
+    if options.seconds is not None:
+        timer = threading.Timer(options.seconds, session.stop)
+        timer.daemon = True
+        timer.start()
+    told = threading.Event()
+    if sys.stderr.isatty():
+        threading.Thread(target=_tell, args=(session, told), daemon=True).start()
+    try:
+        return session.run()
+    except KeyboardInterrupt:
+        session.stop()
+        return session.health()
+    finally:
+        told.set()
+        if timer is not None:
+            timer.cancel()
+
+
+def _tell(session: LiveSession, ended: threading.Event) -> None:
+    """A line on the terminal, each second anew."""
+    from rich.console import Console
+    from rich.live import Live
+
+    with Live(console=Console(stderr=True), transient=True, auto_refresh=False) as line, suppress(OSError):
+        while not ended.wait(1.0):
+            health = session.health()
+            state = "no frames" if health.is_silent else f"{health.rate:.0f} frames/s"
+            line.update(
+                f"{state}, labels after {1000 * health.latency[0]:.1f} ms, {health.lost} lost, {health.dropped} left out", refresh=True
+            )
+
+
+def _show(name: str, health: Health) -> None:
+    rows = [
+        ("frames", _console.count(health.frames)),
+        ("labelled", _console.count(health.labelled)),
+        ("lost, late, damaged", f"{health.lost}, {health.late}, {health.damaged}"),
+        ("left out", _console.count(health.dropped)),
+        ("labels after", f"{1000 * health.latency[0]:.1f} ms, one in a thousand after {1000 * health.latency[1]:.1f} ms"),
+    ]
+    _console.facts(name, rows if health.labelled else rows[:-1])
+
+
+def _finish(options: LiveOptions) -> None:
+    """Write a session that was not finished."""
+    if options.output is None or options.finish is None:
+        raise AsterismError("--finish needs the recording to write; add -o FILE.c3d.")
+    _console.check_outputs([options.output], [options.finish], options.overwrite)
+    _written(options.finish, options.output, options.rate)
+
+
+def _written(kept: Path, output: Path, rate: float | None) -> None:
+    from asterism.formats import write
+    from asterism.live import recording_of
+
+    for lost in write(output, recording_of(kept, rate).recording()):
+        _console.notice(f"{output} does not hold {lost}.")

@@ -1,0 +1,42 @@
+"""Frames from cameras and streams while they come in; labels, and what follows from them, at once, out."""
+
+from asterism.live.chain import LabelChain, LabelledFrame, OfModel, make_labeller
+from asterism.live.clock import FrameCount, SourceClock
+from asterism.live.datagrams import HostPort, JsonDatagrams, frame_as_json, frame_of_json
+from asterism.live.found import session_findings
+from asterism.live.frames import LiveFrame, LiveSource, SourceAbout, SourceEnded
+from asterism.live.outputs import ToDatagrams, ToLines, labels_as_json
+from asterism.live.recording import KeptSession, LiveRecorder, recording_of
+from asterism.live.replay import Replay
+from asterism.live.running import Health, LiveOutput, LiveSession
+from asterism.live.sources import host_port, open_source
+
+__all__ = [
+    "FrameCount",
+    "Health",
+    "HostPort",
+    "JsonDatagrams",
+    "KeptSession",
+    "LabelChain",
+    "LabelledFrame",
+    "LiveFrame",
+    "LiveOutput",
+    "LiveRecorder",
+    "LiveSession",
+    "LiveSource",
+    "OfModel",
+    "Replay",
+    "SourceAbout",
+    "SourceClock",
+    "SourceEnded",
+    "ToDatagrams",
+    "ToLines",
+    "frame_as_json",
+    "frame_of_json",
+    "host_port",
+    "labels_as_json",
+    "make_labeller",
+    "open_source",
+    "recording_of",
+    "session_findings",
+]

@@ -1,0 +1,123 @@
+"""Frames of a source in; the same frames with a label for each point, out."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from asterism.labelling.live.stream import FrameLabels
+from asterism.labelling.marker_model import MarkerModel
+from asterism.live.frames import LiveFrame
+from asterism.recording import Floats, Ints, MarkerSet
+from asterism.session.live import LiveLabeller
+
+_MOST_FILLED = 0.1
+"""s of lost frames that are passed on as empty ones, so that velocities keep their meaning. After twice as long the points of a body are
+elsewhere and are sought anyway; half of it would call a pause of five frames at 100 Hz a new beginning."""
+
+
+class Labeller(Protocol):
+    """What labels frames: `asterism.session.live.LiveLabeller`, or a model's stream."""
+
+    @property
+    def marker_set(self) -> MarkerSet | None:
+        """Whose names the columns of the labels have; None while that is not known."""
+
+    def push(self, points: ArrayLike) -> FrameLabels | None:
+        """The labels of the frame some pushes ago."""
+
+
+MakeLabeller = Callable[[float, Floats | None], Labeller]
+"""A labeller for a rate (frames per second) and a vertical (3,), None where the source does not say what is up."""
+
+
+class OfModel:
+    """A model's stream with its marker set."""
+
+    def __init__(self, model: MarkerModel, rate: float, delay: int, vertical: Floats | None) -> None:
+        self.marker_set = model.marker_set
+        self._stream = model.stream(rate, delay, "z" if vertical is None else vertical)
+
+    def push(self, points: ArrayLike) -> FrameLabels | None:
+        """See `Stream.push`."""
+        return self._stream.push(points)
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledFrame:
+    """A frame with its labels.
+
+    frame       as it came
+    markers     (M,) the names of the marker set; () while it is not known
+    indices     (M,) each marker's place among the points, -1 for none
+    confidence  (M,) in [0, 1] that this is right
+    done        s on this machine's `time.monotonic`, when the labels were there
+    """
+
+    frame: LiveFrame
+    markers: tuple[str, ...]
+    indices: Ints
+    confidence: Floats
+    done: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(n,) the label of each point, "" for none."""
+        names = [""] * len(self.frame.points)
+        for marker, index in zip(self.markers, self.indices.tolist(), strict=True):
+            if index >= 0:
+                names[index] = marker
+        return tuple(names)
+
+
+class LabelChain:
+    """Labels the frames of one source, in their order, with a delay of `delay` frames.
+
+    Lost frames are counted by number and passed on as empty ones where they are few. O(1) memory.
+    """
+
+    def __init__(self, labeller: Labeller, rate: float, delay: int = 0) -> None:
+        self._labeller, self._delay = labeller, delay
+        self._most = round(_MOST_FILLED * rate)
+        self._last: int | None = None
+        # None stands for a lost frame, whose labels nobody waits for.
+        self._waiting: deque[LiveFrame | None] = deque()
+
+    def push(self, frame: LiveFrame) -> LabelledFrame | None:
+        """The labels of the frame `delay` frames before this one; None where there are none yet, or where that one was lost."""
+        lost = 0 if self._last is None else frame.number - self._last - 1
+        self._last = frame.number
+        if 0 < lost <= self._most:
+            for _ in range(lost):
+                self._pushed(None)
+        return self._pushed(frame)
+
+    def _pushed(self, frame: LiveFrame | None) -> LabelledFrame | None:
+        self._waiting.append(frame)
+        labels = self._labeller.push(np.empty((0, 3)) if frame is None else frame.points)
+        if len(self._waiting) <= self._delay:
+            return None
+        of = self._waiting.popleft()
+        if of is None:
+            return None
+        markers = self._labeller.marker_set
+        if labels is None or markers is None:
+            return LabelledFrame(of, (), np.empty(0, dtype=np.int64), np.empty(0), time.monotonic())
+        return LabelledFrame(of, markers.names, labels.indices, labels.confidence, time.monotonic())
+
+
+def make_labeller(model: MarkerModel | None, markers: str | None, delay: int) -> MakeLabeller:
+    """How frames are labelled: by a model, or by virtual people who wear the set given, or one that is found."""
+
+    def made(rate: float, vertical: Floats | None) -> Labeller:
+        if model is not None:
+            return OfModel(model, rate, delay, vertical)
+        return LiveLabeller(rate, delay, markers=markers, vertical=vertical)
+
+    return made

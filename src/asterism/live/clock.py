@@ -1,0 +1,99 @@
+"""Times on a source's clock and when they arrived here in; which frames were lost, and how long each was on its way, out."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+_WINDOW = 10.0
+"""s over which the fastest frame stands for the way without waiting. Half of it calls a slow second the usual one; twice as long hides that
+clocks drift by a millisecond a minute."""
+_BUCKET = 0.5
+"""s of frames that share their fastest one, so that memory is twenty numbers at any rate. Twice as long forgets in jumps of a second."""
+_JUMP = 1.0
+"""s by which a clock that is set anew differs from what is expected. Networks seldom hold a frame back for so long. Half of it is a pause
+that a busy machine makes; with twice as much a clock that was set by a second counts as a delay for ten seconds."""
+
+
+@dataclass
+class SourceClock:
+    """Compares a source's clock with this machine's, whose zeros and speeds differ.
+
+    The fastest frame of the last ten seconds is held for one that did not wait; what others took longer is their delay. A clock that jumps
+    is begun anew and counted. O(1) a frame, bounded memory.
+
+    >>> clock = SourceClock()
+    >>> [round(clock.delay(time, time + 50.0 + late), 3) for time, late in ((0.0, 0.002), (0.01, 0.0), (0.02, 0.03))]
+    [0.0, 0.0, 0.03]
+    """
+
+    jumps: int = 0
+    _fastest: deque[tuple[float, float]] = field(default_factory=deque)
+    """(begin of a bucket on this machine's clock, least difference of the clocks in it)"""
+    _last: tuple[float, float] | None = None
+
+    @property
+    def offset(self) -> float:
+        """s that this machine's clock is ahead of the source's, its fastest way included; NaN before the first frame."""
+        return min((least for _, least in self._fastest), default=float("nan"))
+
+    def delay(self, time: float, arrived: float) -> float:
+        """How much longer than the fastest frame this one was on its way, s; at least 0."""
+        # Between two frames both clocks go on by as much, unless one was set.
+        if self._last is not None and abs((time - self._last[0]) - (arrived - self._last[1])) > _JUMP + _pause(arrived - self._last[1]):
+            self._fastest.clear()
+            self.jumps += 1
+        self._last = (time, arrived)
+        difference = arrived - time
+        if self._fastest and arrived - self._fastest[-1][0] < _BUCKET:
+            begin, least = self._fastest[-1]
+            self._fastest[-1] = (begin, min(least, difference))
+        else:
+            self._fastest.append((arrived, difference))
+        while self._fastest[0][0] < arrived - _WINDOW:
+            self._fastest.popleft()
+        return max(0.0, difference - self.offset)
+
+
+def _pause(since: float) -> float:
+    """s by which the clocks of two machines may differ after so long without a frame: a thousandth, ten times what quartz is off by."""
+    return 1e-3 * since
+
+
+@dataclass
+class FrameCount:
+    """Counts the frames of a source by their numbers.
+
+    received  frames that were taken
+    lost      numbers that were passed over
+    late      frames that came after a later one, or twice: they are not used
+    restarts  times that the numbers began anew
+
+    >>> count = FrameCount()
+    >>> [count.takes(number) for number in (7, 8, 11, 10, 11)], count.lost, count.late
+    ([True, True, True, False, False], 2, 2)
+    """
+
+    received: int = 0
+    lost: int = 0
+    late: int = 0
+    restarts: int = 0
+    _last: int | None = None
+
+    def takes(self, number: int, window: int = 1000) -> bool:
+        """Whether a frame of this number is a new one; window: frames by which a late one may be behind.
+
+        A number that is farther behind, or farther ahead than ten windows, is that of a source that began anew: nothing was lost.
+        """
+        if self._last is not None:
+            ahead = number - self._last
+            if -window < ahead <= 0:
+                self.late += 1
+                return False
+            if 0 < ahead <= 10 * window:
+                self.lost += ahead - 1
+            else:
+                self.restarts += 1
+        self._last = number
+        self.received += 1
+        return True

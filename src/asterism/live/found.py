@@ -1,0 +1,45 @@
+"""What was counted while a session ran in; what a person should know of it, out."""
+
+from __future__ import annotations
+
+from asterism.findings import Finding, Severity
+from asterism.live.recording import LiveRecorder
+from asterism.live.running import Health
+from asterism.recording.display import significant
+
+_NOTE, _WARNING, _ERROR = Severity.NOTE, Severity.WARNING, Severity.ERROR
+
+
+def session_findings(health: Health, where: str, recorder: LiveRecorder | None = None) -> list[Finding]:
+    """The findings of a session that has ended. where: the source's name; recorder: None where nothing was recorded."""
+    found = list[Finding]()
+    if health.problem:
+        found.append(Finding("live-ended", _ERROR, where, f"{where}: the session ended early.", health.problem))
+    if not health.frames:
+        mend = "Look whether it sends, to this address and port, and whether a firewall is between."
+        found.append(Finding("live-silent", _ERROR, where, f"{where}: no frame came.", mend))
+    if health.lost:
+        share = significant(100 * health.lost / (health.lost + health.frames), 2)
+        sentence = f"{where}: {health.lost} frames never arrived ({share} %)."
+        found.append(Finding("live-lost", _WARNING, where, sentence, "Use a cable instead of radio, or a lower rate."))
+    if health.late:
+        sentence = f"{where}: {health.late} frames came twice or after a later one, and were not used."
+        found.append(Finding("live-late", _NOTE, where, sentence, "Look at the network."))
+    if health.dropped:
+        sentence = f"{where}: {health.dropped} frames were not labelled, since newer ones waited."
+        mend = "Close other programs, or lower the rate; a recording holds them all."
+        found.append(Finding("live-dropped", _WARNING, where, sentence, mend))
+    if health.damaged:
+        sentence = f"{where}: {health.damaged} packets could not be read."
+        mend = "Look whether something else sends to this port, or in another format."
+        found.append(Finding("live-damaged", _WARNING, where, sentence, mend))
+    if health.jumps or health.restarts:
+        sentence = f"{where}: its clock or its frame numbers began anew ({max(health.jumps, health.restarts)} times)."
+        found.append(Finding("live-restarted", _WARNING, where, sentence, "Times go on from there; nothing needs to be done."))
+    if health.unsent:
+        sentence = f"{where}: {health.unsent} frames could not be passed on."
+        found.append(Finding("live-unsent", _WARNING, where, sentence, "Look at the addresses of --to."))
+    if recorder is not None and (recorder.problem or recorder.lost):
+        sentence = recorder.problem or f"{recorder.path}: {recorder.lost} frames were not recorded, since the disk was busy."
+        found.append(Finding("live-not-recorded", _ERROR, where, sentence, "Make space, or record to another disk."))
+    return found

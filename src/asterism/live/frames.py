@@ -1,0 +1,66 @@
+"""What every source of live frames gives: the frame with its own number and clock, and what is known of the source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from asterism.recording import Floats
+
+MOST_POINTS = 2000
+"""Points of a frame that are believed: systems of a hundred cameras deliver a few hundred. Half of it cuts a dense capture of a face; twice
+as many would hold the next frames back."""
+
+
+@dataclass(frozen=True, eq=False)
+class LiveFrame:
+    """One frame as it came.
+
+    number   the source's own, which grows by one from frame to frame: what is missing between two frames was lost on the way
+    time     s on the source's clock
+    arrived  s on this machine's `time.monotonic`, when the frame was complete
+    points   (n, 3) m in the source's axes, all finite
+    names    (n,) labels that the source gave, "" for none; () where it gives none at all
+    """
+
+    number: int
+    time: float
+    arrived: float
+    points: Floats
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class SourceAbout:
+    """What is known of a source.
+
+    name      what the person calls it, as in "walk.c3d" or "Motive at 192.168.1.5"
+    rate      frames per second that it says or was told; NaN where it is not known before frames come
+    vertical  (3,) what points up in its axes; None where it does not say so
+    """
+
+    name: str
+    rate: float
+    vertical: Floats | None = None
+
+
+class SourceEnded(Exception):
+    """There are no frames any more: a file was played to its end, or the sender said goodbye."""
+
+
+class LiveSource(Protocol):
+    """Frames from a camera system, one after the other. Made by `open_source`; closed by `close`, from any thread."""
+
+    @property
+    def about(self) -> SourceAbout:
+        """What is known of the source."""
+
+    @property
+    def damaged(self) -> int:
+        """Packets that could not be read, which are counted and passed over."""
+
+    def read(self, timeout: float) -> LiveFrame | None:
+        """The next frame; None where none came within so many seconds. Raises SourceEnded at the end."""
+
+    def close(self) -> None:
+        """Let go of the network or the file."""

@@ -1,0 +1,71 @@
+"""Labelled frames in; datagrams for other programs out."""
+
+from __future__ import annotations
+
+import json
+import socket
+import sys
+from typing import TextIO
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.live.chain import LabelledFrame
+from asterism.live.datagrams import LARGEST, HostPort
+
+
+def labels_as_json(frame: LabelledFrame) -> bytes:
+    """A labelled frame as `frame_of_json` reads frames, with the confidence of each label and the latency in ms."""
+    confidence = np.zeros(len(frame.frame.points))
+    given = frame.indices >= 0
+    confidence[frame.indices[given]] = frame.confidence[given]
+    content = {
+        "frame": frame.frame.number,
+        "time": frame.frame.time,
+        "unit": "m",
+        "points": np.round(frame.frame.points, 6).tolist(),
+        "names": list(frame.names),
+        "confidence": np.round(confidence, 4).tolist(),
+        "latency_ms": round(1000 * (frame.done - frame.frame.arrived), 2),
+    }
+    return json.dumps(content, separators=(",", ":")).encode()
+
+
+class ToDatagrams:
+    """Sends each frame as JSON to a UDP port. Raises AsterismError where the address is none."""
+
+    def __init__(self, place: HostPort) -> None:
+        try:
+            family, kind, _, _, address = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
+        except (OSError, OverflowError) as problem:
+            raise AsterismError(f"{place.host}:{place.port} is no address; write for example udp://127.0.0.1:5001.") from problem
+        self._address = address
+        self._socket = socket.socket(family, kind)
+        # A full buffer of the network must not hold the next frame back.
+        self._socket.setblocking(False)
+
+    def send(self, frame: LabelledFrame) -> None:
+        """Send a frame; a datagram that is too large raises OSError, as one that the network does not take."""
+        data = labels_as_json(frame)
+        if len(data) > LARGEST:
+            raise OSError(f"frame {frame.frame.number} has {len(data)} bytes, more than a datagram holds")
+        self._socket.sendto(data, self._address)
+
+    def close(self) -> None:
+        """Let go of the socket."""
+        self._socket.close()
+
+
+class ToLines:
+    """Writes each frame as a line of JSON."""
+
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self._stream = stream or sys.stdout
+
+    def send(self, frame: LabelledFrame) -> None:
+        """Write a line."""
+        self._stream.write(labels_as_json(frame).decode() + "\n")
+        self._stream.flush()
+
+    def close(self) -> None:
+        """Nothing is kept back."""

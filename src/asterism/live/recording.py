@@ -1,0 +1,197 @@
+"""Frames as they come and as they are labelled in; a folder that a kill leaves whole, and a C3D of it, out."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.errors import AsterismError
+from asterism.files.journal import Journal
+from asterism.live.chain import LabelledFrame
+from asterism.live.frames import LiveFrame
+from asterism.recording import NULL, Clouds, Floats, Labelling, Recording
+
+_EVERY = 0.25
+"""s of frames that are written together. A kill loses them: half of what a person would miss; half of it again doubles the writes."""
+_WORK = "asterism live 1"
+SUFFIX = ".live"
+
+
+@dataclass
+class _Chunk:
+    """Frames that are not written yet, and when the first of them came."""
+
+    frames: list[LiveFrame]
+    labels: list[LabelledFrame]
+    since: float
+
+
+class LiveRecorder:
+    """Writes what a session takes and labels to a file, a quarter of a second at a time, from a thread of its own.
+
+    path  of the recording, which must be new: `walk.live`. `recording_of` reads it, finished or not
+    about rate, vertical and name of the source
+
+    Memory is bounded by what comes in a second: where the disk takes longer, frames are not kept, and `lost` counts them. A disk that fails
+    ends the recording and not the session: `problem` says why.
+    """
+
+    def __init__(self, path: Path, name: str, vertical: Floats | None) -> None:
+        if path.exists():
+            raise AsterismError(f"{path} exists; name another file to record to, or remove it.")
+        self.path, self.problem, self.lost, self.kept = path, "", 0, 0
+        self._journal = Journal(path, _WORK)
+        head = {"name": name, "vertical": [0.0, 0.0, 1.0] if vertical is None else vertical.tolist(), "begun": time.time()}
+        self._written(lambda: [_text(json.dumps(head))])
+        self._chunk = _Chunk([], [], time.monotonic())
+        self._guard, self._end = threading.Lock(), threading.Event()
+        self._thread = threading.Thread(target=self._write, name="live recording", daemon=True)
+        self._thread.start()
+
+    def frame(self, frame: LiveFrame) -> None:
+        """Keep a frame; returns at once."""
+        with self._guard:
+            if self.problem or len(self._chunk.frames) >= 4000:
+                self.lost += 1
+                return
+            self._chunk.frames.append(frame)
+
+    def labelled(self, frame: LabelledFrame) -> None:
+        """Keep its labels; returns at once."""
+        with self._guard:
+            if not self.problem and len(self._chunk.labels) < 4000:
+                self._chunk.labels.append(frame)
+
+    def close(self) -> None:
+        """Write the rest."""
+        self._end.set()
+        self._thread.join()
+        self._journal.close()
+
+    def _write(self) -> None:
+        while not self._end.wait(_EVERY):
+            self._flush()
+        self._flush()
+
+    def _flush(self) -> None:
+        with self._guard:
+            chunk, self._chunk = self._chunk, _Chunk([], [], time.monotonic())
+        if not chunk.frames and not chunk.labels:
+            return
+        self._written(lambda: _arrays_of(chunk))
+        if not self.problem:
+            self.kept += len(chunk.frames)
+
+    def _written(self, compute: Any) -> None:
+        self._journal.step(compute)
+        if self._journal.lost and not self.problem:
+            self.problem = f"{self.path}: recording ended ({self._journal.lost}); what was recorded before is kept."
+
+
+def _text(text: str) -> NDArray[np.uint8]:
+    return np.frombuffer(text.encode(), dtype=np.uint8)
+
+
+def _arrays_of(chunk: _Chunk) -> list[NDArray[Any]]:
+    """Frames: number, time, count; points; labels: number, then the marker of each point, -1 for none, with its confidence."""
+    frames, labels = chunk.frames, [each for each in chunk.labels if each.markers]
+    marker_of, confidence = [], []
+    for each in labels:
+        own, sure = np.full(len(each.frame.points), NULL, dtype=np.int64), np.zeros(len(each.frame.points))
+        given = each.indices >= 0
+        own[each.indices[given]], sure[each.indices[given]] = np.nonzero(given)[0], each.confidence[given]
+        marker_of.append(own)
+        confidence.append(sure)
+    return [
+        np.array([[each.number, len(each.points)] for each in frames], dtype=np.int64).reshape(-1, 2),
+        np.array([[each.time, each.arrived] for each in frames], dtype=np.float64).reshape(-1, 2),
+        np.concatenate([each.points for each in frames]) if frames else np.empty((0, 3)),
+        np.array([[each.frame.number, len(each.frame.points)] for each in labels], dtype=np.int64).reshape(-1, 2),
+        np.concatenate(marker_of) if labels else np.empty(0, dtype=np.int64),
+        np.concatenate(confidence) if labels else np.empty(0),
+        _text(json.dumps(list(labels[-1].markers) if labels else [])),
+    ]
+
+
+@dataclass(frozen=True)
+class KeptSession:
+    """What a live recording holds.
+
+    clouds     all frames that came; those that were lost on the way are empty
+    labelling  their labels live, None where no set was found
+    name       of the source
+    begun      s since 1970
+    """
+
+    clouds: Clouds
+    labelling: Labelling | None
+    name: str
+    begun: float
+
+    def recording(self) -> Recording:
+        """The labelled trajectories, points without a label behind them."""
+        return Recording.from_clouds(self.clouds, self.labelling)
+
+
+def recording_of(path: Path, rate: float | None = None) -> KeptSession:
+    """What was recorded live, up to the moment in which it was stopped or killed.
+
+    rate: frames per second, None for what the times show. Raises AsterismError where the file is no live recording, or holds no frame.
+    """
+    if not path.is_file():
+        raise AsterismError(f"{path} is no live recording; give the file that --record named.")
+    journal = Journal(path, _WORK)
+    try:
+        if journal.other or not journal.kept:
+            raise AsterismError(f"{path} is no live recording; give the file that --record named.")
+        steps = [journal.step(list) for _ in range(journal.kept)]
+    finally:
+        journal.close()
+    head = json.loads(bytes(steps[0][0]))
+    chunks = steps[1:]
+    if not chunks or not sum(len(chunk[0]) for chunk in chunks):
+        raise AsterismError(f"{path} holds no frame: the source sent none while it was recorded.")
+    numbers, counts = np.concatenate([chunk[0] for chunk in chunks]).T
+    times = np.concatenate([chunk[1] for chunk in chunks])[:, 0]
+    points = np.concatenate([chunk[2] for chunk in chunks])
+    row = _rows(numbers)
+    step = np.diff(times)[np.diff(row) == 1]
+    rate = rate or (float(1.0 / np.median(step)) if len(step) and np.median(step) > 0 else 100.0)
+    per_frame = np.zeros(row[-1] + 1, dtype=np.int64)
+    per_frame[row] = counts
+    offsets = np.concatenate([[0], np.cumsum(per_frame)])
+    bare = Clouds.from_points([np.empty((0, 3))], rate, head["vertical"])
+    clouds = replace(bare, xyz=points, offsets=offsets, columns=np.full(len(points), -1, dtype=np.int64))
+    return KeptSession(
+        clouds, _labelling(chunks, clouds, dict(zip(numbers.tolist(), row.tolist(), strict=True))), head["name"], head["begun"]
+    )
+
+
+def _rows(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The frame of the recording in which each frame stands: numbers go on, and where the source began anew the next one follows."""
+    steps = np.diff(numbers)
+    steps = np.where((steps < 1) | (steps > 10_000), 1, steps)
+    return np.concatenate([[0], np.cumsum(steps)])
+
+
+def _labelling(chunks: list[list[NDArray[Any]]], clouds: Clouds, row_of: dict[int, int]) -> Labelling | None:
+    names: list[str] = next((found for chunk in reversed(chunks) if (found := json.loads(bytes(chunk[6])))), [])
+    if not names:
+        return None
+    indices, confidence = np.full((len(clouds), len(names)), NULL, dtype=np.int64), np.zeros((len(clouds), len(names)))
+    for chunk in chunks:
+        first = 0
+        for number, count in chunk[3].tolist():
+            markers, sure = chunk[4][first : first + count], chunk[5][first : first + count]
+            first += count
+            row, given = row_of.get(number), np.nonzero(markers >= 0)[0]
+            if row is not None:
+                indices[row, markers[given]], confidence[row, markers[given]] = given, sure[given]
+    return Labelling(indices, confidence, tuple(names))

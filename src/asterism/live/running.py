@@ -1,0 +1,249 @@
+"""A source, a labeller and outputs in; labelled frames out, while they come, until the source ends or somebody stops it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.live.chain import LabelChain, LabelledFrame, MakeLabeller
+from asterism.live.clock import FrameCount, SourceClock
+from asterism.live.frames import LiveFrame, LiveSource, SourceEnded
+
+_QUEUE = 0.1
+"""s of frames that wait for their labels at most. A walking body is found again after it. Half of it drops frames at each pause of the
+system; with twice as much what is shown is a fifth of a second old."""
+_TIMEOUT = 0.1
+"""s after which a reader looks whether it shall stop."""
+_SILENT = 1.0
+"""s without a frame after which the source counts as silent: ten frames of the slowest camera."""
+_TO_RATE = 30
+"""Frames by whose times the rate is found where a source does not say it: an irregular sender's to within 1 %."""
+_LATENCIES = 4096
+"""Latest frames whose latency is kept: 20 s at 200 Hz, so that one in a thousand is four frames."""
+
+
+class LiveOutput(Protocol):
+    """Where labelled frames go; must not wait, since the next frame does."""
+
+    def send(self, frame: LabelledFrame) -> None:
+        """Pass a frame on. Raises OSError where that fails; the frame is then counted as not sent."""
+
+    def close(self) -> None:
+        """Finish."""
+
+
+class Keeper(Protocol):
+    """Where frames are recorded, as they come and as they are labelled."""
+
+    def frame(self, frame: LiveFrame) -> None:
+        """Keep a frame as it came."""
+
+    def labelled(self, frame: LabelledFrame) -> None:
+        """Keep its labels."""
+
+
+@dataclass
+class Health:
+    """What is counted while a session runs.
+
+    frames, lost, late, restarts  see `FrameCount`
+    damaged    packets that could not be read
+    dropped    frames that were taken and not labelled, since newer ones waited
+    labelled   frames with their labels
+    unsent     frames that an output did not take
+    jumps      times that the source's clock was set
+    rate       frames per second, of the last second
+    latency    (p50, p99.9) s from a frame's arrival to its labels, of the last thousands
+    delay      s longer than the fastest frame that the last one was on its way
+    silent     s since the last frame
+    problem    why the session ended early, "" where it did not
+    """
+
+    frames: int = 0
+    lost: int = 0
+    late: int = 0
+    restarts: int = 0
+    damaged: int = 0
+    dropped: int = 0
+    labelled: int = 0
+    unsent: int = 0
+    jumps: int = 0
+    rate: float = 0.0
+    latency: tuple[float, float] = (float("nan"), float("nan"))
+    delay: float = 0.0
+    silent: float = 0.0
+    problem: str = ""
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether nothing comes."""
+        return self.silent > _SILENT
+
+
+@dataclass
+class LiveSession:
+    """Reads a source in one thread and labels its frames in another.
+
+    source      closed at the end
+    make        the labeller, made when the rate is known
+    outputs     get each labelled frame, in the order of the frames
+    delay       frames that the labels wait for
+    keeper      records all frames, those too that are not labelled since newer ones waited
+    waits       whether the source waits until there is room for its next frame: a file can, a camera cannot
+
+    Where frames come faster than they are labelled, the oldest that waits is dropped and counted: what is shown is never old.
+    Memory is bounded by `_QUEUE`. `run` ends with the source; `stop` ends it from any thread.
+    """
+
+    source: LiveSource
+    make: MakeLabeller
+    outputs: Sequence[LiveOutput] = ()
+    delay: int = 0
+    keeper: Keeper | None = None
+    waits: bool = False
+    _queue: deque[LiveFrame] = field(default_factory=deque)
+    _there: threading.Condition = field(default_factory=threading.Condition)
+    _ended: bool = False
+    _count: FrameCount = field(default_factory=FrameCount)
+    _clock: SourceClock = field(default_factory=SourceClock)
+    _health: Health = field(default_factory=Health)
+    _arrivals: deque[float] = field(default_factory=lambda: deque(maxlen=1000))
+    _latencies: deque[float] = field(default_factory=lambda: deque(maxlen=_LATENCIES))
+    _rate: float = float("nan")
+
+    def run(self) -> Health:
+        """Read and label until the source ends. Raises AsterismError where the labelling cannot begin."""
+        self._rate = self.source.about.rate
+        reader = threading.Thread(target=self._read, name="live source", daemon=True)
+        try:
+            # What can be made before the first frame keeps none of them waiting.
+            chain = self._chain() if np.isfinite(self._rate) else None
+            reader.start()
+            self._label(chain)
+        finally:
+            self.stop()
+            if reader.ident is not None:
+                reader.join(timeout=5 * _TIMEOUT)
+            for output in self.outputs:
+                output.close()
+            self.source.close()
+        return self.health()
+
+    def stop(self) -> None:
+        """End the session; frames that wait are not labelled."""
+        with self._there:
+            self._ended = True
+            self._queue.clear()
+            self._there.notify_all()
+
+    def health(self) -> Health:
+        """What was counted so far."""
+        now, health = time.monotonic(), self._health
+        health.frames, health.lost, health.late, health.restarts = (
+            self._count.received,
+            self._count.lost,
+            self._count.late,
+            self._count.restarts,
+        )
+        health.damaged, health.jumps = self.source.damaged, self._clock.jumps
+        arrivals = np.array(self._arrivals)
+        health.silent = float(now - arrivals[-1]) if len(arrivals) else 0.0
+        recent = arrivals[arrivals > now - 1.0]
+        health.rate = float((len(recent) - 1) / (recent[-1] - recent[0])) if len(recent) > 1 else 0.0
+        if self._latencies:
+            p50, p999 = np.quantile(np.array(self._latencies), (0.5, 0.999))
+            health.latency = (float(p50), float(p999))
+        return health
+
+    def _read(self) -> None:
+        """The reader's thread."""
+        try:
+            while not self._ended:
+                frame = self.source.read(_TIMEOUT)
+                if frame is not None:
+                    self._take(frame)
+        except SourceEnded:
+            pass
+        except Exception as problem:  # the labelling thread must not wait for ever
+            self._health.problem = f"{self.source.about.name} failed ({problem}); start it again."
+        finally:
+            with self._there:
+                self._ended = True
+                self._there.notify_all()
+
+    def _take(self, frame: LiveFrame) -> None:
+        if not self._count.takes(frame.number):
+            return
+        self._health.delay = self._clock.delay(frame.time, frame.arrived)
+        self._arrivals.append(frame.arrived)
+        if self.keeper is not None:
+            self.keeper.frame(frame)
+        # Until the rate is known nothing is labelled, and the first frames wait for it.
+        most = max(2, round(_QUEUE * self._rate)) if np.isfinite(self._rate) else _TO_RATE
+        with self._there:
+            while self.waits and len(self._queue) >= most and not self._ended:
+                self._there.wait(_TIMEOUT)
+            self._queue.append(frame)
+            while len(self._queue) > most:
+                self._queue.popleft()
+                self._health.dropped += 1
+            self._there.notify_all()
+
+    def _chain(self) -> LabelChain:
+        return LabelChain(self.make(self._rate, self.source.about.vertical), self._rate, self.delay)
+
+    def _label(self, chain: LabelChain | None) -> None:
+        """Label frames until there are no more. chain: None where the rate is to be found first."""
+        if chain is None:
+            begin = self._frames_for_rate()
+            if not np.isfinite(self._rate):
+                return
+            chain = self._chain()
+            for frame in begin:
+                self._labelled(chain, frame)
+        while (next_frame := self._wait()) is not None:
+            self._labelled(chain, next_frame)
+
+    def _frames_for_rate(self) -> list[LiveFrame]:
+        """The first frames, by whose times the rate is found."""
+        taken: list[LiveFrame] = []
+        while len(taken) < _TO_RATE:
+            frame = self._wait()
+            if frame is None:
+                return taken
+            taken.append(frame)
+        step = float(np.median(np.diff([frame.time for frame in taken]) / np.maximum(1, np.diff([frame.number for frame in taken]))))
+        if not step > 0:
+            raise AsterismError(f"{self.source.about.name}: its times do not grow from frame to frame; say its rate with --rate.")
+        self._rate = 1.0 / step
+        return taken
+
+    def _wait(self) -> LiveFrame | None:
+        """The oldest frame that waits; None at the end."""
+        with self._there:
+            while not self._queue and not self._ended:
+                self._there.wait(_TIMEOUT)
+            frame = self._queue.popleft() if self._queue else None
+            self._there.notify_all()
+            return frame
+
+    def _labelled(self, chain: LabelChain, frame: LiveFrame) -> None:
+        found = chain.push(frame)
+        if found is None:
+            return
+        self._health.labelled += 1
+        self._latencies.append(found.done - found.frame.arrived)
+        if self.keeper is not None:
+            self.keeper.labelled(found)
+        for output in self.outputs:
+            try:
+                output.send(found)
+            except OSError:
+                self._health.unsent += 1

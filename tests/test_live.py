@@ -1,0 +1,375 @@
+"""Frames that come in one after the other: counted, labelled, passed on and recorded, whatever the sender, the network or a kill does."""
+
+from __future__ import annotations
+
+import errno
+import json
+import math
+import socket
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from models import trained
+
+import asterism
+from asterism import AsterismError
+from asterism.cli import main
+from asterism.live import (
+    FrameCount,
+    HostPort,
+    JsonDatagrams,
+    LabelledFrame,
+    LiveFrame,
+    LiveRecorder,
+    LiveSession,
+    SourceAbout,
+    SourceClock,
+    SourceEnded,
+    ToDatagrams,
+    frame_as_json,
+    frame_of_json,
+    make_labeller,
+    open_source,
+    recording_of,
+)
+from asterism.live.chain import LabelChain
+from asterism.live.replay import Replay
+from asterism.recording import MarkerSet, Recording
+from asterism.simulation import simulate_walks
+
+RATE = 100.0
+
+
+class Numbers:
+    """Labels point i as marker i, and keeps what it was given."""
+
+    marker_set = MarkerSet(("A", "B"))
+
+    def __init__(self, seconds: float = 0.0, delay: int = 0) -> None:
+        self.pushed: list[int] = []
+        self.seconds, self.delay = seconds, delay
+
+    def push(self, points: object) -> asterism.labelling.live.stream.FrameLabels | None:
+        from asterism.labelling.live.stream import FrameLabels
+
+        time.sleep(self.seconds)
+        self.pushed.append(len(np.asarray(points)))
+        at = len(self.pushed) - 1 - self.delay
+        if at < 0:
+            return None
+        count = self.pushed[at]
+        return FrameLabels(at, np.array([0 if count > 0 else -1, 1 if count > 1 else -1]), np.array([0.99, 0.98]))
+
+
+class Given:
+    """A source of the frames given, as fast as they are taken."""
+
+    damaged = 0
+
+    def __init__(self, frames: list[LiveFrame], rate: float = RATE) -> None:
+        self.about = SourceAbout("given", rate)
+        self._left = iter(frames)
+        self.closed = False
+
+    def read(self, timeout: float) -> LiveFrame | None:
+        for frame in self._left:
+            return frame
+        raise SourceEnded
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Kept:
+    def __init__(self) -> None:
+        self.frames: list[LabelledFrame] = []
+
+    def send(self, frame: LabelledFrame) -> None:
+        self.frames.append(frame)
+
+    def close(self) -> None:
+        pass
+
+
+def frames(numbers: list[int], points: int = 2) -> list[LiveFrame]:
+    return [LiveFrame(n, n / RATE, 50.0 + n / RATE, np.arange(3.0 * points).reshape(-1, 3) + n) for n in numbers]
+
+
+def test_a_clock_that_drifts_is_followed_and_one_that_is_set_is_begun_anew() -> None:
+    clock, rng = SourceClock(), np.random.default_rng(0)
+    # 100 ppm faster than ours, each frame up to 4 ms late
+    delays = [
+        clock.delay(t * 1.0001, t + 1000.0 + late) for t, late in zip(np.arange(0, 60, 0.01), rng.uniform(0, 0.004, 6000), strict=True)
+    ]
+    assert clock.jumps == 0 and max(delays[500:]) < 0.006
+    assert clock.delay(3600.0, 1060.01) == 0.0, "an hour ahead: nothing is known of the new clock"
+    assert clock.jumps == 1
+    assert clock.delay(3600.01, 1060.05) == pytest.approx(0.03)
+
+
+@given(st.lists(st.integers(0, 40), max_size=60))
+def test_every_number_is_received_lost_or_late(numbers: list[int]) -> None:
+    count = FrameCount()
+    taken = [number for number in numbers if count.takes(number)]
+    assert taken == sorted(set(taken))
+    assert count.received + count.late == len(numbers)
+    assert count.lost == (0 if not taken else taken[-1] - taken[0] + 1 - len(taken))
+    assert count.takes(5_000_000) and count.restarts == (1 if numbers else 0), "numbers that begin anew are no loss"
+
+
+@given(
+    st.lists(st.tuples(*[st.floats(-50, 50)] * 3), max_size=5),
+    st.integers(-(2**53), 2**53),
+    st.floats(-1e9, 1e9),
+)
+def test_a_frame_goes_through_a_datagram(points: list[tuple[float, float, float]], number: int, at: float) -> None:
+    frame = LiveFrame(number, at, 1.0, np.array(points).reshape(-1, 3), tuple("LASI" for _ in points))
+    read = frame_of_json(frame_as_json(frame), 1.0)
+    assert read is not None
+    assert (read.number, read.time, read.names) == (number, at, frame.names)
+    np.testing.assert_allclose(read.points, frame.points, atol=5.1e-7)
+
+
+GOOD = b'{"frame":3,"time":0.5,"unit":"mm","points":[[1000,0,500],[null,0,0],[NaN,1,2],[1e300,0,0]],"names":["a","b","c","d"]}'
+
+
+def test_units_are_converted_and_missing_points_left_out() -> None:
+    frame = frame_of_json(GOOD, 2.0)
+    assert frame is not None
+    assert frame.points.tolist() == [[1.0, 0.0, 0.5]] and frame.names == ("a",)
+
+
+@settings(max_examples=300)
+@given(st.data())
+def test_damaged_datagrams_give_a_frame_or_none(data: st.DataObject) -> None:
+    damaged = bytearray(GOOD)
+    for _ in range(data.draw(st.integers(1, 6))):
+        at = data.draw(st.integers(0, len(damaged) - 1))
+        damaged[at : at + data.draw(st.integers(0, 4))] = data.draw(st.binary(max_size=4))
+        if not damaged:
+            break
+    frame = frame_of_json(bytes(damaged), 0.0)
+    assert frame is None or (np.isfinite(frame.points).all() and math.isfinite(frame.time) and len(frame.names) in (0, len(frame.points)))
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"[", b"[]", b"7", b"[" * 50_000, b'{"frame":1}', b'{"frame":true,"time":0,"points":[]}',
+     b'{"frame":1,"time":0,"points":[[1,2]]}',
+     b'{"frame":1,"time":1e999,"points":[]}',
+     b'{"frame":1,"time":0,"points":[[1,2,3]],"names":["a","b"]}',
+     b'{"frame":1,"time":0,"unit":"feet","points":[]}', b'{"frame":1,"time":0,"points":{"a":[1,2,3]}}'],
+)  # fmt: skip
+def test_what_is_no_frame_is_none(data: bytes) -> None:
+    assert frame_of_json(data, 0.0) is None
+
+
+def test_lost_frames_are_empty_pushes_and_never_answers() -> None:
+    labeller = Numbers(delay=2)
+    chain = LabelChain(labeller, RATE, delay=2)
+    found = [chain.push(frame) for frame in frames([0, 1, 4, 5, 6])]
+    assert labeller.pushed == [2, 2, 0, 0, 2, 2, 2]
+    # frame 4 asks for frame 2, which was lost
+    assert [None if each is None else each.frame.number for each in found] == [None, None, None, None, 4]
+    chain.push(frames([400])[0])
+    assert len(labeller.pushed) == 8, "after a long silence the stream goes on at once"
+
+
+@pytest.mark.parametrize("rate", [RATE, math.nan])
+def test_all_frames_are_labelled_in_their_order_and_counted(rate: float) -> None:
+    numbers = [n for n in range(120) if n not in (40, 41)]
+    source, kept = Given(frames([*numbers[:60], 30, *numbers[60:]]), rate), Kept()
+    health = LiveSession(source, lambda rate, up: Numbers(), [kept], waits=True).run()
+    assert [each.frame.number for each in kept.frames] == numbers
+    assert (health.frames, health.lost, health.late, health.labelled, health.dropped) == (118, 2, 1, 118, 0)
+    assert source.closed
+    assert kept.frames[0].names == ("A", "B")
+
+
+def test_a_labeller_that_is_too_slow_leaves_old_frames_out_and_tells() -> None:
+    kept = Kept()
+    health = LiveSession(Given(frames(list(range(400)))), lambda rate, up: Numbers(seconds=0.002), [kept]).run()
+    numbers = [each.frame.number for each in kept.frames]
+    assert numbers == sorted(numbers) and numbers[-1] == 399, "the newest frame is labelled"
+    assert health.dropped > 0 and health.labelled + health.dropped == health.frames == 400
+
+
+def test_an_output_or_a_source_that_fails_ends_nothing_else() -> None:
+    class Full(Kept):
+        def send(self, frame: LabelledFrame) -> None:
+            raise OSError("buffer full")
+
+    class Broken(Given):
+        def read(self, timeout: float) -> LiveFrame | None:
+            try:
+                return super().read(timeout)
+            except SourceEnded:
+                raise RuntimeError("cable out") from None
+
+    kept = Kept()
+    health = LiveSession(Broken(frames([0, 1, 2])), lambda rate, up: Numbers(), [Full(), kept], waits=True).run()
+    assert len(kept.frames) == 3 and health.unsent == 3
+    assert "cable out" in health.problem
+
+
+def test_times_that_do_not_grow_need_a_rate() -> None:
+    still = [LiveFrame(n, 0.0, 0.0, np.zeros((1, 3))) for n in range(40)]
+    with pytest.raises(AsterismError, match="say its rate with --rate"):
+        LiveSession(Given(still, math.nan), lambda rate, up: Numbers(), waits=True).run()
+
+
+def test_datagrams_go_in_labelled_and_out() -> None:
+    came = JsonDatagrams(HostPort("127.0.0.1", 0), RATE)
+    sink = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sink.bind(("127.0.0.1", 0))
+    sink.settimeout(10)
+    session = LiveSession(came, lambda rate, up: Numbers(), [ToDatagrams(HostPort("127.0.0.1", sink.getsockname()[1]))])
+    running = threading.Thread(target=session.run)
+    running.start()
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    answers = []
+    for n, data in enumerate([b"nonsense", *(frame_as_json(frame) for frame in frames([7, 8, 9]))]):
+        sender.sendto(data, ("127.0.0.1", came.port))
+        if n:
+            answers.append(json.loads(sink.recv(65_536)))
+    session.stop()
+    running.join(timeout=10)
+    sender.close()
+    sink.close()
+    assert [answer["frame"] for answer in answers] == [7, 8, 9]
+    assert answers[0]["names"] == ["A", "B"] and answers[0]["confidence"] == [0.99, 0.98]
+    assert session.health().damaged == 1 and not running.is_alive()
+
+
+@pytest.mark.parametrize("address", ["udp://127.0.0.1", "udp://:5000", "udp://127.0.0.1:99999", "walk.c3d", "http://127.0.0.1:5000"])
+def test_an_address_that_is_none_says_what_one_is(address: str) -> None:
+    with pytest.raises(AsterismError, match=r"udp://127\.0\.0\.1:5000|begins with"):
+        open_source(address)
+
+
+def test_a_port_that_is_taken_is_told() -> None:
+    first = JsonDatagrams(HostPort("127.0.0.1", 0))
+    with pytest.raises(AsterismError, match="cannot be listened to"):
+        JsonDatagrams(HostPort("127.0.0.1", first.port))
+    first.close()
+
+
+def recorded(path: Path, numbers: list[int]) -> LiveRecorder:
+    recorder, chain = LiveRecorder(path, "given", None), LabelChain(Numbers(), RATE)
+    for n, frame in enumerate(frames(numbers)):
+        recorder.frame(frame)
+        found = chain.push(frame)
+        assert found is not None
+        recorder.labelled(found)
+        if n % 20 == 19:
+            recorder._flush()
+    recorder.close()
+    return recorder
+
+
+def test_a_recording_holds_all_frames_with_their_labels(tmp_path: Path) -> None:
+    numbers = [n for n in range(100, 200) if n != 150]
+    assert recorded(tmp_path / "walk.live", numbers).kept == 99
+    kept = recording_of(tmp_path / "walk.live")
+    recording = kept.recording()
+    assert len(recording) == 100 and recording.rate == pytest.approx(RATE) and recording.labels == ("A", "B")
+    assert np.isnan(recording.positions[50]).all(), "the lost frame is an empty one"
+    np.testing.assert_array_equal(recording.positions[51:, 0], np.array([f.points[0] for f in frames(numbers)])[50:])
+    with pytest.raises(AsterismError, match="exists"):
+        LiveRecorder(tmp_path / "walk.live", "given", None)
+
+
+def test_a_recording_that_was_cut_anywhere_keeps_what_was_written_before(tmp_path: Path) -> None:
+    recorded(tmp_path / "whole.live", list(range(100)))
+    whole = (tmp_path / "whole.live").read_bytes()
+    before = 0
+    for end in np.linspace(len(whole) // 8, len(whole), 30).astype(int):
+        cut = tmp_path / "cut.live"
+        cut.write_bytes(whole[:end])
+        try:
+            kept = len(recording_of(cut).clouds)
+        except AsterismError as problem:
+            assert "holds no frame" in str(problem) or "no live recording" in str(problem)
+            kept = 0
+        assert kept >= before and kept % 20 == 0
+        before = kept
+    assert before == 100
+
+
+def test_a_disk_that_fails_ends_the_recording_and_not_the_session(tmp_path: Path) -> None:
+    recorder = LiveRecorder(tmp_path / "walk.live", "given", None)
+    recorder.frame(frames([0])[0])
+    recorder._flush()
+
+    class FullDisk:
+        def write(self, data: bytes) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        def close(self) -> None:
+            pass
+
+    assert recorder._journal._stream is not None
+    recorder._journal._stream.close()
+    recorder._journal._stream = FullDisk()
+    for frame in frames([1, 2]):
+        recorder.frame(frame)
+    recorder._flush()
+    recorder.frame(frames([3])[0])
+    recorder.close()
+    assert "recording ended" in recorder.problem and recorder.kept == 1
+    assert len(recording_of(tmp_path / "walk.live").clouds) == 1
+
+
+@pytest.fixture(scope="module")
+def walks() -> list[Recording]:
+    return simulate_walks(subjects=6, frames=200, seed=11)
+
+
+@pytest.fixture(scope="module")
+def model(walks: list[Recording]) -> asterism.MarkerModel:
+    return trained(walks[:5], miner=None, subjects=list("abcde"))
+
+
+def test_played_frames_have_the_labels_of_the_stream(tmp_path: Path, walks: list[Recording], model: asterism.MarkerModel) -> None:
+    path, kept = tmp_path / "walk.c3d", Kept()
+    asterism.write(path, walks[5].frames(slice(60)))
+    health = LiveSession(Replay(path, speed=1000.0), make_labeller(model, None, 5), [kept], 5, waits=True).run()
+    assert health.labelled == 55 and health.dropped == 0
+    clouds, stream = asterism.read(path).clouds(), model.stream(RATE, 5)
+    expected = [labels for points in clouds if (labels := stream.push(points)) is not None]
+    for got, want in zip(kept.frames, expected, strict=True):
+        assert got.frame.number == want.frame
+        np.testing.assert_array_equal(got.indices, want.indices)
+
+
+def test_the_command_records_what_it_plays(tmp_path: Path, walks: list[Recording], model: asterism.MarkerModel, capsys) -> None:
+    asterism.write(tmp_path / "walk.c3d", walks[5].frames(slice(60)))
+    model.save(tmp_path / "walkers.model")
+    words = ["live", "--replay", str(tmp_path / "walk.c3d"), "--model", str(tmp_path / "walkers.model"), "--speed", "100"]
+    assert main([*words, "-o", str(tmp_path / "out.c3d"), "--json", "-"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["frames"] == told["labelled"] == 60 and told["lost"] == told["dropped"] == 0
+    written = asterism.read(tmp_path / "out.c3d")
+    assert len(written) == 60 and set(walks[5].labels) <= set(written.labels)
+    assert not (tmp_path / "out.c3d.live").exists()
+    # What a killed session leaves is told, and can be written.
+    recorded(tmp_path / "next.c3d.live", list(range(40)))
+    assert main([*words, "-o", str(tmp_path / "next.c3d")]) == 2
+    assert "--finish" in capsys.readouterr().err
+    assert main(["live", "--finish", str(tmp_path / "next.c3d.live"), "-o", str(tmp_path / "next.c3d")]) == 0
+    assert len(asterism.read(tmp_path / "next.c3d")) == 40
+
+
+def test_a_source_that_sends_nothing_is_told(tmp_path: Path, capsys) -> None:
+    assert (
+        main(["live", "udp://127.0.0.1:0", "--rate", "100", "--markers", "helen-hayes", "--seconds", "0.1", "-o", str(tmp_path / "x.c3d")])
+        == 1
+    )
+    assert "live-silent" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+    assert main(["live"]) == 2 and "give one source" in capsys.readouterr().err
