@@ -75,7 +75,7 @@ def unlike(names: list[str]) -> tuple[str, ...]:
     return tuple(out) if len(set(out)) == len(out) else tuple(f"{name} #{n}" for n, name in enumerate(out))
 
 
-def fill_unknown(motion: SkeletonMotion, how: str) -> tuple[SkeletonMotion, list[str]]:
+def fill_missing_bones(motion: SkeletonMotion, how: str) -> tuple[SkeletonMotion, list[str]]:
     """The motion without missing bones, and what became of them, a phrase each: BVH and glTF have no sign for a missing value.
 
     how  "hold": a bone stays turned as it last was, at the beginning as it first is; "interpolate": it turns evenly across a gap

@@ -16,7 +16,7 @@ from asterism.findings import Finding
 from asterism.formats._bones import (
     SkeletonFile,
     as_euler,
-    fill_unknown,
+    fill_missing_bones,
     forward_of,
     from_euler,
     turned_into,
@@ -142,7 +142,7 @@ def write_bvh(
     order    of the Euler angles, the outermost axis first, of x, y and z each once
     missing  "hold": a bone that is missing stays as it last was; "interpolate": it turns evenly across the gap
     """
-    filled, lost = fill_unknown(motion, missing)
+    filled, lost = fill_missing_bones(motion, missing)
     if like is not None:
         document = parse(like)
         source = read_bvh(like, unit=None)

@@ -20,7 +20,7 @@ from asterism.errors import AsterismError
 from asterism.files.atomic import utf8, write_atomically
 from asterism.files.text import read_bytes
 from asterism.findings import Finding
-from asterism.formats._bones import SkeletonFile, fill_unknown, forward_of, turned_into, unlike, vertical_of
+from asterism.formats._bones import SkeletonFile, fill_missing_bones, forward_of, turned_into, unlike, vertical_of
 from asterism.formats._findings import bones_lost, header_doubt
 from asterism.geometry import nearest_orthogonal
 from asterism.recording import Floats, SkeletonMotion
@@ -103,7 +103,7 @@ def write_gltf(path: Path, motion: SkeletonMotion, *, like: Path | None = None, 
 
     A .gltf holds its buffer itself, so that it is one file as a .glb is.
     """
-    filled, lost = fill_unknown(motion, missing)
+    filled, lost = fill_missing_bones(motion, missing)
     if like is None:
         filled, axes = turned_into(filled, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
         document, data = _new_document(filled)

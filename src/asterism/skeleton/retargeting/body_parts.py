@@ -10,9 +10,14 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.recording import Floats, SkeletonMotion
-from asterism.recording.bone_names import parts_of
+from asterism.recording.bone_names import FINGERS, LIMB_PARTS, parts_of
 
 SIDES = ("left", "right")
+PART_NAMES = (
+    *("pelvis", "neck", "head"),
+    *(f"{side} {part}" for side in SIDES for part in (*LIMB_PARTS, *(f"{finger} {n}" for finger in FINGERS for n in (1, 2, 3)))),
+)
+"""The parts of the body to which bones are matched; the spine is what lies between pelvis and neck."""
 _NEEDED = ("thigh", "shank", "foot")
 _UPRIGHT = 0.5
 """Cosine of the angle to the vertical up to which a rest pose's trunk counts as upright: 60 degrees. Trunks of persons rest within 20

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,8 @@ _SHORTEST_ABOVE = 0.2
 """s, the same away from the floor: nobody stands on a stair for less, and feet in the air turn round within that."""
 _SMOOTH = 0.015
 """s, over which velocities are smoothed: two frames at 120 Hz."""
+_MOVES_ON = 0.02
+"""Evidence below which a foot moves on, whatever events say: 0.4 m/s, or 60 mm above where it stood."""
 _BELT = 0.25
 """m/s, of soles on the floor, above which they stand on a belt. Treadmills walk from 0.3 m/s on; drifting soles are below 0.05 m/s."""
 _SLOPE = 0.01
@@ -136,7 +139,7 @@ def find_contacts(motion: SkeletonMotion, parts: BodyParts, events: Iterable[Eve
     """When heel and ball of each foot stand, by how still and low they are; within foot strike and foot off where events are given.
 
     motion  in a room with z up
-    events  of the recording, times in s from its first frame; those of a side without a strike and an off are not used
+    events  of the recording, times in s from its first frame; where they say nothing, the movement counts
 
     A point stands on any height, as on stairs, and moves with the belt of a treadmill.
     """
@@ -158,9 +161,9 @@ def find_contacts(motion: SkeletonMotion, parts: BodyParts, events: Iterable[Eve
         evidence = np.exp(-((speed / still) ** 2) - (over / near) ** 2)
         down = evidence > 0.5
         if side in given:
-            down &= given[side][:, None]
-            # in a stance something stands: what stands most
-            none = given[side] & ~down.any(axis=1)
+            down &= (given[side] >= 0)[:, None]
+            # in a stance something stands, unless both move as feet in the air do: then events between are missing
+            none = (given[side] > 0) & ~down.any(axis=1) & (evidence.max(axis=1) > _MOVES_ON)
             down[none, evidence[none].argmax(axis=1)] = True
         standing[side] = np.stack([_long(column, _SHORTEST * rate) for column in down.T], axis=1)
     if not belt.any():
@@ -257,20 +260,20 @@ def _belt(points: Floats, speeds: Floats, root: Floats, floor: float, near: floa
     return velocity if speed > _BELT and spread < 0.4 * speed and travelled < 0.5 * speed else np.zeros(3)
 
 
-def _phases(events: Iterable[Event], frames: int, rate: float) -> dict[str, NDArray[np.bool_]]:
-    """side -> (T,) whether the foot is between a strike and the off behind it; sides with both kinds of events only."""
-    found = dict[str, NDArray[np.bool_]]()
+def _phases(events: Iterable[Event], frames: int, rate: float) -> dict[str, NDArray[np.int64]]:
+    """side -> (T,) 1 from a foot strike to the off behind it, -1 from an off to the strike behind it, 0 where events do not say.
+
+    Files hold events of some steps only, so that nothing is known before the first one, behind the last, and between two of a kind.
+    """
+    found = dict[str, NDArray[np.int64]]()
     for side in SIDES:
         own = sorted((event.time, "strike" in event.label.casefold()) for event in events if _is_foot(event, side))
-        if not any(strike for _, strike in own) or all(strike for _, strike in own):
-            continue
-        down = np.zeros(frames, dtype=np.bool_)
-        # before the first event the foot is in the other state
-        at, state = 0.0, not own[0][1]
-        for time, strike in [*own, (frames / rate, True)]:
-            down[max(0, round(at * rate)) : max(0, round(time * rate))] = state
-            at, state = time, strike
-        found[side] = down
+        phase = np.zeros(frames, dtype=np.int64)
+        for (begin, strike), (end, other) in pairwise(own):
+            if strike != other:
+                phase[max(0, round(begin * rate)) : max(0, round(end * rate))] = 1 if strike else -1
+        if phase.any():
+            found[side] = phase
     return found
 
 

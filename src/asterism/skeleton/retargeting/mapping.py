@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from asterism.errors import AsterismError
@@ -365,7 +366,7 @@ def _with_feet_held(
     hips = hips + smooth_hull(np.maximum(-heights, 0.0), rate)[:, None] * _UP
     for side, sole in soles.items():
         turned = world.get(sole.foot, copied.turned[:, sole.foot])
-        world[sole.foot] = _level(turned, sole, contacts.standing[side].all(axis=1), rate)
+        world[sole.foot] = _level(turned, sole, np.asarray(contacts.standing[side].all(axis=1)), rate)
     lifted = _posed(figure, world, hips, rate)
     targets, legs = dict[str, Floats](), list[tuple[Floats, Floats]]()
     for side, sole in soles.items():
@@ -398,7 +399,7 @@ def _above(motion: SkeletonMotion, bone: int) -> list[int]:
     return out
 
 
-def _level(turned: Floats, sole: Sole, flat: np.ndarray, rate: float) -> Floats:
+def _level(turned: Floats, sole: Sole, flat: NDArray[np.bool_], rate: float) -> Floats:
     """(T, 3, 3) the rotation of a foot whose sole is level and keeps its direction while heel and ball both stand."""
     if not flat.any():
         return turned
