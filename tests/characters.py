@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from asterism.recording import SkeletonMotion
-
-MIXAMO = {"thigh": "UpLeg", "shank": "Leg", "foot": "Foot", "toe": "ToeBase", "clavicle": "Shoulder", "upper arm": "Arm", "forearm": "ForeArm", "hand": "Hand"}
-
+from asterism.skeleton.angles import limited
+from asterism.skeleton.build import BuildRules, random_build
+from asterism.skeleton.kinematics import on_the_floor, pose
+from asterism.skeleton.movements import MOVEMENTS
 
 def character(
     legs: float = 1.0, arms: float = 1.0, size: float = 1.0, spine: int = 3, down: float = 0.0, without: tuple[str, ...] = ()
@@ -57,3 +58,32 @@ def character(
     rotations = np.tile(np.eye(3), (1, len(order), 1, 1))
     root = np.array([[0.0, size * (0.05 + 0.87 * legs + 0.07), 0.0]])
     return SkeletonMotion(tuple(order), parents, offsets, tips, rotations, root, 30.0, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+
+
+def virtual_person(movement: str = "walk", seconds: float = 2.4, seed: int = 1, rate: float = 100.0) -> SkeletonMotion:
+    """A virtual person of 1.70 m who moves over the floor, z up, facing x: the skeleton of the house, with feet of one bone."""
+    rng = np.random.default_rng(seed)
+    build = random_build(rng, 1.70, BuildRules(proportion=0.0, asymmetry=0.0, short_limb=0.0))
+    done = MOVEMENTS[movement](np.arange(int(seconds * rate)) / rate, rng)
+    segments = pose(build, limited(done.angles))
+    path = on_the_floor(segments.touch, rate)
+    path[:, 2] += done.above
+    order = ["pelvis", "thorax", "head"]
+    hangs = {"pelvis": "", "thorax": "pelvis", "head": "thorax"}
+    for side in ("left", "right"):
+        for part, above in (("clavicle", "thorax"), ("upper arm", "clavicle"), ("forearm", "upper arm"), ("hand", "forearm"), ("thigh", "pelvis")):
+            order.append(f"{side} {part}")
+            hangs[order[-1]] = above if above in ("thorax", "pelvis") else f"{side} {above}"
+        for part, above in (("shank", "thigh"), ("foot", "shank")):
+            order.append(f"{side} {part}")
+            hangs[order[-1]] = f"{side} {above}"
+    parents = tuple(order.index(hangs[name]) if hangs[name] else -1 for name in order)
+    turned = np.stack([segments.axes[name] for name in order], axis=1)
+    places = np.stack([segments.origin[name] for name in order], axis=1)
+    rotations, offsets = turned.copy(), np.zeros((len(order), 3))
+    for b, parent in enumerate(parents[1:], start=1):
+        rotations[:, b] = turned[:, parent].swapaxes(1, 2) @ turned[:, b]
+        offsets[b] = turned[0, parent].T @ (places[0, b] - places[0, parent])
+    tips = {"head": (0.0, 0.0, 0.25), "hand": (0.0, 0.0, -0.17), "foot": (0.19, 0.0, -0.078)}
+    ends = np.array([tips.get(name.split(" ")[-1], (np.nan,) * 3) for name in order])
+    return SkeletonMotion(tuple(order), parents, offsets, ends, rotations, places[:, 0] + path, rate)

@@ -19,6 +19,9 @@ POINTS = ("heel", "ball")
 _STILL = 0.20
 """m/s times the root of the leg's length over 0.9 m: a point of the sole that is faster hardly stands. Soles in stance are at 0.02 to
 0.10 m/s by the noise of joints, in swing at 1 to 4 m/s. At half of it noisy stances break up, at double strikes begin a frame early."""
+_FASTER = 0.05
+"""Share of the hips' speed over what is stood on, by which a standing sole may be faster: feet are not as rigid as their bone. Balls of
+sprinters' feet at 7 m/s are at 0.1 to 0.4 m/s in contact. At half of it half of their steps are lost, at double strikes begin early."""
 _NEAR = 0.03
 """m for a leg of 0.9 m: height over its lowest place around, at which a point hardly stands. A ball of the foot rises by 10 mm while
 the heel lifts. At half of it the roll over the toes is lost, at double the heel stays down too long."""
@@ -32,6 +35,8 @@ _SMOOTH = 0.015
 """s, over which velocities are smoothed: two frames at 120 Hz."""
 _MOVES_ON = 0.02
 """Evidence below which a foot moves on, whatever events say: 0.4 m/s, or 60 mm above where it stood."""
+_SLOW = 0.1
+"""s, over which the speed of the hips is averaged: less than a step."""
 _BELT = 0.25
 """m/s, of soles on the floor, above which they stand on a belt. Treadmills walk from 0.3 m/s on; drifting soles are below 0.05 m/s."""
 _SLOPE = 0.01
@@ -150,8 +155,10 @@ def find_contacts(motion: SkeletonMotion, parts: BodyParts, events: Iterable[Eve
     lowest = every[:, :, 2].min(axis=1)
     floor = np.array([float(np.quantile(lowest, 0.1)), 0.0, 0.0])
     speeds = {side: np.gradient(gaussian_filter1d(one, _SMOOTH * rate, axis=0), 1.0 / rate, axis=0) for side, one in points.items()}
-    near, still = _NEAR * leg / 0.9, _STILL * np.sqrt(leg / 0.9)
+    near = _NEAR * leg / 0.9
     belt = _belt(every, np.concatenate(list(speeds.values()), axis=1), motion.root, floor[0], near, rate)
+    hips = np.linalg.norm(np.gradient(gaussian_filter1d(motion.root, _SLOW * rate, axis=0), 1.0 / rate, axis=0) - belt, axis=1)
+    still = (_STILL * np.sqrt(leg / 0.9) + _FASTER * hips)[:, None]
     given = _phases(events, len(motion), rate)
     standing, level = dict[str, NDArray[np.bool_]](), dict[str, Floats]()
     for side, one in points.items():
@@ -182,7 +189,7 @@ def height_of(floor: Floats, points: Floats) -> Floats:
 def _floor(points: Mapping[str, Floats], standing: Mapping[str, NDArray[np.bool_]], floor: Floats, near: float) -> Floats:
     """The plane on which soles stand, from the contacts that are near to it: recorded floors are not quite level.
 
-    Ridge regression: soles are off by `near` / 3 each, and rooms by `_SLOPE`, so that one step does not tilt a floor.
+    Ridge regression: soles are off by two thirds of `near` each, with those about them, and rooms by `_SLOPE`: one step tilts no floor.
     """
     places = np.array(
         [np.median(points[side][a:b, p], axis=0) for side, flags in standing.items() for p in range(2) for a, b in stretches(flags[:, p])]
@@ -191,7 +198,7 @@ def _floor(points: Mapping[str, Floats], standing: Mapping[str, NDArray[np.bool_
         return floor
     middle = places[:, :2].mean(axis=0)
     design = np.column_stack([np.ones(len(places)), places[:, :2] - middle])
-    ridge = np.diag([0.0, 1.0, 1.0]) * (near / 3 / _SLOPE) ** 2
+    ridge = np.diag([0.0, 1.0, 1.0]) * (near / 1.5 / _SLOPE) ** 2
     found = floor.copy()
     for _ in range(3):
         # what stands on a stair is no floor
