@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from asterism.geometry import axis_rotations
 from asterism.recording import SkeletonMotion
 from asterism.skeleton.angles import limited
 from asterism.skeleton.build import BuildRules, random_build
 from asterism.skeleton.kinematics import on_the_floor, pose
 from asterism.skeleton.movements import MOVEMENTS
+
 
 def character(
     legs: float = 1.0, arms: float = 1.0, size: float = 1.0, spine: int = 3, down: float = 0.0, without: tuple[str, ...] = ()
@@ -71,7 +75,13 @@ def virtual_person(movement: str = "walk", seconds: float = 2.4, seed: int = 1, 
     order = ["pelvis", "thorax", "head"]
     hangs = {"pelvis": "", "thorax": "pelvis", "head": "thorax"}
     for side in ("left", "right"):
-        for part, above in (("clavicle", "thorax"), ("upper arm", "clavicle"), ("forearm", "upper arm"), ("hand", "forearm"), ("thigh", "pelvis")):
+        for part, above in (
+            ("clavicle", "thorax"),
+            ("upper arm", "clavicle"),
+            ("forearm", "upper arm"),
+            ("hand", "forearm"),
+            ("thigh", "pelvis"),
+        ):
             order.append(f"{side} {part}")
             hangs[order[-1]] = above if above in ("thorax", "pelvis") else f"{side} {above}"
         for part, above in (("shank", "thigh"), ("foot", "shank")):
@@ -87,3 +97,29 @@ def virtual_person(movement: str = "walk", seconds: float = 2.4, seed: int = 1, 
     tips = {"head": (0.0, 0.0, 0.25), "hand": (0.0, 0.0, -0.17), "foot": (0.19, 0.0, -0.078)}
     ends = np.array([tips.get(name.split(" ")[-1], (np.nan,) * 3) for name in order])
     return SkeletonMotion(tuple(order), parents, offsets, ends, rotations, places[:, 0] + path, rate)
+
+
+def stepping_person(speed: float = 0.8, seconds: float = 2.4, rate: float = 100.0) -> SkeletonMotion:
+    """The bones of `virtual_person` on legs that step: each foot lies flat and still for 0.6 of a cycle of 1.2 s, else it swings."""
+    person = virtual_person("stand", seconds, rate=rate)
+    time = np.arange(len(person)) / rate
+    names, lengths = person.names, person.lengths
+    turned = np.tile(np.eye(3), (len(person), len(names), 1, 1))
+    root = np.stack([speed * time, np.zeros(len(time)), np.full(len(time), 0.82)], axis=1)
+    for side, begin in (("left", 0.0), ("right", 0.6)):
+        cycle = (time + begin) / 1.2
+        phase, count = cycle % 1.0, np.floor(cycle)
+        swing = np.clip((phase - 0.6) / 0.4, 0.0, 1.0)
+        ahead = swing - np.sin(2 * np.pi * swing) / (2 * np.pi)
+        x = speed * 1.2 * (count + ahead + 0.3 - begin / 1.2) - root[:, 0]
+        z = 0.078 + 0.1 * np.sin(np.pi * swing) ** 2 - root[:, 2]
+        thigh, shank = (lengths[names.index(f"{side} {part}")] for part in ("thigh", "shank"))
+        far = np.hypot(x, z)
+        knee = np.pi - np.arccos(np.clip((thigh**2 + shank**2 - far**2) / (2 * thigh * shank), -1, 1))
+        hip = np.arctan2(x, -z) + np.arccos(np.clip((thigh**2 + far**2 - shank**2) / (2 * thigh * far), -1, 1))
+        turned[:, names.index(f"{side} thigh")] = axis_rotations("y", -hip)
+        turned[:, names.index(f"{side} shank")] = axis_rotations("y", knee - hip)
+    rotations = turned.copy()
+    for b, parent in enumerate(person.parents[1:], start=1):
+        rotations[:, b] = turned[:, parent].swapaxes(1, 2) @ turned[:, b]
+    return replace(person, rotations=rotations, root=root)

@@ -121,8 +121,8 @@ def _show(options: RetargetOptions, result: Retargeted) -> None:
     told = "events and movement" if result.contacts.source == "events" else "movement"
     _console.result(
         f"{options.source} -> {options.output}: {len(result.motion)} frames; legs are {result.scale:.2f} times as long. "
-        f"Heels and balls of the feet stand {after['contacts']} times, told by {told}. They slip by up to {after['slip_mm']:.1f} mm "
-        f"(bones only copied: {before['slip_mm']:.1f} mm) and sink by up to {after['penetration_mm']:.1f} mm ({before['penetration_mm']:.1f} mm)."
+        f"Heels and balls of the feet stand {after['contacts']} times, told by {told}. They slip by up to {after['slip_mm']:.1f} mm (bones "
+        f"only copied: {before['slip_mm']:.1f} mm) and sink by up to {after['penetration_mm']:.1f} mm ({before['penetration_mm']:.1f} mm)."
     )
 
 

@@ -49,7 +49,7 @@ def body_parts(motion: SkeletonMotion, given: Mapping[str, str] | None = None) -
 
     given  part -> name of the bone, or "" for none
 
-    Raises AsterismError where a bone that is given is not there, where a leg is not found, or where the skeleton stands on four legs.
+    Raises AsterismError where a bone that is given is not there, or a leg is not found.
     """
     given = dict(given or {})
     found = {part: bone for part, bone in parts_of(motion.names, motion.parents).items()}
@@ -87,8 +87,23 @@ def body_parts(motion: SkeletonMotion, given: Mapping[str, str] | None = None) -
     spine = [bone for bone in lines[chest] if pelvis in lines[bone] and bone != pelvis]
     neck = [bone for bone in lines[found["head"]] if chest in lines[bone] and bone not in (chest, found["head"])] if "head" in found else []
     neck = [bone for bone in neck if bone not in spine]
-    _refuse_four_legs(motion, found, chest)
     return BodyParts(found, tuple(spine), tuple(neck), how)
+
+
+def refuse_four_legs(motion: SkeletonMotion, parts: BodyParts) -> None:
+    """Raise AsterismError where the trunk lies level in the rest pose and the ends of the arms stand as low as the feet."""
+    places, up, found = motion.rest_joints, motion.vertical, parts.bones
+    height = places @ up
+    hands = [found[part] for side in SIDES for part in (f"{side} hand", f"{side} forearm") if part in found]
+    trunk = places[parts.spine[-1] if parts.spine else found["pelvis"]] - places[found["pelvis"]]
+    length = float(np.linalg.norm(trunk))
+    if not hands or length < 1e-9 or trunk @ up > _UPRIGHT * length:
+        return
+    feet, hips = (np.mean([height[found[f"{side} {part}"]] for side in SIDES]) for part in ("foot", "thigh"))
+    if min(height[hand] for hand in hands) < feet + 0.3 * (hips - feet):
+        raise AsterismError(
+            "the character stands on four legs in its rest pose; a person's movement can be mapped to a character on two legs only."
+        )
 
 
 def _line(motion: SkeletonMotion, bone: int) -> list[int]:
@@ -129,22 +144,6 @@ def _trunk(motion: SkeletonMotion, found: Mapping[str, int], lines: Mapping[int,
     legs = [lines[found[f"{side} thigh"]][:-1] for side in SIDES]
     pelvis = _shared([*legs, *above])
     return (_shared(above) if above else pelvis), pelvis
-
-
-def _refuse_four_legs(motion: SkeletonMotion, found: Mapping[str, int], chest: int) -> None:
-    """Raise AsterismError where the trunk lies level in the rest pose and the ends of the arms stand as low as the feet."""
-    places, up = motion.rest_joints, motion.vertical
-    height = places @ up
-    hands = [found[part] for side in SIDES for part in (f"{side} hand", f"{side} forearm") if part in found]
-    trunk = places[chest] - places[found["pelvis"]]
-    length = float(np.linalg.norm(trunk))
-    if not hands or length < 1e-9 or trunk @ up > _UPRIGHT * length:
-        return
-    feet, hips = (np.mean([height[found[f"{side} {part}"]] for side in SIDES]) for part in ("foot", "thigh"))
-    if min(height[hand] for hand in hands) < feet + 0.3 * (hips - feet):
-        raise AsterismError(
-            "the character stands on four legs in its rest pose; a person's movement can be mapped to a character on two legs only."
-        )
 
 
 def _by_tree(motion: SkeletonMotion) -> dict[str, int]:

@@ -37,6 +37,8 @@ _MOVES_ON = 0.02
 """Evidence below which a foot moves on, whatever events say: 0.4 m/s, or 60 mm above where it stood."""
 _SLOW = 0.1
 """s, over which the speed of the hips is averaged: less than a step."""
+_REFINED = 3
+"""Times that the speed of a belt is found anew from what stands on it: the second changes it by 1 %, the third by less than 0.1 %."""
 _BELT = 0.25
 """m/s, of soles on the floor, above which they stand on a belt. Treadmills walk from 0.3 m/s on; drifting soles are below 0.05 m/s."""
 _SLOPE = 0.01
@@ -109,7 +111,9 @@ def soles_of(motion: SkeletonMotion, parts: BodyParts) -> dict[str, Sole]:
         )
     low = [places[foot][2] for foot in feet.values()] + [places[toe][2] for toe in toes.values() if toe >= 0]
     low += [tip[2] for tip in tips.values() if tip is not None]
-    stature = float(np.ptp(np.concatenate([places, (places + ends)[np.isfinite(ends).all(axis=1)]])[:, 2]))
+    body = [*parts.bones.values(), *parts.spine]
+    reached = np.concatenate([places[body], (places + ends)[body]])[:, 2]
+    stature = float(np.nanmax(reached) - np.nanmin(reached))
     ankles = float(np.mean([places[foot][2] for foot in feet.values()]))
     # a foot that ends no lower than its ankle says nothing of its sole
     floor = min(low) if min(low) < ankles - 0.2 * _USUAL_SOLE * stature else ankles - _USUAL_SOLE * stature
@@ -154,31 +158,45 @@ def find_contacts(motion: SkeletonMotion, parts: BodyParts, events: Iterable[Eve
     every = np.concatenate(list(points.values()), axis=1)
     lowest = every[:, :, 2].min(axis=1)
     floor = np.array([float(np.quantile(lowest, 0.1)), 0.0, 0.0])
-    speeds = {side: np.gradient(gaussian_filter1d(one, _SMOOTH * rate, axis=0), 1.0 / rate, axis=0) for side, one in points.items()}
-    near = _NEAR * leg / 0.9
+    speeds = {side: _velocity(one, _SMOOTH, rate) for side, one in points.items()}
+    near, given = _NEAR * leg / 0.9, _phases(events, len(motion), rate)
     belt = _belt(every, np.concatenate(list(speeds.values()), axis=1), motion.root, floor[0], near, rate)
-    hips = np.linalg.norm(np.gradient(gaussian_filter1d(motion.root, _SLOW * rate, axis=0), 1.0 / rate, axis=0) - belt, axis=1)
-    still = (_STILL * np.sqrt(leg / 0.9) + _FASTER * hips)[:, None]
-    given = _phases(events, len(motion), rate)
-    standing, level = dict[str, NDArray[np.bool_]](), dict[str, Floats]()
-    for side, one in points.items():
-        width = 2 * int(_AROUND * rate) + 1
-        over = one[:, :, 2] - minimum_filter1d(one[:, :, 2], width, axis=0, mode="nearest")
-        speed = np.linalg.norm(speeds[side] - belt, axis=2)
-        evidence = np.exp(-((speed / still) ** 2) - (over / near) ** 2)
-        down = evidence > 0.5
-        if side in given:
-            down &= (given[side] >= 0)[:, None]
-            # in a stance something stands, unless both move as feet in the air do: then events between are missing
-            none = (given[side] > 0) & ~down.any(axis=1) & (evidence.max(axis=1) > _MOVES_ON)
-            down[none, evidence[none].argmax(axis=1)] = True
-        standing[side] = np.stack([_long(column, _SHORTEST * rate) for column in down.T], axis=1)
+    # what stands on a belt tells its speed better than what is low
+    for _ in range(_REFINED if belt.any() else 1):
+        still = _STILL * np.sqrt(leg / 0.9) + _FASTER * np.linalg.norm(_velocity(motion.root, _SLOW, rate) - belt, axis=1)
+        standing = {side: _stands(one, speeds[side] - belt, still, near, rate, given.get(side)) for side, one in points.items()}
+        on_belt = np.concatenate([speeds[side][flags] for side, flags in standing.items()])
+        if belt.any() and len(on_belt):
+            belt = np.median(on_belt, axis=0) * (1.0, 1.0, 0.0)
+    level = dict[str, Floats]()
     if not belt.any():
         floor = _floor(points, standing, floor, near)
     for side, one in points.items():
         level[side] = _levels(standing[side], one[:, :, 2] - height_of(floor, one), near, rate)
         standing[side] &= np.isfinite(level[side])
     return FootContacts(standing, level, belt, floor, "events" if given else "movement")
+
+
+def _velocity(points: Floats, width: float, rate: float) -> Floats:
+    """m/s, of points (T, ...), smoothed over a width in s."""
+    if len(points) < 2:
+        return np.zeros_like(points)
+    return np.asarray(np.gradient(gaussian_filter1d(points, width * rate, axis=0), 1.0 / rate, axis=0))
+
+
+def _stands(
+    points: Floats, velocity: Floats, still: Floats, near: float, rate: float, given: NDArray[np.int64] | None
+) -> NDArray[np.bool_]:
+    """(T, 2) whether heel and ball (T, 2, 3) stand, by their velocity over what they stand on and by events. still (T,) m/s, near m."""
+    over = points[:, :, 2] - minimum_filter1d(points[:, :, 2], 2 * int(_AROUND * rate) + 1, axis=0, mode="nearest")
+    evidence = np.exp(-((np.linalg.norm(velocity, axis=2) / still[:, None]) ** 2) - (over / near) ** 2)
+    down = evidence > 0.5
+    if given is not None:
+        down &= (given >= 0)[:, None]
+        # in a stance something stands, unless both move as feet in the air do: then events between are missing
+        none = (given > 0) & ~down.any(axis=1) & (evidence.max(axis=1) > _MOVES_ON)
+        down[none, evidence[none].argmax(axis=1)] = True
+    return np.stack([_long(column, _SHORTEST * rate) for column in down.T], axis=1)
 
 
 def height_of(floor: Floats, points: Floats) -> Floats:
@@ -255,16 +273,17 @@ def _levels(standing: NDArray[np.bool_], height: Floats, near: float, rate: floa
 
 def _belt(points: Floats, speeds: Floats, root: Floats, floor: float, near: float, rate: float) -> Floats:
     """(3,) m/s, the velocity of what soles stand on; zero unless the low points of all frames move alike and the body stays."""
-    low = points[:, :, 2] < np.maximum(points[:, :, 2].min(axis=1, keepdims=True), floor) + 0.5 * near
-    low &= points[:, :, 2] < floor + near
-    if low.sum() < 0.5 * rate:
+    lowest = points[:, :, 2].argmin(axis=1)[:, None]
+    height = np.take_along_axis(points[:, :, 2], lowest, axis=1)[:, 0]
+    low = np.take_along_axis(speeds, lowest[:, :, None], axis=1)[height < floor + near, 0]
+    if len(low) < 0.5 * rate:
         return np.zeros(3)
-    velocity = np.median(speeds[low], axis=0) * (1.0, 1.0, 0.0)
+    velocity = np.median(low, axis=0) * (1.0, 1.0, 0.0)
     speed = float(np.linalg.norm(velocity))
-    spread = np.median(np.linalg.norm((speeds[low] - velocity)[:, :2], axis=1))
+    spread = np.median(np.linalg.norm((low - velocity)[:, :2], axis=1))
     travelled = float(np.linalg.norm((root[-1] - root[0])[:2])) / (len(root) / rate)
     # who slides over the floor goes with the feet; on a belt the body stays
-    return velocity if speed > _BELT and spread < 0.4 * speed and travelled < 0.5 * speed else np.zeros(3)
+    return velocity if speed > _BELT and spread < 0.6 * speed and travelled < 0.5 * speed else np.zeros(3)
 
 
 def _phases(events: Iterable[Event], frames: int, rate: float) -> dict[str, NDArray[np.int64]]:

@@ -17,7 +17,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.recording import Event, Floats, SkeletonMotion
 from asterism.recording.bone_names import FINGERS
-from asterism.skeleton.retargeting.body_parts import SIDES, BodyParts, body_parts
+from asterism.skeleton.retargeting.body_parts import SIDES, BodyParts, body_parts, refuse_four_legs
 from asterism.skeleton.retargeting.contacts import (
     FootContacts,
     Sole,
@@ -174,6 +174,7 @@ def _standing(motion: SkeletonMotion, given: Mapping[str, str] | None) -> _Stand
     upright = motion.in_axes(_UP, _AHEAD)
     onto = np.tile(np.eye(3), (len(motion.names), 1, 1))
     if _stands(upright, parts):
+        refuse_four_legs(upright, parts)
         return _Standing(upright, parts, onto, False)
     # A rest pose in which all bones lie along one axis says nothing of the body; a frame in which it stands does.
     frame = _most_upright(upright, parts)
@@ -188,7 +189,9 @@ def _standing(motion: SkeletonMotion, given: Mapping[str, str] | None) -> _Stand
     rotations[:, 0] = turned[:, 0]
     offsets = np.einsum("bij,bj->bi", pose[above], upright.offsets)
     ends = np.einsum("bij,bj->bi", pose, upright.ends)
-    return _Standing(replace(upright, offsets=offsets, ends=ends, rotations=rotations), parts, pose, True)
+    standing = replace(upright, offsets=offsets, ends=ends, rotations=rotations)
+    refuse_four_legs(standing, parts)
+    return _Standing(standing, parts, pose, True)
 
 
 def _leg_directions(joints: Floats, parts: BodyParts) -> Floats:
@@ -361,7 +364,9 @@ def _with_feet_held(
     world = dict(world)
     # knees, hands and seat do not go through the floor
     feet = {b for sole in soles.values() for b in (sole.foot, sole.toe)}
-    others = [b for b in range(len(copied.names)) if b not in feet and not any(p in feet for p in _above(copied, b))]
+    pelvis = parts.bones["pelvis"]
+    lines = {b: [b, *_above(copied, b)] for b in range(len(copied.names))}
+    others = [b for b, line in lines.items() if pelvis in line and not feet & set(line)]
     heights = copied.joints[:, others, 2].min(axis=1)
     hips = hips + smooth_hull(np.maximum(-heights, 0.0), rate)[:, None] * _UP
     for side, sole in soles.items():
@@ -427,10 +432,10 @@ def _held(points: Floats, contacts: FootContacts, side: str, rate: float) -> Flo
     ground = np.where(standing, level, 0.0)
     needed = np.maximum(ground[:, :2] - points[:, :2, 2], (ground[:, 1] - points[:, 2, 2])[:, None]).max(axis=1)
     lift = smooth_offsets(up, weight, rate)[:, 0]
-    low = np.zeros(len(points))
+    low, sole_length = np.zeros(len(points)), float(np.linalg.norm(points[0, 1] - points[0, 0]))
     for _ in range(ROUNDS):
         deep = needed - lift
-        if deep.max() < 1e-4:
+        if deep.max() <= 1e-4 * sole_length:
             break
         # frames that go below are asked to be on the floor, as long as they would
         low = np.where(deep > 0, 1.0, low)
