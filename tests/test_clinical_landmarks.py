@@ -290,5 +290,5 @@ def test_landmarks_of_a_treadmill_walk_bend_as_the_vendors_model_does(data: Path
             apart = np.degrees(clinical.outputs[f"{side}{name}Angles"][:, 0]) - theirs[:, 0]
             assert np.nanstd(apart) < most, name
     bands = analyse_gait(walk.frames(slice(0, 350))).bands
-    for name, (least, most) in {"LHipAngles": (2.0, 6.0), "LKneeAngles": (1.5, 5.0)}.items():
+    for name, (least, most) in {"LHipAngles": (2.0, 6.0), "LKneeAngles": (1.5, 7.0)}.items():
         assert least < np.degrees(np.nanmax(bands[name].high - bands[name].low, axis=0))[0] / 2 < most, name

@@ -127,7 +127,7 @@ def test_given_measures_go_before_the_standing_trials_and_these_before_the_files
     measures, found = gathered_measures(own, static, {"LAnkleWidth": 62})
     assert (measures.left.knee_width, measures.right.knee_width, measures.left.ankle_width) == (0.090, 0.095, 0.062)
     assert (measures.mass, measures.marker_radius) == (50, pytest.approx(0.0045))
-    assert not found
+    assert [one.code for one in found] == ["clinical-measure-differs"], "62 in place of 61"
     assert "foot_flexion" in measures.left.from_file
     assert gathered_measures(own, static, {"MarkerDiameter": 16})[0].marker_radius == 0.008
 
@@ -182,3 +182,21 @@ def test_the_measures_of_a_vsk_make_the_vendors_own_angles(data: Path) -> None:
         assert theirs is not None
         apart = (np.degrees(clinical.outputs[f"{name}Angles"]) - theirs + 180.0) % 360.0 - 180.0
         assert np.sqrt(np.nanmean(apart**2, axis=0)).max() < 0.1, name
+
+
+def test_a_measure_in_place_of_the_files_is_said_with_both() -> None:
+    [walk] = simulate_walks(1, frames=12, markers="helen-hayes", seed=0)
+    own = held(walk, LKneeWidth=87, RKneeWidth=88, LLegLength=870, BodyMass=60)
+
+    def told(**given: float) -> dict[str, str]:
+        return {one.code: one.sentence for one in gathered_measures(own, given=given)[1] if "measure-" in one.code}
+
+    assert not told(LKneeWidth=87.4), "rounded"
+    assert "LKneeWidth 95, not 87" in told(LKneeWidth=95)["clinical-measure-differs"]
+    assert "BodyMass 70, not 60" in told(BodyMass=70)["clinical-measure-differs"]
+    assert not told(LAnkleWidth=70, LTibialTorsion=-10), "the file says nothing of it"
+    both = told(LKneeWidth=180)
+    assert "left knee's width is 180 mm, the leg's length 870 mm" in both["clinical-measure-implausible"], "no knee of such a leg"
+    assert "LKneeWidth 180, not 87" in both["clinical-measure-differs"]
+    assert list(told(RKneeWidth=110)) == ["clinical-measure-differs", "clinical-measure-implausible"], "the other knee is of 87 mm"
+    assert gathered_measures(own, given={"LKneeWidth": 95})[0].left.knee_width == pytest.approx(0.095), "what is given is taken"

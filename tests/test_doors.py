@@ -189,6 +189,7 @@ READERS = {
     "convert": ("OUT.trc",),
     "evaluate": ("-m", "MODEL", "--occlusions", "0"),
     "gait": (),
+    "opensim": ("-o", "OUT"),
     "events": ("--rules", "squat"),
     "train": ("-o", "OUT.model", "--markers", "helen-hayes", "--no-audit"),
     "learn": ("-o", "OUT.model"),

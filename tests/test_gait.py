@@ -22,6 +22,7 @@ from asterism.gait import (
     POINTS,
     Band,
     Cycle,
+    GaitAnalysis,
     analyse_gait,
     band_of,
     cycles_of,
@@ -35,6 +36,7 @@ from asterism.gait import (
     symmetries,
 )
 from asterism.gait.events import OFF, STRIKE, EventRules, GaitEvent
+from asterism.gait.tables import COLUMNS
 from asterism.motion.clinical import exchanged_pairs
 from asterism.motion.clinical.measure_files import measures_by_name
 from asterism.motion.gaps import fill_gaps
@@ -197,7 +199,7 @@ def test_gait_writes_tables_and_a_page(tmp_path: Path, capsys: pytest.CaptureFix
     assert "walking speed" in capsys.readouterr().out
     found = json.loads((tmp_path / "gait.json").read_text())["files"][0]
     assert found["measures"]["left"]["knee_width"] == pytest.approx(0.102)
-    assert {"low", "high", "standard"} == set(found["bands_deg"]["LKneeAngles"]) and "95 % interval" in page.read_text()
+    assert {"low", "high", "standard", "same_placement"} == set(found["bands_deg"]["LKneeAngles"]) and "95 % interval" in page.read_text()
     with table.open() as lines:
         rows = list(csv.DictReader(lines))
     each = [row for row in rows if row["kind"] == "parameter"]
@@ -220,7 +222,8 @@ def table_of_a_walk() -> NumberTable:
 
 
 def test_each_angle_of_a_table_has_its_uncertainty(table_of_a_walk: NumberTable) -> None:
-    sigmas = {(row[2], row[6]): row[8] for row in table_of_a_walk.of("maximum").rows}
+    name, axis, sigma = (list(table_of_a_walk.columns).index(column) for column in ("name", "axis", "uncertainty"))
+    sigmas = {(row[name], row[axis]): row[sigma] for row in table_of_a_walk.of("maximum").rows}
     assert {name for name, _ in sigmas} >= {"LPelvisAngles", "LKneeAngles", "LThoraxAngles", "RHeadAngles", "LShoulderAngles"}
     # two markers 20 cm apart that are each 5 mm off turn their line by 2 degrees; an elbow is a hinge, whose other angles are 0
     assert all(0.3 < sigma < 30 for (name, axis), sigma in sigmas.items() if "Elbow" not in name or axis == "x")
@@ -280,8 +283,38 @@ def test_a_band_is_kept_and_a_person_is_as_far_from_it_as_their_curves(tmp_path:
         band_of(walks, ["a", "a", "a"])
 
 
+def with_turns(analysis: GaitAnalysis, *numbers: int) -> GaitAnalysis:
+    """An analysis in which the cycles of these places alone, and their parameters, are of turns."""
+    cycles = tuple(replace(cycle, turns=place in numbers) for place, cycle in enumerate(analysis.cycles))
+    turning = {(cycle.side, cycle.strike.time) for cycle in cycles if cycle.turns}
+    parameters = tuple(replace(one, turns=(one.side, one.begins) in turning) for one in analysis.parameters)
+    return replace(analysis, cycles=cycles, parameters=parameters)
+
+
+def test_cycles_of_turns_are_in_no_mean_or_score_where_there_are_others() -> None:
+    walk, other, third = (analyse_gait(one) for one in simulate_walks(3, frames=300, markers="helen-hayes", seed=0))
+    walk, other, third = with_turns(walk, 0), with_turns(other), with_turns(third)
+    counted = [cycle for cycle in walk.cycles if not cycle.turns]
+    stride = {one.side: one for one in summarise(walk.parameters) if one.name == "stride time"}
+    for side in "LR":
+        own = [cycle.duration for cycle in counted if cycle.side == side]
+        assert (stride[side].count, stride[side].mean) == (len(own), pytest.approx(np.mean(own)))
+    # all cycles stay in the curves, and some of them count
+    assert len(walk.curves["RKneeAngles"]) > len(walk.straight.curves["RKneeAngles"]) == sum(cycle.side == "R" for cycle in counted)
+    assert profile_scores([walk], (band := band_of([other, third], ["b", "c"]))) == profile_scores([walk.straight], band)
+    everywhere = with_turns(other, *range(len(other.cycles)))
+    np.testing.assert_array_equal(
+        band_of([walk, everywhere, third], ["a", "b", "c"]).mean["Knee"], band_of([walk, third], ["a", "c"]).mean["Knee"]
+    )
+    # where all turn, all count
+    assert summarise(everywhere.parameters) == summarise(other.parameters)
+    assert profile_scores([everywhere], band) == profile_scores([other], band)
+    turns = [(row["kind"], row["turns"]) for row in (dict(zip(COLUMNS, row, strict=True)) for row in gait_table([("w", walk)]).rows)]
+    assert {("parameter", 0), ("parameter", 1), ("curve", 0), ("curve", 1), ("mean", None)} <= set(turns)
+
+
 def test_the_deviation_index_counts_standard_deviations_of_the_controls(tmp_path: Path) -> None:
-    walks = [analyse_gait(walk) for walk in simulate_walks(4, frames=300, markers="helen-hayes", seed=5)]
+    walks = [with_turns(analyse_gait(walk)) for walk in simulate_walks(4, frames=300, markers="helen-hayes", seed=5)]
     band = band_of(walks[:3], ["a", "b", "c"])
     band.save(tmp_path / "controls.band")
     kept = Band.load(tmp_path / "controls.band")
@@ -518,7 +551,7 @@ def test_a_recording_of_less_than_a_step_is_refused() -> None:
 
 
 def test_a_person_who_turns_is_told() -> None:
-    """The way of a walk is bent; a straight walk, and one on a treadmill, does not turn."""
+    """The way of a walk is bent; a straight walk does not turn, nor does one with short steps from side to side."""
     (walk,) = simulate_walks(1, frames=400, markers="helen-hayes", seed=4)
     positions = walk.positions.copy()
     middle = np.nanmean(positions[:, :, :2], axis=1)
@@ -528,9 +561,13 @@ def test_a_person_who_turns_is_told() -> None:
     turns = np.stack([np.stack([np.cos(angles), -np.sin(angles)], 1), np.stack([np.sin(angles), np.cos(angles)], 1)], 1)
     path = np.cumsum(np.einsum("txy,ty->tx", turns, steps), axis=0)
     positions[:, :, :2] = np.einsum("txy,tmy->tmx", turns, positions[:, :, :2] - middle[:, None]) + path[:, None]
-    told = {finding.code for finding in analyse_gait(replace(walk, positions=positions)).findings}
-    assert "gait-turning" in told
-    assert "gait-turning" not in {finding.code for finding in analyse_gait(walk).findings}
+    turned = analyse_gait(replace(walk, positions=positions))
+    assert "gait-turning" in {finding.code for finding in turned.findings} and all(cycle.turns for cycle in turned.cycles)
+    swaying = stepping()
+    swaying.positions[:, :, 1] += 0.06 * np.sin(2 * np.pi * swaying.times / TIME)[:, None]
+    assert not any(cycle.turns for cycle in cycles_of(find_events(swaying)))
+    straight = analyse_gait(walk)
+    assert "gait-turning" not in {finding.code for finding in straight.findings} and not any(cycle.turns for cycle in straight.cycles)
 
 
 def test_the_standing_trial_of_a_folder_is_no_walk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -43,8 +43,8 @@ def test_the_person_and_the_parameters_come_first_and_the_player_last(tmp_path: 
     slow = replace(walks[0], parameters=tuple(replace(one, value=3 * one.value) for one in walks[0].parameters))
     gait_report(tmp_path / "p.html", [("walk.c3d", slow)], band=band)
     page = (tmp_path / "p.html").read_text()
-    wanted = "The person|Parameters|Angles over the gait cycle|Scores|Quality|What to know|Each cycle|Events|The recordings"
-    assert headings(page) == wanted.split("|")
+    wanted = "The person|Parameters|Angles over the gait cycle|How certain the angles are|Scores|Quality|What to know|Each cycle|Events"
+    assert headings(page) == [*wanted.split("|"), "The recordings"]
     assert len(re.findall('<figure class="panel"', page)) == 12 and page.count('class="off left"') == 12
     row = page[page.index('<td class="text">cadence, steps/min<') :].split("</tr>")[0]
     usual, spread = band.parameters["cadence"]
@@ -225,6 +225,18 @@ def test_angles_of_two_sessions_differ_where_they_exceed_their_intervals(tmp_pat
     assert float(changed[2]) == pytest.approx(40 * 51 / 101, abs=0.1) and len(rows) > 12
 
 
+def test_a_page_says_how_certain_its_angles_are_in_this_session_and_in_another(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
+    gait_report(tmp_path / "p.html", [("first", walks[0])])
+    section = (tmp_path / "p.html").read_text().split("<h2>How certain the angles are</h2>")[1].split("</section>")[0]
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", section, re.DOTALL)[1:]]
+    (knee,) = [row for row in rows if row[0] == "knee flexion"]
+    band = walks[0].bands["LKneeAngles"]
+    low, high = band.same_placement
+    stated = [np.degrees(np.mean((top - bottom)[:, 0])) / 2 for bottom, top in ((low, high), (band.low, band.high))]
+    assert [float(knee[1]), float(knee[3])] == pytest.approx(stated, abs=0.06) and stated[0] < stated[1]
+    assert len(rows) == 12 and re.fullmatch(r"(measures|placement|strikes), \d+ %", knee[5])
+
+
 def test_all_files_behind_compare_are_of_the_second_session(sessions: Path, tmp_path: Path) -> None:
     """However it is written: as words, with a sign of equality, as a folder, or as a pattern that the shell left alone."""
     few = replace(asterism.read(sessions / "before" / "a.c3d").frames(slice(40)), source=None)
@@ -346,3 +358,17 @@ def test_limbs_of_points_without_known_names_are_called_by_their_points() -> Non
     plain = replace(analysis, recording=replace(analysis.recording, labels=tuple(f"P{n}" for n in range(len(walk.labels)))))
     names = limb_names(plain)
     assert names[1] == "my arm" and re.match(r"P\d+", names[0]) and len(set(names)) == 3
+
+
+def test_who_has_no_name_in_the_file_is_called_as_the_folder_is(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
+    folder = tmp_path / "bert"
+    folder.mkdir()
+    (folder / "walk.c3d").touch()
+    for metadata, said in (
+        ({"file": str(folder / "walk.c3d")}, "bert (the folder)"),
+        ({"file": str(folder / "walk.c3d"), "subject": "ann"}, ">ann<"),
+        ({"file": "simulated walk"}, ">–<"),
+    ):
+        gait_report(tmp_path / "p.html", [("walk", replace(walks[0], recording=replace(walks[0].recording, metadata=metadata)))])
+        row = (tmp_path / "p.html").read_text().split('<td class="text">person<')[1].split("</tr>")[0]
+        assert said in row and ("bert" in row) == ("bert" in said)

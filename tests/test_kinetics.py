@@ -126,7 +126,7 @@ def test_a_mirrored_person_has_the_same_moments(joint: str) -> None:
     np.testing.assert_allclose(sides["L"], sides["R"], atol=1e-9)
 
 
-NOTHING = KineticErrors(0, 0, 0, 0, 0, 0, 0, 0)
+NOTHING = KineticErrors(0, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
 def pushed_leg(*, at: tuple[float, float] = (0.1, 0.13), gain: float = 1.0, hip: np.ndarray | None = None, mass: float = MASS,
@@ -160,6 +160,22 @@ def test_moments_are_as_uncertain_as_what_they_are_made_of() -> None:
     rest = pushed_leg(errors=replace(NOTHING, inertia=1.0)).sigmas["LKneeMoment"][inner]
     by_ground = (pushed_leg(gain=2.0).moments["LKneeMoment"] - usual["LKneeMoment"])[inner]
     np.testing.assert_allclose(rest, np.abs(usual["LKneeMoment"][inner] - by_ground), atol=1e-9)
+
+
+def test_accelerations_of_all_segments_below_a_joint_make_its_moment_uncertain() -> None:
+    """A stiff leg that hardly turns: masses times their distances from the joint, each segment on its own."""
+    found, rules = pushed_leg(errors=replace(NOTHING, acceleration=2.0)).sigmas, KineticRules()
+    shank, foot = rules.shank.centre * SHANK, np.array([rules.foot.centre * FOOT, SHANK])
+    knee = np.hypot(rules.shank.mass * shank, rules.foot.mass * np.linalg.norm(foot))
+    hip = np.linalg.norm(
+        [
+            rules.thigh.mass * rules.thigh.centre * THIGH,
+            rules.shank.mass * (THIGH + shank),
+            rules.foot.mass * np.hypot(foot[0], THIGH + SHANK),
+        ]
+    )
+    for name, per in (("LKneeMoment", knee), ("LHipMoment", hip)):
+        np.testing.assert_allclose(found[name][20:-20, 0], 2.0 * per, rtol=1e-6)
 
 
 def test_a_power_is_uncertain_by_its_moment_and_by_its_turning() -> None:

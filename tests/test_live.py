@@ -89,7 +89,7 @@ class Kept:
     def __init__(self) -> None:
         self.frames: list[LabelledFrame] = []
 
-    def send(self, frame: LabelledFrame) -> None:
+    def send(self, frame: LabelledFrame, cues: object) -> None:
         self.frames.append(frame)
 
     def close(self) -> None:
@@ -201,7 +201,7 @@ def test_a_labeller_that_is_too_slow_leaves_old_frames_out_and_tells() -> None:
 
 def test_an_output_or_a_source_that_fails_ends_nothing_else() -> None:
     class Full(Kept):
-        def send(self, frame: LabelledFrame) -> None:
+        def send(self, frame: LabelledFrame, cues: object) -> None:
             raise OSError("buffer full")
 
     class Broken(Given):

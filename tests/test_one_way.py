@@ -20,19 +20,21 @@ from asterism.cli import main
 from asterism.findings import Finding
 from asterism.labelling import MarkerModel, join_labellings, label_together, recording_labeller, virtual_model
 from asterism.labelling.correction import Ghost
+from asterism.labelling.correction.touches import Touch
 from asterism.labelling.recording_labeller import LabellingSettings, RecordingLabeller
 from asterism.labelling.stretches import StretchRules
 from asterism.labelling.whole.bodies import SeveralBodiesRules
 from asterism.labelling.whole.settings import ForeignRules, RecordingLabellingSettings
-from asterism.recording import Clouds, Floats, Labelling, Recording, check_labels, is_partly_labelled, keep_labels
+from asterism.recording import Clouds, Floats, Labelling, Recording, check_labels, filled_samples, is_partly_labelled, keep_labels
 from asterism.session import FileLabeller, LabelledFile, LabellingOptions, SetFinder, label_file
 from asterism.session.worn import find
-from asterism.simulation import simulate_standing
+from asterism.simulation import simulate_standing, simulate_walks
 
 pytest.importorskip("starlette")
 
 from asterism.web import CorrectionSession, SessionOptions
 from asterism.web.app import make_app
+from asterism.web.finishing import spans_of
 
 FRAMES = slice(0, 60)
 Rows = list[dict[str, Any]]
@@ -470,3 +472,50 @@ def test_files_and_folders_given_for_models_are_named(tmp_path: Path) -> None:
         label_file(tmp_path / "walk.c3d", [tmp_path / "gait.model"])  # type: ignore[list-item]
     with pytest.raises(AsterismError, match="is a folder"):
         MarkerModel.load(tmp_path)
+
+
+def test_all_doors_fill_the_same_gaps_alike(tmp_path: Path) -> None:
+    trials = simulate_walks(subjects=1, frames=150, markers="helen-hayes", trials=3, seed=3)
+    (tmp_path / "person").mkdir()
+    model().save(tmp_path / "gait.model")
+    files = [tmp_path / "person" / f"walk{number}.c3d" for number in range(3)]
+    for number, (file, trial) in enumerate(zip(files, trials, strict=True)):
+        positions = trial.positions.copy()
+        for marker in ("LKNE", "RTIB", "LTOE"):
+            positions[50 + 9 * number : 75 + 9 * number, trial.labels.index(marker)] = np.nan
+        unnamed = tuple(f"*{column + 1}" for column in range(positions.shape[1]))
+        formats.write(file, replace(trial, positions=positions, labels=unnamed))
+    out, page = tmp_path / "out", tmp_path / "page"
+    words = ["--model", str(tmp_path / "gait.model")]
+    assert main(["process", str(tmp_path / "person"), "-o", str(out), *words, "--fill", "auto"]) in (0, 1)
+    labelled = sorted((out / "labelled").rglob("*.c3d"))
+    assert len(labelled) == 3
+    alone, together = tmp_path / "alone", tmp_path / "together"
+    assert main(["convert", str(labelled[0]), str(tmp_path / "converted.c3d"), "--fill", "auto"]) in (0, 1)
+    assert main(["gait", str(labelled[0]), "--fill", "auto", "--c3d", str(alone)]) in (0, 1)
+    assert main(["gait", *map(str, labelled), "--fill", "auto", "--c3d", str(together)]) in (0, 1)
+    sitting = CorrectionSession(files, model(), SessionOptions((tmp_path / "gait.model",), output=page))
+    try:
+        sitting.start().join()
+        opened = sitting.trials[0]
+        shown = opened.gaps()
+        assert shown.trials == 2, "the page asks the other trials of the sitting"
+        spans = tuple(span for span, _ in spans_of(shown))
+        with opened.opened() as correction:
+            correction.touch(Touch("fill", filled=spans))
+        opened.save()
+    finally:
+        sitting.close()
+    [processed] = [path for path in (out / "gait").rglob("*.c3d") if path.name == files[0].name]
+    found = [tmp_path / "converted.c3d", processed, alone / files[0].name, together / files[0].name, page / files[0].name]
+    fills = [{(label, frame): place for label, frame, place in _filled_places(formats.read(path))} for path in found]
+    assert len(fills[0]) >= 60
+    for other in fills[1:]:
+        assert other.keys() == fills[0].keys()
+        np.testing.assert_allclose([other[key] for key in fills[0]], list(fills[0].values()), atol=2e-6)
+
+
+def _filled_places(recording: Recording) -> Iterator[tuple[str, int, Floats]]:
+    """Marker, frame and position of each filled sample."""
+    for frame, column in zip(*np.nonzero(np.isfinite(filled_samples(recording))), strict=True):
+        yield recording.labels[column], int(frame), recording.positions[frame, column]

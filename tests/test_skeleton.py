@@ -12,10 +12,10 @@ from asterism.errors import AsterismError
 from asterism.recording import Recording
 from asterism.skeleton import load_body, solve_kinematics, tree_of
 from asterism.skeleton._smooth_kernels import likelihood, smoothed_variances, smoothing_step
-from asterism.skeleton._tree_kernels import assemble, factorise, inverse_diagonal, pose_tree, solve_factored
+from asterism.skeleton._tree_kernels import assemble, factorise, inverse_diagonal, pose_tree, shared_variances, solve_factored
 from asterism.skeleton.inverse_kinematics import KinematicsRules, Solving
 from asterism.skeleton.osim_file import load_osim, simm_spline
-from asterism.skeleton.tree import Coordinate, Curve, KinematicTree, Motion, TreeBone, TreeMarker
+from asterism.skeleton.tree import Coordinate, Curve, JointMotion, KinematicTree, TreeBone, TreeMarker
 
 pytestmark = pytest.mark.kernels
 
@@ -30,10 +30,16 @@ def leg() -> KinematicTree:
     askew = Rotation.from_rotvec([0.2, -0.1, 0.3]).as_matrix()
     bones = (
         TreeBone("pelvis", "", np.zeros(3)),
-        TreeBone("thigh", "pelvis", np.array([0.0, 0.1, -0.1]), (Motion((0, -1, 0), "flexion"), Motion((1, 0, 0), "abduction")), askew),
-        TreeBone("kneecap", "thigh", np.array([0.05, 0.0, -0.4]), (Motion((0, 0, 1), "knee", True, slide), Motion((0, 1, 0), "knee"))),
-        TreeBone("shank", "thigh", np.array([0.0, 0.0, -0.4]), (Motion((1, 0, 0), "knee", True, slide), Motion((0, 1, 0), "knee"))),
-        TreeBone("foot", "shank", np.array([0.0, 0.0, -0.4]), (Motion((0, 0, 1), "", False, slide), Motion((0, -1, 0), "ankle"))),
+        TreeBone(
+            "thigh", "pelvis", np.array([0.0, 0.1, -0.1]), (JointMotion((0, -1, 0), "flexion"), JointMotion((1, 0, 0), "abduction")), askew
+        ),
+        TreeBone(
+            "kneecap", "thigh", np.array([0.05, 0.0, -0.4]), (JointMotion((0, 0, 1), "knee", True, slide), JointMotion((0, 1, 0), "knee"))
+        ),
+        TreeBone(
+            "shank", "thigh", np.array([0.0, 0.0, -0.4]), (JointMotion((1, 0, 0), "knee", True, slide), JointMotion((0, 1, 0), "knee"))
+        ),
+        TreeBone("foot", "shank", np.array([0.0, 0.0, -0.4]), (JointMotion((0, 0, 1), "", False, slide), JointMotion((0, -1, 0), "ankle"))),
     )
     coordinates = tuple(Coordinate(name, 0.1, 0.5, -0.3, 1.5) for name in ("flexion", "abduction", "knee", "ankle"))
     rng = np.random.default_rng(3)
@@ -95,6 +101,20 @@ def test_the_factor_of_the_branches_solves_and_inverts(leg) -> None:
     assert not factorise(leg.arrays, -lower, 0.0, factor), "a matrix that is not positive definite has no factor"
 
 
+def test_what_markers_of_a_bone_do_together_moves_the_numbers_as_a_shift_does(leg) -> None:
+    rng = np.random.default_rng(11)
+    q, turn, place = rng.uniform(0.0, 1.0, (1, 4)), np.eye(3)[None], np.zeros((1, 3))
+    points = twins.markers_of(leg, q[0], turn[0], place[0])[None]
+    points[0, 3] = np.nan
+    weights, shared, out = rng.uniform(1e3, 1e4, (1, 15)), rng.uniform(1e-5, 1e-4, 5), np.empty((1, 10))
+    shared_variances(leg.arrays, _solving(leg), points, weights, shared, q, turn, place, out)
+    lower = _equations(leg, q[0], turn[0], place[0], points[0], weights[0])[1]
+    slopes, there = twins.jacobian(leg, q[0], turn[0], place[0]).reshape(15, 3, 10), np.isfinite(points[0, :, 0])
+    pulls = (slopes * (weights[0] * there)[:, None, None]).reshape(5, 3, 3, 10).sum(axis=1)
+    answers = np.linalg.solve(np.tril(lower) + np.tril(lower, -1).T, pulls.reshape(15, 10).T).reshape(10, 5, 3)
+    assert np.allclose(out[0], (shared[:, None] * answers**2).sum(axis=(1, 2)), rtol=1e-4)
+
+
 def test_frames_are_smoothed_as_by_one_dense_matrix(leg) -> None:
     rng = np.random.default_rng(7)
     frames, blocks, entries = 12, [], []
@@ -106,7 +126,7 @@ def test_frames_are_smoothed_as_by_one_dense_matrix(leg) -> None:
         arrays = leg.arrays
         pairs = [(k, arrays.row_columns[p]) for k in range(10) for p in range(arrays.row_starts[k], arrays.row_starts[k + 1])]
         entries.append([*np.diag(lower), *(lower[k, j] for k, j in pairs)])
-    penalties, right, steps = rng.uniform(0.1, 1e4, 10), rng.normal(0, 1, (frames, 10)), np.empty((frames, 10))
+    penalties, right, steps = rng.uniform(0.1, 1e4, 10), rng.normal(0, 1e3, (frames, 10)), np.empty((frames, 10))
     values, basis = eigh(np.mean(blocks, axis=0), np.diag(penalties))
     smoothing_step(leg.arrays, np.array(entries), penalties, np.ascontiguousarray(basis), values, right, 1000, steps)
     expected = np.linalg.solve(twins.smoothing_matrix(np.array(blocks), penalties), right.ravel()).reshape(frames, 10)

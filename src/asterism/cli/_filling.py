@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -35,8 +34,6 @@ Filter = Annotated[
 ]
 _AUTO = 0.010
 """m. Soft tissue moves markers by as much. Of 130 gaps of 1 s in walks of `movement` 83 % are filled, at half 62 %, at double 95 %."""
-_TRIALS = 12
-"""Files of a folder that are asked whether they show the same person: a folder of a study would take minutes."""
 
 
 def fill_limit(fill: str) -> float | None:
@@ -53,14 +50,16 @@ def fill_limit(fill: str) -> float | None:
 
 
 def filled(recording: Recording, limit: float, trials: Sequence[Path], vertical: str | None = None) -> Filled:
-    """The recording with its gaps filled, also from those of the first 12 trials that show the same person; others do not count.
+    """The recording with its gaps filled, also from those of the trials (`session.trials_of`) that show the same person.
 
     Nothing is read where a recording has no gap. Raises AsterismError where no marker has a name.
     """
     from asterism import __version__
+    from asterism.cli._options import vertical_axis
     from asterism.motion.gaps import fill_gaps
+    from asterism.session import read_trials
 
-    others = [] if recording.visible.all() else [one for path in trials[:_TRIALS] if (one := _trial(path, vertical)) is not None]
+    others = read_trials(recording, trials, vertical_axis(vertical))
     with _console.progress("filling gaps") as progress:
         return fill_gaps(recording, limit=limit, others=others, by=f"asterism {__version__}", progress=progress)
 
@@ -92,31 +91,6 @@ def filter_values(effect: FilteredRecording) -> dict[str, Any]:
         for one in effect.effects
     ]
     return {"filter": str(effect.choice), "markers": markers}
-
-
-def _trial(path: Path, vertical: str | None) -> Recording | None:
-    """A trial, kept for the next recording of the person until it is changed; None where it cannot be read."""
-    try:
-        return _read(path, path.stat().st_mtime_ns, vertical)
-    except (AsterismError, OSError):
-        return None
-
-
-@lru_cache(maxsize=_TRIALS + 1)
-def _read(path: Path, changed: int, vertical: str | None) -> Recording:
-    from asterism import formats
-    from asterism.cli._options import vertical_axis
-
-    return formats.read(path, vertical=vertical_axis(vertical))
-
-
-def trials_beside(path: Path) -> list[Path]:
-    """The recordings of the same format in the folder of a file, the nearest by name first, at most 12."""
-    beside = sorted(one for one in path.parent.iterdir() if one.suffix.lower() == path.suffix.lower() and one.is_file())
-    names = [one.name for one in beside]
-    place = names.index(path.name) if path.name in names else 0
-    beside = [one for one in sorted(beside, key=lambda one: abs(names.index(one.name) - place)) if not one.samefile(path)]
-    return beside[:_TRIALS]
 
 
 def filled_text(fill: Filled) -> str:

@@ -20,7 +20,6 @@ from asterism.cli._filling import (
     filled_text,
     filter_choice,
     filter_values,
-    trials_beside,
 )
 from asterism.cli._options import (
     ForProgram,
@@ -165,11 +164,12 @@ def _convert_skeleton(options: ConvertOptions, axis: Any) -> tuple[list[Finding]
 
 def _trials(options: ConvertOptions) -> list[Path]:
     """The other recordings that --trials names, without the one that is written. Raises AsterismError where one is not there."""
+    from asterism.session import trials_of
+
     if options.trials == ["none"]:
         return []
     if options.trials == ["auto"]:
-        beside = trials_beside(options.source)
-        return [path for path in beside if not (options.target.exists() and path.samefile(options.target))]
+        return trials_of(options.source, without=[options.target])
     missing = [name for name in options.trials if not Path(name).is_file()]
     if missing:
         raise AsterismError(f"--trials {missing[0]}: there is no such file; give auto, none, or recordings of the same person.")

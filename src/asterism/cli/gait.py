@@ -117,8 +117,8 @@ def gait(options: GaitOptions) -> None:
     file, of --static and of --measure. Several walks of one person go into one report. A foot
     that is alone on a force plate gives moments and powers of its joints, per kg of the body's mass. --c3d writes all of it into copies of
     the walks.
-    --fill fills gaps of markers first, with what the other files of the same person show; events and angles that depend on filled samples
-    are as much less certain, and flagged. --filter smooths markers; by default nothing is filtered, because angles and events need it not.
+    --fill fills gaps of markers first, with what other files of the person show, named or beside; events and angles that depend on filled
+    samples are as much less certain, and flagged. --filter smooths markers; by default nothing is filtered: angles and events need it not.
     --compare sets a second session of the person beside the first, before and after a treatment.
     """
     from asterism.cli._folders import copies_of, trials
@@ -188,6 +188,7 @@ def analysed(
     from asterism.gait import analyse_gait, muscles_by_channel, named_channels, write_gait_c3d
     from asterism.motion.clinical import StaticRules
     from asterism.motion.clinical.gathered import other_person
+    from asterism.session import trials_of
 
     limit, choice = fill_limit(options.fill), filter_choice(options.filter)
     static = None if options.static is None else _read(options.static, options, batch)
@@ -202,7 +203,7 @@ def analysed(
             recording = _read(path, options, batch)
             plates, found = force_plates(recording)
             if limit is not None:
-                fill = filled(recording, limit, [one for one in trials if one != path], options.vertical)
+                fill = filled(recording, limit, trials_of(path, trials), options.vertical)
                 recording, found = fill.recording, (*found, *fill.findings)
                 if options.json != "-" and (fill.gaps or fill.findings):
                     _console.result(f"{path}: {filled_text(fill)}.")
@@ -395,11 +396,13 @@ def show(path: Path, analysis: GaitAnalysis) -> None:
             )
     where = "treadmill" if analysis.walking.treadmill else "floor"
     sides = [sum(cycle.side == side for cycle in analysis.cycles) for side in "LR"]
+    turning = sum(cycle.turns for cycle in analysis.cycles)
+    turns = f" ({turning} of turns{', in no mean' if turning < sum(sides) else ''})" if turning else ""
     plates = sum(event.source.startswith("plate") for event in analysis.walking.events)
     model = None if analysis.clinical is None else analysis.clinical.model
     angles = "no angles" if model is None else f"angles by {model.title(analysis.recording)}, hip centres by {model.hip}"
     _console.result(
-        f"{path}: {sides[0]} left and {sides[1]} right cycles, on a {where}; {len(analysis.walking.events)} events, "
+        f"{path}: {sides[0]} left and {sides[1]} right cycles{turns}, on a {where}; {len(analysis.walking.events)} events, "
         f"{plates} of them by force plates; {last_filter(analysis.recording)}; {angles}."
     )
     if rows:
@@ -421,7 +424,13 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
         "treadmill": analysis.walking.treadmill,
         "events": [dataclasses.asdict(event) for event in analysis.walking.events],
         "cycles": [
-            {"side": cycle.side, "strike": cycle.strike.time, "off": cycle.off.time, "next_strike": cycle.next_strike.time}
+            {
+                "side": cycle.side,
+                "strike": cycle.strike.time,
+                "off": cycle.off.time,
+                "next_strike": cycle.next_strike.time,
+                "turns": cycle.turns,
+            }
             for cycle in analysis.cycles
         ],
         "midstances": [dataclasses.asdict(event) for event in midstances(analysis.walking)],
@@ -440,6 +449,7 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
             name: {
                 "low": np.round(np.degrees(band.low), 3),
                 "high": np.round(np.degrees(band.high), 3),
+                "same_placement": dict(zip(("low", "high"), np.round(np.degrees(band.same_placement), 3), strict=True)),
                 "standard": {source: np.round(np.degrees(part), 3) for source, part in band.standard.items()},
             }
             for name, band in analysis.bands.items()

@@ -28,7 +28,9 @@ class LiveOptions:
 
     source: Annotated[
         str | None,
-        typer.Argument(metavar="[SOURCE]", help="Where frames come from: udp://HOST:PORT for frames as JSON.", show_default=False),
+        typer.Argument(
+            metavar="[SOURCE]", help="Where frames come from: natnet://HOST for Motive, udp://HOST:PORT for JSON.", show_default=False
+        ),
     ] = None
     replay: Annotated[
         Path | None, typer.Option("--replay", metavar="FILE", help="Play a recording instead, at its own rate.", show_default=False)
@@ -53,6 +55,13 @@ class LiveOptions:
         list[str],
         typer.Option("--to", metavar="ADDRESS", help="Pass labelled frames on: udp://HOST:PORT, as JSON. Several times."),
     ] = field(default_factory=list)
+    feedback: Annotated[
+        Path | None,
+        typer.Option("--feedback", metavar="FILE", help="Rules in TOML: what the person is told, and when.", show_default=False),
+    ] = None
+    page: Annotated[bool, typer.Option("--page", help="Show the body and the counts in a browser, with sounds.")] = False
+    host: Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Where the page is served; this machine only.")] = "127.0.0.1"
+    port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="Its port; 0 for a free one.")] = 0
     lines: Annotated[bool, typer.Option("--lines", help="Print each labelled frame as a line of JSON.")] = False
     output: Annotated[
         Path | None,
@@ -136,21 +145,21 @@ def _source(options: LiveOptions) -> LiveSource:
 
 
 def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
+    from asterism.cli._options import vertical_axis
     from asterism.labelling.marker_model import MarkerModel
-    from asterism.live import LiveSession, ToDatagrams, ToLines, host_port, make_labeller
+    from asterism.live import Feedback, LiveSession, ToDatagrams, ToLines, host_port, load_feedback, make_labeller
     from asterism.recording import as_vertical
 
     model = None if options.model is None else MarkerModel.load(options.model)
-    make = make_labeller(model, options.markers, options.delay)
-    if options.vertical is not None:
-        from asterism.cli._options import vertical_axis
-
-        up, of_axes = as_vertical(vertical_axis(options.vertical) or "z"), make
-        make = lambda rate, _: of_axes(rate, up)  # noqa: E731 -- the axis that was given counts
+    given = vertical_axis(options.vertical)
+    up = source.about.vertical if given is None else as_vertical(given)
+    rules = None if options.feedback is None else Feedback(load_feedback(options.feedback), as_vertical("z") if up is None else up)
     outputs: list[LiveOutput] = [ToDatagrams(host_port(address, "udp://127.0.0.1:5001")) for address in options.to]
     if options.lines:
         outputs.append(ToLines())
-    return LiveSession(source, make, outputs, options.delay, waits=options.replay is not None)
+    make = make_labeller(model, options.markers, options.delay)
+    # A file can wait until its frames are labelled.
+    return LiveSession(source, make, outputs, options.delay, waits=options.replay is not None, feedback=rules, vertical=up)
 
 
 def _run(session: LiveSession, options: LiveOptions) -> Health:
@@ -162,7 +171,14 @@ def _run(session: LiveSession, options: LiveOptions) -> Health:
         timer = threading.Timer(options.seconds, session.stop)
         timer.daemon = True
         timer.start()
-    told = threading.Event()
+    told, stop_page = threading.Event(), None
+    if options.page:
+        from asterism.web.live_page import ToPage, serve_live
+        from asterism.web.serving import PageAddress
+
+        page = ToPage()
+        session.outputs = [*session.outputs, page]
+        stop_page = serve_live(session, page, PageAddress(options.host, options.port), _console.notice)
     if sys.stderr.isatty():
         threading.Thread(target=_tell, args=(session, told), daemon=True).start()
     try:
@@ -172,6 +188,8 @@ def _run(session: LiveSession, options: LiveOptions) -> Health:
         return session.health()
     finally:
         told.set()
+        if stop_page is not None:
+            stop_page()
         if timer is not None:
             timer.cancel()
 

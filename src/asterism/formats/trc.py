@@ -151,7 +151,9 @@ def write_trc(path: Path, recording: Recording) -> list[str]:
         "",
     ]
     body = spelled_numbers(dense_rows(values, decimals), "\t", decimals)
-    rows = ["\t".join(filter(None, (str(first + t), f"{times[t]:.6f}", row))) for t, row in enumerate(body)]
+    # OpenSim does not count a last cell that is blank, unless a tab ends it
+    ended = (row + "\t" if row.endswith("\t") else row for row in body)
+    rows = ["\t".join(filter(None, (str(first + t), f"{times[t]:.6f}", row))) for t, row in enumerate(ended)]
     write_atomically(path, utf8("\n".join([*head, *rows]) + "\n"))
     if recording.vertical[1] < 0.99:
         omitted.append("the vertical: TRC readers take Y as up or determine it from the data")

@@ -1,9 +1,9 @@
 """Labelled markers, and forces where plates are, in; gait events, cycles and parameters out."""
 
-from asterism.gait.analysis import GaitAnalysis, analyse_gait
+from asterism.gait.analysis import GaitAnalysis, analyse_gait, analyses_without_turns
 from asterism.gait.bands import Band, ProfileScore, band_of, profile_scores
 from asterism.gait.comparison import ParameterChange, compare_sessions
-from asterism.gait.cycles import POINTS, Cycle, cycles_of, midstances, over_cycle
+from asterism.gait.cycles import POINTS, Cycle, cycles_of, midstances, over_cycle, without_turns
 from asterism.gait.emg import EmgChannel, EmgRules, emg_of, envelope, muscles_by_channel, named_channels
 from asterism.gait.events import EventRules, GaitEvent, Walking, find_events, plate_contacts
 from asterism.gait.feet import Feet, feet_of
@@ -31,6 +31,7 @@ __all__ = [
     "Symmetry",
     "Walking",
     "analyse_gait",
+    "analyses_without_turns",
     "analysis_values",
     "angle_bands",
     "band_of",
@@ -51,5 +52,6 @@ __all__ = [
     "profile_scores",
     "summarise",
     "symmetries",
+    "without_turns",
     "write_gait_c3d",
 ]

@@ -10,7 +10,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle, turning_cycles
+from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
 from asterism.gait.emg import EmgChannel, emg_of
 from asterism.gait.events import Walking, find_events, plate_contacts
 from asterism.gait.fills import angles_with_fills, drawn_fills, events_with_fills
@@ -73,8 +73,37 @@ class GaitAnalysis:
 
     @cached_property
     def bands(self) -> Mapping[str, AngleBand]:
-        """95 % bands of the angles, see `angle_bands`; computed when they are first asked for."""
-        return angle_bands(self)
+        """95 % bands of the angles, see `angle_bands`, of the cycles that count; computed when they are first asked for."""
+        return angle_bands(analyses_without_turns([self])[0])
+
+    @cached_property
+    def straight(self) -> GaitAnalysis:
+        """The same with the cycles alone in which the person does not turn."""
+        if not any(cycle.turns for cycle in self.cycles):
+            return self
+        kept = {side: np.array([not cycle.turns for cycle in self.cycles if cycle.side == side], dtype=bool) for side in "LR"}
+
+        def some(curves: Mapping[str, Floats]) -> dict[str, Floats]:
+            return {name: values[kept[name[0]]] for name, values in curves.items() if kept[name[0]].any()}
+
+        steps = {name: [not cycle.turns for cycle in cycles] for name, cycles in self.loaded.items()}
+        return replace(
+            self,
+            cycles=tuple(cycle for cycle in self.cycles if not cycle.turns),
+            parameters=tuple(one for one in self.parameters if not one.turns),
+            curves=some(self.curves),
+            fill_sigmas=some(self.fill_sigmas),
+            loads={name: values[np.array(steps[name])] for name, values in self.loads.items() if any(steps[name])},
+            loaded={name: tuple(one for one in cycles if not one.turns) for name, cycles in self.loaded.items() if any(steps[name])},
+            emg=tuple(replace(channel, cycles=some(channel.cycles)) for channel in self.emg),
+        )
+
+
+def analyses_without_turns(analyses: Sequence[GaitAnalysis]) -> list[GaitAnalysis]:
+    """Walks that go into one mean, each with the cycles that count in it (`without_turns`)."""
+    if not any(not cycle.turns for one in analyses for cycle in one.cycles):
+        return list(analyses)
+    return [one.straight for one in analyses]
 
 
 def analyse_gait(
@@ -123,15 +152,21 @@ def analyse_gait(
                 "Record more steps, or give a longer part of the recording.",
             )
         )
-    if turning := turning_cycles(walking, cycles):
+    if turning := [cycle for cycle in cycles if cycle.turns]:
+        some = len(turning) < len(cycles)
         found.append(
             Finding(
                 "gait-turning",
                 Severity.NOTE,
                 file,
                 f"{file}: in {len(turning)} of {len(cycles)} cycles the person turns: pelvic rotation, foot progression, and the "
-                "width and length of steps are not those of a walk straight ahead, nor are means in which these cycles take part.",
-                "Leave the recording out of a report on walking straight ahead.",
+                "width and length of steps are not those of a walk straight ahead. "
+                + (
+                    "These cycles are shown, and are in no mean or score."
+                    if some
+                    else "No other cycle is there: means and scores are of turns."
+                ),
+                "Nothing, where the others are enough." if some else "Leave the recording out of a report on walking straight ahead.",
             )
         )
     clinical = None

@@ -11,7 +11,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.files.atomic import utf8, write_atomically
-from asterism.gait.analysis import GaitAnalysis
+from asterism.gait.analysis import GaitAnalysis, analyses_without_turns
 from asterism.gait.cycles import POINTS
 from asterism.recording import Floats
 
@@ -83,10 +83,12 @@ class Band:
 
 
 def band_of(analyses: Sequence[GaitAnalysis], people: Sequence[str]) -> Band:
-    """The band of analysed walks; `people` names whose each is. Each person counts once, whatever the number of cycles.
+    """The band of analysed walks; `people` names whose each is. Each person counts once, whatever the number of cycles, and
+    turns not at all where somebody goes straight.
 
     Raises AsterismError where no walk has angles over a whole cycle, and for fewer than two people.
     """
+    analyses = analyses_without_turns(analyses)
     band, walks = _band(analyses, people), list(zip(analyses, people, strict=True))
     scores = []
     for person in sorted(set(people)) if band.people > 2 else ():
@@ -147,7 +149,7 @@ class ProfileScore:
 
 
 def profile_scores(analyses: Sequence[GaitAnalysis], band: Band) -> list[ProfileScore]:
-    """The scores of each side of which all nine angles are known, over all cycles of the walks.
+    """The scores of each side of which all nine angles are known, over the cycles of the walks that count (`without_turns`).
 
     >>> from asterism.gait import analyse_gait
     >>> from asterism.simulation import simulate_walks
@@ -156,7 +158,7 @@ def profile_scores(analyses: Sequence[GaitAnalysis], band: Band) -> list[Profile
     >>> [score.side for score in scores], bool(0 < scores[0].gps < 0.5)
     (['L', 'R'], True)
     """
-    scores = []
+    scores, analyses = [], analyses_without_turns(analyses)
     for side in ("L", "R"):
         variables = {}
         for quantity, which, title in SCORED:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from asterism.errors import AsterismError
+from asterism.errors import NoGait
 from asterism.geometry import rotate_z_up
 from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
 from asterism.motion.filters import zero_lag_butterworth
-from asterism.recording import Floats, Recording
+from asterism.recording import Floats, Recording, plain_name
 from asterism.recording.display import significant
 
 SIDES = ("L", "R")
@@ -66,10 +66,10 @@ class Feet:
 def feet_of(recording: Recording) -> Feet:
     """The feet of a recording. Gaps are bridged; frames before the first sample of a marker repeat it. O(T).
 
-    Raises AsterismError where no foot has a heel and a toe marker, or no marker of the pelvis is there.
+    Raises NoGait where no foot has a heel and a toe marker, or no marker of the pelvis is there.
     """
     positions = rotate_z_up(recording.positions, recording.vertical)
-    names = [label.rpartition(":")[2].upper().replace(".", "").replace("_", "") for label in recording.labels]
+    names = [plain_name(label).upper() for label in recording.labels]
     # other spellings of the shipped sets
     other = [label.upper() for label in with_plug_in_gait_names(recording).labels]
     names = [
@@ -95,17 +95,17 @@ def feet_of(recording: Recording) -> Feet:
     hips = [found for name in PELVIS if (found := curve(name)) is not None]
     file = recording.metadata.get("file", "the recording")
     if hidden and not (feet and hips):
-        raise AsterismError(
+        raise NoGait(
             f"{file} shows {', '.join(dict.fromkeys(hidden))} in ten frames or fewer; gait events need a longer recording of them."
         )
     if not feet:
-        raise AsterismError(f"{file} has no foot with a heel and a toe marker (such as LHEE and LTOE); gait events need them.")
+        raise NoGait(f"{file} has no foot with a heel and a toe marker (such as LHEE and LTOE); gait events need them.")
     if not hips:
-        raise AsterismError(f"{file} has no marker of the pelvis ({', '.join(PELVIS[:5])}); gait events need one.")
+        raise NoGait(f"{file} has no marker of the pelvis ({', '.join(PELVIS[:5])}); gait events need one.")
     times = np.arange(0.0, (len(recording) - 1) / recording.rate + 1e-9, 1.0 / RATE)
     # a speed needs a sample on either side
     if len(times) < 3:
-        raise AsterismError(f"{file} lasts {significant(len(recording) / recording.rate, 3)} s by its rate; gait events need steps.")
+        raise NoGait(f"{file} lasts {significant(len(recording) / recording.rate, 3)} s by its rate; gait events need steps.")
     parts = _smooth([part for pair in feet.values() for part in pair], recording.rate, times, CUT_OFF)
     smooth = dict(zip(feet, zip(parts[::2], parts[1::2], strict=True), strict=True))
     middle = np.nansum(hips, axis=0) / np.maximum(np.isfinite(hips).sum(axis=0), 1)

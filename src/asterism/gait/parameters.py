@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asterism.gait.cycles import Cycle
+from asterism.gait.cycles import Cycle, without_turns
 from asterism.gait.events import GaitEvent, Walking
 from asterism.gait.feet import RATE, Feet
 from asterism.recording import Floats
@@ -40,6 +40,7 @@ class Parameter:
     """One value of one cycle of the side "L" or "R", with its standard uncertainty in the same unit.
 
     begins, ends  s from the first frame, the cycle's strikes: the frames that the value comes from
+    turns         whether the person turns in the cycle
     """
 
     name: str
@@ -48,6 +49,7 @@ class Parameter:
     sigma: float
     begins: float
     ends: float
+    turns: bool = False
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ def _of_cycle(walking: Walking, cycle: Cycle) -> list[Parameter]:
 
     def add(name: str, value: float, sigma: float) -> None:
         if np.isfinite(value):
-            found.append(Parameter(name, cycle.side, float(value), float(sigma), cycle.strike.time, cycle.next_strike.time))
+            found.append(Parameter(name, cycle.side, float(value), float(sigma), cycle.strike.time, cycle.next_strike.time, cycle.turns))
 
     duration, spread = cycle.duration, _hypot(cycle.strike, cycle.next_strike)
     belt, belt_sigma = _belt(walking, cycle)
@@ -161,8 +163,11 @@ def _belt(walking: Walking, cycle: Cycle) -> tuple[Floats, float]:
 
 
 def summarise(parameters: Sequence[Parameter]) -> list[ParameterSummary]:
-    """Mean and standard deviation of each parameter and side, in the order of `PARAMETERS`, left before right."""
-    found = []
+    """Mean and standard deviation of each parameter and side, in the order of `PARAMETERS`, left before right.
+
+    Cycles of turns take no part where there are others (`without_turns`).
+    """
+    found, parameters = [], without_turns(parameters)
     for name in PARAMETERS:
         for side in ("L", "R"):
             own = [one for one in parameters if (one.name, one.side) == (name, side)]

@@ -12,15 +12,12 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.live.frames import MOST_POINTS, LiveFrame, SourceAbout
+from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
 
 LARGEST = 65_507
 """Bytes of the largest UDP datagram."""
 _METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _LARGEST_NUMBER = 2**53
-_FARTHEST = 1000.0
-"""m from the origin beyond which a coordinate is no laboratory's, but a damaged number. Half and double do as well: halls are smaller, and
-what is meant is what overflows when it is squared."""
 
 
 def frame_as_json(frame: LiveFrame) -> bytes:
@@ -50,7 +47,7 @@ def frame_of_json(data: bytes, arrived: float) -> LiveFrame | None:
             return None
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
         return None
-    there = np.nonzero((np.abs(scale * points) < _FARTHEST).all(axis=1))[0]
+    there = np.nonzero((np.abs(scale * points) < FARTHEST).all(axis=1))[0]
     kept = tuple(names[row] for row in there.tolist()) if names else ()
     return LiveFrame(number, at, arrived, scale * points[there], kept)
 

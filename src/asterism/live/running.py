@@ -14,7 +14,9 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.live.chain import LabelChain, LabelledFrame, MakeLabeller
 from asterism.live.clock import FrameCount, SourceClock
+from asterism.live.feedback import Cue, Feedback
 from asterism.live.frames import LiveFrame, LiveSource, SourceEnded
+from asterism.recording import Floats
 
 _QUEUE = 0.1
 """s of frames that wait for their labels at most. A walking body is found again after it. Half of it drops frames at each pause of the
@@ -32,8 +34,8 @@ _LATENCIES = 4096
 class LiveOutput(Protocol):
     """Where labelled frames go; must not wait, since the next frame does."""
 
-    def send(self, frame: LabelledFrame) -> None:
-        """Pass a frame on. Raises OSError where that fails; the frame is then counted as not sent."""
+    def send(self, frame: LabelledFrame, cues: Sequence[Cue]) -> None:
+        """Pass a frame on, and what the rules of feedback say of it. Raises OSError where that fails; it is then counted as not sent."""
 
     def close(self) -> None:
         """Finish."""
@@ -96,6 +98,8 @@ class LiveSession:
     outputs     get each labelled frame, in the order of the frames
     delay       frames that the labels wait for
     keeper      records all frames, those too that are not labelled since newer ones waited
+    feedback    what the person is told
+    vertical    (3,) what points up; None for what the source says
     waits       whether the source waits until there is room for its next frame: a file can, a camera cannot
 
     Where frames come faster than they are labelled, the oldest that waits is dropped and counted: what is shown is never old.
@@ -108,6 +112,8 @@ class LiveSession:
     delay: int = 0
     keeper: Keeper | None = None
     waits: bool = False
+    feedback: Feedback | None = None
+    vertical: Floats | None = None
     _queue: deque[LiveFrame] = field(default_factory=deque)
     _there: threading.Condition = field(default_factory=threading.Condition)
     _ended: bool = False
@@ -142,6 +148,16 @@ class LiveSession:
             self._ended = True
             self._queue.clear()
             self._there.notify_all()
+
+    @property
+    def up(self) -> Floats | None:
+        """(3,) what points up; None where nobody says so."""
+        return self.source.about.vertical if self.vertical is None else self.vertical
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether no frame comes any more."""
+        return self._ended
 
     def health(self) -> Health:
         """What was counted so far."""
@@ -197,7 +213,7 @@ class LiveSession:
             self._there.notify_all()
 
     def _chain(self) -> LabelChain:
-        return LabelChain(self.make(self._rate, self.source.about.vertical), self._rate, self.delay)
+        return LabelChain(self.make(self._rate, self.up), self._rate, self.delay)
 
     def _label(self, chain: LabelChain | None) -> None:
         """Label frames until there are no more. chain: None where the rate is to be found first."""
@@ -242,8 +258,9 @@ class LiveSession:
         self._latencies.append(found.done - found.frame.arrived)
         if self.keeper is not None:
             self.keeper.labelled(found)
+        cues = () if self.feedback is None else self.feedback.judge(found)
         for output in self.outputs:
             try:
-                output.send(found)
+                output.send(found, cues)
             except OSError:
                 self._health.unsent += 1

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from urllib.parse import urlsplit
+from urllib.parse import parse_qsl, urlsplit
 
 from asterism.errors import AsterismError
 from asterism.live.datagrams import HostPort, JsonDatagrams
 from asterism.live.frames import LiveSource
+from asterism.live.natnet import COMMANDS, NatNet
 
-ADDRESSES = {
-    "udp": "udp://HOST:PORT  frames as JSON, one a datagram; 0.0.0.0 for the whole network, 127.0.0.1 for this machine",
-}
-"""What can be a source, by the first word of its address."""
+ADDRESSES = ("udp", "natnet")
+"""What can be a source, by the first word of its address: frames as JSON, one a datagram; OptiTrack Motive."""
 
 
-def host_port(address: str, example: str) -> HostPort:
-    """The host and the port of an address. Raises AsterismError where it has none; example: of one, for that sentence."""
+def host_port(address: str, example: str, port_else: int | None = None) -> HostPort:
+    """The host and the port of an address, `port_else` where it has no port. Raises AsterismError where it has none; example: of one."""
     try:
         parts = urlsplit(address)
-        host, port = parts.hostname, parts.port
+        host, port = parts.hostname, port_else if parts.port is None else parts.port
     except ValueError:
         host, port = None, None
     if not host or port is None:
@@ -34,6 +33,12 @@ def open_source(address: str, rate: float = float("nan")) -> LiveSource:
     """
     scheme = address.partition("://")[0].lower()
     if scheme not in ADDRESSES:
-        known = ", ".join(ADDRESSES)
-        raise AsterismError(f"{address} is no source: its address begins with {known}://, and a recording is played with --replay FILE.")
+        known = " or ".join(ADDRESSES)
+        raise AsterismError(
+            f"{address} is no source: an address begins with {known} and ://, and a recording is played with --replay FILE."
+        )
+    if scheme == "natnet":
+        parts = urlsplit(address)
+        local = dict(parse_qsl(parts.query)).get("local", "")
+        return NatNet(host_port(address, "natnet://192.168.1.5", COMMANDS), local, rate)
     return JsonDatagrams(host_port(address, "udp://127.0.0.1:5000"), rate)

@@ -28,11 +28,15 @@ page of ten such walks is twice as large."""
 
 @dataclass(frozen=True)
 class CycleCurve:
-    """One cycle's curve (101,), its name ("walk 2, cycle 1"), and where the player shows it: recording, its first and last frame."""
+    """One cycle's curve (101,), its name ("walk 2, cycle 1"), and where the player shows it: recording, its first and last frame.
+
+    counts  whether it is in the mean; it is drawn paler where not
+    """
 
     values: Floats
     name: str = ""
     place: tuple[int, int, int] | None = None
+    counts: bool = True
 
 
 @dataclass(frozen=True)
@@ -54,10 +58,11 @@ class CurvesOfSide:
 
     @cached_property
     def mean(self) -> Floats:
-        """(101,) over the cycles in which the curve is known; NaN where none knows it."""
+        """(101,) over the cycles that count and in which the curve is known; NaN where none is."""
         curves = np.stack([one.values for one in self.cycles])
-        known = np.isfinite(curves)
-        return np.where(known.any(axis=0), np.nansum(curves, axis=0) / np.maximum(known.sum(axis=0), 1), np.nan)
+        known = np.isfinite(curves) & np.array([one.counts for one in self.cycles])[:, None]
+        curves = np.where(known, curves, 0.0)
+        return np.where(known.any(axis=0), curves.sum(axis=0) / np.maximum(known.sum(axis=0), 1), np.nan)
 
 
 @dataclass(frozen=True)
@@ -96,6 +101,8 @@ def _legend(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None, inte
                 keys.append((f'<path d="M0 6h26" {look}{dash}/>', name))
     thin = f"single cycles, {_MOST} of them at most" if any(len(one.cycles) > _MOST for one in shown) else "each cycle"
     keys.append(('<path d="M0 6h26" stroke="#5b6780" stroke-width="0.8" opacity="0.6"/>', thin))
+    if not all(cycle.counts for one in shown for cycle in one.cycles):
+        keys.append(('<path d="M0 6h26" stroke="#5b6780" stroke-width="0.8" opacity="0.4"/>', "a cycle of a turn, in no mean"))
     if any(panel.control for panel in panels):
         keys.append(('<rect width="26" height="12" fill="#64748b" opacity="0.25"/>', "controls, mean ± 1 SD"))
     if any(one.interval for one in shown):
@@ -132,8 +139,10 @@ def _panel(panel: CyclePanel) -> str:
         shown = one.cycles[:: -(-len(one.cycles) // _MOST)]
         parts.append(f'<g opacity="{min(1.0, _FEW / len(shown)):.2f}">')
         for cycle in shown:
+            turn = "" if cycle.counts else " turn"
             go = "" if cycle.place is None else ' data-go="{}:{}:{}"'.format(*cycle.place)
-            parts.append(f'<path class="cycle {one.side}{age}" d="{scale.path(cycle.values)}" data-name="{escape(cycle.name)}"{go}/>')
+            line = scale.path(scale.within(cycle.values))
+            parts.append(f'<path class="cycle {one.side}{age}{turn}" d="{line}" data-name="{escape(cycle.name)}"{go}/>')
         parts.append("</g>")
     for one in sides:
         parts.append(f'<path class="mean {one.side}{" earlier" if one.earlier else ""}" d="{scale.path(one.mean)}"/>')
@@ -147,7 +156,9 @@ def _panel(panel: CyclePanel) -> str:
 
 def _axis(panel: CyclePanel) -> tuple[float, float, Floats]:
     """The lowest and the highest value that fit, and three to six round ones between them."""
-    curves = [values for one in panel.sides for cycle in one.cycles for values in (cycle.values, *(one.interval or ()))]
+    # A turn by a right angle would leave no room for the rest.
+    counted = [(one, cycle) for one in panel.sides for cycle in one.cycles if cycle.counts]
+    curves = [values for one, cycle in counted for values in (cycle.values, *(one.interval or ()))]
     every = np.concatenate([np.zeros(0), *curves, *(panel.control or ())])
     every = every[np.isfinite(every)]
     low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 1.0)
@@ -166,6 +177,11 @@ class _Scale:
 
     def y(self, values: Floats) -> Floats:
         return _BOTTOM - (_BOTTOM - _TOP) * (np.asarray(values, dtype=np.float64) - self.low) / (self.high - self.low)
+
+    def within(self, values: Floats) -> Floats:
+        """The values that are in the picture, NaN elsewhere."""
+        with np.errstate(invalid="ignore"):
+            return np.where((values >= self.low) & (values <= self.high), values, np.nan)
 
     def path(self, values: Floats) -> str:
         """A line from 0 to 100 %, broken where the values are."""

@@ -67,6 +67,9 @@ def gait_report(
     recordings = sum(len(one.results) for one in both)
     where = "on a treadmill" if all(analysis.walking.treadmill for one in both for analysis in one.analyses) else "over the floor"
     lead = f"{sum(len(one.cycles) for one in both)} gait cycles in {counted(recordings, 'recording')}, {where}."
+    if turns := sum(shown.cycle.turns for one in both for shown in one.cycles):
+        lead += f" In {turns} of them the person turns: "
+        lead += "means are of turns." if any(one.all_turn for one in both) else "these are drawn pale and are in no mean."
     lead += f" Two sessions: {first.name} and {second.name}." if second is not None else ""
     lead += " Left is red and drawn through, right is blue and dashed."
     names = ", ".join(name for one in both for name, _ in one.results)
@@ -84,7 +87,7 @@ def _merits(sessions: Sequence[GaitSession], band: Band | None) -> list[tuple[st
         return lambda session: decimal(float(np.mean([*session.values(name)] or [np.nan])), digits)
 
     def cycles(session: GaitSession) -> str:
-        return " | ".join(str(sum(one.cycle.side == side for one in session.cycles)) for side in "LR")
+        return " | ".join(str(sum(one.cycle.side == side and session.counts(one.cycle) for one in session.cycles)) for side in "LR")
 
     def gps(side: str) -> Callable[[GaitSession], str]:
         def score(session: GaitSession) -> str:

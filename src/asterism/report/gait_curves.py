@@ -10,7 +10,7 @@ import numpy as np
 
 from asterism.recording import Floats
 from asterism.report.cycle_panels import CurvesOfSide, CycleCurve, CyclePanel, drawn_panels
-from asterism.report.gait_session import SIDE, GaitSession
+from asterism.report.gait_session import SIDE, GaitSession, ShownCycle
 from asterism.report.page import Cell, Section, Table
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def angle_section(sessions: Sequence[GaitSession], band: Band | None) -> list[Se
             "where nobody did. It is no spread of the cycles."
         )
     names = session_names(sessions)
-    sections = [Section("Angles over the gait cycle", text, drawing=drawn_panels(panels, names))]
+    sections = [Section("Angles over the gait cycle", text, drawing=drawn_panels(panels, names)), *_certainty(sessions[-1])]
     if names is not None and (rows := _differences(panels)):
         said = (
             f"Of the mean curves, {names[1]} less {names[0]}. The interval holds 95 % of the differences that two sessions would show of "
@@ -92,6 +92,42 @@ def angle_section(sessions: Sequence[GaitSession], band: Band | None) -> list[Se
         head = ["angle", "side", "mean difference, °", "largest, °", "at", "± 95 % there, °", "exceeds it over"]
         sections.append(Section("Angles of two sessions", said, table=Table(head, rows, left=2)))
     return sections
+
+
+_SAID = {"measures": "measures", "fills": "fills", "events": "strikes", "placement": "placement"}
+"""What makes angles uncertain, by the sources of `asterism.gait.angle_bands`."""
+
+
+def _certainty(session: GaitSession) -> list[Section]:
+    """How certain mean curves are with the markers where they are, and from session to session: a row for each angle that has a band."""
+    rows: list[list[str | Cell]] = []
+    for quantity, which, title in ANGLES:
+        here: dict[str, str] = {}
+        anew: dict[str, str] = {}
+        variance: dict[str, float] = {}
+        for letter in SIDE:
+            bands = [one.bands[name] for one in session.analyses if (name := f"{letter}{quantity}Angles") in one.bands]
+            ends = [[(one.high - one.low)[:, which], np.subtract(*one.same_placement[::-1])[:, which]] for one in bands]
+            if not np.isfinite(ends).any():
+                continue
+            anew[letter], here[letter] = (f"{half:.1f}" for half in np.degrees(np.nanmean(ends, axis=(0, 2)) / 2))
+            for one in bands:
+                for source, part in one.standard.items():
+                    variance[source] = variance.get(source, 0.0) + float(np.nanmean(part[:, which] ** 2))
+        if anew:
+            most = max(variance, key=variance.__getitem__)
+            share = 100 * variance[most] / max(sum(variance.values()), 1e-12)
+            sides = [found.get(letter, "–") for found in (here, anew) for letter in SIDE]
+            rows.append([title, *sides, f"{_SAID[most]}, {share:.0f} %"])
+    if not rows:
+        return []
+    text = (
+        "± 95 % of the mean curves, on average over the cycle. This session: the markers stay where they are; open are what nobody "
+        "measured of the person (measures), filled samples (fills) and the times of strikes. Another session: the same with markers "
+        "placed anew (placement). The last column says which of them has the most of the variance."
+    )
+    head = ["angle", *(f"{when}, {side}, ±°" for when in ("this session", "another session") for side in SIDE.values()), "most by"]
+    return [Section("How certain the angles are", text, table=Table(head, rows, left=1))]
 
 
 def _differences(panels: Sequence[CyclePanel]) -> list[list[str | Cell]]:
@@ -119,11 +155,14 @@ def _differences(panels: Sequence[CyclePanel]) -> list[list[str | Cell]]:
 
 def _with_intervals(sides: Sequence[CurvesOfSide], sessions: Sequence[GaitSession], curve: str, which: int) -> list[CurvesOfSide]:
     """With the band of each session and foot: the mean of those of its walks, whose markers and measures are the same."""
+    from asterism.gait import analyses_without_turns
+
     letters = {side: letter for letter, side in SIDE.items()}
     found = []
     for number, one in enumerate(sides):
         name = letters[one.side] + curve
-        bands = [analysis.bands[name] for analysis in sessions[number // len(SIDE)].analyses if name in analysis.bands]
+        walks = analyses_without_turns(sessions[number // len(SIDE)].analyses)
+        bands = [analysis.bands[name] for analysis in walks if name in analysis.bands]
         ends = [np.degrees(np.mean([getattr(band, end)[:, which] for band in bands], axis=0)) for end in ("low", "high") if bands]
         found.append(replace(one, interval=(ends[0], ends[1])) if ends else one)
     return found
@@ -131,6 +170,8 @@ def _with_intervals(sides: Sequence[CurvesOfSide], sessions: Sequence[GaitSessio
 
 def load_sections(sessions: Sequence[GaitSession]) -> list[Section]:
     """Moments, powers and the ground's force; none where no cycle has them. Walks without a mass are in a section of their own."""
+    from asterism.gait import analyses_without_turns
+
     sections = []
     for per_kg in (True, False):
         chosen = [one for session in sessions for one in session.analyses if one.loads and one.kinetics and one.kinetics.per_kg == per_kg]
@@ -142,11 +183,11 @@ def load_sections(sessions: Sequence[GaitSession]) -> list[Section]:
             CyclePanel(title, unit + per, _with_load_intervals(curves_of_sides(sessions, of, name, which), sessions, set(of), name, which))
             for name, which, title, unit in LOADS
         ]
-        counted = {side: sum(len(one.loads.get(f"{side}HipMoment", ())) for one in chosen) for side in SIDE}
+        counted = {side: sum(len(one.loads.get(f"{side}HipMoment", ())) for one in analyses_without_turns(chosen)) for side in SIDE}
         text = (
             f"Over {counted['L']} left and {counted['R']} right cycles in which one foot alone was on a plate. Moments are those that the "
             "muscles and ligaments of the person make; a power above zero is work that they do, below zero work that they take up. "
-            "The 95 % interval is what forces, centres of pressure, joint centres, masses and turning speeds leave open."
+            "The 95 % interval is what forces, centres of pressure, joint centres, masses, accelerations and turning speeds leave open."
         )
         if not per_kg:
             text += " Nobody gave the mass of the person, so that they are not per kg and leave out the leg's inertia."
@@ -158,12 +199,14 @@ def _with_load_intervals(
     sides: Sequence[CurvesOfSide], sessions: Sequence[GaitSession], chosen: Collection[int], curve: str, which: int
 ) -> list[CurvesOfSide]:
     """With what is uncertain of each session's mean: cycles share their joint centres and plates, so that many are no better than one."""
+    from asterism.gait import analyses_without_turns
+
     letters = {side: letter for letter, side in SIDE.items()}
     found = []
     for number, one in enumerate(sides):
         name = letters[one.side] + curve
         # only those in the same unit: see `load_sections`
-        own = [analysis for analysis in sessions[number // len(SIDE)].analyses if id(analysis) in chosen]
+        own = analyses_without_turns([analysis for analysis in sessions[number // len(SIDE)].analyses if id(analysis) in chosen])
         known = [analysis.load_sigmas[name] for analysis in own if name in analysis.load_sigmas]
         if known and one.cycles:
             half = 1.96 * np.concatenate(known)[:, :, which].mean(axis=0)
@@ -187,6 +230,13 @@ def _own_cycles(analysis: GaitAnalysis) -> Callable[[str], Sequence[Cycle]]:
     return lambda name: [cycle for cycle in analysis.cycles if cycle.side == name[0]]
 
 
+def shown_curve(values: Floats, shown: ShownCycle, session: GaitSession) -> CycleCurve:
+    """A curve (101,) of a cycle, by its name on the page."""
+    counts = session.counts(shown.cycle)
+    name = f"{SIDE[shown.cycle.side]}, {shown.name}"
+    return CycleCurve(values, name if counts else f"{name}, a turn", shown.place, counts)
+
+
 def curves_of_sides(sessions: Sequence[GaitSession], of: Mapping[int, Curves], curve: str, which: int) -> list[CurvesOfSide]:
     """One column of a curve of both feet in all sessions; `of`: by the identity of the analysis."""
     found = []
@@ -201,8 +251,8 @@ def curves_of_sides(sessions: Sequence[GaitSession], of: Mapping[int, Curves], c
                 # Curves that nobody has cycles of are drawn all the same, and lead nowhere.
                 places = [session.shown(cycle) for cycle in own] if len(own) == len(values) else [None] * len(values)
                 for line, place in zip(values, places, strict=True):
-                    cycles.append(CycleCurve(line) if place is None else CycleCurve(line, f"{side}, {place.name}", place.place))
-                offs += [100 * cycle.off_share for cycle in analysis.cycles if cycle.side == letter]
+                    cycles.append(CycleCurve(line) if place is None else shown_curve(line, place, session))
+                offs += [100 * cycle.off_share for cycle in analysis.cycles if cycle.side == letter and session.counts(cycle)]
             off = float(np.mean(offs)) if offs and any(np.isfinite(one.values).any() for one in cycles) else None
             found.append(CurvesOfSide(side, cycles, off, earlier=len(sessions) > 1 and number == 0))
     return found

@@ -8,8 +8,9 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from asterism.recording import Floats
+from asterism.recording.display import listed
 from asterism.report.cycle_panels import CurvesOfSide, CycleCurve, CyclePanel, drawn_panels
-from asterism.report.gait_curves import session_names
+from asterism.report.gait_curves import session_names, shown_curve
 from asterism.report.gait_session import SIDE, GaitSession
 from asterism.report.page import Section
 
@@ -39,16 +40,20 @@ def muscle_section(sessions: Sequence[GaitSession]) -> list[Section]:
     )
     if any(channel.side is None for channel in channels):
         text += " The files do not say which side some of them are of; these are drawn over the cycles of both feet."
+    if rectified := list(dict.fromkeys(channel.name for channel in channels if channel.rectified)):
+        text += f" The files hold {listed(rectified)} rectified, so that the band-pass is left out there."
     drawing = drawn_panels(panels, session_names(sessions), "mean ± 1 SD of the cycles")
     return [Section("Muscle activity over the gait cycle", text, drawing=drawing)]
 
 
 def _sides(session: GaitSession, names: Collection[str], earlier: bool) -> list[CurvesOfSide]:
     """The cycles of both feet of the channels with these names, % of their peaks."""
+    from asterism.gait import analyses_without_turns
     from asterism.gait.emg import peak
 
     own = [(analysis, channel) for analysis in session.analyses for channel in analysis.emg if channel.name in names]
-    highest = {name: peak([channel for _, channel in own if channel.name == name]) for name in names}
+    counted = [channel for analysis in analyses_without_turns(session.analyses) for channel in analysis.emg]
+    highest = {name: peak([channel for channel in counted if channel.name == name]) for name in names}
     found = []
     for letter, side in SIDE.items():
         cycles, offs = [], []
@@ -59,17 +64,18 @@ def _sides(session: GaitSession, names: Collection[str], earlier: bool) -> list[
                 continue
             for curve, cycle in zip(channel.cycles[letter], feet, strict=True):
                 values, shown = 100 * curve / highest[channel.name], session.shown(cycle)
-                cycles.append(CycleCurve(values) if shown is None else CycleCurve(values, f"{side}, {shown.name}", shown.place))
-                offs.append(100 * cycle.off_share)
+                cycles.append(CycleCurve(values) if shown is None else shown_curve(values, shown, session))
+                offs += [100 * cycle.off_share] if session.counts(cycle) else []
         found.append(CurvesOfSide(side, cycles, float(np.mean(offs)) if offs else None, _spread(cycles), earlier))
     return found
 
 
 def _spread(cycles: Sequence[CycleCurve]) -> tuple[Floats, Floats] | None:
     """Mean less and more one standard deviation of the cycles, which never are below zero; None for a single one."""
-    if len(cycles) < 2:
+    counted = [one for one in cycles if one.counts]
+    if len(counted) < 2:
         return None
-    every = np.stack([one.values for one in cycles])
+    every = np.stack([one.values for one in counted])
     mean, deviation = every.mean(axis=0), every.std(axis=0, ddof=1)
     return np.maximum(mean - deviation, 0.0), mean + deviation
 

@@ -41,14 +41,25 @@ class GaitSession:
         """Of all walks."""
         return [analysis for _, analysis in self.results]
 
+    @cached_property
+    def all_turn(self) -> bool:
+        """Whether the person turns in each cycle, so that all count."""
+        return all(cycle.turns for analysis in self.analyses for cycle in analysis.cycles)
+
+    def counts(self, cycle: Cycle) -> bool:
+        """Whether a cycle is in means and scores."""
+        return self.all_turn or not cycle.turns
+
     @property
     def parameters(self) -> list[Parameter]:
         """Of all cycles of all walks."""
         return [parameter for analysis in self.analyses for parameter in analysis.parameters]
 
     def values(self, name: str) -> list[float]:
-        """Of a parameter, of all cycles of both sides."""
-        return [one.value for one in self.parameters if one.name == name]
+        """Of a parameter, of the cycles of both sides that count."""
+        from asterism.gait import without_turns
+
+        return [one.value for one in without_turns(self.parameters) if one.name == name]
 
     @cached_property
     def cycles(self) -> list[ShownCycle]:
@@ -69,8 +80,10 @@ class GaitSession:
 
     def typical(self, name: str, side: str) -> ShownCycle | None:
         """The cycle of a side in which a parameter is nearest to its mean: the frames to look at for the mean."""
+        from asterism.gait import analyses_without_turns
+
         values = []
-        for analysis in self.analyses:
+        for analysis in analyses_without_turns(self.analyses):
             of_cycle = {(cycle.side, cycle.strike.time): cycle for cycle in analysis.cycles}
             values += [
                 (one.value, of_cycle.get((one.side, one.begins))) for one in analysis.parameters if (one.name, one.side) == (name, side)

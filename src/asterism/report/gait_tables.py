@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,7 @@ from asterism.report.page import NOTHING, Cell, Section, Table, decimal
 
 if TYPE_CHECKING:
     from asterism.gait import Band, ParameterSummary
+    from asterism.recording import Recording
 
 _DIGITS = {"m": 3, "s": 3, "m/s": 3, "": 3}
 """Behind the point, by unit; one elsewhere."""
@@ -33,7 +35,7 @@ def person_section(sessions: Sequence[GaitSession]) -> Section:
 
 
 def _person(session: GaitSession) -> dict[str, str | Cell]:
-    people = list(dict.fromkeys(str(name) for one in session.analyses if (name := one.recording.metadata.get("subject"))))
+    people = list(dict.fromkeys(name for one in session.analyses if (name := _name(one.recording))))
     found: dict[str, str | Cell] = {
         "person": Cell(", ".join(people) or NOTHING, 0.6 if len(people) > 1 else 0.0),
         "walks": ", ".join(name for name, _ in session.results),
@@ -57,6 +59,12 @@ def _person(session: GaitSession) -> dict[str, str | Cell]:
                 told.append(f"{side} {1000 * value:.0f} mm{'' if known else ', assumed'}")
         found[title] = Cell("; ".join(told) or NOTHING, 0.6 if doubtful else 0.0)
     return found
+
+
+def _name(recording: Recording) -> str:
+    """What the file calls its person, else what its folder does, which is said; nothing of what was not read from a file."""
+    subject, file = recording.metadata.get("subject"), Path(str(recording.metadata.get("file") or ""))
+    return str(subject) if subject else f"{file.absolute().parent.name} (the folder)" if file.is_file() else ""
 
 
 def parameter_section(session: GaitSession, band: Band | None) -> Section:
@@ -199,6 +207,7 @@ def cycle_section(sessions: Sequence[GaitSession]) -> Section:
     from asterism.gait import PARAMETERS
 
     names = [name for name in PARAMETERS if any(one.name == name for session in sessions for one in session.parameters)]
+    turns = any(shown.cycle.turns for session in sessions for shown in session.cycles)
     rows: list[list[str | Cell]] = []
     for session in sessions:
         for number, (_, analysis) in enumerate(session.results):
@@ -206,9 +215,10 @@ def cycle_section(sessions: Sequence[GaitSession]) -> Section:
             for shown in (one for one in session.cycles if one.place[0] == session.offset + number):
                 cycle = shown.cycle
                 row: list[str | Cell] = [Cell(f"{SIDE[cycle.side]}, {shown.name}", place=shown.place)]
+                row += ["turns, in no mean" if not session.counts(cycle) else "turns" if cycle.turns else "straight"] if turns else []
                 for name in names:
                     value = values.get((cycle.side, cycle.strike.time, name), float("nan"))
                     row.append(decimal(value, _DIGITS.get(PARAMETERS[name], 1)))
                 rows.append(row)
-    head = ["cycle", *(f"{name}, {PARAMETERS[name]}" if PARAMETERS[name] else name for name in names)]
+    head = ["cycle", *(["way"] if turns else []), *(f"{name}, {PARAMETERS[name]}" if PARAMETERS[name] else name for name in names)]
     return Section("Each cycle", "A cycle's name leads to its frames.", table=Table(head, rows), folded=True)

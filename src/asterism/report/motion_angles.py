@@ -85,19 +85,20 @@ def _over_cycles(recording: Recording, cycles: Sequence[Cycle], clinical: Clinic
 
 def curves_over(values: Floats, rate: float, cycles: Sequence[Cycle]) -> list[CycleCurve]:
     """A curve (T,) in rad over each cycle, degrees."""
-    from asterism.gait import over_cycle
+    from asterism.gait import over_cycle, without_turns
 
+    counted = without_turns(cycles)
     return [
-        CycleCurve(over_cycle(np.degrees(values), rate, cycle), f"{SIDE[cycle.side]}, cycle {place + 1}")
+        CycleCurve(over_cycle(np.degrees(values), rate, cycle), f"{SIDE[cycle.side]}, cycle {place + 1}", counts=cycle in counted)
         for place, cycle in enumerate(cycles)
     ]
 
 
 def mean_over(values: Floats, rate: float, cycles: Sequence[Cycle]) -> Floats:
-    """(101,) degrees, the mean over cycles of a curve in rad."""
-    from asterism.gait import over_cycle
+    """(101,) degrees, the mean of a curve in rad over the cycles that count."""
+    from asterism.gait import over_cycle, without_turns
 
-    return np.asarray(np.degrees(np.mean([over_cycle(values, rate, cycle) for cycle in cycles], axis=0)))
+    return np.asarray(np.degrees(np.mean([over_cycle(values, rate, cycle) for cycle in without_turns(cycles)], axis=0)))
 
 
 def _over_time(times: Floats, clinical: ClinicalAngles, known: ClinicalUncertainty | None) -> figures.Figure:

@@ -10,6 +10,7 @@ from asterism.session.options import CHECK, IGNORE, KEEP, LabellingOptions
 from asterism.session.plan import FolderSettings, PlannedPerson, PlannedTrial, plan_session
 from asterism.session.spread import Outcome, each_of, in_order, spread
 from asterism.session.standing import is_standing_name, stands
+from asterism.session.trials import has_gaps, read_trial, read_trials, trials_of
 from asterism.session.worn import SetFinder, WornMarkers
 
 __all__ = [
@@ -32,11 +33,15 @@ __all__ = [
     "WornMarkers",
     "body_names",
     "each_of",
+    "has_gaps",
     "held",
     "in_order",
     "is_standing_name",
     "label_file",
     "plan_session",
+    "read_trial",
+    "read_trials",
     "spread",
     "stands",
+    "trials_of",
 ]

@@ -15,8 +15,9 @@ from asterism.skeleton.build import BuildRules
 from asterism.skeleton.counterparts import counterparts, with_markers_of
 from asterism.skeleton.inverse_kinematics import Kinematics, KinematicsRules, solve_kinematics
 from asterism.skeleton.movements import MOVEMENTS
+from asterism.skeleton.osim_file import load_osim
 from asterism.skeleton.people import VirtualRules, virtual_people
-from asterism.skeleton.person import Person, PersonRules, fit_person
+from asterism.skeleton.person import FittedPerson, PersonRules, fit_person
 from asterism.skeleton.place_learning import LearnedPlaces, learn_places, marker_set_of, place_by_name, with_landmarks
 from asterism.skeleton.tree import KinematicTree, tree_of
 from asterism.skeleton.worn import WearRules
@@ -28,12 +29,12 @@ __all__ = [
     "Bone",
     "BuildRules",
     "Capsule",
+    "FittedPerson",
     "Hinge",
     "KinematicTree",
     "Kinematics",
     "KinematicsRules",
     "LearnedPlaces",
-    "Person",
     "PersonRules",
     "VirtualRules",
     "WearRules",
@@ -42,6 +43,7 @@ __all__ = [
     "fit_person",
     "learn_places",
     "load_body",
+    "load_osim",
     "marker_set_of",
     "place_by_name",
     "save_body",

@@ -20,7 +20,7 @@ from asterism.geometry import fit_rigid, vector_from_rotation, z_up_rotation
 from asterism.progress import Progress
 from asterism.recording import Floats, MarkerSet, Recording, SkeletonMotion
 from asterism.skeleton._smooth_kernels import best_ratio, smoothed_variances, smoothing_step
-from asterism.skeleton._tree_kernels import ROOT, follow, linearise, pose_frames, pose_tree
+from asterism.skeleton._tree_kernels import ROOT, follow, linearise, pose_frames, pose_tree, shared_variances
 from asterism.skeleton.tree import KinematicTree
 
 
@@ -43,6 +43,9 @@ class KinematicsRules:
     noise           m, of a marker's measured position beside its spread: 1 mm is what a calibrated volume gives
     tails           degrees of freedom of Student's t, by which a marker that is far off pulls less (Lange et al. 1989 advise 4); 0: by its
                     square, as OpenSim does. At 2 a marker is let go sooner, at 8 one that is 10 cm off turns the body by half as much again
+    shared          variance by which all markers of a bone move together, in units of that by which each moves by itself: what skin does as
+                    one is no smaller than how it deforms (Barre et al., IEEE Trans Biomed Eng 60, 2013). It is not seen, and moves no
+                    angle; at half or double of it standard deviations are 0.83 and 1.28 times as large
     limit_deg       degrees that a joint goes beyond its range at the price of one standard deviation: what goniometers repeat
     limit_m         m, the same of a joint that slides
     ridge           what nothing else says of a number, per m2 or rad2: a standard deviation of 100 rad, far beyond anything
@@ -51,12 +54,14 @@ class KinematicsRules:
     lost            mean square miss of the markers, in their own variances, above which a frame is tried from other starts
     lost_at_most    what one marker may add to that, so that a single wrong one does not count as lost
     smooth          whether frames are smoothed together
+    usual_s         s, in which what is usual of a coordinate counts once where no marker tells it: by then a joint is elsewhere
     rounds          of smoothing at most: the equations are linear in small steps
     block, overlap  frames that are smoothed together, and by how much their neighbours take part: seconds at any usual rate
     """
 
     noise: float = 0.001
     tails: float = 4.0
+    shared: float = 1.0
     limit_deg: float = 5.0
     limit_m: float = 0.005
     ridge: float = 1e-4
@@ -65,6 +70,7 @@ class KinematicsRules:
     lost: float = 9.0
     lost_at_most: float = 50.0
     smooth: bool = True
+    usual_s: float = 0.5
     rounds: int = 4
     block: int = 4000
     overlap: int = 200
@@ -165,8 +171,9 @@ def solve_kinematics(
     own name or by one of the recording's spellings of it. Missing markers are allowed in any frame.
 
     Standard deviations are those of the normal equations, times what markers are off more than they are expected to. What of a course is
-    white is averaged out by its neighbours; what remains moves with the skin, and is not. They hold the skin of one segment's markers for
-    independent, and grow where a segment is not seen. Raises AsterismError where no frame shows three markers of the tree.
+    white is averaged out by its neighbours; what remains moves with the skin, and is not. Skin under all markers of a bone moves together,
+    too (`KinematicsRules.shared`). They grow where a segment is not seen.
+    Raises AsterismError where no frame shows three markers of the tree.
     """
     columns = MarkerSet(tree.labels).columns_of(recording.labels)
     points = np.full((len(recording.positions), len(columns), 3), np.nan)
@@ -220,7 +227,7 @@ def solve_points(
         part = slice(low, high)
         inner, keep = slice(first - low, last - low), slice(first, last)
         own = (q[part].copy(), turns[part].copy(), places[part].copy())
-        found = _block(tree, solving, points[part], weights[part], known[part], own, start, rules)
+        found = _block(tree, solving, (points[part], weights[part], known[part]), own, start, rate, rules)
         for whole, block in zip(state, own, strict=True):
             whole[keep] = block[inner]
         sd[keep], misses[keep] = found.sd[inner], found.misses[inner]
@@ -239,7 +246,7 @@ def solve_points(
 
 
 @dataclass(frozen=True, eq=False)
-class _Block:
+class _SolvedFrames:
     """sd (T, D), misses (T, M), squares and freedom (T,): of the misses, weighted, and what of them is not used up by the fit."""
 
     sd: Floats
@@ -251,15 +258,14 @@ class _Block:
 def _block(
     tree: KinematicTree,
     solving: Solving,
-    points: Floats,
-    weights: Floats,
-    known: np.ndarray,
+    measured: tuple[Floats, Floats, np.ndarray],
     state: tuple[Floats, Floats, Floats],
     start: tuple[Floats, Floats, Floats] | None,
+    rate: float,
     rules: KinematicsRules,
-) -> _Block:
+) -> _SolvedFrames:
     """Solve frames that are smoothed together; the state is written in place."""
-    q, turns, places = state
+    (q, turns, places), (points, weights, known) = state, measured
     arrays, frames, numbers = tree.arrays, len(points), ROOT + len(tree.coordinates)
     costs, misses = np.zeros(frames), np.full(points.shape[:2], np.nan)
     variances, entries = np.empty((frames, numbers)), np.empty((frames, numbers + len(arrays.row_columns)))
@@ -278,13 +284,26 @@ def _block(
     smooth = rules.smooth and frames >= 10
     if smooth:
         white, ratios = _strengths(tree, variances, q, turns, places, known)
-        _smoothed(tree, solving, (points, weights), state, ratios, (misses, entries), rules)
-    sd = np.sqrt(_total(variances, white, ratios, known) if smooth else variances)
+        # What is usual is worth a sighting where frames have better ones; where they have not, it is one for all of half a second.
+        open_ = variances[:, ROOT:] * arrays.precision > 0.5
+        usual = np.where(open_, max(1.0 - 1.0 / (rules.usual_s * rate), 0.0), 0.0) * arrays.precision
+        _smoothed(tree, solving, (points, weights, usual), state, ratios, (misses, entries), rules)
+    total = _total(variances, white, ratios, known, _unrolled(q, turns, places)) if smooth else variances
+    shared = np.empty_like(variances)
+    shared_variances(arrays, solving, points, weights, rules.shared * _spreads(tree), q, turns, places, shared)
+    sd = np.sqrt(total + shared)
     shares = np.where(np.isfinite(misses), weights * misses**2, 0.0)
     # What Student's t lets go does not say how far the others are off.
     robust = np.minimum(shares, 9.0 * solving.tails) if solving.tails > 0 else shares
     counted = 3.0 * (shares > 0).sum(axis=1)
-    return _Block(sd, misses, robust.sum(axis=1), counted - np.minimum(int(arrays.moves.sum()), counted))
+    return _SolvedFrames(sd, misses, robust.sum(axis=1), counted - np.minimum(int(arrays.moves.sum()), counted))
+
+
+def _spreads(tree: KinematicTree) -> Floats:
+    """(B,) m2, the mean variance of the markers of each bone about their places."""
+    on = tree.arrays.bones
+    squares = np.bincount(on, weights=[marker.spread**2 for marker in tree.markers], minlength=len(tree.bones))
+    return np.asarray(squares / np.maximum(np.bincount(on, minlength=len(tree.bones)), 1))
 
 
 def _onwards(tree: KinematicTree, solving: Solving, arrays: tuple[Floats, ...], first: int) -> None:
@@ -370,8 +389,8 @@ def _strengths(
     return white, ratios
 
 
-def _total(variances: Floats, white: Floats, ratios: Floats, known: np.ndarray) -> Floats:
-    """(T, D) the variances of smoothed numbers: what is left of the white share, and the rest as it was."""
+def _total(variances: Floats, white: Floats, ratios: Floats, known: np.ndarray, course: Floats) -> Floats:
+    """(T, D) the variances of smoothed numbers (T, D): what is left of the white share, and the rest as it was."""
     total = np.empty_like(variances)
     usual = np.median(variances[known], axis=0)
     for d in range(variances.shape[1]):
@@ -382,28 +401,58 @@ def _total(variances: Floats, white: Floats, ratios: Floats, known: np.ndarray) 
         smoothed_variances(np.minimum(variances[:, d], 1e3 * usual[d]), ratios[d], smoothed)
         share = min(float(white[d]), 1.0)
         # Where a frame itself says nothing, its neighbours' own error is the least that remains.
-        total[:, d] = white[d] * smoothed + (1.0 - share) * np.minimum(variances[:, d], usual[d])
+        rest = (1.0 - share) * np.minimum(variances[:, d], usual[d])
+        swing = _swing(course[:, d], variances[:, d] > 4.0 * usual[d], white[d] * ratios[d])
+        total[:, d] = np.minimum(white[d] * swing * smoothed + rest, np.maximum(variances[:, d], usual[d]))
     return total
+
+
+def _swing(course: Floats, hidden: np.ndarray, change: float) -> Floats:
+    """(T,) by what factor a course swings farther across its hidden frames than velocities would that change by white noise; 1 elsewhere.
+
+    A joint keeps its acceleration for a while. How much that matters over a gap is told by the second differences of the course where it is
+    seen, over half as many frames as are hidden; change: the variance of those over one frame.
+    """
+    factor = np.ones(len(course))
+    edges = np.nonzero(np.diff(np.concatenate([[0], hidden.astype(np.int8), [0]])))[0].reshape(-1, 2)
+    seen = np.where(hidden, np.nan, course)
+    for first, last in edges:
+        half = (int(last) - int(first) + 1) // 2
+        bends = seen[2 * half :] - 2.0 * seen[half : len(seen) - half] + seen[: len(seen) - 2 * half]
+        bends = bends[np.isfinite(bends)]
+        # Fewer than ten say little of how far it swings.
+        if len(bends) >= 10:
+            expected = change * half * (2 * half**2 + 1) / 3.0
+            factor[first:last] = max(1.0, float(np.mean(bends**2)) / max(expected, 1e-300))
+    return factor
 
 
 def _smoothed(
     tree: KinematicTree,
     solving: Solving,
-    measured: tuple[Floats, Floats],
+    measured: tuple[Floats, Floats, Floats],
     state: tuple[Floats, Floats, Floats],
     ratios: Floats,
     out: tuple[Floats, Floats],
     rules: KinematicsRules,
 ) -> None:
-    """Gauss and Newton over all frames together: their costs, and the squares of second differences by `ratios`. Writes the state."""
+    """Gauss and Newton over all frames together: their costs, and the squares of second differences by `ratios`. Writes the state.
+
+    measured: points, weights, and (T, Q) by how much less than its precision what is usual of a coordinate counts.
+    """
     q, turns, places = state
-    points, weights, misses, entries = *measured, *out
+    points, weights, less, misses, entries = *measured, *out
+    numbers = slice(ROOT, ROOT + q.shape[1])
     # Numbers that are held have no step, whatever their penalty.
     penalties = np.where(np.isfinite(ratios), 1.0 / ratios, 1.0)
     gradients, steps = np.empty((len(q), ROOT + q.shape[1])), np.empty((len(q), ROOT + q.shape[1]))
 
     def cost() -> tuple[float, Floats]:
         data = linearise(tree.arrays, solving, points, weights, q, turns, places, gradients, misses, entries)
+        away = q - tree.arrays.usual
+        data -= 0.5 * float((less * away**2).sum())
+        gradients[:, numbers] += less * away
+        entries[:, numbers] -= less
         bends = np.diff(_unrolled(q, turns, places), n=2, axis=0)
         return data + 0.5 * float((penalties * bends**2).sum()), bends
 
@@ -427,8 +476,8 @@ def _smoothed(
             q[:], turns[:], places[:] = kept
             cost()
             return
-        # A thousandth of a nat per frame moves nothing by a twentieth of its standard deviation.
-        if before - now < 1e-3 * len(q):
+        # A thousandth of a nat for each number is a step of a twentieth of its standard deviation.
+        if before - now < 1e-3 * steps.size:
             return
 
 

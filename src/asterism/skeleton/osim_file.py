@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from asterism.errors import AsterismError, guarded_reading
 from asterism.recording import Floats
-from asterism.skeleton.tree import Coordinate, Curve, KinematicTree, Motion, Point, TreeBone, TreeMarker
+from asterism.skeleton.tree import Coordinate, Curve, JointMotion, KinematicTree, Point, TreeBone, TreeMarker
 
 GROUND = "ground"
 
@@ -87,7 +87,7 @@ class _Model:
         parent, child = (frames.get(name, (name, still)) for name in names)
         return parent, child
 
-    def _motions(self, joint: Element) -> tuple[Motion, ...]:
+    def _motions(self, joint: Element) -> tuple[JointMotion, ...]:
         own = [self._coordinate(each) for each in joint.findall("coordinates/Coordinate")]
         if joint.tag in _AXES:
             self.coordinates += own
@@ -109,28 +109,30 @@ class _Model:
             if (motion := self._axis(moves[f"{kind}{i}"], kind)) is not None
         )
 
-    def _axis(self, axis: Element, kind: str) -> Motion | None:
+    def _axis(self, axis: Element, kind: str) -> JointMotion | None:
         coordinate = (axis.findtext("coordinates") or "").strip()
         if len(coordinate.split()) > 1:
             raise AsterismError(f"{self.path}: {axis.get('name')} depends on {coordinate}; only one coordinate for each axis is read.")
-        curve = self._curve(next(each for each in axis if each.tag not in ("coordinates", "axis")))
+        given = next(each for each in axis if each.tag not in ("coordinates", "axis"))
+        # Older files have the function in an element of its own.
+        curve = self._curve(given[0] if given.tag == "function" else given)
         if not coordinate and not curve.cubics[0, 0]:
             return None
         plain = len(curve.knots) == 1 and curve.cubics[0].tolist() == [0.0, 1.0, 0.0, 0.0]
         along = _numbers(axis, "axis", 3)
         return self._motion(_point(along / np.linalg.norm(along)), coordinate, kind == "translation", None if plain else curve)
 
-    def _motion(self, axis: Point, coordinate: str, slide: bool, curve: Curve | None) -> Motion:
+    def _motion(self, axis: Point, coordinate: str, slide: bool, curve: Curve | None) -> JointMotion:
         """A motion, of the coordinate that gives this one where they are coupled."""
         if coordinate not in self.coupled:
-            return Motion(axis, coordinate, slide, curve)
+            return JointMotion(axis, coordinate, slide, curve)
         other, by = self.coupled[coordinate]
         identity = len(by.knots) == 1 and by.cubics[0].tolist() == [0.0, 1.0, 0.0, 0.0]
         if curve is not None and not identity:
             raise AsterismError(
                 f"{self.path}: {coordinate} follows {other} by one function and moves its joint by another; leave one of them."
             )
-        return Motion(axis, other, slide, curve if identity else by)
+        return JointMotion(axis, other, slide, curve if identity else by)
 
     def _coordinate(self, given: Element) -> Coordinate:
         low, high = _numbers(given, "range", 2)
@@ -167,7 +169,7 @@ class _Model:
         if len(x) < 2 or len(x) != len(y) or (np.diff(x) <= 0).any():
             raise AsterismError(f"{self.path}: a {function.tag} does not have two or more points in order; correct its x and y.")
         if function.tag == "PiecewiseLinearFunction":
-            slopes = np.diff(y) / np.diff(x)
+            slopes = np.asarray(np.diff(y) / np.diff(x), dtype=np.float64)
             return Curve(x, np.column_stack([y, np.append(slopes, slopes[-1]), np.zeros((len(x), 2))]))
         if function.tag == "SimmSpline":
             return Curve(x, simm_spline(x, y))
@@ -208,7 +210,7 @@ def simm_spline(x: Floats, y: Floats) -> Floats:
                 for i in (0, count - 4)
             ]
             right[0], right[-1] = width[0] ** 2 * thirds[0], -(width[-1] ** 2) * thirds[1]
-        second = np.linalg.solve(system, right)
+        second = np.asarray(np.linalg.solve(system, right), dtype=np.float64)
     first = np.append(slope - width * (second[1:] + 2.0 * second[:-1]), 0.0)
     third = np.append(np.diff(second) / width, 0.0)
     first[-1] = slope[-1] + width[-1] * (second[-2] + 2.0 * second[-1])

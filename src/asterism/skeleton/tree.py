@@ -27,7 +27,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Motion:
+class JointMotion:
     """One motion of a joint: a turn about an axis, or a slide along it, by a function of a coordinate.
 
     axis        (3,) unit vector in the axes that the motions before it leave
@@ -49,7 +49,7 @@ class TreeBone:
     name: str
     parent: str
     offset: Floats
-    motions: tuple[Motion, ...] = ()
+    motions: tuple[JointMotion, ...] = ()
     frame: Floats = field(default_factory=lambda: np.eye(3))
 
 
@@ -188,7 +188,7 @@ class KinematicTree:
         column = {coordinate.name: j for j, coordinate in enumerate(self.coordinates)}
         parents = [index.get(bone.parent, -1) for bone in self.bones]
         numbers, entry_starts, entries = list(range(6)), [0], []
-        element_starts, motions = [0], list[Motion]()
+        element_starts, motions = [0], list[JointMotion]()
         for b, bone in enumerate(self.bones):
             own: dict[str, int] = {}
             for motion in bone.motions:
@@ -265,7 +265,7 @@ def tree_of(body: ArticulatedBody) -> KinematicTree:
             bone.name,
             bone.parent,
             at[bone.name] - at[bone.parent] if bone.parent else np.zeros(3),
-            tuple(Motion(hinge.axis, hinge.name) for hinge in bone.hinges),
+            tuple(JointMotion(hinge.axis, hinge.name) for hinge in bone.hinges),
         )
         for bone in body.bones
     )

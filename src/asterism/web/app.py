@@ -47,8 +47,8 @@ def make_app(session: CorrectionSession) -> Starlette:
     api = _Api(session)
     trial = "/api/trials/{trial}"
     routes = [
-        Route("/", lambda request: _static("review.html")),
-        Route("/static/{name}", lambda request: _static(request.path_params["name"])),
+        Route("/", lambda request: static_file("review.html")),
+        Route("/static/{name}", lambda request: static_file(request.path_params["name"])),
         Route("/api/trials", api.answering(api.trials)),
         Route(f"{trial}/points", api.answering(api.points)),
         Route(f"{trial}/piece_points", api.answering(api.piece_points)),
@@ -134,8 +134,7 @@ class _Api:
 
     def gaps(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
         trial = self._trial(request)
-        # Found outside the trial's lock: that can take seconds, and answers go on.
-        fill = trial.finishing.gaps(trial.snapshot())
+        fill = trial.gaps()
         with trial.opened() as correction:
             return plain_gaps(correction, fill)
 
@@ -145,7 +144,7 @@ class _Api:
             span = MarkerSpan(asked.get("marker", ""), int(asked.get("first", "")), int(asked.get("last", "")))
         except ValueError:
             raise _Refused(400, "the address needs a gap, such as ?marker=LKNE&first=0&last=9.") from None
-        return plain_graph(trial.finishing.gaps(trial.snapshot()), span)
+        return plain_graph(trial.gaps(), span)
 
     def events(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
         trial = self._trial(request)
@@ -287,7 +286,7 @@ def _filled(trial: CorrectionTrial, verb: str, given: dict[str, Any]) -> Callabl
     if any(isinstance(row.get(name), bool) or not isinstance(row.get(name), int) for row in rows for name in ("first", "last")):
         raise _Refused(400, "a gap's first and last frame are whole numbers.")
     spans = tuple(MarkerSpan(row["marker"], row["first"], row["last"]) for row in rows)
-    known = {span for span, _ in spans_of(trial.finishing.gaps(trial.snapshot()))} if verb == "fill" else set()
+    known = {span for span, _ in spans_of(trial.gaps())} if verb == "fill" else set()
 
     def act(correction: Correction) -> CorrectionChange:
         # What was accepted is taken back even where labels have changed since.
@@ -367,7 +366,7 @@ async def _json_of(request: Request) -> dict[str, Any]:
     return given
 
 
-def _static(name: str) -> Response:
+def static_file(name: str) -> Response:
     """One of the page's own files."""
     kind = _TYPES.get(name.rpartition(".")[2])
     if name in ("player.js", "player.css"):

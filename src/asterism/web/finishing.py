@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism import __version__, formats
 from asterism.errors import AsterismError
@@ -17,7 +19,7 @@ from asterism.labelling.correction import Correction, CorrectionChange
 from asterism.labelling.correction.touches import EventChange, MarkerSpan, Touch
 from asterism.motion.gaps import Filled, fill_gaps
 from asterism.recording import Event, Labelling, Recording
-from asterism.session import LabelledFile
+from asterism.session import LabelledFile, has_gaps
 
 NORMAL_95 = 1.959964
 _AROUND = 0.25
@@ -26,23 +28,34 @@ _DIGITS = 5
 """Of an event's time in s: 10 µs, less than any sample of a force plate lasts."""
 
 
+@dataclass(frozen=True)
+class OtherTrial:
+    """A recording that may tell of another one. version: what differs when it has changed; read: gives it, or None."""
+
+    version: Any
+    read: Callable[[], Recording | None]
+
+
 @dataclass
 class Finishing:
     """What is proposed for a trial. Its gaps and events are found when they are asked for, and again when its labels have changed."""
 
     _filling: threading.Lock = field(default_factory=threading.Lock)
     _seeking: threading.Lock = field(default_factory=threading.Lock)
-    _gaps: tuple[Labelling, Filled] | None = None
+    _gaps: tuple[Labelling, tuple[Any, ...], Filled] | None = None
     _events: tuple[Labelling, tuple[GaitEvent, ...]] | None = None
 
-    def gaps(self, labelled: LabelledFile) -> Filled:
-        """The recording, its gaps filled as far as that is certain enough. Raises AsterismError where no marker has a name."""
-        labelling = labelled.labelling
+    def gaps(self, labelled: LabelledFile, trials: Sequence[OtherTrial] = ()) -> Filled:
+        """The recording, its gaps filled as far as that is certain enough, also from other trials that show the same person.
+
+        Raises AsterismError where no marker has a name.
+        """
+        labelling, known = labelled.labelling, tuple(trial.version for trial in trials)
         # One at a time: two tabs would do the work of seconds twice.
         with self._filling:
-            if self._gaps is None or self._gaps[0] is not labelling:
-                self._gaps = labelling, fill_gaps(labelled.recording, by=_by())
-            return self._gaps[1]
+            if self._gaps is None or self._gaps[0] is not labelling or self._gaps[1] != known:
+                self._gaps = labelling, known, filled(labelled.recording, trials)
+            return self._gaps[2]
 
     def events(self, labelled: LabelledFile) -> tuple[GaitEvent, ...]:
         """Strikes and offs of the recording. Raises AsterismError where feet or pelvis have no markers."""
@@ -66,14 +79,20 @@ def spans_of(fill: Filled) -> list[tuple[MarkerSpan, float]]:
     return found
 
 
-def finished(correction: Correction, recording: Recording) -> Recording:
+def filled(recording: Recording, trials: Sequence[OtherTrial], wanted: NDArray[np.bool_] | None = None) -> Filled:
+    """The recording with its gaps filled as `asterism convert --fill` fills them; wanted (T, M): only these samples."""
+    others = [one for trial in trials if (one := trial.read()) is not None] if has_gaps(recording) else []
+    return fill_gaps(recording, others=others, wanted=wanted, by=f"asterism {__version__}")
+
+
+def finished(correction: Correction, recording: Recording, trials: Sequence[OtherTrial] = ()) -> Recording:
     """The recording with the fills that a person accepted, flagged as `asterism convert --fill` flags them, and with their events."""
     if correction.filled:
         wanted = np.zeros(recording.visible.shape, dtype=np.bool_)
         for span in correction.filled:
             if span.marker in recording.labels:
                 wanted[span.first : span.last + 1, recording.labels.index(span.marker)] = True
-        recording = fill_gaps(recording, wanted=wanted, by=_by()).recording
+        recording = filled(recording, trials, wanted).recording
     return recording if correction.events is None else with_events_said(recording, correction.events)
 
 
@@ -151,7 +170,3 @@ def _event_of(event: GaitEvent) -> Event:
 
 def _plain_span(span: MarkerSpan) -> dict[str, Any]:
     return {"marker": span.marker, "first": span.first, "last": span.last}
-
-
-def _by() -> str:
-    return f"asterism {__version__}"

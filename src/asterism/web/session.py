@@ -6,8 +6,9 @@ import hashlib
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,14 +21,15 @@ from asterism.labelling.correction.event_log import NAMES_SUFFIX, SAVED, SUFFIX
 from asterism.labelling.correction.group_naming import GroupNaming
 from asterism.labelling.group_names import group_names_text
 from asterism.labelling.review import labels_of_points
-from asterism.session import FileLabeller, LabelledFile, LabellingOptions, body_names
+from asterism.session import FileLabeller, LabelledFile, LabellingOptions, body_names, read_trial, trials_of
 from asterism.session.worn import NoSetWorn
-from asterism.web.finishing import Finishing, finished
+from asterism.web.finishing import Finishing, OtherTrial, finished
 from asterism.web.relabelling import Relabelled, RelabelRun, SittingModel
 
 if TYPE_CHECKING:
     from asterism.labelling import MarkerModel
     from asterism.labelling.correction import CorrectionChange
+    from asterism.motion.gaps import Filled
     from asterism.progress import Progress
 
 WAITING, LABELLING, READY, FAILED = "waiting", "labelling", "ready", "failed"
@@ -74,6 +76,7 @@ class CorrectionTrial:
     findings of labelling it
     relabelled  what labelling it again has changed; None where that was not done
     finishing   what is proposed for its gaps and events
+    others      the trials of the sitting that it is one of
     """
 
     id: str
@@ -87,6 +90,7 @@ class CorrectionTrial:
     findings: Sequence[Finding] = ()
     relabelled: Relabelled | None = None
     finishing: Finishing = field(default_factory=Finishing)
+    others: Callable[[], Sequence[CorrectionTrial]] = tuple
     _lock: threading.RLock = field(default_factory=threading.RLock)
     _labelled: LabelledFile | None = None
     _correction: Correction | None = None
@@ -158,6 +162,32 @@ class CorrectionTrial:
             assert self._labelled is not None
             return self._labelled.corrected(correction)
 
+    def gaps(self) -> Filled:
+        """Its gaps as they can be filled. Raises AsterismError as `opened` does.
+
+        Found outside the trial's lock: that can take seconds, and answers go on.
+        """
+        return self.finishing.gaps(self.snapshot(), self._trials())
+
+    def _trials(self) -> list[OtherTrial]:
+        """What `trials_of` names: of trials of the sitting under the labels as they are, of other files under their own.
+
+        Not to be called under the trial's lock: each of two would wait for the other's.
+        """
+        ours = {str(one.path.resolve()): one for one in self.others()}
+        found = []
+        for path in trials_of(self.path, [one.path for one in ours.values()]):
+            trial = ours.get(str(path.resolve()))
+            if trial is None:
+                vertical = self.options.labelling.vertical
+                found.append(OtherTrial((path, _stamp(path)), partial(read_trial, path, vertical)))
+                continue
+            # one that is not labelled yet tells nothing, nor one whose groups are named
+            with suppress(AsterismError):
+                labelled = trial.snapshot()
+                found.append(OtherTrial(labelled.labelling, partial(getattr, labelled, "recording")))
+        return found
+
     @property
     def is_naming(self) -> bool:
         """Whether groups of points are named, since there are no labels."""
@@ -195,6 +225,7 @@ class CorrectionTrial:
         Of groups that were named, the names are written beside it, in a table that `asterism name` reads. Raises AsterismError where the
         recording's file has changed on the disk, a target is there and not ours, or no group has a name.
         """
+        trials = self._trials()
         with self.held() as held:
             self._check_unchanged()
             for target in self._targets:
@@ -202,7 +233,7 @@ class CorrectionTrial:
             self.target.parent.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(prefix="asterism-") as folder:
                 draft = Path(folder) / self.target.name
-                lost = self._draft(held, draft)
+                lost = self._draft(held, draft, trials)
                 data = draft.read_bytes()
             if isinstance(held, GroupNaming):
                 self._write(self.table, group_names_text(held.groups, held.names).encode())
@@ -220,12 +251,12 @@ class CorrectionTrial:
     def _targets(self) -> list[Path]:
         return [self.table, self.target] if self.is_naming else [self.target]
 
-    def _draft(self, held: Correction | GroupNaming, draft: Path) -> list[str]:
-        """Write the labelled recording; returns what the file cannot hold."""
+    def _draft(self, held: Correction | GroupNaming, draft: Path, trials: Sequence[OtherTrial]) -> list[str]:
+        """Write the labelled recording, its fills told by other trials, too; returns what the file cannot hold."""
         if isinstance(held, GroupNaming):
             return formats.write(draft, held.named())
         assert self._labelled is not None
-        return self._labelled.corrected(held, lambda recording: finished(held, recording)).write(draft)
+        return self._labelled.corrected(held, lambda recording: finished(held, recording, trials)).write(draft)
 
     def _write(self, target: Path, data: bytes) -> None:
         # The hash tells our file from one that someone else put there. Noted first: a kill may come between.
@@ -343,7 +374,7 @@ class CorrectionSession:
         """Called with a trial's id and revision when it has changed, from any thread."""
         targets = _targets(files, options.output) if targets is None else targets
         self.trials = [
-            CorrectionTrial(str(number), path, target, options, self._changed)
+            CorrectionTrial(str(number), path, target, options, self._changed, others=lambda: self.trials)
             for number, (path, target) in enumerate(zip(files, targets, strict=True))
         ]
         name = ", ".join(path.name for path in options.models) or "virtual people"

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from asterism.findings import Finding, Severity
+from asterism.motion.clinical.estimated import MeasurePriors
 from asterism.motion.clinical.landmark_body import with_plug_in_gait_names, worn_landmarks
 from asterism.motion.clinical.measures import MARKER_RADIUS, SIDES, SubjectMeasures, subject_measures
 from asterism.motion.clinical.plug_in_gait import radius_by_the_file
@@ -25,6 +26,14 @@ _LIMBS = ("pelvis", "left thigh", "right thigh", "left shank", "right shank")
 _STEPS = 0.15
 """m, by which one ankle may move past the other while a person stands: 0.007 at most on 17 standing trials of four laboratories, 0.75 and
 more on 28 walks. At half it tells a foot that was put straight, at double a small child's steps come near."""
+_ROUNDED = 0.5
+"""mm, degrees or kg, by which what is given may differ from what a file holds without a word: a rounded number."""
+_USUAL = 2.0
+"""Standard deviations of `MeasurePriors` within which a width lies, of the leg's length: knees 0.08 to 0.19, ankles 0.04 to 0.12. At half,
+one person in three is told; at double, no mistake is."""
+_SAME_WIDTH = 0.2
+"""By which the wider of two knees or ankles is wider: a swollen one is by less. At half, people with arthritis are told; at double, a
+knee's width typed as an ankle's (0.6 of it) is just told."""
 _FEW = 4
 """Distances, at least, that tell a person."""
 
@@ -50,13 +59,14 @@ def gathered_measures(
         if fitted is not None and abs(fitted - measures.marker_radius) > 1e-4:
             found.append(_another_radius(recording, measures.marker_radius, fitted))
         measures = measures if fitted is None else replace(measures, marker_radius=fitted)
+    found += _differing(recording, measures, given)
     measures = measures.with_values(given)
     if static is not None:
         # a set without wands has no such offsets
         if any(label in ("LTHI", "RTHI") for label in with_plug_in_gait_names(recording).labels):
             measures = with_static_offsets(static, measures, rules).with_values(given)
         found += _other_person(recording, static) + _steps(static)
-    return measures, (*found, *_other_length(recording, measures))
+    return measures, (*found, *_implausible(recording, measures), *_other_length(recording, measures))
 
 
 def _over(upper: SubjectMeasures, lower: SubjectMeasures) -> SubjectMeasures:
@@ -87,6 +97,43 @@ def _another_radius(recording: Recording, named: float, fitted: float) -> Findin
         f"{_file(recording)}: its own angles were computed with markers of {2000 * fitted:g} mm, not {2000 * named:g} mm; so are these.",
         "Give MarkerDiameter if another one is right.",
     )
+
+
+def _differing(recording: Recording, held: SubjectMeasures, given: Mapping[str, float]) -> list[Finding]:
+    """Measures that were given in place of others, which files hold."""
+    both = {name: held.value_of(name) for name in given}
+    # files hold some digits more than people type
+    told = [
+        f"{name} {given[name]:g}, not {own:.4g}" for name, own in both.items() if own is not None and abs(given[name] - own) >= _ROUNDED
+    ]
+    if not told:
+        return []
+    sentence = f"{_file(recording)}: measures that were given are taken in place of those that its files hold: {', '.join(told)}."
+    mend = "Leave the option out where the file is right."
+    return [Finding("clinical-measure-differs", Severity.NOTE, _file(recording), sentence, mend)]
+
+
+def _implausible(recording: Recording, measures: SubjectMeasures) -> list[Finding]:
+    """Widths that hardly anybody has whose leg is so long, or whose other leg is so wide."""
+    told, priors, legs = list[str](), MeasurePriors(), {side: measures.of(side) for side in SIDES}
+    for joint, (mean, spread) in (("knee", priors.knee), ("ankle", priors.ankle)):
+        widths = {side: getattr(leg, f"{joint}_width") for side, leg in legs.items() if f"{joint}_width" in leg.from_file}
+        odd = [
+            (side, width, length)
+            for side, width in widths.items()
+            if (length := legs[side].leg_length) is not None and abs(width / length - mean) > _USUAL * spread
+        ]
+        told += [
+            f"the {SIDES[side]} {joint}'s width is {1000 * width:.0f} mm, the leg's length {1000 * length:.0f} mm"
+            for side, width, length in odd
+        ]
+        if not odd and len(widths) == 2 and max(widths.values()) > (1.0 + _SAME_WIDTH) * min(widths.values()):
+            told.append(f"the {joint}s' widths are {1000 * widths['L']:.0f} mm on the left and {1000 * widths['R']:.0f} mm on the right")
+    if not told:
+        return []
+    sentence = f"{_file(recording)}: {'; '.join(told)}: hardly anybody is built so. Half of an error of a width moves the joint's centre."
+    mend = "Look whether a measure is another one's, or mistyped, and correct it with --measure."
+    return [Finding("clinical-measure-implausible", Severity.WARNING, _file(recording), sentence, mend)]
 
 
 def _distances(recording: Recording, pairs: Sequence[tuple[str, str]], *shares: float) -> Floats:

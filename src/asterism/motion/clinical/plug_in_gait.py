@@ -104,9 +104,14 @@ def _leg(marker: Callable[[str], Floats], side: str, hip: Floats, measures: LegM
     shank = distal @ _about_z(outwards * measures.tibial_torsion)
     foot = None
     if has_toe:
-        line = along(ankle - marker(f"{side}TOE"), shank[:, :, 1])
-        foot = line @ _about_y(-measures.foot_flexion) @ _about_x(-outwards * measures.foot_rotation)
+        foot = turned_foot(along(ankle - marker(f"{side}TOE"), shank[:, :, 1]), side, measures)
     return Leg(hip, knee, ankle, thigh, shank, distal, foot)
+
+
+def turned_foot(line: Floats, side: str, measures: LegMeasures) -> Floats:
+    """(T, 3, 3) of the foot of side "L" or "R": the axes along the line from toe to ankle, turned by the offsets of the standing trial."""
+    outwards = 1.0 if side == "L" else -1.0
+    return line @ _about_y(-measures.foot_flexion) @ _about_x(-outwards * measures.foot_rotation)
 
 
 def joint_centre(upper: Floats, marker: Floats, wand: Floats, offset: float, turn: float = 0.0, tilt: float = 0.0) -> Floats:
@@ -197,33 +202,43 @@ def thorax_axes(recording: Recording) -> Floats | None:
     return np.stack([cross(y, z), y, z], axis=2)
 
 
-def angles_of(recording: Recording, body: LowerBody) -> dict[str, Floats]:
+def angles_of(recording: Recording, body: LowerBody, room: Floats | None = None) -> dict[str, Floats]:
     """Angles (T, 3) rad by Plug-in-Gait's names: of hips, knees, ankles, pelvis, feet (FootProgress), thorax and spine.
 
+    room  (3, 3), see `walking_axes`, which are taken where none are given
+
     Hip and knee: flexion, adduction, internal rotation. Ankle: dorsiflexion, then the foot's inversion and internal rotation. Pelvis and
-    thorax: tilt ahead, obliquity, rotation, in the axes of `walking_axes`.
+    thorax: tilt ahead, obliquity, rotation, in the axes of the room.
     """
-    room = np.broadcast_to(walking_axes(body), body.pelvis.shape)
-    thorax = thorax_axes(recording)
-    pelvis = turns(room, body.pelvis)
-    trunk = None if thorax is None else (turns(room, thorax), turns(thorax, body.pelvis))
-    found: dict[str, Floats] = {}
+    room = walking_axes(body) if room is None else room
+    rooms = np.broadcast_to(room, body.pelvis.shape)
+    pelvis, found = turns(rooms, body.pelvis), dict[str, Floats]()
     for side, leg in body.legs.items():
         left = 1.0 if side == "L" else -1.0
-        seen = np.array([1.0, left, -left])
         found |= _hip_and_knee(body, side)
-        found[f"{side}PelvisAngles"] = pelvis * seen
+        found[f"{side}PelvisAngles"] = pelvis * [1.0, left, -left]
         if leg.foot is not None:
-            for name, parent in (("Ankle", leg.distal_shank), ("FootProgress", room)):
+            for name, parent in (("Ankle", leg.distal_shank), ("FootProgress", rooms)):
                 about_y, about_x, about_z = turns(parent, leg.foot).T
                 # The foot's z points backwards, a right angle from the shank's.
                 angles = [-np.pi / 2 - about_y, -left * about_z, -left * about_x]
                 if name == "FootProgress":
                     angles = [about_y, left * about_z, -left * about_x]
                 found[f"{side}{name}Angles"] = np.stack(angles, axis=1)
-        if trunk is not None:
-            found[f"{side}ThoraxAngles"] = trunk[0] * seen
-            found[f"{side}SpineAngles"] = trunk[1] * (seen * [-1.0, 1.0, 1.0])
+    return _wrapped(found) | trunk_angles(recording, body.pelvis, room, "".join(body.legs))
+
+
+def trunk_angles(recording: Recording, pelvis: Floats, room: Floats, sides: str = "LR") -> dict[str, Floats]:
+    """Those of thorax, in the room's axes (3, 3), and spine, against the pelvis (T, 3, 3); none without the thorax' markers."""
+    thorax = thorax_axes(recording)
+    if thorax is None:
+        return {}
+    against = {"Thorax": turns(np.broadcast_to(room, thorax.shape), thorax), "Spine": turns(thorax, pelvis) * [-1.0, 1.0, 1.0]}
+    seen = {"L": [1.0, 1.0, -1.0], "R": [1.0, -1.0, 1.0]}
+    return _wrapped({f"{side}{name}Angles": angles * seen[side] for side in sides for name, angles in against.items()})
+
+
+def _wrapped(found: Mapping[str, Floats]) -> dict[str, Floats]:
     # Most angles are within half a turn, and a remainder takes as long as the turns themselves.
     return {name: (angles + np.pi) % (2 * np.pi) - np.pi if (np.abs(angles) > np.pi).any() else angles for name, angles in found.items()}
 

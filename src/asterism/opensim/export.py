@@ -1,0 +1,437 @@
+"""Walks, a standing trial and the file of a generic model in; a folder from which OpenSim scales the model and moves it, out."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from pathlib import Path, PurePath
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.files.atomic import utf8, write_atomically
+from asterism.files.tables import NumberTable
+from asterism.findings import Finding, Severity
+from asterism.formats import force_plates, write
+from asterism.formats.opensim_forces import companions, write_opensim_forces
+from asterism.formats.opensim_model import OsimModel
+from asterism.geometry import z_up_rotation
+from asterism.motion.clinical import ClinicalModel
+from asterism.opensim.documents import MotionTask, ScaleTask, dynamics_setup, kinematics_setup, marker_set, scale_setup
+from asterism.opensim.person import CENTRES, Person, bodies_of, person_of, ridden
+from asterism.opensim.scaling import BodyScale, PlacedMarker, generic_model, lumbar_share, placed_markers, scale_factors, spreads
+from asterism.recording import Floats, Recording, is_unnamed, subject_of
+from asterism.recording.force_plate import ForcePlate
+from asterism.recording.marker_set import without_subject
+
+CUT_OFF = 6.0
+"""Hz, of the low-pass filter of the coordinates in inverse dynamics, as gait laboratories take it: above it there is noise of markers. At
+half, a knee's moment at heel strike is lower by a third; at double, noise of accelerations is four times as large."""
+_UNKNOWN = 2.0
+"""How many times more a marker without a known name moves on every other segment. At 1 any marker sits somewhere, those at a joint by
+chance; at 4 markers on a soft thigh sit nowhere."""
+_CENTRES = 10.0
+"""The weight of joint centres in the standing pose, where a marker has 1: the model's joints shall be the person's, and the markers are
+then moved onto it. At half or double the pose stays, because all of them agree to millimetres."""
+_APART = 0.05
+"""m, between two markers that tell a factor: a marker put down again is 1 mm off, a fiftieth. At half, twice as much; at double, no child's
+foot has such a pair."""
+
+
+@dataclass(frozen=True)
+class OpenSimTrial:
+    """One trial: the recording, and the clinical model by which its legs are known; None where its markers tell no legs."""
+
+    recording: Recording
+    clinical: ClinicalModel | None = None
+
+
+@dataclass(frozen=True)
+class OpenSimExport:
+    """What was written.
+
+    files     kind -> file: "model", "markers", "scale", "factors"; of the trials, by their names, "walk: markers", "walk: forces", ...
+    commands  what to run in the folder, in this order
+    scales    of the model's bodies; markers  on the generic model; weights  trial -> marker -> weight in inverse kinematics
+    mass      kg; None where nothing tells it
+    findings  what is missing, and what was assumed instead
+    """
+
+    files: Mapping[str, Path]
+    commands: tuple[str, ...] = ()
+    scales: Mapping[str, BodyScale] = field(default_factory=dict)
+    markers: tuple[PlacedMarker, ...] = ()
+    weights: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    mass: float | None = None
+    findings: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """A trial with the names that OpenSim takes, under the name of its files. findings: on its names and plates."""
+
+    name: str
+    recording: Recording
+    clinical: ClinicalModel | None
+    plates: tuple[ForcePlate, ...]
+    findings: tuple[Finding, ...]
+
+
+def write_opensim(
+    folder: str | Path,
+    walks: Sequence[OpenSimTrial],
+    model: str | Path | None = None,
+    *,
+    static: Recording | None = None,
+    overwrite: bool = False,
+) -> OpenSimExport:
+    """Write a folder with which OpenSim's scale tool, inverse kinematics and inverse dynamics run at once.
+
+    walks   of one person; model  the user's own copy of a generic model (.osim), to which the documents point; without it, or without
+            legs that are known, only markers and forces are written
+    static  a standing trial with the same markers; without it the model is scaled by the first walk, and its markers stay where the
+            walk shows them
+
+    Nothing is written where a file is there already, unless `overwrite`. Raises AsterismError where that is so, where the folder cannot be
+    written to, or the model lacks a body that legs need.
+    """
+    folder = Path(folder)
+    if not walks:
+        raise AsterismError("there is no walk to write for OpenSim; name one.")
+    generic = None if model is None else generic_model(model)
+    trials = _prepared(walks, static)
+    still, moving = (trials[0], trials[1:]) if static is not None else (None, trials)
+    files = _targets(folder, trials, generic is not None)
+    there = [path for path in files.values() if path.exists()]
+    if there and not overwrite:
+        raise AsterismError(f"{there[0]} exists; choose another folder with -o, or replace it with --overwrite.")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise AsterismError(f"{folder} cannot be made ({problem.strerror or problem}); name another folder with -o.") from problem
+    found = [finding for trial in trials for finding in trial.findings]
+    share = np.array([-0.2, 0.9, 0.0]) if generic is None else lumbar_share(generic)
+    persons = {trial.name: person_of(trial.recording, trial.clinical, share) for trial in trials if trial.clinical is not None}
+    for trial in trials:
+        person = persons.get(trial.name)
+        turn = person.turn if person is not None else _turn(trial.recording)
+        own = dict(person.centres) if person is not None and trial is (still or moving[0]) else {}
+        write(files[f"{trial.name}: markers"], _turned(trial.recording, turn, own))
+        if f"{trial.name}: forces" in files:
+            unknown = write_opensim_forces(files[f"{trial.name}: markers"], trial.recording, trial.plates, turn)
+            found += [_load(trial, phrase) for phrase in unknown]
+        elif trial is not still:
+            found.append(_no_forces(trial))
+    scaled_by = still or moving[0]
+    if generic is None or model is None or scaled_by.name not in persons:
+        found += [_no_model(folder)] if generic is None else [_no_legs(scaled_by)]
+        kept = {kind: path for kind, path in files.items() if kind.endswith((": markers", ": forces", ": loads"))}
+        return OpenSimExport(kept, findings=tuple(found))
+    session = _Session(folder, files, generic, Path(model), scaled_by, still is not None, moving, persons)
+    return _documents(session, found)
+
+
+@dataclass(frozen=True)
+class _Session:
+    """What the documents are made of: `model` is the file of `generic`; `standing` whether `scaled_by` is a standing trial."""
+
+    folder: Path
+    files: Mapping[str, Path]
+    generic: OsimModel
+    model: Path
+    scaled_by: _Prepared
+    standing: bool
+    moving: Sequence[_Prepared]
+    persons: Mapping[str, Person]
+
+
+def _documents(session: _Session, found: list[Finding]) -> OpenSimExport:
+    """Scale factors, marker set and the tools' documents."""
+    files, generic, scaled_by = session.files, session.generic, session.scaled_by
+    person, name = session.persons[scaled_by.name], _subject(scaled_by.recording)
+    scales = scale_factors(generic, person, scaled_by.recording)
+    bodies = bodies_of(list(person.markers))
+    strange = [label for label in person.markers if label not in bodies]
+    rides = dict[str, str]()
+    for trial in session.moving:
+        if trial.name in session.persons:
+            rides = ridden(session.persons[trial.name], [one for one in strange if one in trial.recording.labels], _UNKNOWN) | rides
+    placed, left = placed_markers(generic, person, scales, bodies | rides)
+    left |= {label: "no marker set says where it sits, and it moves with no segment alone" for label in strange if label not in rides}
+    for trial in session.moving:
+        left |= {label: f"{scaled_by.name} does not show it" for label in trial.recording.labels if label not in person.markers}
+    found += _assumed(scaled_by, session.standing, scales, left, rides)
+    mass, said = _mass(scaled_by, session.moving)
+    weights = {marker.name: _CENTRES if marker.centre else 1.0 for marker in placed}
+    scaled = f"{name}_scaled.osim"
+    task = ScaleTask(
+        model=_beside(session.model, session.folder),
+        markers=files["markers"].name,
+        trial=files[f"{scaled_by.name}: markers"].name,
+        times=_span(scaled_by.recording),
+        mass=mass,
+        scales=scales,
+        pairs=_pairs(placed, scales, person),
+        weights=weights,
+        held=_held(generic, placed, weights),
+        placing=session.standing,
+        output=scaled,
+    )
+    write_atomically(files["markers"], utf8(marker_set(name, placed)))
+    write_atomically(files["scale"], utf8(scale_setup(name, task)))
+    _factors(scales).write(files["factors"])
+    documents, weighed = [files["scale"]], dict[str, Mapping[str, float]]()
+    for trial in session.moving:
+        if trial.name in session.persons:
+            own = _motion(session, trial, placed, scaled)
+            weighed[trial.name] = own.weights
+            write_atomically(files[f"{trial.name}: kinematics"], utf8(kinematics_setup(trial.name, own)))
+            documents.append(files[f"{trial.name}: kinematics"])
+            if f"{trial.name}: dynamics" in files:
+                write_atomically(files[f"{trial.name}: dynamics"], utf8(dynamics_setup(trial.name, own)))
+                documents.append(files[f"{trial.name}: dynamics"])
+        else:
+            found.append(_no_legs(trial))
+    written = {kind: path for kind, path in files.items() if path in documents or not kind.endswith(("kinematics", "dynamics"))}
+    commands = tuple(f"opensim-cmd run-tool {path.name}" for path in documents)
+    return OpenSimExport(written, commands, scales, tuple(placed), weighed, mass, (*found, *said))
+
+
+def _motion(session: _Session, trial: _Prepared, placed: Sequence[PlacedMarker], scaled: str) -> MotionTask:
+    """Of one walk; a marker's weight is one over the square of what it is off, in centimetres."""
+    moves = spreads(session.persons[trial.name], placed)
+    weights = {one.name: (0.01 / float(np.hypot(one.sigma, moves[one.name]))) ** 2 for one in placed if one.name in moves}
+    loads = session.files.get(f"{trial.name}: loads")
+    return MotionTask(
+        model=scaled,
+        trial=session.files[f"{trial.name}: markers"].name,
+        times=_span(trial.recording),
+        coordinates=f"{trial.name}_ik.mot",
+        weights=weights,
+        held=_held(session.generic, placed, weights),
+        loads="" if loads is None else loads.name,
+        cut_off=CUT_OFF,
+    )
+
+
+def _prepared(walks: Sequence[OpenSimTrial], static: Recording | None) -> list[_Prepared]:
+    """The standing trial first, then the walks, under names that differ."""
+    clinical = next((walk.clinical for walk in walks if walk.clinical is not None), None)
+    given = [OpenSimTrial(static, None if clinical is None else replace(clinical, static=static))] if static is not None else []
+    found, taken = list[_Prepared](), dict[str, str]()
+    for trial in [*given, *walks]:
+        file = str(trial.recording.metadata.get("file", "recording"))
+        name = _plain(PurePath(file).stem)
+        if name.casefold() in taken:
+            raise AsterismError(f"{taken[name.casefold()]} and {file} would both become {name}.trc; give them one after the other.")
+        taken[name.casefold()] = file
+        recording, said = _with_plain_names(trial.recording)
+        plates, told = force_plates(trial.recording)
+        found.append(_Prepared(name, recording, trial.clinical, plates, (*said, *told)))
+    return found
+
+
+def _plain(name: str) -> str:
+    """A name as OpenSim takes it: its own part of paths and lists has no blanks, slashes, stars, plus signs or backslashes."""
+    return re.sub(r"[\s/\\*+,;:\"'<>&|?]+", "_", name).strip("_") or "trial"
+
+
+def _with_plain_names(recording: Recording) -> tuple[Recording, list[Finding]]:
+    """The named markers that are seen, without the subject's name, by names that OpenSim takes; and a finding where these are others."""
+    seen = np.asarray(recording.visible.any(axis=0))
+    labels = [label for label, shown in zip(recording.labels, seen, strict=True) if shown and not is_unnamed(label)]
+    if not labels:
+        raise AsterismError(f"{recording.metadata.get('file', 'the recording')} has no point with a name for OpenSim; label it first.")
+    names, found = list[str](), list[Finding]()
+    for label in labels:
+        name = _plain(without_subject(label))
+        # joint centres are added under their names
+        name = (
+            name
+            if name not in (*names, *CENTRES)
+            else next(f"{name}_{k}" for k in range(2, len(labels) + 2) if f"{name}_{k}" not in labels and f"{name}_{k}" not in names)
+        )
+        names.append(name)
+    changed = {label: name for label, name in zip(labels, names, strict=True) if without_subject(label) != name}
+    if changed:
+        file = str(recording.metadata.get("file", "the recording"))
+        listed = ", ".join(f"{label} is {name}" for label, name in list(changed.items())[:5])
+        more = "" if len(changed) <= 5 else f", and {len(changed) - 5} more"
+        sentence = f"{file}: names that OpenSim does not take, or that are alike, were changed: {listed}{more}."
+        found.append(Finding("opensim-names", Severity.NOTE, file, sentence, "Use names without blanks."))
+    return replace(recording.select(labels), labels=tuple(names)), found
+
+
+def _targets(folder: Path, trials: Sequence[_Prepared], documents: bool) -> dict[str, Path]:
+    """All files that will be written."""
+    files: dict[str, Path] = {}
+    for trial in trials:
+        path = folder / f"{trial.name}.trc"
+        files[f"{trial.name}: markers"] = path
+        if trial.plates:
+            files[f"{trial.name}: forces"], files[f"{trial.name}: loads"] = companions(path)
+        if documents:
+            files[f"{trial.name}: kinematics"] = folder / f"{trial.name}_ik.xml"
+            if trial.plates:
+                files[f"{trial.name}: dynamics"] = folder / f"{trial.name}_id.xml"
+    if documents:
+        files |= {"markers": folder / "markers.xml", "scale": folder / "scale.xml", "factors": folder / "scale_factors.csv"}
+    return files
+
+
+def _turned(recording: Recording, turn: Floats, centres: Mapping[str, Floats]) -> Recording:
+    """The recording in OpenSim's room, in mm, with joint centres as further markers."""
+    positions = np.concatenate([recording.positions @ turn.T, *(points[:, None] for points in centres.values())], axis=1)
+    metadata = {**recording.metadata, "units": "mm"}
+    labels = (*recording.labels, *centres)
+    vertical = np.array([0.0, 1.0, 0.0])
+    return replace(recording, positions=positions, labels=labels, vertical=vertical, metadata=metadata, source=None, origin=None, taken=())
+
+
+def _turn(recording: Recording) -> Floats:
+    """(3, 3) to OpenSim's room, x along the axis of the room along which the markers move: for a trial whose legs are not known."""
+    up = z_up_rotation(recording.vertical)
+    middle = np.nanmean(np.where(recording.visible[:, :, None], recording.positions, np.nan), axis=1) @ up.T
+    seen = middle[np.isfinite(middle).all(axis=1)]
+    way = (seen[-1] - seen[0])[:2] if len(seen) else np.zeros(2)
+    axis = int(abs(way[1]) > abs(way[0]))
+    ahead = np.zeros(3)
+    ahead[axis] = 1.0 if way[axis] >= 0 else -1.0
+    return np.stack([ahead, [0.0, 0.0, 1.0], np.cross(ahead, [0.0, 0.0, 1.0])]) @ up
+
+
+def _span(recording: Recording) -> tuple[float, float]:
+    """s, the first and last frame in which three markers are seen: fewer tell no pose."""
+    seen = np.nonzero(np.asarray(recording.visible.sum(axis=1)) >= 3)[0]
+    first, last = (seen[0], seen[-1]) if len(seen) else (0, max(len(recording) - 1, 0))
+    return float(recording.times[first]), float(recording.times[last])
+
+
+def _subject(recording: Recording) -> str:
+    return _plain(PurePath(str(recording.metadata.get("subject") or subject_of(recording))).name)
+
+
+def _beside(model: Path, folder: Path) -> str:
+    """The model's file as seen from the folder: the tools put their own folder before what they read."""
+    try:
+        return Path(os.path.relpath(os.path.abspath(model), os.path.abspath(folder))).as_posix()
+    except ValueError:  # another drive
+        return str(model.absolute())
+
+
+def _pairs(placed: Sequence[PlacedMarker], scales: Mapping[str, BodyScale], person: Person) -> dict[str, tuple[str, str]]:
+    """Body -> two points whose distance tells its factor; bodies of a foot share one."""
+    found: dict[str, tuple[str, str]] = {}
+    centres = {marker.name for marker in placed if marker.centre}
+    known = {"pelvis": ("RHJC", "LHJC")}
+    for side, letter in (("R", "r"), ("L", "l")):
+        known |= {f"femur_{letter}": (f"{side}HJC", f"{side}KJC"), f"tibia_{letter}": (f"{side}KJC", f"{side}AJC")}
+    for body, pair in known.items():
+        together = set(pair) <= centres and np.isfinite(person.centres[pair[0]] + person.centres[pair[1]]).all(axis=1).any()
+        if together and body in scales and scales[body].measured is not None:
+            found[body] = pair
+    for body, others in {
+        "torso": ("torso",),
+        **{f"calcn_{side}": tuple(f"{one}_{side}" for one in ("talus", "calcn", "toes")) for side in "rl"},
+    }.items():
+        own = [marker for marker in placed if marker.body == body]
+        widest = max(combinations(own, 2), key=lambda two: float(np.linalg.norm(two[0].location - two[1].location)), default=None)
+        if widest is None or np.linalg.norm(widest[0].location - widest[1].location) * scales[body].factor < _APART:
+            continue
+        seen = np.isfinite(person.markers[widest[0].name] + person.markers[widest[1].name]).all(axis=1)
+        if seen.any():
+            found |= {other: (widest[0].name, widest[1].name) for other in others if other in scales}
+    return found
+
+
+def _held(model: OsimModel, placed: Sequence[PlacedMarker], weights: Mapping[str, float]) -> list[str]:
+    """Coordinates that no marker tells: none is below the joint, or a single one below two joints in a row."""
+    on = [marker.body for marker in placed if marker.name in weights]
+    held = list[str]()
+    for body, joint in model.joints.items():
+        below = set(model.below(body))
+        needed = 1 + (joint.parent not in on)
+        if joint.parent != "ground" and sum(one in below for one in on) < needed:
+            held += [one for one in joint.coordinates if one not in model.coupled]
+    return held
+
+
+def _mass(scaled_by: _Prepared, moving: Sequence[_Prepared]) -> tuple[float | None, list[Finding]]:
+    """kg: that which was given or the file holds; else what the plates bear in the standing trial."""
+    clinical = scaled_by.clinical
+    if clinical is not None and clinical.measures.mass is not None:
+        return clinical.measures.mass, []
+    file = str(scaled_by.recording.metadata.get("file", "the recording"))
+    if scaled_by not in moving and scaled_by.plates:
+        load = np.sum([np.median(plate.load) for plate in scaled_by.plates if np.median(plate.load) > 0.0])
+        feet = {side for plate in scaled_by.plates for side in "lr" if np.median(plate.load) > 0.0}
+        if load > 50.0 and feet:
+            weight = float(load / 9.81)
+            sentence = f"{file}: nobody gave the person's mass; the plates bear {weight:.1f} kg in this trial."
+            return weight, [
+                Finding("opensim-mass", Severity.NOTE, file, sentence, "Give --measure BodyMass=KG where a foot is beside them.")
+            ]
+    sentence = f"{file}: nobody gave the person's mass, so that the scaled model keeps the generic one's."
+    return None, [Finding("opensim-mass", Severity.WARNING, file, sentence, "Give --measure BodyMass=KG.")]
+
+
+def _factors(scales: Mapping[str, BodyScale]) -> NumberTable:
+    columns = {"kind": str, "body": str, "factor": float, "measured_m": float, "model_m": float, "by": str}
+    rows = tuple(("scale", scale.body, scale.factor, scale.measured, scale.model, scale.by) for scale in scales.values())
+    return NumberTable(columns, rows)
+
+
+def _assumed(
+    trial: _Prepared, standing: bool, scales: Mapping[str, BodyScale], left: Mapping[str, str], rides: Mapping[str, str]
+) -> list[Finding]:
+    """What the set lacks, and what is assumed instead."""
+    file, found = str(trial.recording.metadata.get("file", "the recording")), list[Finding]()
+    if not standing:
+        sentence = f"{file}: without a standing trial the model is scaled by this walk, and its markers sit where the walk shows them."
+        found.append(Finding("opensim-no-static", Severity.NOTE, file, sentence, "Give a standing trial with --static."))
+    guessed = [scale for scale in scales.values() if scale.measured is None and scale.by == "as the legs"]
+    guessed += [scale for scale in scales.values() if scale.measured is None and scale.body[:5] in ("femur", "tibia", "talus")]
+    if guessed:
+        listed = ", ".join(f"{scale.body} {scale.by}" for scale in guessed)
+        sentence = f"{file}: its markers do not tell the size of all bodies, which are scaled: {listed}."
+        found.append(Finding("opensim-scale", Severity.NOTE, file, sentence, "Use a marker set that shows both ends of each of them."))
+    by_reason: dict[str, list[str]] = {}
+    for name, why in left.items():
+        by_reason.setdefault(why, []).append(name)
+    for why, names in by_reason.items():
+        sentence = f"{file}: {', '.join(names)} {'is' if len(names) == 1 else 'are'} in the TRC file and not on the model: {why}."
+        found.append(
+            Finding("opensim-marker", Severity.NOTE, file, sentence, "Name it as a marker set does, or use a model with that body.")
+        )
+    if rides:
+        listed = ", ".join(f"{name} on {body}" for name, body in rides.items())
+        sentence = f"{file}: by their names these markers sit nowhere; they were put on the segment with which they move: {listed}."
+        found.append(Finding("opensim-ridden", Severity.NOTE, file, sentence, "Look whether that is so; markers.xml says where they sit."))
+    return found
+
+
+def _load(trial: _Prepared, phrase: str) -> Finding:
+    file = str(trial.recording.metadata.get("file", "the recording"))
+    mend = "Leave that time out of inverse dynamics, or say in the _grf.xml on which body it acts."
+    return Finding("opensim-load", Severity.WARNING, file, f"{file}: acts on no body in OpenSim: {phrase}.", mend)
+
+
+def _no_forces(trial: _Prepared) -> Finding:
+    file = str(trial.recording.metadata.get("file", "the recording"))
+    sentence = f"{file} has no force plates that can be used, so that there are no forces and no inverse dynamics."
+    return Finding("opensim-no-forces", Severity.NOTE, file, sentence, "Give the C3D file with its force plates.")
+
+
+def _no_model(folder: Path) -> Finding:
+    sentence = f"Without a generic model there are markers and forces in {folder}, and no marker set and no documents for OpenSim's tools."
+    return Finding("opensim-no-model", Severity.NOTE, str(folder), sentence, "Give your copy of gait2392 or Rajagopal's with --model.")
+
+
+def _no_legs(trial: _Prepared) -> Finding:
+    file = str(trial.recording.metadata.get("file", "the recording"))
+    sentence = f"{file}: its markers tell no hips, knees and ankles, so that no model is scaled or moved by it; its TRC file is there."
+    mend = "Name them as a marker set does: pelvis, and of a leg Plug-in-Gait's markers or both sides of knee and ankle."
+    return Finding("opensim-no-legs", Severity.WARNING, file, sentence, mend)

@@ -1,0 +1,351 @@
+"""A folder for OpenSim: read by another reader it shows the person, the model's markers and the forces; OpenSim itself runs from it."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from opensim_models import LUMBAR, centres, joints, written_model, written_old_model
+from test_opensim_forces import two_steps, written
+
+from asterism import Recording, formats
+from asterism.cli import main
+from asterism.formats.opensim_model import read_osim
+from asterism.opensim import bodies_of
+from asterism.simulation import simulate_standing, simulate_walks
+
+ROOM = {"z": np.eye(3), "y": np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]]), "-x": np.diag([-1.0, -1.0, 1.0])}
+"""From the simulation's room, z up: itself, one with y up, and one in which the same person walks the other way along x."""
+
+TORSO = "</socket_parent><translation>{} {} {}".format(*LUMBAR)
+
+
+@pytest.fixture(scope="session")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a walk, a standing trial of the same person, and a model."""
+    folder = tmp_path_factory.mktemp("opensim")
+    [walk], [still] = simulate_walks(1, 150, markers="plug-in-gait", seed=3), simulate_standing(1, 20, markers="plug-in-gait", seed=3)
+    gap = walk.positions.copy()
+    gap[40:50, -1] = np.nan
+    formats.write(folder / "walk.c3d", replace(walk, positions=gap))
+    formats.write(folder / "stands.c3d", still)
+    written_model(folder / "round.osim")
+    return folder
+
+
+def run(folder: Path, out: Path, *words: object, walk: str = "walk.c3d") -> int:
+    given = [
+        folder / walk,
+        "--static",
+        folder / "stands.c3d",
+        "--model",
+        folder / "round.osim",
+        "-o",
+        out,
+        "--measure",
+        "BodyMass=70",
+        *words,
+    ]
+    return main(["opensim", *(str(one) for one in given)])
+
+
+def trc(path: Path) -> tuple[list[str], np.ndarray, list[str]]:
+    """Names, (T, 2 + 3 P) numbers with NaN for blanks, and the header's values: as OpenSim reads it, a cell between two tabs."""
+    lines = path.read_text(encoding="utf-8").split("\n")
+    names = [name for name in lines[3].split("\t")[2:] if name]
+    rows = []
+    for line in lines[6:]:
+        if line:
+            # what stands behind a last tab is no cell
+            cells = line.removesuffix("\t").split("\t")
+            assert len(cells) == 2 + 3 * len(names)
+            rows.append([float(cell) if cell else np.nan for cell in cells])
+    return names, np.array(rows), lines[2].split("\t")
+
+
+def test_a_model_is_read_as_it_stands(tmp_path: Path) -> None:
+    truth = centres()
+    for path in (written_model(tmp_path / "new.osim"), written_old_model(tmp_path / "old.osim")):
+        model = read_osim(path)
+        assert set(model.masses) == {body for _, _, body, *_ in joints()} and model.mass == pytest.approx(73.4)
+        for body, joint in model.joints.items():
+            # the spline of the knee is 0 at 0 degrees, as all its points are on one line
+            np.testing.assert_allclose(joint.centre, truth[body], atol=1e-9, err_msg=body)
+            np.testing.assert_allclose(model.in_body(body, joint.centre), 0.0, atol=1e-9)
+        assert model.joints["femur_l"].coordinates == ("hip_flexion_l", "hip_adduction_l", "hip_rotation_l")
+
+
+def test_turned_frames_and_functions_move_a_body(tmp_path: Path) -> None:
+    text = written_model(tmp_path / "a.osim").read_text(encoding="utf-8")
+    # the left ankle's frames are turned on both sides, and its child lies 0.1 m beside the joint along the turned y
+    at = text.index('<CustomJoint name="ankle_l">')
+    turned = text[at:].replace("<orientation>0 0 0</orientation>", "<orientation>0 0 1.5707963267948966</orientation>", 2)
+    turned = turned.replace("<translation>0 0 0</translation>", "<translation>0 0.1 0</translation>", 1)
+    constant = '<Constant name="function"><value>0</value></Constant>'
+    polynomial = (
+        '<MultiplierFunction name="function"><function><PolynomialFunction><coefficients>3 0.25</coefficients></PolynomialFunction>'
+    )
+    turned = turned.replace(constant, f"{polynomial}</function><scale>2</scale></MultiplierFunction>", 1)
+    (tmp_path / "b.osim").write_text(text[:at] + turned, encoding="utf-8")
+    model = read_osim(tmp_path / "b.osim")
+    # the first constant is the turn about x, of 2 * 0.25 rad, in the turned frame: about the room's y
+    cosine, sine = np.cos(0.5), np.sin(0.5)
+    expected = np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
+    np.testing.assert_allclose(model.rotations["talus_l"], expected, atol=1e-9)
+    np.testing.assert_allclose(model.origins["talus_l"], centres()["talus_l"] - expected @ [0, 0.1, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda text: text.replace("femur_r", "thigh_r"), "no body femur_r"),
+        (lambda text: text.replace(f"/bodyset/pelvis{TORSO}", f"/bodyset/hips{TORSO}"), "torso hangs on hips"),
+        (lambda text: text.replace("LinearFunction", "Sine"), "function Sine"),
+        (lambda text: text[:2000], "no model of OpenSim"),
+        (lambda text: text.replace("Model", "Figure"), "no model of OpenSim"),
+        (lambda text: text.replace("<mass>9.0", "<mass>heavy"), "is damaged"),
+    ],
+    ids=["names", "hangs", "function", "cut", "other", "number"],
+)
+def test_a_model_that_cannot_be_used_is_said(
+    change: Any, said: str, session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bad.osim").write_text(change((session / "round.osim").read_text(encoding="utf-8")), encoding="utf-8")
+    assert main(["opensim", str(session / "walk.c3d"), "-m", str(tmp_path / "bad.osim"), "-o", str(tmp_path / "out")]) == 2
+    assert said in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("room", list(ROOM))
+def test_the_scaled_model_stands_where_the_person_does(room: str, session: Path, tmp_path: Path) -> None:
+    for name in ("walk.c3d", "stands.c3d"):
+        recording = formats.read(session / name)
+        up = np.array([0.0, 1.0, 0.0]) if room == "y" else recording.vertical
+        turned = replace(recording, positions=recording.positions @ ROOM[room].T, vertical=up, source=None, origin=None, taken=())
+        formats.write(tmp_path / name, turned)
+    (tmp_path / "round.osim").write_bytes((session / "round.osim").read_bytes())
+    assert run(tmp_path, tmp_path / "out", "--json", tmp_path / "a.json") == 0
+    result = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
+    # scaled by hand: each joint is as far from the one above as its body is larger
+    table = [line.split(",") for line in (tmp_path / "out" / "scale_factors.csv").read_text(encoding="utf-8").split("\n")[1:] if line]
+    factors = {cells[1]: float(cells[2]) for cells in table}
+    assert factors == pytest.approx({body: one["factor"] for body, one in result["scales"].items()}, rel=1e-6)
+    places = {"ground": np.zeros(3)}
+    for _, parent, body, _, place, _, _ in joints():
+        places[body] = places[parent] + np.multiply(place, factors.get(parent, 1.0))
+    names, rows, header = trc(tmp_path / "out" / "stands.trc")
+    assert header[4] == "mm"
+    stands = dict(zip(names, np.nanmedian(rows[:, 2:], axis=0).reshape(-1, 3) / 1000, strict=True))
+    there, here = [], []
+    for marker in ElementTree.parse(tmp_path / "out" / "markers.xml").getroot().iter("Marker"):
+        body = (marker.findtext("socket_parent_frame") or "").removeprefix("/bodyset/")
+        location = np.array([float(word) for word in (marker.findtext("location") or "").split()])
+        there.append(places[body] + factors[body] * location)
+        here.append(stands[marker.get("name", "")])
+    model, person = np.array(there), np.array(here)
+    assert len(model) > 25
+    # y up and x ahead in both, so that shifted alone, not turned, the model stands in the person to a few degrees of its joints
+    apart = (model - model.mean(axis=0)) - (person - person.mean(axis=0))
+    assert np.sqrt((apart**2).sum(axis=1).mean()) < 0.03
+    assert person[:, 1].min() > -0.02 and np.ptp(person[:, 1]) > 1.0
+    # walking along x as near as quarter turns bring it: this person walks 31 degrees off an axis of the room
+    _, walk, _ = trc(tmp_path / "out" / "walk.trc")
+    moved = np.nanmean(walk[-1, 2:].reshape(-1, 3) - walk[0, 2:].reshape(-1, 3), axis=0)
+    assert moved[0] > 500 and moved[0] > 1.4 * np.abs(moved[1:]).max()
+
+
+def test_markers_of_one_body_are_as_far_apart_as_the_person_s(session: Path, tmp_path: Path) -> None:
+    assert run(session, tmp_path / "out", "--json", tmp_path / "a.json") == 0
+    result = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
+    names, rows, _ = trc(tmp_path / "out" / "stands.trc")
+    stands = dict(zip(names, np.nanmedian(rows[:, 2:], axis=0).reshape(-1, 3) / 1000, strict=True))
+    root = ElementTree.parse(tmp_path / "out" / "scale.xml").getroot()
+    tool = root.find("ScaleTool")
+    assert tool is not None and float(tool.findtext("mass") or 0) == 70.0
+    assert (tmp_path / "out" / (tool.findtext("GenericModelMaker/model_file") or "")).resolve() == (session / "round.osim").resolve()
+    scaled = set()
+    for one in tool.iter("Measurement"):
+        body = one.get("name", "")
+        pair = (one.findtext(".//markers") or "").split()
+        own = [result["markers"][name] for name in pair]
+        at = [centres()[marker["body"]] + marker["location_m"] for marker in own]
+        # as the scale tool does it: the person's distance over the model's
+        measured = np.linalg.norm(stands[pair[0]] - stands[pair[1]]) / np.linalg.norm(at[0] - at[1])
+        assert measured == pytest.approx(result["scales"][body]["factor"], rel=0.01), body
+        scaled.add(body)
+    scaled |= {one.findtext("segment") for one in tool.iter("Scale")}
+    assert scaled == {body for _, _, body, *_ in joints()}
+
+
+def test_the_tools_read_each_other_s_files(session: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run(session, out) == 0
+    scale, motion = (ElementTree.parse(out / name).getroot()[0] for name in ("scale.xml", "walk_ik.xml"))
+    assert motion.findtext("model_file") == scale.findtext("MarkerPlacer/output_model_file")
+    placed = {marker.get("name"): marker for marker in ElementTree.parse(out / "markers.xml").getroot().iter("Marker")}
+    for tool, file in ((scale, "stands.trc"), (motion, "walk.trc")):
+        names, rows, _ = trc(out / file)
+        tasks = [task.get("name") for task in tool.iter("IKMarkerTask")]
+        assert tasks and set(tasks) <= set(names) & set(placed)
+        assert all(float(task.findtext("weight") or 0) > 0 for task in tool.iter("IKMarkerTask"))
+        begin, end = (float(word) for word in (tool.findtext(".//time_range") or "").split())
+        assert rows[0, 1] == pytest.approx(begin) and rows[-1, 1] == pytest.approx(end)
+    # joint centres are computed, and nothing that a walk's inverse kinematics may lean on
+    assert "RHJC" in placed and not {"RHJC", "LAJC"} & {task.get("name") for task in motion.iter("IKMarkerTask")}
+    weights = {str(task.get("name")): float(task.findtext("weight") or 0) for task in motion.iter("IKMarkerTask")}
+    assert weights["LASI"] > 2 * weights["LTHI"], "skin slides on the thigh"
+    # two markers on the foot, and none on the toes, whose joint no marker tells
+    held = {task.get("name") for task in motion.iter("IKCoordinateTask")}
+    assert held == {"mtp_angle_r", "mtp_angle_l"}
+    assert not (out / "walk_id.xml").exists(), "no plates, no inverse dynamics"
+
+
+def test_gaps_are_missing_samples_to_opensim(session: Path, tmp_path: Path) -> None:
+    assert run(session, tmp_path / "out") == 0
+    names, rows, _ = trc(tmp_path / "out" / "walk.trc")
+    assert names[-1] == "RTOE" and np.isnan(rows[40:50, -3:]).all() and np.isfinite(rows[50:, -3:]).all()
+
+
+def test_without_a_standing_trial_the_walk_scales(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [session / "walk.c3d", "-m", session / "round.osim", "-o", tmp_path / "out", "--measure", "BodyMass=70"]
+    assert main(["opensim", *(str(one) for one in words)]) == 0
+    assert "[opensim-no-static]" in capsys.readouterr().err
+    tool = ElementTree.parse(tmp_path / "out" / "scale.xml").getroot()[0]
+    assert tool.findtext("ModelScaler/marker_file") == "walk.trc" and tool.find("MarkerPlacer") is None
+    motion = ElementTree.parse(tmp_path / "out" / "walk_ik.xml").getroot()[0]
+    assert motion.findtext("model_file") == tool.findtext("ModelScaler/output_model_file")
+
+
+def test_without_a_model_there_are_markers_and_forces(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = two_steps(tmp_path)
+    # three markers tell no legs, which is no fault where no model asks for them
+    assert main(["opensim", str(source), "-o", str(tmp_path / "out"), "--vertical", "z"]) == 0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"walk.trc", "walk_grf.mot", "walk_grf.xml"}
+    assert "[opensim-no-model]" in capsys.readouterr().err
+    written_model(tmp_path / "a.osim")
+    assert main(["opensim", str(source), "-m", str(tmp_path / "a.osim"), "-o", str(tmp_path / "two"), "--vertical", "z"]) == 1
+    assert "[opensim-no-legs]" in capsys.readouterr().err and (tmp_path / "two" / "walk_grf.mot").exists()
+
+
+def test_nothing_is_replaced_unless_asked(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert run(session, out) == 0
+    before = (out / "walk.trc").read_bytes()
+    (out / "walk.trc").write_bytes(b"mine")
+    (out / "scale.xml").unlink()
+    assert run(session, out) == 2 and "exists" in capsys.readouterr().err
+    assert (out / "walk.trc").read_bytes() == b"mine" and not (out / "scale.xml").exists()
+    assert run(session, out, "--overwrite") == 0 and (out / "walk.trc").read_bytes() == before
+    assert run(session, session / "walk.c3d") == 2 and "is a file" in capsys.readouterr().err
+
+
+def renamed(recording: Recording, change: Any) -> Recording:
+    return replace(recording, labels=tuple(change(label) for label in recording.labels), source=None, origin=None, taken=())
+
+
+def test_names_that_opensim_does_not_take(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    long = {"LKNE": "L Knee", "RKNE": "R Knee", "LHEE": "Ann:LHEE", "T10": "my*10"}
+    for name in ("walk", "stands"):
+        formats.write(tmp_path / f"{name}.npz", renamed(formats.read(session / f"{name}.c3d"), lambda label: long.get(label, label)))
+    words = [tmp_path / "walk.npz", "--static", tmp_path / "stands.npz", "-m", session / "round.osim", "-o", tmp_path / "out"]
+    assert main(["opensim", *(str(one) for one in words), "--measure", "BodyMass=70"]) == 0
+    error = capsys.readouterr().err
+    assert "L Knee is L_Knee" in error and "my*10 is my_10" in error
+    names, _, _ = trc(tmp_path / "out" / "walk.trc")
+    assert {"L_Knee", "R_Knee", "LHEE", "my_10"} <= set(names)
+    placed = {marker.get("name"): marker for marker in ElementTree.parse(tmp_path / "out" / "markers.xml").getroot().iter("Marker")}
+    assert placed["L_Knee"].findtext("socket_parent_frame") == "/bodyset/femur_l"
+
+
+def test_a_marker_that_no_set_knows_sits_where_it_moves_least(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("walk", "stands"):
+        recording = formats.read(session / f"{name}.c3d")
+        # between two markers of the shank, and one that flies about
+        shank, flies = (
+            recording.select(["LTIB", "LKNE"]).positions.mean(axis=1),
+            np.random.default_rng(1).normal(1, 0.3, (len(recording), 3)),
+        )
+        more = np.stack([shank, flies], axis=1)
+        positions = np.concatenate([recording.positions, more], axis=1)
+        both = replace(recording, positions=positions, labels=(*recording.labels, "bump", "fly"), source=None, origin=None, taken=())
+        formats.write(tmp_path / f"{name}.npz", both)
+    words = [tmp_path / "walk.npz", "--static", tmp_path / "stands.npz", "-m", session / "round.osim", "-o", tmp_path / "out"]
+    assert main(["opensim", *(str(one) for one in words), "--measure", "BodyMass=70", "--vertical", "z"]) == 0
+    error = capsys.readouterr().err
+    assert "bump on tibia_l" in error and "fly is in the TRC file and not on the model" in error
+    placed = {marker.get("name") for marker in ElementTree.parse(tmp_path / "out" / "markers.xml").getroot().iter("Marker")}
+    assert "bump" in placed and "fly" not in placed
+
+
+def test_two_files_of_one_name_are_refused(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "walk.c3d").write_bytes((session / "walk.c3d").read_bytes())
+    assert run(session, tmp_path / "out", tmp_path / "walk.c3d") == 2
+    assert "would both become walk.trc" in capsys.readouterr().err
+
+
+def test_bodies_by_names() -> None:
+    found = bodies_of(["Ann:LASI", "R.Thigh", "LSHO", "LFHD", "RELB", "LMED", "what"])
+    assert found == {
+        "Ann:LASI": "pelvis", "R.Thigh": "femur_r", "LSHO": "torso", "LFHD": "head", "RELB": "humerus_r", "LMED": "tibia_l",
+    }  # fmt: skip
+
+
+def test_the_mass_is_what_the_plates_bear(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    still = formats.read(session / "stands.c3d")
+    samples = len(still) * 10
+    forces, places = np.tile([0.0, 0.0, 600.0], (samples, 1)), np.tile([0.6, 0.3, 0.0], (samples, 1))
+    written(tmp_path / "stands.c3d", forces, places, still.positions, still.labels)
+    words = [session / "walk.c3d", "--static", tmp_path / "stands.c3d", "-m", session / "round.osim", "-o", tmp_path / "out"]
+    assert main(["opensim", *(str(one) for one in words)]) == 0
+    assert "61.2 kg" in capsys.readouterr().err
+    assert float(ElementTree.parse(tmp_path / "out" / "scale.xml").findtext(".//mass") or 0) == pytest.approx(600 / 9.81, abs=0.01)
+
+
+def opensim_python() -> str:
+    """The interpreter that has OpenSim: this one, or that which ASTERISM_OPENSIM names."""
+    given = os.environ.get("ASTERISM_OPENSIM") or (sys.executable if importlib.util.find_spec("opensim") else "")
+    if not given:
+        pytest.skip("no OpenSim here: install the package opensim, or let ASTERISM_OPENSIM name an interpreter that has it")
+    return given
+
+
+TOOLS = """
+import sys, opensim
+opensim.Logger.setLevelString("Error")
+for name, tool in (("scale", opensim.ScaleTool), ("walk_ik", opensim.InverseKinematicsTool), ("walk_id", opensim.InverseDynamicsTool)):
+    assert tool(name + ".xml").run(), name
+model = opensim.Model(sys.argv[1])
+print(model.getTotalMass(model.initSystem()))
+"""
+
+
+@pytest.mark.parametrize("static", [True, False], ids=["standing", "walk-alone"])
+def test_opensim_runs_from_it(static: bool, session: Path, tmp_path: Path) -> None:
+    python = opensim_python()
+    walk = formats.read(session / "walk.c3d")
+    samples = len(walk) * 10
+    forces = np.outer(500.0 * np.sin(np.linspace(0, np.pi, samples)), [0.05, 0.0, 1.0])
+    middle = walk.select(["LANK"]).positions[len(walk) // 2, 0]
+    places = np.tile([middle[0], middle[1], 0.0], (samples, 1))
+    written(tmp_path / "walk.c3d", forces, places, walk.positions, walk.labels)
+    words = [tmp_path / "walk.c3d", "-m", session / "round.osim", "-o", tmp_path / "out", "--measure", "BodyMass=70"]
+    words += ["--static", session / "stands.c3d"] if static else []
+    assert main(["opensim", *(str(one) for one in words)]) in (0, 1)
+    [scaled] = {one.findtext("model_file") for one in ElementTree.parse(tmp_path / "out" / "walk_ik.xml").getroot()}
+    done = subprocess.run([python, "-c", TOOLS, str(scaled)], cwd=tmp_path / "out", capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr + done.stdout
+    assert float(done.stdout.strip().split("\n")[-1]) == pytest.approx(70.0)
+    [errors] = (tmp_path / "out").glob("*marker_errors.sto")
+    table = formats.read_table(errors)
+    rms = table.values[:, table.names.index("marker_error_RMS")]
+    assert len(rms) == len(walk) and rms.mean() < 0.02
+    moments = formats.read_table(tmp_path / "out" / "walk_id.sto")
+    assert np.isfinite(moments.values).all() and "knee_angle_l_moment" in moments.names
