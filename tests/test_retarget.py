@@ -220,7 +220,7 @@ def test_a_file_of_bones_decides(walker: SkeletonMotion, tmp_path: Path) -> None
     assert np.allclose(retarget(walker, misled, bones=given).motion.joints, retarget(walker, character(0.8)).motion.joints)
     with pytest.raises(AsterismError, match="not one leg"):
         retarget(walker, misled)
-    with pytest.raises(AsterismError, match="'Tail' that is given for left thigh is none of Hips"):
+    with pytest.raises(AsterismError, match="'Tail' that is given for left thigh is not there; the skeleton has Hips"):
         retarget(walker, character(), bones={"character": {"left thigh": "Tail"}})
 
 

@@ -19,8 +19,8 @@ from tests.characters import character
 
 PROPORTIONS = (0.7, 1.0, 1.4)
 """Of the legs and of the arms, each with each; trunk and head as usual."""
-FLAT = (0.15, 0.50)
-"""Of a stance by the file's own events: heel and ball both stand then (textbooks: foot flat from 8 %, heel off at 55 % of stance)."""
+STILL = {"Foot": (0.15, 0.35), "ToeBase": (0.15, 0.50)}
+"""Of a stance by the file's own events, when ankle and toes are still (textbooks: flat from 8 %, heel off at 55 %; earlier in turns)."""
 
 
 def retarget(benchmark: BenchmarkRun) -> Iterator[Figure]:
@@ -58,11 +58,11 @@ def _slips(motion: SkeletonMotion, recording: Recording) -> list[float]:
     for side in ("Left", "Right"):
         own = sorted((e.time, "strike" in e.label.casefold()) for e in recording.events if e.context.casefold()[:1] == side[0].casefold())
         for (strike, is_strike), (off, is_off) in pairwise(own):
-            begin, end = (strike + share * (off - strike) - float(recording.times[0]) for share in FLAT)
-            frames = slice(round(begin * motion.rate), round(end * motion.rate) + 1)
-            if not is_strike or is_off or begin < 0 or end * motion.rate >= len(motion):
-                continue
-            for part in ("Foot", "ToeBase"):
+            for part, shares in STILL.items():
+                begin, end = (strike + share * (off - strike) - float(recording.times[0]) for share in shares)
+                frames = slice(round(begin * motion.rate), round(end * motion.rate) + 1)
+                if not is_strike or is_off or begin < 0 or frames.stop > len(motion):
+                    continue
                 path = motion.joints[frames, motion.names.index(side + part), :2]
                 found.append(float(np.linalg.norm(path - np.median(path, axis=0), axis=1).max()))
     return found

@@ -56,7 +56,9 @@ def body_parts(motion: SkeletonMotion, given: Mapping[str, str] | None = None) -
     how = dict.fromkeys(found, "name")
     for part, name in given.items():
         if name and name not in motion.names:
-            raise AsterismError(f"the bone {name!r} that is given for {part} is none of {', '.join(motion.names[:60])}.")
+            raise AsterismError(
+                f"the bone {name!r} that is given for {part} is not there; the skeleton has {', '.join(motion.names[:60])}."
+            )
         found.pop(part, None)
         how.pop(part, None)
         if name:

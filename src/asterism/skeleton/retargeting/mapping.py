@@ -135,34 +135,38 @@ def retarget(
 
 def _findings(person: _Standing, figure: _Standing, seen: FootContacts, scale: float, moved: Floats) -> list[Finding]:
     found = []
-
-    def note(code: str, sentence: str, mend: str, severity: Severity = Severity.NOTE) -> None:
-        found.append(Finding(f"retarget-{code}", severity, "", sentence, mend))
-
     for who, one in (("recording", person), ("character", figure)):
         if one.reposed:
-            note("rest-pose", f"The {who}'s rest pose does not stand; its most upright frame was taken instead.", "Export it in a T pose.")
+            said = f"The {who}'s rest pose does not stand; its most upright frame was taken instead."
+            found.append(Finding("retarget-rest-pose", Severity.NOTE, who, said, "Export it in a T pose where arms or legs are turned."))
         lacking = [p for p in ("head", *(f"{s} {p}" for s in SIDES for p in ("upper arm", "forearm", "hand"))) if p not in one.parts.bones]
         if lacking:
-            note("parts-missing", f"The {who} has no bone for {', '.join(lacking)}.", "Name it in a TOML file of bones if it is there.")
+            said = f"The {who} has no bone for {', '.join(lacking)}."
+            found.append(Finding("retarget-parts-missing", Severity.NOTE, who, said, "Name it with --bones if it is there."))
         guessed = [
-            f"{part}: {one.motion.names[one.parts.bones[part]]}"
+            f"{part} is {one.motion.names[one.parts.bones[part]]}"
             for part, how in one.parts.how.items()
             if how == "tree" and part != "pelvis"
         ]
         if guessed:
-            said = f"Bones of the {who} were found by where they hang, not by name: {', '.join(guessed)}."
-            note("by-tree", said, "Check them, and name them in a TOML file where they are wrong.", Severity.WARNING)
+            said = f"Bones of the {who} were told by where they hang, not by name: {', '.join(guessed)}."
+            found.append(
+                Finding("retarget-by-tree", Severity.WARNING, who, said, "Check them, and name those that are wrong with --bones.")
+            )
     if seen.belt.any():
-        note("treadmill", f"The feet stand on a belt that moves at {np.linalg.norm(seen.belt):.2f} m/s; they are held on it.", "")
+        said = f"The feet stand on a belt that moves at {np.linalg.norm(seen.belt):.2f} m/s; they are held on it."
+        found.append(Finding("retarget-treadmill", Severity.NOTE, "", said, "Use --no-feet where they slide over the floor."))
     slope = float(np.linalg.norm(seen.floor[1:]))
     if slope > 0.01:
-        note("floor-slope", f"The floor of the recording rises by {100 * slope:.1f} %; it was laid level.", "")
+        said = f"The floor of the recording rises by {100 * slope:.1f} %; it was laid level."
+        found.append(Finding("retarget-floor-slope", Severity.NOTE, "", said, "Calibrate the cameras' floor anew where it is level."))
     if not any(flags.any() for flags in seen.standing.values()):
-        note("no-contacts", "No foot stands anywhere; feet are not held.", "", Severity.WARNING)
+        said = "No foot stands anywhere; feet are not held."
+        found.append(Finding("retarget-no-contacts", Severity.WARNING, "", said, "Look whether feet slide in the recording."))
     most = float(np.linalg.norm(moved, axis=1).max(initial=0.0))
     if most > 0.05 * scale:
-        note("hips-moved", f"The hips are moved by up to {1e3 * most:.0f} mm so that legs reach the floor.", "")
+        said = f"The hips are moved by up to {1e3 * most:.0f} mm so that legs reach the floor."
+        found.append(Finding("retarget-hips-moved", Severity.NOTE, "", said, "Look at the frames where both feet are far apart."))
     return found
 
 
