@@ -197,6 +197,19 @@ def test_markers_that_no_cycle_shows_leave_their_angles_without_a_band(hidden: s
         assert np.isfinite(band.low).all() and (band.high > band.low).all(), name
 
 
+def test_a_leg_that_few_frames_show_has_no_band_where_nobody_measured_it() -> None:
+    """What a handful of frames tell of measures is nothing; with all measures nothing is open."""
+    recording, left = walk().recording, next(cycle for cycle in walk().cycles if cycle.side == "L")
+    positions, seen = recording.positions.copy(), round((left.strike.time + 0.3 * left.duration) * recording.rate)
+    column = recording.labels.index("LKNE")
+    positions[: seen - 3, column] = positions[seen + 4 :, column] = np.nan
+    few = replace(recording, positions=positions)
+    blind, known = (analyse_gait(few, measures=measures).bands for measures in (SubjectMeasures(), KNOWN))
+    assert np.isnan(blind["LHipAngles"].low).all() and np.isnan(blind["LHipAngles"].standard["measures"]).all()
+    assert not known["LHipAngles"].standard["measures"].any()
+    assert np.isfinite(blind["RKneeAngles"].low).all()
+
+
 def test_bands_of_a_minute_are_those_of_one_of_its_cycles() -> None:
     """However many cycles there are, those that are looked at are seen in as many frames."""
     recording, name = walk().recording, "LKneeAngles"

@@ -50,6 +50,10 @@ def test_the_person_and_the_parameters_come_first_and_the_player_last(tmp_path: 
     usual, spread = band.parameters["cadence"]
     assert f"{usual:.1f} ± {spread:.1f}" in row and row.count("--warn-rgb") == 2, "both sides are far from the controls"
     assert 'id="plotly"' not in page and len(page) < 400_000
+    assert band.log_score is not None
+    usual = f"{np.degrees(np.exp(band.log_score[0])):.1f}"
+    score = page.split('<td class="text">Gait Profile Score<')[1].split("</tr>")[0]
+    assert f">{usual} (" in score and f"controls {usual}°" in page, "what a score is to be held against stands beside it"
 
 
 def test_what_was_found_stands_once_without_the_path_that_pushed_it_out_of_view(tmp_path: Path, walks: list[GaitAnalysis]) -> None:

@@ -184,7 +184,15 @@ def test_a_power_is_uncertain_by_its_moment_and_by_its_turning() -> None:
     np.testing.assert_allclose(found.sigmas["LHipPower"][20:-20], 0.2 * size[20:-20], rtol=1e-9)
     usual = pushed_leg(errors=KineticErrors())
     assert (usual.sigmas["LHipPower"][20:-20] > found.sigmas["LHipPower"][20:-20]).all()
-    assert set(usual.sigmas) == {*usual.moments, *usual.powers}
+    assert set(usual.sigmas) == {*usual.moments, *usual.powers, *usual.ground}
+
+
+def test_the_grounds_force_is_as_uncertain_as_the_plate_and_the_mass() -> None:
+    found = pushed_leg(errors=replace(NOTHING, plate=0.02, mass=0.01)).sigmas["LGroundReactionForce"][20:-20]
+    force = np.array([40.0, 30.0, 500.0])
+    np.testing.assert_allclose(
+        found, np.tile(np.hypot(0.02 * np.linalg.norm(force), 0.01 * np.abs(force)) / MASS, (len(found), 1)), rtol=1e-9
+    )
 
 
 def test_without_a_mass_moments_are_newton_metres_and_it_is_said() -> None:

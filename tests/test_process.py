@@ -27,7 +27,7 @@ from asterism.findings import Severity
 from asterism.gait.feet import feet_of
 from asterism.recording import Recording
 from asterism.session import FileLabeller, FolderSettings, Outcome, in_order, plan_session, spread
-from asterism.session.memory import BASE, that_fit
+from asterism.session.memory import BASE, need_of, that_fit
 from asterism.simulation import simulate_walks
 
 
@@ -484,8 +484,9 @@ def test_a_messy_folder_is_one_person_with_one_standing_trial(session: Path, tmp
 def test_as_many_processes_work_as_the_memory_holds(
     one_person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert [that_fit(4, 0, free) for free in (None, 0.0, BASE / 0.79, 2.1 * BASE / 0.8, 1e12)] == [4, 1, 1, 2, 4]
-    assert that_fit(4, 10**9, 50e9) == 1, "a long recording needs more"
+    assert [that_fit(4, BASE, free) for free in (None, 0.0, BASE / 0.79, 2.1 * BASE / 0.8, 1e12)] == [4, 1, 1, 2, 4]
+    assert need_of([]) == BASE and need_of([10**9]) > 20e9, "a long recording needs more"
+    assert need_of([10**9] * 2) < 2 * need_of([10**9]), "one is worked on at a time"
     used = list[int]()
 
     def none_done(function: Any, tasks: Any, *, workers: int, dask: str | None) -> Iterator[Any]:
@@ -493,10 +494,10 @@ def test_as_many_processes_work_as_the_memory_holds(
         return iter([(place, Outcome(None, "not done.")) for place in range(len(tasks))])
 
     monkeypatch.setattr("asterism.session.spread", none_done)
-    monkeypatch.setattr("asterism.session.memory.free_memory", lambda: 2.5 * BASE)
+    monkeypatch.setattr("asterism.session.memory.free_memory", lambda: 2.4 * BASE)
     run(one_person, "-o", tmp_path / "out", "--workers", "3")
     assert used[0] == 1
-    assert "1 of 3 processes: each may need 0.4 GB" in (said := capsys.readouterr().err) and "walk.c3d, and 1.0 GB" in said
+    assert "1 of 3 processes: one may need 0.4 GB, for p1, and 1.0 GB of memory are free" in capsys.readouterr().err
 
 
 def square(task: tuple[int, Path]) -> int:

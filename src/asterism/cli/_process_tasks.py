@@ -20,7 +20,7 @@ from asterism.cli import _console
 from asterism.cli._folders import Trial
 from asterism.cli._labelling import ROW
 from asterism.cli._options import KnownLabels
-from asterism.cli._process_places import Places, Reference
+from asterism.cli._process_places import Reference, SessionPlaces
 from asterism.cli.gait import GaitOptions, analysed, write_results
 from asterism.cli.label import LabelOptions, LabelRun
 from asterism.errors import AsterismError, NoGait, guarded_reading
@@ -82,7 +82,7 @@ class PersonOptions:
             json="-",
         )
 
-    def plain(self, places: Places) -> dict[str, Any]:
+    def plain(self, places: SessionPlaces) -> dict[str, Any]:
         """The same as plain values that another machine understands."""
         files = {name: places.reference(getattr(self, name)) for name in ("out", "model", "static", "band")}
         trials = [(places.reference(path), place.as_posix()) for path, place in self.trials]
@@ -92,7 +92,7 @@ class PersonOptions:
         return {**vars(self), **files, "trials": trials, "known_labels": known, "markers": markers}
 
     @classmethod
-    def of_plain(cls, plain: dict[str, Any], places: Places) -> PersonOptions:
+    def of_plain(cls, plain: dict[str, Any], places: SessionPlaces) -> PersonOptions:
         """The inverse of `plain`, with paths of this machine; files are brought, but for the trials."""
         files = {name: places.local(plain[name], bring=name != "out") for name in ("out", "model", "static", "band")}
         trials = tuple((places.local(path, bring=False), Path(place)) for path, place in plain["trials"])
@@ -119,7 +119,7 @@ class PersonTask:
     place: int | None = None
 
 
-def write_plan(person: PersonOptions, places: Places) -> PersonTask:
+def write_plan(person: PersonOptions, places: SessionPlaces) -> PersonTask:
     """Write the options of a person for the processes that share the work; the task that names them."""
     data = json.dumps(person.plain(places), indent=1).encode()
     path = _plan(person.out, person.name)
@@ -143,7 +143,7 @@ class TaskResult:
     findings: list[dict[str, str]] = field(default_factory=list)
     failed: dict[str, str] = field(default_factory=dict)
 
-    def told(self, places: Places) -> TaskResult:
+    def told(self, places: SessionPlaces) -> TaskResult:
         """The same with addresses in place of the paths of temporary files."""
         return TaskResult(**places.told(as_json(vars(self)))) if places.folders else self
 
@@ -182,7 +182,7 @@ class _Work:
     """What a process keeps of the person of its last task: the options, where the files are, and what labels them."""
 
     person: PersonOptions
-    places: Places
+    places: SessionPlaces
     run: LabelRun | None = None
     batch: _Kept = field(default_factory=_Kept)
 
@@ -191,7 +191,7 @@ class _Work:
         """The work on the person of a task."""
         if task not in _WORK:
             _WORK.clear()
-            places = Places()
+            places = SessionPlaces()
             out = places.local(task.out, bring=False)
             assert out is not None
             path = _plan(out, task.name)
@@ -234,7 +234,7 @@ def label_trial(task: PersonTask) -> TaskResult:
         raise _told(problem, work.places) from problem
 
 
-def _told(problem: AsterismError, places: Places) -> AsterismError:
+def _told(problem: AsterismError, places: SessionPlaces) -> AsterismError:
     return type(problem)(places.told(str(problem)))
 
 
@@ -287,7 +287,7 @@ def analyse_person(task: PersonTask) -> TaskResult:
         raise _told(problem, work.places) from problem
 
 
-def _analysed(person: PersonOptions, places: Places) -> TaskResult:
+def _analysed(person: PersonOptions, places: SessionPlaces) -> TaskResult:
     from asterism.session import FinishedFiles
 
     labelled = [(place, person.out / LABELLED / place) for _, place in person.trials]

@@ -16,7 +16,7 @@ from asterism.cli._command import takes
 from asterism.cli._filling import Fill, fill_limit
 from asterism.cli._folders import Trial, check_folder, trials
 from asterism.cli._options import Dask, Json, KnownLabels, KnownLabelsOption, Processes, Vertical, vertical_axis
-from asterism.cli._process_places import Places
+from asterism.cli._process_places import SessionPlaces
 from asterism.errors import AsterismError
 from asterism.files.atomic import write_atomically
 from asterism.files.plain import as_json
@@ -110,7 +110,7 @@ class _Given:
     """The options, and the paths of what they name: folders of sessions and results, model and band."""
 
     options: ProcessOptions
-    places: Places
+    places: SessionPlaces
     sessions: list[Path]
     output: Path
     model: Path | None
@@ -118,7 +118,7 @@ class _Given:
 
     @classmethod
     def of(cls, options: ProcessOptions) -> _Given:
-        places = Places()
+        places = SessionPlaces()
         sessions, output = [places.path(one) for one in options.sessions], places.path(options.output)
         return cls(options, places, sessions, output, places.file(options.model), places.file(options.band))
 
@@ -336,13 +336,13 @@ class _Run:
         asked = self.options.workers
         if asked < 2 or self.options.dask is not None:
             return asked
-        sizes = {path: _size(path) for person in self.persons for path, _ in person.trials}
-        largest, free = max(sizes, key=lambda path: sizes[path]), free_memory()
-        found = that_fit(asked, sizes[largest], free)
+        needs = {person.name: need_of([_size(path) for path, _ in person.trials]) for person in self.persons}
+        largest, free = max(needs, key=lambda name: needs[name]), free_memory()
+        found = that_fit(asked, needs[largest], free)
         if found < asked and free is not None:
-            need, has = need_of(sizes[largest]) / 1e9, free / 1e9
+            need, has = needs[largest] / 1e9, free / 1e9
             _console.notice(
-                f"asterism: {found} of {asked} processes: each may need {need:.1f} GB, for {largest}, and {has:.1f} GB of memory are free."
+                f"asterism: {found} of {asked} processes: one may need {need:.1f} GB, for {largest}, and {has:.1f} GB of memory are free."
             )
         return found
 

@@ -24,6 +24,8 @@ RATE = 200.0
 """samples per second of all curves here, so that what follows does not depend on the cameras' rate."""
 CUT_OFF = 15.0
 """Hz of the low-pass filter of feet: a strike lasts 30 ms. At half, hard strikes are told early; at double, noise shifts offs."""
+PELVIS_CUT_OFF = 6.0
+"""Hz of the filter of the pelvis, which goes up and down with the steps, three times a second in a run."""
 TURNING = 0.8
 """Hz of the filter of the direction: nobody turns faster, and both feet together point where one heads."""
 
@@ -110,7 +112,7 @@ def feet_of(recording: Recording) -> Feet:
     smooth = dict(zip(feet, zip(parts[::2], parts[1::2], strict=True), strict=True))
     middle = np.nansum(hips, axis=0) / np.maximum(np.isfinite(hips).sum(axis=0), 1)
     middle[~np.isfinite(hips).any(axis=0)] = np.nan
-    (pelvis,) = _smooth([middle], recording.rate, times, 6.0)
+    (pelvis,) = _smooth([middle], recording.rate, times, PELVIS_CUT_OFF)
     pointing = sum(toe - heel for heel, toe in smooth.values())[:, :2]  # type: ignore[index]
     ahead = _unit(zero_lag_butterworth(_unit(pointing), RATE, TURNING))
     heels, toes = ({side: pair[which] for side, pair in smooth.items()} for which in (0, 1))

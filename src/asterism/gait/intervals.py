@@ -35,6 +35,7 @@ _STEP = 0.001
 """m, by which a marker is moved to see what it does."""
 _CALIBRATED = {"THI": "thigh_rotation", "TIB": "shank_rotation", "TOE": "foot_flexion"}
 """The measure that a standing trial takes of a marker: with it, the marker counts as well placed."""
+_LEG_ANGLES = ("HipAngles", "KneeAngles", "AnkleAngles", "FootProgressAngles")
 _OF_LEGS = ("THI", "KNE", "TIB", "ANK", "TOE")
 _OF_ARMS = ("SHO", "ELB", "WRA", "WRB", "FIN")
 
@@ -171,6 +172,10 @@ def _of_wands(
     for pair in () if estimator is None else estimator.apart():
         one, other = (angles_of(legs, lower_body(legs, end, sides), room) for end in pair)
         found.add_measure(one, other, middle)
+    if estimator is not None and estimator.sources:
+        # Of a leg that is hardly seen nothing is estimated, and what is open of it is not known.
+        unseen = [side + name for side in sides if side not in estimator.shown for name in _LEG_ANGLES]
+        found.measures.update({name: np.full_like(middle[name], np.nan) for name in unseen if name in middle})
     if placed:
         groups = [[name] for name in ("LASI", "RASI", *sacrum_markers(recording))]
         for name in _OF_LEGS:

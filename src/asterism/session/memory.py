@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
 BASE = 0.4e9
 """Bytes of a process with compiled kernels and a model: 0.27 GB with fifteen markers, 0.4 with sixty."""
-TIMES = 40.0
-"""Bytes for each byte of the recordings that a process holds, at the moment that takes most: 32 were measured with 15 markers. At half, two
+TIMES = 25.0
+"""Bytes for each byte of the recording that is worked on: 20 were measured with 15 markers, to label it and to analyse it. At half, two
 long recordings at once may end a process, which costs another try; at double, half as many processes work on long ones."""
+HELD = 12.0
+"""Bytes for each byte of all recordings of a person, whose analyses stay until their page is written: 7 to 10 were measured."""
 KEPT = 0.8
 """Share of the free memory that is given away: what else runs needs some, and the estimate is one."""
 
@@ -34,11 +37,11 @@ def free_memory() -> float | None:
     return min(found, default=None)
 
 
-def need_of(size: int) -> float:
-    """Bytes that a process needs for a recording of so many bytes."""
-    return BASE + TIMES * size
+def need_of(sizes: Sequence[int]) -> float:
+    """Bytes that a process needs for a person with recordings of so many bytes."""
+    return BASE + TIMES * max(sizes, default=0) + HELD * sum(sizes)
 
 
-def that_fit(workers: int, size: int, free: float | None) -> int:
-    """How many of some processes fit into the free memory, where each may work on a recording of this size; at least one."""
-    return workers if free is None else max(1, min(workers, int(KEPT * free // need_of(size))))
+def that_fit(workers: int, need: float, free: float | None) -> int:
+    """How many of some processes fit into the free memory, where each may need so many bytes; at least one."""
+    return workers if free is None else max(1, min(workers, int(KEPT * free // need)))

@@ -154,7 +154,7 @@ class WalkEstimator:
     def _known(self) -> Mapping[str, tuple[Floats, Floats]]:
         """By side: what is known of `sources`, in standard deviations of their priors: estimate, and a root of its covariance."""
         count = len(self.sources)
-        known = {side: (np.zeros(count), np.eye(count)) for side in self._shown}
+        known = {side: (np.zeros(count), np.eye(count)) for side in self.shown}
         for _ in range(_ROUNDS if known else 0):
             state = {side: estimate for side, (estimate, _) in known.items()}
             middle = self._walk(state)
@@ -175,11 +175,12 @@ class WalkEstimator:
         for side in state:
             hip, knee, ankle = (angles.get(f"{side}{joint}Angles", np.full((1, 3), np.nan)) for joint in ("Hip", "Knee", "Ankle"))
             knee = knee[np.isfinite(knee).all(axis=1)]
-            bend, slope = np.sin(knee[:, 0]), np.nan
-            if np.subtract(*np.percentile(knee[:, 0], [95, 5])) > _BENT:
+            slope = straight = np.nan
+            if len(knee) >= _FEW and np.subtract(*np.percentile(knee[:, 0], [95, 5])) > _BENT:
+                bend = np.sin(knee[:, 0])
                 slope = float(np.mean((bend - bend.mean()) * knee[:, 1]) / bend.var())
-            straight = knee[:, 1].mean() - slope * bend.mean()
-            found[side] = np.array([slope, _mean(hip[:, 2]), straight, knee[:, 2].mean(), _mean(ankle[:, 2])])
+                straight = float(knee[:, 1].mean() - slope * bend.mean())
+            found[side] = np.array([slope, _mean(hip[:, 2]), straight, _mean(knee[:, 2]), _mean(ankle[:, 2])])
         return found
 
     @cached_property
@@ -188,10 +189,14 @@ class WalkEstimator:
         return self.recording.select([name for name in self.recording.labels if name == "SACR" or name[1:] in _LEG])
 
     @cached_property
-    def _shown(self) -> list[str]:
-        """Sides whose angles are known in `_FEW` frames or more; of others nothing can be told."""
-        legs = lower_body(self._legs, self.measures, self.sides).legs
-        return [side for side, leg in legs.items() if np.isfinite(leg.shank).all(axis=(1, 2)).sum() >= _FEW]
+    def shown(self) -> list[str]:
+        """Sides whose thigh, and way from the spine to the ankle, are known in `_FEW` frames or more; of others nothing can be told."""
+        legs, marker = lower_body(self._legs, self.measures, self.sides).legs, marker_of(self._legs)
+
+        def seen(values: Floats) -> bool:
+            return int(np.isfinite(values).reshape(len(values), -1).all(axis=1).sum()) >= _FEW
+
+        return [side for side, leg in legs.items() if seen(leg.thigh) and seen(marker(f"{side}ASI") + marker(f"{side}ANK"))]
 
     def _made(self, state: Mapping[str, Floats]) -> tuple[SubjectMeasures, LowerBody]:
         """The measures at a place of the priors, and the body that they make."""
@@ -237,7 +242,7 @@ class WalkEstimator:
         marker = marker_of(self.recording)
         ways = {
             side: [np.linalg.norm(marker(side + one) - marker(side + other), axis=1) for one, other in (("ASI", "KNE"), ("KNE", "ANK"))]
-            for side in self._shown
+            for side in self.shown
         }
         return {side: float(sum(nan_median(way, axis=0) for way in pair)) for side, pair in ways.items()}
 
@@ -245,7 +250,7 @@ class WalkEstimator:
     def _soles(self) -> dict[str, tuple[Floats, float]]:
         """By side whose heel and toe are seen: the way from toe to heel (T, 3) m, and by what angle the sole of a level foot slopes."""
         found = {}
-        for side in self._shown:
+        for side in self.shown:
             names = [side + name for name in ("HEE", "TOE")]
             if not all(name in self.recording.labels for name in names):
                 continue

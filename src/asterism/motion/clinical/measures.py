@@ -219,8 +219,7 @@ def subject_measures(recording: Recording) -> SubjectMeasures:
     left, right = (_leg(recording, side, read) for side in SIDES)
     inter = _length(read("INTERASISDISTANCE"), recording, 0.05, 0.5)
     mass = read("BODYMASS")
-    diameter = _length(read("MARKERDIAMETER"), recording, 0.002, 0.05)
-    radius = MARKER_RADIUS if diameter is None else diameter / 2
+    radius = named_radius(recording) or MARKER_RADIUS
     left_arm, right_arm = (_arm(recording, side, read) for side in SIDES)
     head = read("HEADOFFSET")
     return SubjectMeasures(
@@ -233,6 +232,12 @@ def subject_measures(recording: Recording) -> SubjectMeasures:
         right_arm,
         float(head) if head is not None and abs(head) < _RIGHT_ANGLE else 0.0,
     )
+
+
+def named_radius(recording: Recording) -> float | None:
+    """m: the markers' radius that the recording's file names; None where it names none."""
+    diameter = _length(_reader_of(recording)("MARKERDIAMETER"), recording, 0.002, 0.05)
+    return None if diameter is None else diameter / 2
 
 
 def leg_measures(recording: Recording, side: str) -> LegMeasures:
