@@ -10,9 +10,10 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from asterism.gait.feet import RATE, Feet, feet_of
-from asterism.geometry import rotate_z_up
+from asterism.geometry import rotate_z_up, z_up_rotation
 from asterism.motion.clinical.kinetics import PlateContact
 from asterism.recording import Event, Floats, ForcePlate, Recording
+from asterism.recording.plate_feet import foot_on
 
 STRIKE, OFF = "Foot Strike", "Foot Off"
 """As C3D files call them."""
@@ -54,7 +55,6 @@ class EventRules:
     least_swing                of the leg: a foot that moves less against the pelvis stands. At half, a sway of a foot that stands is a
                                step; at double, shuffling steps of 8 cm are missed
     near                       s, within which an event of a plate and one of the markers are the same
-    foot_off_line              m: a centre of pressure farther from the line between heel and toe is not under that foot alone
     beside                     m, by which a marker of heel or toe may stand over the edge of a plate that the sole's end is still on. At
                                half, one of 173 events of plates at hand is told by markers instead; at double no other is
     """
@@ -82,7 +82,6 @@ class EventRules:
     least_step: float = 0.12
     least_swing: float = 0.05
     near: float = 0.12
-    foot_off_line: float = 0.09
     beside: float = 0.03
 
 
@@ -290,14 +289,18 @@ def _rise(toe: Floats, peak: int) -> float | None:
     return None if fastest in (0, len(rise) - 1) else (begin + fastest) / RATE
 
 
-def plate_contacts(recording: Recording, feet: Feet, plates: Sequence[ForcePlate], rules: EventRules | None = None) -> list[PlateContact]:
-    """Each time that a plate is loaded for 0.2 s or more, and by which foot. O(samples)."""
+def plate_contacts(recording: Recording, feet: Feet, plates: Sequence[ForcePlate]) -> list[PlateContact]:
+    """Each time that somebody stands on a plate, and by which foot; None where it is not one foot. O(samples)."""
+    # back to the axes of the recording and its plates
+    axes = z_up_rotation(recording.vertical)
+    markers = {side: np.stack([feet.heels[side], feet.toes[side]], axis=1) @ axes for side in feet.sides}
     found = []
     for plate in plates:
-        pressure = rotate_z_up(plate.pressure, recording.vertical)
-        for begin, end in _loaded(plate):
-            side = _foot_on(pressure, plate.rate, begin, end, feet, rules or EventRules())
-            found.append(PlateContact(plate.number, side, begin / plate.rate, end / plate.rate))
+        for contact in plate.contacts:
+            side = foot_on(plate, contact, markers, RATE)
+            found.append(
+                PlateContact(plate.number, side if side in markers else None, contact.start / plate.rate, contact.stop / plate.rate)
+            )
     return found
 
 
@@ -305,7 +308,7 @@ def _by_plates(recording: Recording, feet: Feet, plates: Sequence[ForcePlate], r
     found = []
     by_number = {plate.number: plate for plate in plates}
     duration = {plate.number: len(plate.force) / plate.rate for plate in plates}
-    for contact in plate_contacts(recording, feet, plates, rules):
+    for contact in plate_contacts(recording, feet, plates):
         if contact.side is None:
             continue
         source, corners = f"plate {contact.plate}", rotate_z_up(by_number[contact.plate].corners, recording.vertical)[:, :2]
@@ -322,34 +325,6 @@ def _within(corners: Floats, points: Floats, time: float, rules: EventRules) -> 
     arm = points[min(round(RATE * time), len(points) - 1), :2] - corners.mean(axis=0)
     edges = (corners[0] - corners[1], corners[0] - corners[3])
     return all(abs(arm @ edge) <= np.linalg.norm(edge) * (0.5 * np.linalg.norm(edge) + rules.beside) for edge in edges)
-
-
-def _loaded(plate: ForcePlate) -> list[tuple[int, int]]:
-    """First sample and the one behind the last of each time that somebody is on a plate for 0.2 s or more."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], plate.loaded, [False]]).astype(int)))
-    pieces: list[tuple[int, int]] = []
-    for begin, end in edges.reshape(-1, 2).tolist():
-        # a load that flickers about the threshold is one
-        if pieces and begin - pieces[-1][1] < 0.03 * plate.rate:
-            pieces[-1] = (pieces[-1][0], end)
-        else:
-            pieces.append((begin, end))
-    return [(begin, end) for begin, end in pieces if end - begin > 0.2 * plate.rate]
-
-
-def _foot_on(pressure: Floats, rate: float, begin: int, end: int, feet: Feet, rules: EventRules) -> str | None:
-    """The side of the foot that is alone on a plate between two samples; None where it is not one foot."""
-    samples = np.linspace(begin + 0.15 * (end - begin), begin + 0.85 * (end - begin), 9).astype(int)
-    moments = np.clip((samples / rate * RATE).astype(int), 0, len(feet.times) - 1)
-    apart = {}
-    for side in feet.sides:
-        heel, toe = feet.heels[side][moments, :2], feet.toes[side][moments, :2]
-        along = toe - heel
-        share = np.clip(((pressure[samples, :2] - heel) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-9), -0.1, 1.4)
-        apart[side] = float(np.nanmedian(np.linalg.norm(pressure[samples, :2] - heel - share[:, None] * along, axis=1)))
-    side = min(apart, key=apart.__getitem__)
-    others = [value for name, value in apart.items() if name != side]
-    return side if apart[side] < rules.foot_off_line and all(value > rules.foot_off_line for value in others) else None
 
 
 def _in_order(events: Sequence[GaitEvent]) -> list[GaitEvent]:
