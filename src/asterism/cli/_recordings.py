@@ -11,7 +11,7 @@ from asterism.cli import _console
 from asterism.cli._options import marker_names, vertical_axis
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.recording import Clouds, Labelling, MarkerSet, Recording, keep_labels
+from asterism.recording import MarkerSet, Recording
 
 if TYPE_CHECKING:
     from asterism.cameras import Rig
@@ -184,11 +184,3 @@ def assumptions(path: Path, rig: Rig) -> list[Finding]:
 
     mend = "Check it with `asterism info`."
     return [Finding("format-rig-assumed", Severity.NOTE, str(path), f"{path} does not say {what}.", mend) for what in guesses(rig)]
-
-
-def labels_kept(path: Path, labelling: Labelling, recording: Recording, clouds: Clouds, marker_set: MarkerSet) -> Labelling:
-    """The labelling with the labels that a file has already. Raises AsterismError, naming the file, where two columns claim one marker."""
-    try:
-        return keep_labels(labelling, recording, clouds, marker_set)
-    except AsterismError as problem:
-        raise AsterismError(f"{path}: {problem}") from None
