@@ -278,8 +278,8 @@ def test_offsets_of_a_real_standing_trial_are_those_of_its_file(data: Path) -> N
         given = replace(subject_measures(static), marker_radius=diameter / 2000)
         told = with_static_offsets(static, given, StaticRules(tilted=tilted))
         for before, after in ((given.left, told.left), (given.right, told.right)):
-            for name in ("thigh_rotation", "shank_rotation", "tibial_torsion", "ankle_tilt", "foot_flexion"):
-                assert getattr(after, name) == pytest.approx(getattr(before, name), abs=0.002), f"{file} {name}"
+            for name in ("thigh_rotation", "shank_rotation", "tibial_torsion", "ankle_tilt", "foot_flexion", "foot_rotation"):
+                assert getattr(after, name) == pytest.approx(getattr(before, name), abs=0.001), f"{file} {name}"
 
 
 @pytest.fixture(scope="module")

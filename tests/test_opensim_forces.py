@@ -96,6 +96,24 @@ def test_a_load_under_an_unknown_foot_is_in_the_table_and_on_no_body(tmp_path: P
     assert "the load on force plate 1 from" in capsys.readouterr().err
 
 
+def test_a_load_on_both_feet_acts_on_neither(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = two_steps(tmp_path)
+    recording = formats.read(source, vertical="z")
+    forces, places = (np.concatenate([part, part]) for part in step(FRAMES * EACH // 2))
+    points = recording.positions.copy()
+    # in the second contact both feet stand side by side
+    points[FRAMES // 2 :, 0] = points[FRAMES // 2 :, 1] - [0.0, 0.06, 0.0]
+    written(source, forces, places, points, recording.labels)
+    assert main(["convert", str(source), str(tmp_path / "out.trc"), "--for", "opensim", "--vertical", "z"]) == 0
+    assert "on both feet at once" in capsys.readouterr().err
+    table = formats.read_table(tmp_path / "out_grf.mot")
+    half = len(table.times) // 2
+    up = {who: table.values[:, table.names.index(f"1_{who}_ground_force_vy")] for who in ("left", "other")}
+    assert up["left"][:half].max() > 690 and not up["left"][half:].any() and up["other"][half:].max() > 690
+    loads = ElementTree.parse(tmp_path / "out_grf.xml").getroot().findall(".//ExternalForce")
+    assert [load.findtext("force_identifier") for load in loads] == ["1_left_ground_force_v"]
+
+
 @pytest.mark.parametrize(
     ("given", "why"),
     [

@@ -122,6 +122,7 @@ def opensim(options: OpenSimOptions) -> None:
                 },
                 "markers": {one.name: {"body": one.body, "location_m": one.location, "joint_centre": one.centre} for one in done.markers},
                 "weights": done.weights,
+                "known_s": done.known,
                 "failed": batch.failed,
                 "findings": [finding.to_dict() for finding in batch.findings],
             },

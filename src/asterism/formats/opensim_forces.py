@@ -44,18 +44,19 @@ def write_opensim_forces(target: Path, recording: Recording, plates: Sequence[Fo
         number = plate.number
         contacts = plate.contacts
         feet = [foot_on(plate, contact, markers, recording.rate) for contact in contacts]
-        used = [side for side in _BODIES if side in feet]
         for contact, foot in zip(contacts, feet, strict=True):
             if foot not in _BODIES:
                 begin, end = times[contact][[0, -1]]
                 unknown.append(f"the load on force plate {number} from {begin:.2f} to {end:.2f} s, which is on {_UNKNOWN[foot]}")
-        # A plate on which one foot stands at a time has its number as name, one on which both do also the foot.
-        for side in used or [""]:
-            own = [contact for contact, foot in zip(contacts, feet, strict=True) if foot == side or (len(used) < 2 and foot not in _BODIES)]
-            name = f"{number}_{side + '_' if len(used) > 1 else ''}ground"
+        groups = {side: [contact for contact, foot in zip(contacts, feet, strict=True) if foot == side] for side in _BODIES}
+        groups["other"] = [contact for contact, foot in zip(contacts, feet, strict=True) if foot not in _BODIES]
+        groups = {who: own for who, own in groups.items() if own} or {"other": []}
+        # a plate that one foot uses has its number as name, one that several do also whose the columns are
+        for who, own in groups.items():
+            name = f"{number}_{who + '_' if len(groups) > 1 else ''}ground"
             columns.append(_load(plate, own, turn))
             names += [f"{name}_{part}{axis}" for part in ("force_v", "force_p", "torque_") for axis in "xyz"]
-            loads += [_external_force(name, _BODIES[side], table_path.name)] if side else []
+            loads += [_external_force(name, _BODIES[who], table_path.name)] if who in _BODIES else []
     values = np.concatenate(columns, axis=1)
     times = np.round(times, 9)
     write_table(table_path, TimeSeriesTable(tuple(names), values, times, table_path.stem, in_degrees=True, format="MOT"))

@@ -18,6 +18,7 @@ from asterism.findings import Finding, Severity
 from asterism.formats import force_plates, write
 from asterism.formats.opensim_forces import companions, write_opensim_forces
 from asterism.formats.opensim_model import OsimModel
+from asterism.gait import analyse_gait
 from asterism.geometry import z_up_rotation
 from asterism.motion.clinical import ClinicalModel
 from asterism.motion.clinical.static import with_knee_markers
@@ -66,6 +67,7 @@ class OpenSimExport:
     files     kind -> file: "model", "markers", "scale", "factors"; of the trials, by their names, "walk: markers", "walk: forces", ...
     commands  what to run in the folder, in this order
     scales    of the model's bodies; markers  on the generic model; weights  trial -> marker -> weight in inverse kinematics
+    known     trial -> "left" or "right" -> from and to s, where it is known what acts on that foot, so that moments are the person's
     mass      kg; None where nothing tells it
     findings  what is missing, and what was assumed instead
     """
@@ -75,6 +77,7 @@ class OpenSimExport:
     scales: Mapping[str, BodyScale] = field(default_factory=dict)
     markers: tuple[PlacedMarker, ...] = ()
     weights: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    known: Mapping[str, Mapping[str, Sequence[tuple[float, float]]]] = field(default_factory=dict)
     mass: float | None = None
     findings: tuple[Finding, ...] = ()
 
@@ -196,6 +199,7 @@ def _documents(session: _Session, found: list[Finding]) -> OpenSimExport:
     write_atomically(files["scale"], utf8(scale_setup(name, task)))
     _factors(scales).write(files["factors"])
     documents, weighed = [files["scale"]], dict[str, Mapping[str, float]]()
+    known = dict[str, dict[str, list[tuple[float, float]]]]()
     for trial in session.moving:
         if trial.name in session.persons:
             own = _motion(session, trial, placed, scaled)
@@ -204,13 +208,15 @@ def _documents(session: _Session, found: list[Finding]) -> OpenSimExport:
             write_atomically(files[f"{trial.name}: kinematics"], utf8(kinematics_setup(trial.name, own)))
             documents.append(files[f"{trial.name}: kinematics"])
             if f"{trial.name}: dynamics" in files:
+                known[trial.name] = _known(trial)
+                found.append(_where_known(trial, known[trial.name]))
                 write_atomically(files[f"{trial.name}: dynamics"], utf8(dynamics_setup(trial.name, own)))
                 documents.append(files[f"{trial.name}: dynamics"])
         else:
             found.append(_no_legs(trial))
     written = {kind: path for kind, path in files.items() if path in documents or not kind.endswith(("kinematics", "dynamics"))}
     commands = tuple(f"opensim-cmd run-tool {path.name}" for path in documents)
-    return OpenSimExport(written, commands, scales, tuple(placed), weighed, mass, (*found, *said))
+    return OpenSimExport(written, commands, scales, tuple(placed), weighed, known, mass, (*found, *said))
 
 
 def _motion(session: _Session, trial: _Prepared, placed: Sequence[PlacedMarker], scaled: str) -> MotionTask:
@@ -438,6 +444,36 @@ def _assumed(
         sentence = f"{file}: by their names these markers sit nowhere; they were put on the segment with which they move: {listed}."
         found.append(Finding("opensim-ridden", Severity.NOTE, file, sentence, "Look whether that is so; markers.xml says where they sit."))
     return found
+
+
+def _known(trial: _Prepared) -> dict[str, list[tuple[float, float]]]:
+    """Side -> from and to s, where it is known what acts on the foot: it is alone on a plate, or in the air."""
+    found: dict[str, list[tuple[float, float]]] = {"left": [], "right": []}
+    if trial.clinical is None:
+        return found
+    try:
+        static, measures = trial.clinical.static, trial.clinical.measures
+        kinetics = analyse_gait(trial.recording, trial.plates, measures, static=static, model=trial.clinical.name).kinetics
+    except AsterismError:
+        return found
+    for side in found:
+        values = None if kinetics is None else kinetics.moments.get(f"{side[0].upper()}KneeMoment")
+        if values is not None:
+            edges = np.flatnonzero(np.diff(np.concatenate([[0], np.isfinite(values[:, 0]).astype(int), [0]])))
+            times = trial.recording.times
+            found[side] = [(float(times[begin]), float(times[end - 1])) for begin, end in edges.reshape(-1, 2)]
+    return found
+
+
+def _where_known(trial: _Prepared, known: Mapping[str, Sequence[tuple[float, float]]]) -> Finding:
+    file = str(trial.recording.metadata.get("file", "the recording"))
+    spans = {side: ", ".join(f"{begin:.2f} to {end:.2f} s" for begin, end in spans) for side, spans in known.items()}
+    told = "; ".join(f"of the {side} leg {text}" for side, text in spans.items() if text)
+    sentence = f"{file}: inverse dynamics are the person's only where it is known what acts on the foot: {told or 'at no time'}."
+    mend = (
+        "Elsewhere a foot stands beside the plates, or with the other on one." if told else "Record steps that hit a plate with one foot."
+    )
+    return Finding("opensim-known", Severity.NOTE if told else Severity.WARNING, file, sentence, mend)
 
 
 def _untold(trial: _Prepared, held: Sequence[str]) -> list[Finding]:
