@@ -51,6 +51,8 @@ class GapRules:
     brief     s, gaps up to which the next two count: at 0.3, errors at 0.25 s are 3 % more, at half nothing changes at 0.1 s
     brief_kernels, brief_times  the same, chosen on 480 gaps of 0.1 s: smoother, with less noise. On other gaps they err a quarter less
     pose      mates that make the axes in which the pose is seen; 3, 6 and 10 err 3, 6 and 10 % more at 1 s
+    lengths   mates whose distances mend a candidate for gaps that are not brief: without, one marker errs 3 to 4 % more, three at once 3
+              to 6 %; 6 err 1 % more
     local     power by which markers that move against the filled one count less in the pose; 1 errs 9 % more, 2 and 4 up to 8 %
     scores    principal components of the pose; 20 err 1 % more, 12 err 4 %
     frames    most frames that are learned from: time grows with the square to the cube, 200 and 160 change errors by 3 %
@@ -79,6 +81,7 @@ class GapRules:
     )
     brief_times: tuple[Kernel, ...] = (Kernel(0.0, 0.0, 300.0, 0.25, 0.1), Kernel(0.0, 0.0, 300.0, 0.5, 0.03))
     pose: int = 4
+    lengths: int = 4
     local: float = 3.0
     scores: int = 30
     frames: int = 180
@@ -106,6 +109,8 @@ _OTHER = 1e6
 """s between frames of different trials, which are independent but for the pose."""
 _ALL_MOVED = 2.4
 """Mean over standard deviation of how far a mate that jumps moves axes of 3, 4, 6 and 10 mates: 1/3, 1/4, 1/6 and 1/10 of its jump."""
+_JUDGED = 25
+"""Rows of a block that judge it; half and twice as many err the same, to 1 %."""
 _LEAST = 0.01
 """mm, the least standard deviation that is stated: coordinates in files are no finer."""
 
@@ -171,12 +176,14 @@ class _Frames:
 class _Candidate:
     """What one choice of axes and kernel says.
 
-    off        (blocks, length, 3) mm to these; expected (blocks, length) mm2, the variance that it stated for them
+    off        (blocks, some, 3) mm to these, in some rows of each; expected (blocks, some) mm2, the variance that it stated for them
+    length     rows of a block
     positions  (G, 3) mm in the gap; variance (G,) mm2 of a coordinate
     """
 
     off: Floats
     expected: Floats
+    length: int
     positions: Floats
     variance: Floats
 
@@ -230,9 +237,10 @@ def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: 
     apart = np.abs(frames.time[every][:, None] - frames.time[rows][None])
     apart[frames.trial[every][:, None] != frames.trial[rows][None]] = _OTHER
     points = frames.points[every, column]
-    process = _Process(apart, blocks, learned, pose=None if pose is None else pose[every])
-    found = []
     brief = frames.time[gap[-1]] - frames.time[gap[0]] <= rules.brief
+    nearest = mates[: 0 if brief or pose is None else rules.lengths]
+    process = _Process(apart, blocks, learned, points, None if pose is None else pose[every], frames.points[every][:, nearest].swapaxes(1, 2))
+    found = []
     for kernel in () if absent else rules.brief_times if brief else rules.times:
         found += process.candidates(kernel, points[None], None)
     if pose is None:
@@ -254,15 +262,24 @@ def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: 
 class _Process:
     """Gaussian processes over the same frames: those that are learned from, then those of the gap.
 
-    apart (R, learned) s; blocks (blocks, length) rows that are left out together; learned: rows before those of the gap; pose (R, scores)
+    apart  (R, learned) s; blocks (blocks, length) rows that are left out together; learned: rows before those of the gap
+    points (R, 3) mm, the marker; pose (R, scores); mates (R, 3, K) mm, the steadiest, for their distances
     """
 
     apart: Floats
     blocks: Ints
     learned: int
+    points: Floats
     pose: Floats | None
+    mates: Floats
 
     def __post_init__(self) -> None:
+        length = self.blocks.shape[1]
+        # Errors change little from frame to frame: of a long block every so many frames say what all do.
+        self._judged = np.arange(0, length, max(length // _JUDGED, 1))
+        self._told = np.arange(self.learned, len(self.apart), max(length // _JUDGED, 1))
+        self._rows = self.blocks[:, self._judged]
+        self._lengths = np.linalg.norm(self.points[:, :, None] - self.mates, axis=1)
         self._slow: dict[float, Floats] = {}
         if self.pose is None:
             return
@@ -295,29 +312,82 @@ class _Process:
         return total, variances
 
     def candidates(self, kernel: Kernel, values: Floats, axes: tuple[Floats, Floats] | None) -> list[_Candidate]:
-        """One for each of the axes: values (axes, R, 3) mm in them; their rotations (axes, R, 3, 3) and places, None for the room."""
+        """One for each of the axes: values (axes, R, 3) mm in them; their rotations (axes, R, 3, 3) and places, None for the room.
+
+        For axes of mates one more each, which the lengths to the mates correct.
+        """
         many, (covariance, own) = self.learned, self.covariance(kernel)
         noisy = covariance[:many].copy()
         noisy.flat[:: many + 1] += kernel.noise**2
         inverse = _inverse(noisy)
-        means = values[:, :many].mean(axis=1)
-        weights = inverse @ np.concatenate(list(values[:, :many] - means[:, None]), axis=1)
+        means = np.concatenate([values[:, :many].mean(axis=1).ravel(), self._lengths[:many].mean(axis=0)])
+        learned = np.concatenate([*values[:, :many], self._lengths[:many]], axis=1) - means
+        weights = inverse @ learned
         # What a block's own rows add is taken out by the inverse of their part of the inverse.
-        variances = np.linalg.inv(inverse[self.blocks[:, :, None], self.blocks[:, None]])
-        off, expected = variances @ weights[self.blocks], np.einsum("bll->bl", variances)
+        taken = _inverse_rows(inverse[self.blocks[:, :, None], self.blocks[:, None]], self._judged)
+        off, expected = taken @ weights[self.blocks], taken[:, np.arange(len(self._judged)), self._judged]
         across = covariance[many:]
-        filled = across @ weights
-        variance = np.maximum(own[many:] - ((across @ inverse) * across).sum(axis=1), 0.0) + kernel.noise**2
-        found = []
-        for at, mean in enumerate(means):
-            three = slice(3 * at, 3 * at + 3)
-            errors, positions = off[:, :, three], filled[:, three] + mean
-            if axes is not None:
-                rotations, places = axes[0][at], axes[1][at]
-                errors = np.einsum("blij,blj->bli", rotations[self.blocks], errors)
-                positions = np.einsum("gij,gj->gi", rotations[many:], positions) + places[many:]
-            found.append(_Candidate(errors, expected, positions, variance))
-        return found
+        filled = across @ weights + means
+        some = self._told - many
+        variance = np.maximum(own[self._told] - ((across[some] @ inverse) * across[some]).sum(axis=1), 0.0) + kernel.noise**2
+        variance = np.interp(np.arange(len(across)), some, variance)
+        sides = 3 * len(values)
+        errors = np.moveaxis(off[:, :, :sides].reshape(*off.shape[:2], -1, 3), 2, 0)
+        positions = np.moveaxis(filled[:, :sides].reshape(len(filled), -1, 3), 1, 0)
+        if axes is not None:
+            rotations, places = axes
+            errors = np.matmul(rotations[:, self._rows], errors[..., None])[..., 0]
+            positions = np.matmul(rotations[:, many:], positions[..., None])[..., 0] + places[:, many:]
+            if self.mates.shape[2]:
+                mended = self._mended(errors, positions, off[:, :, sides:], filled[:, sides:])
+                errors, positions = (np.concatenate(both) for both in zip((errors, positions), mended, strict=True))
+        length = self.blocks.shape[1]
+        return [_Candidate(error, expected, length, position, variance) for error, position in zip(errors, positions, strict=True)]
+
+    def _mended(self, errors: Floats, positions: Floats, lengths_off: Floats, lengths: Floats) -> tuple[Floats, Floats]:
+        """The same errors (axes, blocks, some, 3) and positions (axes, G, 3) mm, each moved along the lines to the mates.
+
+        lengths_off  (blocks, some, K) mm that the predicted distances to the mates are off; lengths (G, K) mm, as predicted in the gap
+
+        Where a place is not as far from a mate as predicted, one of both is wrong: by how much of it the place moves is learned from the
+        blocks, one share for each mate, which is held to be 0 +- 1 beforehand. A block errs as a whole, and so counts as one sample.
+        """
+        rows, sets = self._rows, len(errors)
+        steps = _steps(self.points[rows] - errors, self.mates[rows], self._lengths[rows] - lengths_off)
+        there = _steps(positions, self.mates[self.learned :], lengths)
+        # As for the choice: each half of the blocks is judged by what the other one says.
+        half = len(rows) // 2
+        parts = [
+            (steps[:, part].reshape(sets, -1, steps.shape[-1]), errors[:, part].reshape(sets, -1, 1))
+            for part in (slice(0, half), slice(half, None))
+        ]
+        squares = [np.matmul(step.swapaxes(1, 2), step) for step, _ in parts]
+        products = [np.matmul(step.swapaxes(1, 2), error) for step, error in parts]
+        held = np.eye(steps.shape[-1]) * ((errors**2).mean(axis=(1, 2, 3)) + 1e-9)[:, None, None] * len(self._judged)
+        moved = [
+            error - np.matmul(step, np.linalg.solve(squares[other] + held, products[other]))
+            for (step, error), other in zip(parts, (1, 0), strict=True)
+        ]
+        shares = np.linalg.solve(squares[0] + squares[1] + held, products[0] + products[1])
+        return np.concatenate(moved, axis=1).reshape(errors.shape), positions + np.matmul(there, shares[:, None])[..., 0]
+
+
+def _steps(places: Floats, mates: Floats, lengths: Floats) -> Floats:
+    """(..., 3, K) mm, from places (..., 3) along the lines to mates (..., 3, K) to where these are as far away as lengths (..., K) say."""
+    lines = places[..., None] - mates
+    squares = lines[..., 0, :] ** 2 + lines[..., 1, :] ** 2 + lines[..., 2, :] ** 2
+    return np.asarray(lines * (lengths / np.sqrt(squares + 1e-9) - 1.0)[..., None, :])
+
+
+def _inverse_rows(matrices: Floats, rows: Ints) -> Floats:
+    """(n, rows, size) those rows of the inverses of symmetric positive definite matrices (n, size, size)."""
+    wanted = np.zeros((matrices.shape[1], len(rows)))
+    wanted[rows, np.arange(len(rows))] = 1.0
+    found = np.empty((len(matrices), len(rows), matrices.shape[1]))
+    for place, matrix in enumerate(matrices):
+        _, solved, problem = lapack.dposv(matrix, wanted, lower=1)
+        found[place] = (np.linalg.pinv(matrix, hermitian=True)[:, rows] if problem else solved).T
+    return found
 
 
 def _blended(found: Sequence[_Candidate], learned: int, rules: GapRules, least: float = 0.0) -> tuple[Floats, Floats]:
@@ -341,7 +411,7 @@ def _blended(found: Sequence[_Candidate], learned: int, rules: GapRules, least: 
     # By their mean square and by what holds 95 % of them: a few large errors speak as well as many small ones.
     scale = max(least, float(np.sqrt((off**2).mean() / expected.mean())), float(np.quantile(ratios, 0.95)) / 1.96)
     # Few blocks tell the scale badly: as in Student's t, with three coordinates for each block that shares no frame with another.
-    freedom = 3.0 * max(learned / expected.shape[1], 1.0)
+    freedom = 3.0 * max(learned / found[0].length, 1.0)
     deviation = np.sqrt(variance) * scale * float(stdtrit(freedom, 0.975)) / 1.96
     # A mate that takes another point's label in the gap moves all axes, those of few mates the most: the blocks do not know of it.
     apart = sum(
@@ -479,9 +549,13 @@ def _blocks(frames: _Frames, rows: Ints, length: int) -> Ints:
 
 
 def _inverse(matrix: Floats) -> Floats:
-    """The inverse of a symmetric positive definite matrix, which is overwritten."""
-    factor, problem = lapack.dpotrf(matrix, lower=1, overwrite_a=1)
+    """The inverse of a symmetric positive definite matrix."""
+    # Transposed, it lies as LAPACK wants it, and need not be copied.
+    factor, problem = lapack.dpotrf(matrix.T, lower=1)
     if problem:
         return np.asarray(np.linalg.pinv(matrix, hermitian=True), dtype=np.float64)
-    lower = np.tril(lapack.dpotri(factor, lower=1, overwrite_c=1)[0])
-    return np.asarray(lower + np.tril(lower, -1).T)
+    # The upper triangle is clean.
+    lower = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
+    inverse = lower + lower.T
+    inverse.flat[:: len(inverse) + 1] *= 0.5
+    return np.asarray(inverse)
