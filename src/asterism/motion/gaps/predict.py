@@ -57,7 +57,8 @@ class GapRules:
     scores    principal components of the pose; 20 err 1 % more, 12 err 4 %
     frames    most frames that are learned from: time grows with the square to the cube, 200 and 160 change errors by 3 %
     near      share of these that are next to the gap in time, the others next to it in pose; 0.4 and 0.7 change nothing
-    elsewhere most frames of other trials, the nearest in pose; 30 and 120 differ by 1 %
+    shown     frames of each other trial that are looked at, evenly spaced; 60 err the same, 180 1 to 2 % more
+    elsewhere most of these that are learned from, the nearest in pose; with 30 errors grow by 2 to 4 %
     power     candidates count by the power of their error: 4 and 8 differ by 1 %
     worst     a candidate that errs this many times as much as the best does not count
     reach     frames before and behind the gap that are looked at, so that hours cost no more than a trial
@@ -86,6 +87,7 @@ class GapRules:
     scores: int = 30
     frames: int = 180
     near: float = 0.55
+    shown: int = 90
     elsewhere: int = 60
     power: float = 8.0
     worst: float = 1.6
@@ -109,8 +111,8 @@ _OTHER = 1e6
 """s between frames of different trials, which are independent but for the pose."""
 _ALL_MOVED = 2.4
 """Mean over standard deviation of how far a mate that jumps moves axes of 3, 4, 6 and 10 mates: 1/3, 1/4, 1/6 and 1/10 of its jump."""
-_JUDGED = 25
-"""Rows of a block that judge it; half and twice as many err the same, to 1 %."""
+_JUDGED = 12
+"""Rows of a block that judge it: 25 and 50 choose the same, to 0.1 %, and take a tenth and a fifth longer."""
 _LEAST = 0.01
 """mm, the least standard deviation that is stated: coordinates in files are no finer."""
 
@@ -179,6 +181,7 @@ class _Candidate:
     off        (blocks, some, 3) mm to these, in some rows of each; expected (blocks, some) mm2, the variance that it stated for them
     length     rows of a block
     positions  (G, 3) mm in the gap; variance (G,) mm2 of a coordinate
+    lengths    (G, K) mm, what it says of the distances to mates, and lengths_off (blocks, some, K) mm to those; K is 0 in the room's axes
     """
 
     off: Floats
@@ -186,6 +189,8 @@ class _Candidate:
     length: int
     positions: Floats
     variance: Floats
+    lengths: Floats
+    lengths_off: Floats
 
 
 def predict_gap(trials: Sequence[GapTrial], column: int, gap: Ints, rules: GapRules = RULES) -> tuple[Floats, Floats] | None:
@@ -203,7 +208,7 @@ def predict_gap(trials: Sequence[GapTrial], column: int, gap: Ints, rules: GapRu
     first, gap = trials[0].some(around), np.searchsorted(around, gap)
     # A trial in which the marker is hardly seen says nothing about it.
     others = [t for t in trials[1:] if len(t.seen) and t.seen[:, column].mean() > _PRESENT]
-    frames = _Frames.of([first, *(t.some(t.frames[:: max(len(t.seen) // rules.frames, 1)]) for t in others)])
+    frames = _Frames.of([first, *(t.some(t.frames[:: max(len(t.seen) // rules.shown, 1)]) for t in others)])
     usable: NDArray[np.bool_] = np.asarray(frames.shown[gap].all(axis=0))
     for trial in range(1 + len(others)):
         usable &= frames.seen[frames.trial == trial].mean(axis=0) > _PRESENT
@@ -239,7 +244,9 @@ def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: 
     points = frames.points[every, column]
     brief = frames.time[gap[-1]] - frames.time[gap[0]] <= rules.brief
     nearest = mates[: 0 if brief or pose is None else rules.lengths]
-    process = _Process(apart, blocks, learned, points, None if pose is None else pose[every], frames.points[every][:, nearest].swapaxes(1, 2))
+    process = _Process(
+        apart, blocks, learned, points, None if pose is None else pose[every], frames.points[every][:, nearest].swapaxes(1, 2)
+    )
     found = []
     for kernel in () if absent else rules.brief_times if brief else rules.times:
         found += process.candidates(kernel, points[None], None)
@@ -255,14 +262,14 @@ def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: 
         local = np.matmul((points - places)[:, :, None], rotations)[:, :, 0]
         for kernel in rules.brief_kernels if brief else rules.kernels:
             found += process.candidates(kernel, local, (rotations, places))
-    return found
+    return found + process.mended(found, rules)
 
 
 @dataclass
 class _Process:
     """Gaussian processes over the same frames: those that are learned from, then those of the gap.
 
-    apart  (R, learned) s; blocks (blocks, length) rows that are left out together; learned: rows before those of the gap
+    apart  (R, learned) s; blocks (blocks, length) consecutive rows that are left out together; learned: rows before those of the gap
     points (R, 3) mm, the marker; pose (R, scores); mates (R, 3, K) mm, the steadiest, for their distances
     """
 
@@ -284,38 +291,38 @@ class _Process:
         if self.pose is None:
             return
         self._linear = self.pose @ self.pose[: self.learned].T
-        self._same = self.apart < _OTHER
+        self._same = np.where(self.apart < _OTHER, _OFFSET**2, 0.0)
         self._squares = (self.pose**2).sum(axis=1)
         distances = np.maximum(self._squares[:, None] + self._squares[None, : self.learned] - 2.0 * self._linear, 0.0)
         # Every third row tells the median as well.
         typical = np.median(distances[: self.learned : 3, : self.learned : 3]) + 1e-9
         # Squared, in typical distances.
         self._apart = distances / typical
+        self._distances = np.sqrt(self._apart)
 
     def covariance(self, kernel: Kernel) -> tuple[Floats, Floats]:
         """(R, learned) mm2 of all rows with those that are learned from, and (R,) variances; both without noise."""
         if kernel.length not in self._slow:
-            scaled = np.sqrt(5.0) / kernel.length * self.apart
-            self._slow[kernel.length] = (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)
+            self._slow[kernel.length] = _matern(np.sqrt(5.0) / kernel.length * self.apart, 1.0 / 3.0)
         # The constant stands for a mean that is not known: 5 mm in the mates' axes, 1 m in the laboratory's.
         constant = 25.0 if kernel.linear else 1e6
-        total = kernel.slow**2 * self._slow[kernel.length] + constant
+        total = kernel.slow**2 * self._slow[kernel.length]
+        total += constant
         variances = np.full(len(total), kernel.slow**2 + kernel.curved**2 + constant)
         if kernel.linear:
-            total += kernel.linear**2 * self._linear + _OFFSET**2 * self._same
+            total += kernel.linear**2 * self._linear
+            total += self._same
             variances += kernel.linear**2 * self._squares + _OFFSET**2
         if kernel.curved and kernel.rough:
-            scaled = np.sqrt(3.0 * self._apart) / kernel.width
-            total += kernel.curved**2 * (1.0 + scaled) * np.exp(-scaled)
+            total += kernel.curved**2 * _matern(np.sqrt(3.0) / kernel.width * self._distances, 0.0)
         elif kernel.curved:
-            total += kernel.curved**2 * np.exp(self._apart / (-2.0 * kernel.width**2))
+            curved = np.exp(self._apart / (-2.0 * kernel.width**2))
+            curved *= kernel.curved**2
+            total += curved
         return total, variances
 
     def candidates(self, kernel: Kernel, values: Floats, axes: tuple[Floats, Floats] | None) -> list[_Candidate]:
-        """One for each of the axes: values (axes, R, 3) mm in them; their rotations (axes, R, 3, 3) and places, None for the room.
-
-        For axes of mates one more each, which the lengths to the mates correct.
-        """
+        """One for each of the axes: values (axes, R, 3) mm in them; their rotations (axes, R, 3, 3) and places, None for the room."""
         many, (covariance, own) = self.learned, self.covariance(kernel)
         noisy = covariance[:many].copy()
         noisy.flat[:: many + 1] += kernel.noise**2
@@ -324,7 +331,9 @@ class _Process:
         learned = np.concatenate([*values[:, :many], self._lengths[:many]], axis=1) - means
         weights = inverse @ learned
         # What a block's own rows add is taken out by the inverse of their part of the inverse.
-        taken = _inverse_rows(inverse[self.blocks[:, :, None], self.blocks[:, None]], self._judged)
+        taken = np.array(
+            [_inverse_rows(inverse[block[0] : block[-1] + 1, block[0] : block[-1] + 1], self._judged) for block in self.blocks]
+        )
         off, expected = taken @ weights[self.blocks], taken[:, np.arange(len(self._judged)), self._judged]
         across = covariance[many:]
         filled = across @ weights + means
@@ -338,21 +347,26 @@ class _Process:
             rotations, places = axes
             errors = np.matmul(rotations[:, self._rows], errors[..., None])[..., 0]
             positions = np.matmul(rotations[:, many:], positions[..., None])[..., 0] + places[:, many:]
-            if self.mates.shape[2]:
-                mended = self._mended(errors, positions, off[:, :, sides:], filled[:, sides:])
-                errors, positions = (np.concatenate(both) for both in zip((errors, positions), mended, strict=True))
+        # In the room's axes nothing of the pose is known, on which the distances depend.
+        sides = sides if axes is not None else filled.shape[1]
+        shared = variance, filled[:, sides:], off[:, :, sides:]
         length = self.blocks.shape[1]
-        return [_Candidate(error, expected, length, position, variance) for error, position in zip(errors, positions, strict=True)]
+        return [_Candidate(error, expected, length, position, *shared) for error, position in zip(errors, positions, strict=True)]
 
-    def _mended(self, errors: Floats, positions: Floats, lengths_off: Floats, lengths: Floats) -> tuple[Floats, Floats]:
-        """The same errors (axes, blocks, some, 3) and positions (axes, G, 3) mm, each moved along the lines to the mates.
-
-        lengths_off  (blocks, some, K) mm that the predicted distances to the mates are off; lengths (G, K) mm, as predicted in the gap
+    def mended(self, found: Sequence[_Candidate], rules: GapRules) -> list[_Candidate]:
+        """Those of the candidates that count, each moved along the lines to the mates.
 
         Where a place is not as far from a mate as predicted, one of both is wrong: by how much of it the place moves is learned from the
         blocks, one share for each mate, which is held to be 0 +- 1 beforehand. A block errs as a whole, and so counts as one sample.
         """
-        rows, sets = self._rows, len(errors)
+        far = _block_errors(found).mean(axis=1)
+        chosen = [one for one, mean in zip(found, far, strict=True) if one.lengths.shape[1] and mean <= rules.worst * far.min()]
+        if not chosen:
+            return []
+        errors, positions, lengths, lengths_off = (
+            np.array([getattr(one, name) for one in chosen]) for name in ("off", "positions", "lengths", "lengths_off")
+        )
+        rows, sets = self._rows, len(chosen)
         steps = _steps(self.points[rows] - errors, self.mates[rows], self._lengths[rows] - lengths_off)
         there = _steps(positions, self.mates[self.learned :], lengths)
         # As for the choice: each half of the blocks is judged by what the other one says.
@@ -369,7 +383,19 @@ class _Process:
             for (step, error), other in zip(parts, (1, 0), strict=True)
         ]
         shares = np.linalg.solve(squares[0] + squares[1] + held, products[0] + products[1])
-        return np.concatenate(moved, axis=1).reshape(errors.shape), positions + np.matmul(there, shares[:, None])[..., 0]
+        errors = np.concatenate(moved, axis=1).reshape(errors.shape)
+        positions = positions + np.matmul(there, shares[:, None])[..., 0]
+        return [replace(one, off=off, positions=place) for one, off, place in zip(chosen, errors, positions, strict=True)]
+
+
+def _matern(scaled: Floats, square: float) -> Floats:
+    """(1 + x + square x2) exp(-x): Matern 3/2 with 0 and 5/2 with a third, of scaled distances."""
+    grown = square * scaled
+    grown += 1.0
+    grown *= scaled
+    grown += 1.0
+    grown *= np.exp(-scaled)
+    return np.asarray(grown)
 
 
 def _steps(places: Floats, mates: Floats, lengths: Floats) -> Floats:
@@ -379,15 +405,12 @@ def _steps(places: Floats, mates: Floats, lengths: Floats) -> Floats:
     return np.asarray(lines * (lengths / np.sqrt(squares + 1e-9) - 1.0)[..., None, :])
 
 
-def _inverse_rows(matrices: Floats, rows: Ints) -> Floats:
-    """(n, rows, size) those rows of the inverses of symmetric positive definite matrices (n, size, size)."""
-    wanted = np.zeros((matrices.shape[1], len(rows)))
+def _inverse_rows(matrix: Floats, rows: Ints) -> Floats:
+    """(rows, size) those rows of the inverse of a symmetric positive definite matrix (size, size)."""
+    wanted = np.zeros((len(matrix), len(rows)))
     wanted[rows, np.arange(len(rows))] = 1.0
-    found = np.empty((len(matrices), len(rows), matrices.shape[1]))
-    for place, matrix in enumerate(matrices):
-        _, solved, problem = lapack.dposv(matrix, wanted, lower=1)
-        found[place] = (np.linalg.pinv(matrix, hermitian=True)[:, rows] if problem else solved).T
-    return found
+    _, solved, problem = lapack.dposv(matrix, wanted, lower=1, overwrite_b=1)
+    return np.asarray((np.linalg.pinv(matrix, hermitian=True)[:, rows] if problem else solved).T)
 
 
 def _blended(found: Sequence[_Candidate], learned: int, rules: GapRules, least: float = 0.0) -> tuple[Floats, Floats]:
@@ -395,7 +418,7 @@ def _blended(found: Sequence[_Candidate], learned: int, rules: GapRules, least: 
 
     learned: frames that were learned from; least: of the scale
     """
-    each = np.array([np.linalg.norm(one.off, axis=2).mean(axis=1) for one in found])
+    each = _block_errors(found)
     weights = _weights(each, rules)
     positions: Floats = sum(weight * one.positions for weight, one in zip(weights, found, strict=True) if weight > 0.0)
     variance: Floats = sum(weight * one.variance for weight, one in zip(weights, found, strict=True) if weight > 0.0)
@@ -419,6 +442,12 @@ def _blended(found: Sequence[_Candidate], learned: int, rules: GapRules, least: 
     )
     spread = np.sqrt(apart)
     return positions, np.maximum(np.where(spread > deviation, _ALL_MOVED * spread, deviation), _LEAST)
+
+
+def _block_errors(found: Sequence[_Candidate]) -> Floats:
+    """(C, blocks) mm, how far each candidate is off in each block, on average."""
+    off = np.array([one.off for one in found])
+    return np.asarray(np.sqrt(off[..., 0] ** 2 + off[..., 1] ** 2 + off[..., 2] ** 2).mean(axis=2))
 
 
 def _weights(errors: Floats, rules: GapRules) -> Floats:
@@ -447,9 +476,9 @@ def _choices(frames: _Frames, mates: Ints, some: Ints, rules: GapRules) -> list[
 
 def _enough(frames: _Frames, mates: Ints, some: Ints, size: int) -> Ints:
     """The first `size` mates, and more where these lie in a line."""
+    shape = frames.points[some][:, mates].mean(axis=0)
     for many in range(min(size, len(mates)), len(mates)):
-        shape = (frames.points[some][:, mates[:many]] - frames.points[some][:, mates[:many]].mean(axis=1, keepdims=True)).mean(axis=0)
-        if np.linalg.svd(shape, compute_uv=False)[1] > _EXTENT:
+        if np.linalg.svd(shape[:many] - shape[:many].mean(axis=0), compute_uv=False)[1] > _EXTENT:
             return mates[:many]
     return mates
 
