@@ -232,7 +232,8 @@ def predict_gap(trials: Sequence[GapTrial], column: int, gap: Ints, rules: GapRu
 def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: Ints, rules: GapRules) -> list[_Candidate]:
     """All candidates for a gap; mates: columns, the steadiest first; observed: frames in which the marker is seen."""
     some = observed[:: max(len(observed) // 200, 1)]
-    pose = _pose(frames, column, mates, some, rules) if len(mates) >= 3 else None
+    shape = frames.points[np.ix_(some, mates)].mean(axis=0)
+    pose = _pose(frames, column, mates, shape, some, rules) if len(mates) >= 3 else None
     absent = not (frames.trial[observed] == 0).any()
     if absent and pose is None:
         return []
@@ -253,8 +254,7 @@ def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: 
     if pose is None:
         return found
     axes = [
-        _axes(frames.points[every], columns, np.arange(0, learned, max(learned // 100, 1)))
-        for columns in _choices(frames, mates, some, rules)
+        _axes(frames.points[every], columns, np.arange(0, learned, max(learned // 100, 1))) for columns in _choices(mates, shape, rules)
     ]
     axes = [(rotations, places) for rotations, places in axes if np.isfinite(rotations).all()]
     if axes:
@@ -468,19 +468,17 @@ def _by_steadiness(frames: _Frames, column: int, usable: Ints, observed: Ints) -
     return usable[np.argsort(spread + 0.01 * mean, kind="stable")]
 
 
-def _choices(frames: _Frames, mates: Ints, some: Ints, rules: GapRules) -> list[Ints]:
-    """The different sets of mates that make axes."""
-    sizes = {len(_enough(frames, mates, some, size)) for size in rules.mates}
-    return [mates[:size] for size in sorted(sizes)]
+def _choices(mates: Ints, shape: Floats, rules: GapRules) -> list[Ints]:
+    """The different sets of mates that make axes; shape (mates, 3) mm, where they are on average."""
+    return [mates[:size] for size in sorted({_enough(shape, size) for size in rules.mates})]
 
 
-def _enough(frames: _Frames, mates: Ints, some: Ints, size: int) -> Ints:
-    """The first `size` mates, and more where these lie in a line."""
-    shape = frames.points[some][:, mates].mean(axis=0)
-    for many in range(min(size, len(mates)), len(mates)):
+def _enough(shape: Floats, size: int) -> int:
+    """`size`, and more where the first `size` mates of a shape (mates, 3) mm lie in a line; at most all."""
+    for many in range(min(size, len(shape)), len(shape)):
         if np.linalg.svd(shape[:many] - shape[:many].mean(axis=0), compute_uv=False)[1] > _EXTENT:
-            return mates[:many]
-    return mates
+            return many
+    return len(shape)
 
 
 def _axes(points: Floats, mates: Ints, some: Ints) -> tuple[Floats, Floats]:
@@ -499,9 +497,9 @@ def _axes(points: Floats, mates: Ints, some: Ints) -> tuple[Floats, Floats]:
     return rotations, places
 
 
-def _pose(frames: _Frames, column: int, mates: Ints, some: Ints, rules: GapRules) -> Floats | None:
+def _pose(frames: _Frames, column: int, mates: Ints, shape: Floats, some: Ints, rules: GapRules) -> Floats | None:
     """(F, scores) principal components of all mates in the axes of the steadiest; those that move little against the marker weigh more."""
-    rotations, places = _axes(frames.points, _enough(frames, mates, some, rules.pose), some)
+    rotations, places = _axes(frames.points, mates[: _enough(shape, rules.pose)], some)
     if not np.isfinite(rotations).all():
         return None
     local = np.matmul(frames.points[:, mates] - places[:, None], rotations)
