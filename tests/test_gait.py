@@ -406,6 +406,13 @@ def test_a_walk_backwards_has_no_events_rather_than_those_of_a_treadmill() -> No
 
 
 @pytest.mark.filterwarnings("error")
+def test_a_walk_backwards_on_a_treadmill_has_no_events_either() -> None:
+    walk = stepping(treadmill=True)
+    back = analyse_gait(replace(walk, positions=walk.positions[::-1].copy()))
+    assert not back.walking.events and "gait-backwards" in {finding.code for finding in back.findings}
+    assert analyse_gait(walk).cycles
+
+
 def test_markers_that_are_seen_for_half_of_the_time_or_hardly_ever() -> None:
     walk = stepping()
     positions = walk.positions.copy()

@@ -105,11 +105,15 @@ class GaitEvent:
 
 @dataclass(frozen=True)
 class Walking:
-    """The events of a recording in the order of time, its feet, and whether they are on a treadmill."""
+    """The events of a recording in the order of time, its feet, and whether they are on a treadmill.
+
+    backwards  whether the person goes where the heels point, so that no events are told
+    """
 
     events: tuple[GaitEvent, ...]
     feet: Feet
     treadmill: bool
+    backwards: bool = False
 
     def of(self, side: str, label: str) -> list[GaitEvent]:
         """Events of one foot and kind."""
@@ -146,7 +150,7 @@ def find_events(recording: Recording, plates: Sequence[ForcePlate] = (), rules: 
     feet = feet_of(recording)
     if feet.backwards:
         # a heel that goes first strikes last: none of the rules holds
-        return Walking((), feet, treadmill=False)
+        return Walking((), feet, treadmill=False, backwards=True)
     found = [event for side in feet.sides for event in _by_markers(feet, side, rules, belt=False)]
     if _on_treadmill(feet, found):
         found = [event for side in feet.sides for event in _by_markers(feet, side, rules, belt=True)]
@@ -160,7 +164,9 @@ def find_events(recording: Recording, plates: Sequence[ForcePlate] = (), rules: 
             found.append(event)
     kept = [event for side in feet.sides for event in _in_order([one for one in found if one.side == side])]
     inside = [event for event in kept if 0.0 <= event.time <= last]
-    return Walking(tuple(sorted(inside, key=lambda event: event.time)), feet, _on_treadmill(feet, inside))
+    walking = Walking(tuple(sorted(inside, key=lambda event: event.time)), feet, _on_treadmill(feet, inside))
+    # where the pelvis stays in its place, only the feet tell
+    return Walking((), feet, treadmill=True, backwards=True) if walking.treadmill and _stands_in_the_air(walking) else walking
 
 
 def _by_markers(feet: Feet, side: str, rules: EventRules, belt: bool) -> list[GaitEvent]:
@@ -337,6 +343,19 @@ def _in_order(events: Sequence[GaitEvent]) -> list[GaitEvent]:
             continue
         kept.append(event)
     return kept
+
+
+def _stands_in_the_air(walking: Walking) -> bool:
+    """Whether feet are higher between strike and off than between off and strike: somebody who walks backwards swings them there."""
+    feet, higher = walking.feet, []
+    for side in feet.sides:
+        heights = 0.5 * (feet.heels[side] + feet.toes[side])[:, 2]
+        own = [event for event in walking.events if event.side == side]
+        means = [float(heights[int(RATE * one.time) : int(RATE * other.time) + 1].mean()) for one, other in pairwise(own)]
+        higher += [
+            (mean - following) * (1.0 if one.label == STRIKE else -1.0) for one, mean, following in zip(own, means, means[1:], strict=False)
+        ]
+    return bool(higher) and float(np.median(higher)) > 0.0
 
 
 def _on_treadmill(feet: Feet, events: Sequence[GaitEvent]) -> bool:

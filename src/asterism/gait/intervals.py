@@ -40,6 +40,12 @@ _OF_LEGS = ("THI", "KNE", "TIB", "ANK", "TOE")
 _OF_ARMS = ("SHO", "ELB", "WRA", "WRB", "FIN")
 
 
+_NEEDED = frozenset(
+    {"SACR", "LASI", "RASI", "LPSI", "RPSI", *HEAD, *THORAX, *(side + name for side in SIDES for name in (*_OF_LEGS, *_OF_ARMS))}
+)
+"""Markers on which the angles hang."""
+
+
 class AnalysedWalk(Protocol):
     """What bands need of an analysis, see `asterism.gait.GaitAnalysis`."""
 
@@ -245,6 +251,8 @@ def _placed_anew(recording: Recording, groups: Sequence[Sequence[str]]) -> Recor
     As a marker may be off by as much in each direction, it does not matter along which axes. Every second copy runs backwards, so that
     angles that turn by more than a right angle go on from copy to copy.
     """
+    # Many recordings have as many markers again that no angle hangs on.
+    recording = recording.select([name for name in recording.labels if name in _NEEDED])
     columns = [[recording.labels.index(name) for name in group if name in recording.labels] for group in groups]
     columns = [group for group in columns if group]
     positions = np.repeat(recording.positions[None], 3 * len(columns), axis=0)
@@ -272,7 +280,7 @@ def _band(analysis: AnalysedWalk, name: str, curves: Floats, sources: Sequence[s
         spread["events"] = moved_by_events(curves, own_cycles)
     seen = np.isfinite(curves)
     mean = np.where(seen.any(axis=0), np.nansum(curves, axis=0) / np.maximum(seen.sum(axis=0), 1), np.nan)
-    centre = mean + sum(_over(part.apart[name], times, shown) for part in parts)
+    centre = mean + sum(_over(part.apart[name], times, shown) for part in parts if part.apart[name].any())
     wide = _half(spread)
     return AngleBand(centre - wide, centre + wide, spread)
 

@@ -29,21 +29,22 @@ class MeasurePriors:
     the joint; larger by what n people leave open: by the root of 1 + 1/n, and by Student's t over that of a normal distribution. Half of
     one narrows the angles that hang on it by up to half, and people beside it are missed; double widens them.
 
-    leg           length, of the way from the anterior iliac spine by the knee's marker to the ankle's (n = 3)
+    leg           length, of the way from the anterior iliac spine by the knee's marker to the ankle's (n = 4)
     knee, ankle   widths, of the length of the leg (n = 10, 11)
     trochanter    m, beyond the regression of Davis et al. (1991) (n = 4)
     radius        m, of the markers: those of 9.5 to 19 mm are usual
     thigh, shank  rad, the wands' angles: next to nothing is known of where somebody puts a wand
     torsion       rad, from the ankle's axis to the knee's (n = 5)
     tilt          rad, of the ankle's axis
-    sole          rad, of the foot's line against what heel and toe marker show, beside the choice between a flat and a sloped foot
+    sole          rad, of the foot's line against what heel and toe marker show, beside the choice between a flat and a sloped foot (n = 3)
     sole_alone    rad, of the foot's line, where no heel marker shows the sole
-    sole_turn     rad, the same seen from above
-    head          rad, by which the head's markers look up: 15 degrees in both standing trials, and none where nobody takes it off
+    sole_turn     rad, the same seen from above (n = 4)
+    head          rad, by which the head's markers look up: 15 degrees in both standing trials, give or take three, and none where nobody
+                  takes it off
     arms          m, standard deviations about an adult's measures (`ArmMeasures`), by hand: files of two people differ by as much
     """
 
-    leg: Prior = (1.007, 0.014)
+    leg: Prior = (1.002, 0.033)
     knee: Prior = (0.123, 0.025)
     ankle: Prior = (0.081, 0.010)
     trochanter: Prior = (0.0057, 0.012)
@@ -52,10 +53,10 @@ class MeasurePriors:
     shank: Prior = (0.0, np.radians(20.0))
     torsion: Prior = (np.radians(-18.0), np.radians(10.0))
     tilt: Prior = (np.radians(6.9), np.radians(8.2))
-    sole: Prior = (0.0, np.radians(2.5))
+    sole: Prior = (0.0, np.radians(2.0))
     sole_alone: Prior = (np.radians(13.3), np.radians(10.5))
-    sole_turn: Prior = (np.radians(1.5), np.radians(4.0))
-    head: Prior = (np.radians(8.0), np.radians(9.0))
+    sole_turn: Prior = (0.0, np.radians(2.9))
+    head: Prior = (np.radians(7.5), np.radians(6.5))
     arms: Mapping[str, float] = field(
         default_factory=lambda: {"shoulder_offset": 0.012, "elbow_width": 0.015, "wrist_width": 0.02, "hand_thickness": 0.008}
     )
@@ -204,7 +205,8 @@ class WalkEstimator:
 
         def prior(side: str, name: str, of: str = "", also: float = 0.0) -> float:
             mean, deviation = getattr(self.priors, of or name)
-            return float(mean + shifts[side].get(name, 0.0) * np.hypot(deviation, also))
+            # One of two places `also` to both sides, and normal about it: that holds 95 % within as many deviations as a normal one does.
+            return float(mean + shifts[side].get(name, 0.0) * max(deviation, (abs(also) + 1.645 * deviation) / 1.96))
 
         for side in state:
             leg = given.of(side)

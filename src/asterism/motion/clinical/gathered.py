@@ -32,8 +32,8 @@ _LOW, _LIFTED = 0.08, 0.1
 people of six laboratories. At half, skin tells it; at double, 11 degrees of the ankle are not."""
 _OFFSETS = ("thigh_rotation", "shank_rotation", "tibial_torsion", "foot_flexion", "foot_rotation")
 _SAME_OFFSET = 0.05
-"""rad, by which an offset of the file may differ from that which its standing trial shows: up to 0.03 on 11 trials of four laboratories, of
-which ten within 0.002, and 0.24 on one that was computed as a walk. At half, an older program is told; at double, 6 degrees are not."""
+"""rad, by which an offset of the file may differ from that which its standing trial shows: up to 0.001 on 11 trials of four laboratories,
+by the rule that fits, and 0.24 on one computed as a walk. At half, rules of other programs are told; at double, 6 degrees are not."""
 _ROUNDED = 0.5
 """mm, degrees or kg, by which what is given may differ from what a file holds without a word: a rounded number."""
 _USUAL = 2.5
