@@ -111,10 +111,10 @@ def served(session: Any) -> Iterator[Browser]:
 
     from asterism.web.app import make_app
     from asterism.web.guard import Guard
-    from asterism.web.serving import PageAddress, _bound
+    from asterism.web.serving import PageAddress, bound
 
     session.start().join()
-    with _bound(PageAddress()) as listening:
+    with bound(PageAddress()) as listening:
         port = listening.getsockname()[1]
         app = Guard(make_app(session), "a-token", "127.0.0.1", port)
         server = uvicorn.Server(uvicorn.Config(app, log_level="critical", lifespan="off", access_log=False))
@@ -139,7 +139,7 @@ def drive(monkeypatch: pytest.MonkeyPatch, script: str) -> None:
 
     from asterism.web import app
 
-    static = app._static
+    static = app.static_file
 
     def driven(name: str) -> Response:
         if name == "driver.js":
@@ -150,4 +150,4 @@ def drive(monkeypatch: pytest.MonkeyPatch, script: str) -> None:
         page = bytes(answer.body).replace(b"</body>", b'<script src="/static/driver.js"></script></body>')
         return Response(page, media_type="text/html; charset=utf-8")
 
-    monkeypatch.setattr(app, "_static", driven)
+    monkeypatch.setattr(app, "static_file", driven)

@@ -14,21 +14,27 @@ LEGS = {
     "toes": ("calcn", "mtp", (0.18, 0.0, 0.0), ("angle",), 0.2),
 }
 """Of the right side: the body above, the joint, where it is in that body (m), its coordinates, and the body's mass (kg)."""
+ARMS = {
+    "humerus": ("torso", "shoulder", (0.0, 0.37, 0.17), ("flexion", "adduction", "rotation"), 2.0),
+    "ulna": ("humerus", "elbow", (0.01, -0.28, 0.0), ("angle",), 0.6),
+    "radius": ("ulna", "radioulnar", (0.0, -0.01, 0.02), ("rotation",), 0.6),
+    "hand": ("radius", "wrist", (0.0, -0.24, 0.01), ("angle", "adduction"), 0.5),
+}
+"""As `LEGS`."""
 LUMBAR = (-0.10, 0.08, 0.0)
 TURNS = {"flexion": "0 0 1", "adduction": "1 0 0", "rotation": "0 1 0", "angle": "0 0 1", "extension": "0 0 1", "bending": "1 0 0"}
 Joint = tuple[str, str, str, str, tuple[float, float, float], list[str], float]
 
 
-def joints(*, toes: bool = True) -> list[Joint]:
+def joints(*, arms: bool = False) -> list[Joint]:
     """Name, body above, body, sort, place, coordinates and mass of each."""
     free = [f"pelvis_{name}" for name in ("tilt", "list", "rotation", "tx", "ty", "tz")]
     found: list[Joint] = [("ground_pelvis", "ground", "pelvis", "pelvis", (0.0, 0.0, 0.0), free, 11.0)]
     for letter, sign in (("r", 1.0), ("l", -1.0)):
-        for body, (above, joint, place, coordinates, mass) in LEGS.items():
-            if toes or body != "toes":
-                parent = above if above == "pelvis" else f"{above}_{letter}"
-                own = [f"{joint}_{one}_{letter}" for one in coordinates]
-                found.append((f"{joint}_{letter}", parent, f"{body}_{letter}", joint, (place[0], place[1], sign * place[2]), own, mass))
+        for body, (above, joint, place, coordinates, mass) in (LEGS | ARMS if arms else LEGS).items():
+            parent = above if above in ("pelvis", "torso") else f"{above}_{letter}"
+            own = [f"{joint}_{one}_{letter}" for one in coordinates]
+            found.append((f"{joint}_{letter}", parent, f"{body}_{letter}", joint, (place[0], place[1], sign * place[2]), own, mass))
     back = [f"lumbar_{one}" for one in ("extension", "bending", "rotation")]
     return [*found, ("back", "pelvis", "torso", "back", LUMBAR, back, 34.0)]
 
@@ -78,11 +84,11 @@ def _body(name: str, mass: float) -> str:
     return f"<mass>{mass}</mass><mass_center>0 0 0</mass_center><inertia>{inertia} {inertia} {inertia} 0 0 0</inertia>"
 
 
-def written_model(path: Path, *, toes: bool = True) -> Path:
+def written_model(path: Path, *, arms: bool = False) -> Path:
     """In the form of OpenSim 4."""
-    bodies = "".join(f'<Body name="{body}">{_body(body, mass)}</Body>' for _, _, body, _, _, _, mass in joints(toes=toes))
+    bodies = "".join(f'<Body name="{body}">{_body(body, mass)}</Body>' for _, _, body, _, _, _, mass in joints(arms=arms))
     text = ""
-    for name, parent, body, sort, place, coordinates, _ in joints(toes=toes):
+    for name, parent, body, sort, place, coordinates, _ in joints(arms=arms):
         inside = "".join(_coordinate(one) for one in coordinates)
         above = "/ground" if parent == "ground" else f"/bodyset/{parent}"
         frames = "".join(

@@ -149,12 +149,12 @@ def test_a_file_of_this_disk_that_never_comes_is_left_out(some: Path, tmp_path: 
     [("nope://x/y", "no address that fsspec knows"), ("memory://none", "holds no file"), ("github://a:b@c/x", "")],
 )
 def test_an_address_that_fails_is_told(address: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    from asterism.cli._process_places import Places
+    from asterism.cli._process_places import SessionPlaces
 
     if not said:
         monkeypatch.setitem(sys.modules, "fsspec.core", None)
         said = r"install it with `pip install 'asterism\[cluster\]'`"
-    places = Places()
+    places = SessionPlaces()
     with pytest.raises(AsterismError, match=said):
         places.show(places.path(address))
 

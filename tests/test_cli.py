@@ -23,6 +23,7 @@ from asterism.simulation import simulate_walks
 ROOT = Path(__file__).parent.parent
 VERBS = (
     "demo",
+    "opensim",
     "name",
     "audit",
     "mend",

@@ -12,7 +12,7 @@ import pytest
 import asterism
 from asterism import AsterismError, Recording, formats
 from asterism.cli import main
-from asterism.motion.clinical import clinical_angles, gathered_measures
+from asterism.motion.clinical import StaticRules, clinical_angles, gathered_measures, with_static_offsets
 from asterism.motion.clinical.measure_files import measures_of_person, read_measures
 from asterism.motion.clinical.measures import computed_by_the_file
 from asterism.simulation import simulate_walks
@@ -93,8 +93,14 @@ def test_a_measure_of_the_whole_person_in_another_unit_is_told(name: str, value:
 
 
 def stood(recording: Recording) -> Recording:
-    """The person as in the first frame, all the time."""
-    return replace(recording, positions=np.repeat(recording.positions[:1], len(recording), axis=0), events=())
+    """The person as in the first frame, all the time, with both feet flat: heels as high above the toes as they come down in the walk."""
+    positions = np.repeat(recording.positions[:1], len(recording), axis=0)
+    for heel, toe in ((recording.labels.index(f"{side}HEE"), recording.labels.index(f"{side}TOE")) for side in "LR"):
+        back = positions[0, heel] - positions[0, toe]
+        up, long = np.subtract(*np.quantile(recording.positions[:, [heel, toe], 2], 0.08, axis=0)), np.linalg.norm(back)
+        level = back[:2] / np.linalg.norm(back[:2]) * np.sqrt(long**2 - up**2)
+        positions[:, heel] = positions[:, toe] + np.append(level, up)
+    return replace(recording, positions=positions, events=())
 
 
 def test_a_walk_given_as_the_standing_trial_is_told() -> None:
@@ -127,9 +133,47 @@ def test_given_measures_go_before_the_standing_trials_and_these_before_the_files
     measures, found = gathered_measures(own, static, {"LAnkleWidth": 62})
     assert (measures.left.knee_width, measures.right.knee_width, measures.left.ankle_width) == (0.090, 0.095, 0.062)
     assert (measures.mass, measures.marker_radius) == (50, pytest.approx(0.0045))
-    assert not found
+    assert [one.code for one in found] == ["clinical-measure-differs"], "62 in place of 61"
     assert "foot_flexion" in measures.left.from_file
     assert gathered_measures(own, static, {"MarkerDiameter": 16})[0].marker_radius == 0.008
+
+
+def test_a_standing_trial_is_read_as_its_own_program_read_it_and_one_that_it_did_not_use_is_told() -> None:
+    """With the marker's diameter that its file names, whatever the walk's was, and by the rule that comes nearest to the file's offsets."""
+    [walk] = simulate_walks(1, frames=30, markers="helen-hayes", seed=0)
+    lengths = {f"{side}{name}": value for side in "LR" for name, value in (("KneeWidth", 100), ("AnkleWidth", 70), ("LegLength", 940))}
+    static, own = stood(walk), held(walk, MarkerDiameter=16, **lengths)
+    for rules in (StaticRules(), StaticRules(flat_foot=False)):
+        thin = replace(gathered_measures(own)[0], marker_radius=0.005)
+        flexion = {side: with_static_offsets(static, thin, rules).of(side).foot_flexion for side in "LR"}
+        offsets = {f"{side}StaticPlantFlex": value for side, value in flexion.items()}
+        measures, found = gathered_measures(own, held(static, MarkerDiameter=10, **offsets))
+        assert not found and measures.marker_radius == 0.008
+        assert {side: measures.of(side).foot_flexion for side in "LR"} == pytest.approx(flexion, abs=1e-12)
+    measures, found = gathered_measures(own, held(static, MarkerDiameter=10, **offsets | {"RStaticPlantFlex": flexion["R"] + 0.2}))
+    (one,) = found
+    assert one.code == "clinical-static-differs" and "right foot flexion differs by 11 degrees" in one.sentence
+    assert measures.right.foot_flexion == pytest.approx(flexion["R"], abs=1e-12), "what the trial shows is taken"
+
+
+def test_a_heel_that_is_lifted_in_the_standing_trial_is_told_and_one_that_never_comes_down_in_the_walk_is_not() -> None:
+    [walk] = simulate_walks(1, frames=120, markers="helen-hayes", seed=0)
+    static, heel = stood(walk), walk.labels.index("LHEE")
+    long = float(np.median(np.linalg.norm(walk.positions[:, heel] - walk.positions[:, walk.labels.index("LTOE")], axis=1)))
+
+    def codes(walk: Recording, up: float) -> list[str]:
+        moved = static.positions.copy()
+        moved[:, heel, 2] += up * long
+        return [
+            one.sentence for one in gathered_measures(walk, replace(static, positions=moved))[1] if one.code == "clinical-static-lifted"
+        ]
+
+    assert not codes(walk, 0.0) and not codes(walk, 0.05)
+    (said,) = codes(walk, 0.25)
+    assert "left heel stands 1" in said
+    on_toes = walk.positions.copy()
+    on_toes[:, heel, 2] += 0.25 * long
+    assert not codes(replace(walk, positions=on_toes), 0.0)
 
 
 def test_measures_and_standing_trials_of_another_person_are_told() -> None:
@@ -182,3 +226,21 @@ def test_the_measures_of_a_vsk_make_the_vendors_own_angles(data: Path) -> None:
         assert theirs is not None
         apart = (np.degrees(clinical.outputs[f"{name}Angles"]) - theirs + 180.0) % 360.0 - 180.0
         assert np.sqrt(np.nanmean(apart**2, axis=0)).max() < 0.1, name
+
+
+def test_a_measure_in_place_of_the_files_is_said_with_both() -> None:
+    [walk] = simulate_walks(1, frames=12, markers="helen-hayes", seed=0)
+    own = held(walk, LKneeWidth=87, RKneeWidth=88, LLegLength=870, BodyMass=60)
+
+    def told(**given: float) -> dict[str, str]:
+        return {one.code: one.sentence for one in gathered_measures(own, given=given)[1] if "measure-" in one.code}
+
+    assert not told(LKneeWidth=87.4), "rounded"
+    assert "LKneeWidth 95, not 87" in told(LKneeWidth=95)["clinical-measure-differs"]
+    assert "BodyMass 70, not 60" in told(BodyMass=70)["clinical-measure-differs"]
+    assert not told(LAnkleWidth=70, LTibialTorsion=-10), "the file says nothing of it"
+    both = told(LKneeWidth=180)
+    assert "left knee's width is 180 mm, the leg's length 870 mm" in both["clinical-measure-implausible"], "no knee of such a leg"
+    assert "LKneeWidth 180, not 87" in both["clinical-measure-differs"]
+    assert list(told(RKneeWidth=110)) == ["clinical-measure-differs", "clinical-measure-implausible"], "the other knee is of 87 mm"
+    assert gathered_measures(own, given={"LKneeWidth": 95})[0].left.knee_width == pytest.approx(0.095), "what is given is taken"

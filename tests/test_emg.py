@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfiltfilt
 
 import asterism
 from asterism import AsterismError
 from asterism.cli import main
 from asterism.formats import AnalogChannel
 from asterism.gait import EmgRules, GaitAnalysis, analyse_gait, emg_of, envelope, muscles_by_channel, named_channels
-from asterism.gait.emg import peak, side_and_muscle
+from asterism.gait.emg import envelope_spread, is_rectified, peak, side_and_muscle
+from asterism.gait.tables import gait_table
 from asterism.report.gait import gait_report
 from asterism.simulation import simulate_walks
 
@@ -160,3 +162,34 @@ def test_real_walks_hold_muscles_that_their_steps_drive(data: Path) -> None:
     for one in calves:
         assert one.side is not None
         assert 25 < int(np.argmax(one.cycles[one.side].mean(axis=0))) < 60
+
+
+def test_an_envelope_is_as_uncertain_as_noise_of_its_bandwidth_and_strikes(monkeypatch: pytest.MonkeyPatch, walk: GaitAnalysis) -> None:
+    """Of a narrower band less is known; of one that was rectified before nothing is said."""
+    wide = np.random.default_rng(2).normal(size=60000)
+    narrow = sosfiltfilt(butter(2, [60, 120], "bandpass", fs=RATE, output="sos"), wide)
+    for samples in (wide, narrow):
+        found = envelope(samples, RATE)[1000:-1000]
+        assert envelope_spread(samples, RATE) == pytest.approx(found.std() / found.mean(), rel=0.12)
+    assert 1.5 * envelope_spread(wide, RATE) < envelope_spread(narrow, RATE) < 0.5
+    size = len(bursts(walk, "L", 1.0))
+    channels, _ = found_in(monkeypatch, walk, channel(wide[:size]), channel(np.abs(wide[:size]), "R Rect"))
+    assert [one.spread is None for one in channels] == [False, True]
+    rows = gait_table([("walk", replace(walk, emg=channels))]).of("curve").rows
+    stated = {row[2]: [one[9] for one in rows if one[2] == row[2]] for row in rows if str(row[2]).startswith("EMG")}
+    assert all(one > 0 for one in stated["EMG L Rect"]) and set(stated["EMG R Rect"]) == {None}
+
+
+def test_a_signal_that_was_rectified_before_is_smoothed_only_and_said(monkeypatch: pytest.MonkeyPatch, walk: GaitAnalysis) -> None:
+    raw = bursts(walk, "L", 1.0)
+    ((whole,), _) = found_in(monkeypatch, walk, channel(raw))
+    resting = np.where(np.abs(raw) > 0.02, np.abs(raw), 0.0)
+    for name, samples in (("rectified", np.abs(raw)), ("silent at rest", resting), ("an envelope", envelope(raw, RATE))):
+        (muscle, other), (finding,) = found_in(monkeypatch, walk, channel(samples), channel(raw, "R Rect"))
+        assert (finding.code, finding.where, muscle.rectified, other.rectified) == ("emg-rectified", "L Rect", True, False), name
+        np.testing.assert_allclose(muscle.cycles["L"], whole.cycles["L"], atol=0.08, err_msg=name)
+    high_passed = envelope(envelope(raw, RATE), RATE)
+    assert high_passed.max() < 0.2 * envelope(raw, RATE).max(), "as a raw signal it would have gone"
+    for offset in (0.0, 2.0, -2.0):
+        assert not is_rectified(raw + offset), "an offset rectifies nothing"
+    assert not is_rectified(-np.abs(raw)), "nor do exchanged electrodes"

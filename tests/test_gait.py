@@ -46,15 +46,24 @@ STRIDE, TIME, STANCE, WIDTH = 1.2, 1.1, 0.62, 0.16
 """m, s, share of the cycle, m: a person who walks by rule."""
 
 
-def stepping(*, treadmill: bool = False, heading: float = 0.0, rate: float = 100.0, up: str = "z") -> Recording:
+def stepping(
+    *,
+    treadmill: bool = False,
+    heading: float = 0.0,
+    rate: float = 100.0,
+    up: str = "z",
+    stride: float = STRIDE,
+    time: float = TIME,
+    stance: float = STANCE,
+) -> Recording:
     """Eight seconds of two feet that stand, swing ahead along half a cosine, and stand; half a cycle apart; the pelvis goes on evenly."""
     times = np.arange(0, 8, 1 / rate)
-    speed, points = STRIDE / TIME, {}
+    speed, points = stride / time, {}
 
     def foot(phase: float) -> tuple[np.ndarray, np.ndarray]:
-        cycle, share = np.divmod(times / TIME + phase, 1.0)
-        swing = np.clip((share - STANCE) / (1 - STANCE), 0, 1)
-        ahead = STRIDE * (cycle - phase + 0.5 * (1 - np.cos(np.pi * swing)) + STANCE / 2)
+        cycle, share = np.divmod(times / time + phase, 1.0)
+        swing = np.clip((share - stance) / (1 - stance), 0, 1)
+        ahead = stride * (cycle - phase + 0.5 * (1 - np.cos(np.pi * swing)) + stance / 2)
         return ahead, 0.08 * np.sin(np.pi * swing)
 
     for side, phase, aside in (("L", 0.0, WIDTH / 2), ("R", 0.5, -WIDTH / 2)):
@@ -279,6 +288,14 @@ def test_a_band_is_kept_and_a_person_is_as_far_from_it_as_their_curves(tmp_path:
     for score in profile_scores([replace(moved, curves=bent)], kept):
         assert np.degrees(score.variables["knee flexion"]) == pytest.approx(10.0, abs=0.01)
         assert np.degrees(score.gps) == pytest.approx(10.0 / 3.0, abs=0.01), "one of nine"
+        assert score.gps_sigma is None
+    walk = replace(moved, curves=bent)
+    for score in profile_scores([walk], kept, sigmas=True):
+        # A knee that is off by a degree more throughout is a degree further away, and the score by a third of it.
+        parts = walk.bands[f"{score.side}KneeAngles"].standard.values()
+        off = float(np.mean(np.sqrt(sum(part[:, 0] ** 2 for part in parts))))
+        assert score.sigmas["knee flexion"] == pytest.approx(off, rel=1e-3) and np.radians(0.5) < off
+        assert score.gps_sigma == pytest.approx(off / 3.0, rel=1e-2) and score.gdi_sigma is not None
     with pytest.raises(AsterismError, match="two people or more"):
         band_of(walks, ["a", "a", "a"])
 
@@ -389,6 +406,13 @@ def test_a_walk_backwards_has_no_events_rather_than_those_of_a_treadmill() -> No
 
 
 @pytest.mark.filterwarnings("error")
+def test_a_walk_backwards_on_a_treadmill_has_no_events_either() -> None:
+    walk = stepping(treadmill=True)
+    back = analyse_gait(replace(walk, positions=walk.positions[::-1].copy()))
+    assert not back.walking.events and "gait-backwards" in {finding.code for finding in back.findings}
+    assert analyse_gait(walk).cycles
+
+
 def test_markers_that_are_seen_for_half_of_the_time_or_hardly_ever() -> None:
     walk = stepping()
     positions = walk.positions.copy()
@@ -459,6 +483,19 @@ def test_flat_feet_strike_by_the_height_of_their_heels_and_less_certainly_as_it_
     # half of what the two differ by, beside what they leave
     spread = np.sqrt(sigmas**2 - rules.strike_sigma**2)
     np.testing.assert_allclose(np.abs(spread[1] - spread[0]), 0.01, atol=0.003)
+
+
+def test_noise_is_no_knock_of_feet_that_sink() -> None:
+    """Feet that sink without a knock, seen with errors of 3 mm: strikes stay nearer than where all that stands out counts."""
+    walk = stepping(rate=200.0)
+    feet = [walk.labels.index(name) for name in ("LHEE", "LTOE", "RHEE", "RTOE")]
+    slow = walk.positions.copy()
+    lift = slow[:, feet, 2] - slow[:, feet, 2].min(axis=0)
+    slow[:, feet, 2] -= lift - lift**3 / 0.08**2
+    noisy = slow + np.random.default_rng(2).normal(0.0, 0.003, slow.shape)
+    true = left_strikes(replace(walk, positions=slow))
+    apart = [np.abs(left_strikes(replace(walk, positions=noisy), EventRules(noise=noise)) - true).mean() for noise in (0.0, 6.0)]
+    assert apart[1] < 0.7 * apart[0] and apart[1] < 0.02, apart
 
 
 @pytest.mark.parametrize("treadmill", [False, True])
@@ -578,3 +615,39 @@ def test_the_standing_trial_of_a_folder_is_no_walk(tmp_path: Path, capsys: pytes
     asterism.write(folder / "static.c3d", replace(walk, positions=np.repeat(walk.positions[40:41], 60, axis=0), events=()))
     main(["gait", str(folder), "--static", str(folder / "static.c3d"), "--json", "-"])
     assert [Path(one["file"]).name for one in json.loads(capsys.readouterr().out)["files"]] == ["walk.c3d"]
+
+
+def running(rate: float = 200.0) -> Recording:
+    """190 steps/min on a treadmill at 3.3 m/s: the feet stand for a third of the time, and between them the pelvis falls freely."""
+    time, stance = 120 / 190, 0.36
+    walk = stepping(treadmill=True, rate=rate, stride=3.3 * time, time=time, stance=stance)
+    share = np.mod(walk.times / time, 0.5) / 0.5
+    pull = np.where(share < 2 * stance, 1 / (2 * stance) - 1, -1.0) * 9.81
+    rise = np.cumsum(pull) / rate
+    height = np.cumsum(rise - rise.mean()) / rate
+    pelvis = [walk.labels.index(name) for name in ("LASI", "RASI", "SACR")]
+    walk.positions[:, pelvis, 2] += (height - np.polyval(np.polyfit(walk.times, height, 1), walk.times))[:, None]
+    return walk
+
+
+def smaller(walk: Recording, size: float) -> Recording:
+    """A person of another size who moves alike, as gravity has it."""
+    return replace(walk, positions=size * walk.positions, rate=walk.rate / np.sqrt(size))
+
+
+@pytest.mark.parametrize("person", [stepping(), smaller(stepping(), 0.5), running(), smaller(running(), 0.7)])
+def test_a_rate_that_is_twice_too_high_or_low_is_told_and_quick_people_are_not(person: Recording) -> None:
+    for factor in (1.0, 2.0, 0.5):
+        found = [one for one in analyse_gait(replace(person, rate=factor * person.rate)).findings if one.code == "gait-rate-doubtful"]
+        assert len(found) == (factor != 1.0), (factor, found)
+        for one in found:
+            assert ("short" if factor > 1 else "long") in one.sentence
+
+
+def test_somebody_who_squats_in_place_has_no_rate_of_steps() -> None:
+    walk = stepping()
+    pelvis = walk.positions[:, 4:].mean(axis=1, keepdims=True)
+    # the feet stay behind the pelvis' way by a tenth of theirs: no step is longer than 6 cm
+    walk.positions[:, :, 0] -= 0.95 * pelvis[:, :, 0]
+    walk.positions[:, :4, 0] *= 0.05
+    assert not [one for one in analyse_gait(replace(walk, rate=400.0)).findings if one.code == "gait-rate-doubtful"]

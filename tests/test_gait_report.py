@@ -50,6 +50,10 @@ def test_the_person_and_the_parameters_come_first_and_the_player_last(tmp_path: 
     usual, spread = band.parameters["cadence"]
     assert f"{usual:.1f} ± {spread:.1f}" in row and row.count("--warn-rgb") == 2, "both sides are far from the controls"
     assert 'id="plotly"' not in page and len(page) < 400_000
+    assert band.log_score is not None
+    usual = f"{np.degrees(np.exp(band.log_score[0])):.1f}"
+    score = page.split('<td class="text">Gait Profile Score<')[1].split("</tr>")[0]
+    assert f">{usual} (" in score and f"controls {usual}°" in page, "what a score is to be held against stands beside it"
 
 
 def test_what_was_found_stands_once_without_the_path_that_pushed_it_out_of_view(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
@@ -358,3 +362,17 @@ def test_limbs_of_points_without_known_names_are_called_by_their_points() -> Non
     plain = replace(analysis, recording=replace(analysis.recording, labels=tuple(f"P{n}" for n in range(len(walk.labels)))))
     names = limb_names(plain)
     assert names[1] == "my arm" and re.match(r"P\d+", names[0]) and len(set(names)) == 3
+
+
+def test_who_has_no_name_in_the_file_is_called_as_the_folder_is(tmp_path: Path, walks: list[GaitAnalysis]) -> None:
+    folder = tmp_path / "bert"
+    folder.mkdir()
+    (folder / "walk.c3d").touch()
+    for metadata, said in (
+        ({"file": str(folder / "walk.c3d")}, "bert (the folder)"),
+        ({"file": str(folder / "walk.c3d"), "subject": "ann"}, ">ann<"),
+        ({"file": "simulated walk"}, ">–<"),
+    ):
+        gait_report(tmp_path / "p.html", [("walk", replace(walks[0], recording=replace(walks[0].recording, metadata=metadata)))])
+        row = (tmp_path / "p.html").read_text().split('<td class="text">person<')[1].split("</tr>")[0]
+        assert said in row and ("bert" in row) == ("bert" in said)

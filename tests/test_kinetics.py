@@ -11,6 +11,7 @@ import pytest
 
 import asterism
 from asterism import AsterismError, Recording
+from asterism.cli.gait import as_dict
 from asterism.formats import force_plates
 from asterism.gait import analyse_gait
 from asterism.gait.analysis import _other_mass
@@ -184,7 +185,15 @@ def test_a_power_is_uncertain_by_its_moment_and_by_its_turning() -> None:
     np.testing.assert_allclose(found.sigmas["LHipPower"][20:-20], 0.2 * size[20:-20], rtol=1e-9)
     usual = pushed_leg(errors=KineticErrors())
     assert (usual.sigmas["LHipPower"][20:-20] > found.sigmas["LHipPower"][20:-20]).all()
-    assert set(usual.sigmas) == {*usual.moments, *usual.powers}
+    assert set(usual.sigmas) == {*usual.moments, *usual.powers, *usual.ground}
+
+
+def test_the_grounds_force_is_as_uncertain_as_the_plate_and_the_mass() -> None:
+    found = pushed_leg(errors=replace(NOTHING, plate=0.02, mass=0.01)).sigmas["LGroundReactionForce"][20:-20]
+    force = np.array([40.0, 30.0, 500.0])
+    np.testing.assert_allclose(
+        found, np.tile(np.hypot(0.02 * np.linalg.norm(force), 0.01 * np.abs(force)) / MASS, (len(found), 1)), rtol=1e-9
+    )
 
 
 def test_without_a_mass_moments_are_newton_metres_and_it_is_said() -> None:
@@ -275,10 +284,15 @@ def test_real_walks_have_the_moments_and_powers_of_the_laboratory() -> None:
         theirs = computed_by_the_file(recording, name)
         assert theirs is not None
         assert np.sqrt(np.nanmean((moments - theirs / 1000) ** 2, axis=0)).max() < 0.03, name
+        known = np.isfinite(moments + theirs).all(axis=1)
+        assert (np.abs(moments - theirs / 1000)[known] < 1.96 * analysis.kinetics.sigmas[name][known]).mean() > 0.93, name
     for name, power in analysis.kinetics.powers.items():
         theirs = computed_by_the_file(recording, name)
         assert theirs is not None and np.sqrt(np.nanmean((power - theirs[:, 2]) ** 2)) < 0.1, name
     assert "kinetics-mass-differs" not in [one.code for one in analysis.findings]
+    content = as_dict(analysis)
+    for name, places in content["load_cycles"].items():
+        assert len(places) == len(content["loads"][name]) and {content["cycles"][place]["side"] for place in places} == {name[0]}
     # without a mass the stances are shown, and that they are not per kg is said
     heavy = analyse_gait(recording, plates, replace(subject_measures(recording), mass=None))
     assert heavy.kinetics is not None and not heavy.kinetics.per_kg and "kinetics-mass" in [one.code for one in heavy.findings]

@@ -22,9 +22,12 @@ import pytest
 import asterism
 from asterism import AsterismError
 from asterism.cli import main
-from asterism.cli._process_tasks import _page
+from asterism.cli._process_tasks import _Kept, _not_analysed, _page
+from asterism.findings import Severity
+from asterism.gait.feet import feet_of
 from asterism.recording import Recording
 from asterism.session import FileLabeller, FolderSettings, Outcome, in_order, plan_session, spread
+from asterism.session.memory import BASE, need_of, that_fit
 from asterism.simulation import simulate_walks
 
 
@@ -229,7 +232,7 @@ def test_a_folder_whose_recordings_are_all_left_out_is_told(session: Path, tmp_p
     ("places", "said"),
     [
         (("a/b/walk.c3d", "a-b/walk.c3d"), "the person a/b and the person a-b"),
-        (("ann/walk.c3d", "ann/walk.trc"), "walk.trc would both be written to gait/ann/walk.c3d"),
+        (("ann/walk.c3d", "ann/Walk.c3d"), "would both become walk.c3d"),
     ],
 )
 def test_what_would_replace_the_results_of_another_ends_the_run(
@@ -274,6 +277,25 @@ def test_a_result_that_could_not_be_written_is_tried_again(
     run(*what)
     assert "cannot be written" not in capsys.readouterr().err
     assert target.is_file()
+
+
+def test_what_shows_no_gait_is_told_from_what_could_not_be_analysed() -> None:
+    """Nothing need be done where nobody walks; a missing measure is to be mended, and not called so."""
+    [walk] = simulate_walks(1, frames=30, markers="helen-hayes", seed=0)
+    kept = _Kept()
+    for name, lacking in (("reach.c3d", ("HEE", "TOE")), ("lie.c3d", ("ASI", "ACR"))):
+        with kept.file(Path(name)):
+            columns = [place for place, label in enumerate(walk.labels) if not label.endswith(lacking)]
+            labels = tuple(walk.labels[place] for place in columns)
+            feet_of(replace(walk, positions=walk.positions[:, columns], labels=labels, source=None, metadata={"file": name}))
+    with kept.file(Path("walk.c3d")):
+        raise AsterismError("LKneeWidth is 0.1; give it in mm.")
+    assert list(kept.problems) == ["walk.c3d"] and "no foot with a heel" in kept.no_gait["reach.c3d"]
+    assert "no marker of the pelvis" in kept.no_gait["lie.c3d"]
+    quiet = _not_analysed("reach.c3d", kept.no_gait["reach.c3d"], True)
+    assert (quiet.code, quiet.severity) == ("session-no-gait", Severity.NOTE) and "heels, toes and the pelvis" in quiet.mend
+    told = _not_analysed("walk.c3d", kept.problems["walk.c3d"], False)
+    assert (told.code, told.severity) == ("session-not-analysed", Severity.WARNING) and "walks" not in told.mend
 
 
 def test_the_page_of_a_walk_called_as_its_person_is_another(tmp_path: Path) -> None:
@@ -430,6 +452,52 @@ def test_what_tasks_are_told_does_not_grow_with_the_folder(session: Path, tmp_pa
             (folder / f"walk {number}.c3d").touch()
         assert run(tmp_path / str(count), "-o", tmp_path / f"out {count}") == 2
     assert max(sizes) < 500 and max(sizes) - min(sizes) < 50
+
+
+def test_a_messy_folder_is_one_person_with_one_standing_trial(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    people = tmp_path / "Gang Labor" / "2026-11-03" / "Müller, Jörg (v1.2)"
+    shutil.copytree(session / "p1", people)
+    (people / "static.c3d").rename(people / "static 1.c3d")
+    shutil.copy(people / "static 1.c3d", people / "Static 2.c3d")
+    shutil.copy(session / "p2" / "walk.c3d", people / "Gehen langsam.01.c3d")
+    (people / "session.toml").write_text('static = "static 1.c3d"')
+    for copy in ("Gehen langsam.01.trc", "gehen langsam.01.csv", "walk.TSV"):
+        (people / copy).write_text("exported")
+    for hidden in ("._walk.c3d", ".sync.c3d", "Thumbs.db"):
+        (people / hidden).write_bytes(b"x")
+    (people / "empty.c3d").touch()
+    (people / "gone.c3d").symlink_to("nowhere.c3d")
+    (people.parent / "loop").symlink_to(tmp_path / "Gang Labor")
+    out = tmp_path / "out"
+    assert run(tmp_path / "Gang Labor", "-o", out, "--markers", "helen-hayes") == 1
+    told = capsys.readouterr().err
+    assert "3 files" in told and "walk.TSV" in told and "[session-copies]" in told and "empty.c3d is empty" in told and "gone.c3d" in told
+    with (out / "session.csv").open(newline="", encoding="utf-8") as file:
+        rows = {Path(row["file"]).name: row for row in csv.DictReader(file)}
+    kinds = {name: row["kind"] for name, row in rows.items()}
+    assert kinds == {"Gehen langsam.01.c3d": "walk", "walk.c3d": "walk", "static 1.c3d": "standing", "Static 2.c3d": "standing, not used"}
+    assert {Path(rows[name]["subject"]).name for name in ("walk.c3d", "Gehen langsam.01.c3d", "Static 2.c3d")} <= {"static 1.c3d", ""}
+    assert Path(rows["walk.c3d"]["subject"]).name == "static 1.c3d", "labels and analysis have one standing trial"
+    assert [path.name for path in (out / "reports").glob("*.html")] == ["2026-11-03-Müller- Jörg -v1.2-.html"]
+
+
+def test_as_many_processes_work_as_the_memory_holds(
+    one_person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert [that_fit(4, BASE, free) for free in (None, 0.0, BASE / 0.79, 2.1 * BASE / 0.8, 1e12)] == [4, 1, 1, 2, 4]
+    assert need_of([]) == BASE and need_of([10**9]) > 20e9, "a long recording needs more"
+    assert need_of([10**9] * 2) < 2 * need_of([10**9]), "one is worked on at a time"
+    used = list[int]()
+
+    def none_done(function: Any, tasks: Any, *, workers: int, dask: str | None) -> Iterator[Any]:
+        used.append(workers)
+        return iter([(place, Outcome(None, "not done.")) for place in range(len(tasks))])
+
+    monkeypatch.setattr("asterism.session.spread", none_done)
+    monkeypatch.setattr("asterism.session.memory.free_memory", lambda: 2.4 * BASE)
+    run(one_person, "-o", tmp_path / "out", "--workers", "3")
+    assert used[0] == 1
+    assert "1 of 3 processes: one may need 0.4 GB, for p1, and 1.0 GB of memory are free" in capsys.readouterr().err
 
 
 def square(task: tuple[int, Path]) -> int:

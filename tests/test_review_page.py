@@ -53,19 +53,21 @@ def shown(review: FakeReview, code: str, folder: Path) -> Any:
     return in_node(preamble + code, folder, scripts=script("labels.js"), **given)
 
 
-def test_the_page_asks_nobody_else_and_writes_no_markup() -> None:
-    page = (STATIC / "review.html").read_text(encoding="utf-8")
+@pytest.mark.parametrize("name", ["review", "live"])
+def test_the_page_asks_nobody_else_and_writes_no_markup(name: str) -> None:
+    page = (STATIC / f"{name}.html").read_text(encoding="utf-8")
+    scripts = ["live.js"] if name == "live" else [each for each in SCRIPTS if each != "live.js"]
     assert re.findall(r"<script(?![^>]*src=)", page) == [] and not re.search(r"\son\w+=", page), "the server forbids inline scripts"
     loads = re.findall(r"(?:src|href)=\"([^\"]*)\"", page)
     assert {load for load in loads if not load.startswith("/static/")} == {"data:,"}
     files = {load.removeprefix("/static/") for load in loads if load.startswith("/static/")} - {"player.js", "player.css"}
-    assert files == {*SCRIPTS, "review.css"} and all((STATIC / name).is_file() for name in files)
-    for name in SCRIPTS:
-        code = script(name)
+    assert files == {*scripts, f"{name}.css"} and all((STATIC / each).is_file() for each in files)
+    for each in scripts:
+        code = script(each)
         assert not re.search(
             r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\b|new Function|https?://|localStorage", code
-        ), name
-    assert not re.search(r"url\(|@import", (STATIC / "review.css").read_text(encoding="utf-8"))
+        ), each
+    assert not re.search(r"url\(|@import", (STATIC / f"{name}.css").read_text(encoding="utf-8"))
 
 
 def test_every_element_that_the_scripts_name_is_on_the_page() -> None:

@@ -104,7 +104,7 @@ def test_a_bone_that_is_not_seen_is_led_by_its_neighbours_and_less_certain(perso
     off = np.abs(angle(found, "left knee flexion") - angle(whole, "left knee flexion"))
     sd = np.degrees(found.sd[:, person.tree.numbers.index("left knee flexion")])
     assert off.max() < 15.0
-    assert sd[50] > 3.0 * sd[10]
+    assert sd[50] > 1.5 * sd[10]
     assert off.max() < 3.0 * sd[50]
     assert [f.code for f in kinematics_findings(found, hidden)] == ["skeleton-bone-unseen"] * 2
 

@@ -14,6 +14,7 @@ from asterism.gait.events import OFF, STRIKE, GaitEvent
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import folder
 from benchmarks.figures import Figure
+from benchmarks.gait.models import angles
 
 NEAR = 0.15
 """s: an event with no other of its foot and kind so near is missed."""
@@ -51,7 +52,8 @@ def events(benchmark: BenchmarkRun) -> Iterator[Figure]:
 
 
 def peers(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """The same of published methods, as `gaitkit` has them."""
+    """The same of published methods, as `gaitkit` has them; and angles by the package `pyCGM`."""
+    yield from angles(benchmark)
     try:
         import gaitkit
     except ImportError:

@@ -44,8 +44,10 @@ def process(benchmark: BenchmarkRun) -> Iterator[Figure]:
         analysed = sum(one.get("kind") == "walk" for one in told["files"])
         yield Figure(f"{row}: walks analysed", "none", analysed, "walks", files)
         first = _content(out / "two")
+        before = _processor()
         alone, _ = _run(session, out / "one")
         yield Figure(f"{row}, one process: time", "none", alone, "s", files)
+        yield Figure(f"{row}, one process: processor time", "none", _processor() - before, "s", files)
         yield Figure(f"{row}, one process and two: other bytes", "== 0", _others(first, out / "one"), "files", len(first))
         with _cluster() as (address, workers):
             seconds, _ = _run(session, out / "dask", "--dask", address)
@@ -106,6 +108,12 @@ def _run(session: Path, out: Path, *options: str) -> tuple[float, dict]:
     if done.returncode == 2:
         raise RuntimeError(done.stderr)
     return time.perf_counter() - started, json.loads(report.read_text())
+
+
+def _processor() -> float:
+    """s of processor time of all processes that this one has waited for: they do not grow with what else runs."""
+    used = os.times()
+    return used.children_user + used.children_system
 
 
 def _content(out: Path) -> dict[str, bytes]:

@@ -18,7 +18,7 @@ from public_names import exports, homes, modules_of, rooms
 from sphinx.errors import ExtensionError
 
 GUIDE = {
-    "First steps": ["from-the-box", "commands", "process", "python", "gallery/README"],
+    "First steps": ["from-the-box", "commands", "process", "cluster", "cluster-slurm", "cluster-kubernetes", "python", "gallery/README"],
     "How it works": [
         "how-it-works",
         "labelling",
@@ -30,6 +30,7 @@ GUIDE = {
         "live",
         "garment",
         "motion",
+        "characters",
         "thesis",
     ],
     "Look it up": ["reference", "findings", "formats", "marker-sets", "conventions", "glossary"],

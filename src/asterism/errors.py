@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 
-__all__ = ["AsterismError", "NoMarkers", "cause_of", "guarded_reading", "refuse_special"]
+__all__ = ["AsterismError", "NoGait", "NoMarkers", "cause_of", "guarded_reading", "refuse_special"]
 
 _LONGEST_CAUSE = 160
 
@@ -37,6 +37,10 @@ class AsterismError(Exception):
 
 class NoMarkers(AsterismError):
     """A file that holds something else than markers: forces, joint angles, points of cameras. In a folder of files it is passed over."""
+
+
+class NoGait(AsterismError):
+    """A recording in which nobody can be seen to walk: feet or pelvis have no markers, or are hidden. In a session that is no fault."""
 
 
 @contextmanager

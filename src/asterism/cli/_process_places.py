@@ -26,7 +26,7 @@ Reference = tuple[str | None, str]
 
 
 @dataclass
-class Places:
+class SessionPlaces:
     """Where files are: paths of this disk, and the addresses of those that are elsewhere."""
 
     folders: dict[Path, RemoteFolder] = field(default_factory=dict)

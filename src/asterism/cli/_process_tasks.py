@@ -20,10 +20,10 @@ from asterism.cli import _console
 from asterism.cli._folders import Trial
 from asterism.cli._labelling import ROW
 from asterism.cli._options import KnownLabels
-from asterism.cli._process_places import Places, Reference
+from asterism.cli._process_places import Reference, SessionPlaces
 from asterism.cli.gait import GaitOptions, analysed, write_results
 from asterism.cli.label import LabelOptions, LabelRun
-from asterism.errors import AsterismError, guarded_reading
+from asterism.errors import AsterismError, NoGait, guarded_reading
 from asterism.files.atomic import write_atomically
 from asterism.files.plain import as_json
 from asterism.files.stalls import digest, that_answer
@@ -61,6 +61,13 @@ class PersonOptions:
     overwrite: bool = False
 
     @property
+    def found_by_name(self) -> bool:
+        """Whether the standing trial is one of the trials whose names say that the person stands, as labelling finds it."""
+        from asterism.session import is_standing_name
+
+        return self.static is not None and is_standing_name(self.static) and self.static in [path for path, _ in self.trials]
+
+    @property
     def label(self) -> LabelOptions:
         """The same for `asterism label`."""
         return LabelOptions(
@@ -68,14 +75,14 @@ class PersonOptions:
             output=self.out / LABELLED,
             model=None if self.model is None else [self.model],
             markers=None if self.markers is None else [self.markers],
-            subject=None if self.static is None or self.static in [path for path, _ in self.trials] else [self.static],
+            subject=None if self.static is None or self.found_by_name else [self.static],
             vertical=self.vertical,
             known_labels=self.known_labels,
             overwrite=self.overwrite,
             json="-",
         )
 
-    def plain(self, places: Places) -> dict[str, Any]:
+    def plain(self, places: SessionPlaces) -> dict[str, Any]:
         """The same as plain values that another machine understands."""
         files = {name: places.reference(getattr(self, name)) for name in ("out", "model", "static", "band")}
         trials = [(places.reference(path), place.as_posix()) for path, place in self.trials]
@@ -85,7 +92,7 @@ class PersonOptions:
         return {**vars(self), **files, "trials": trials, "known_labels": known, "markers": markers}
 
     @classmethod
-    def of_plain(cls, plain: dict[str, Any], places: Places) -> PersonOptions:
+    def of_plain(cls, plain: dict[str, Any], places: SessionPlaces) -> PersonOptions:
         """The inverse of `plain`, with paths of this machine; files are brought, but for the trials."""
         files = {name: places.local(plain[name], bring=name != "out") for name in ("out", "model", "static", "band")}
         trials = tuple((places.local(path, bring=False), Path(place)) for path, place in plain["trials"])
@@ -112,7 +119,7 @@ class PersonTask:
     place: int | None = None
 
 
-def write_plan(person: PersonOptions, places: Places) -> PersonTask:
+def write_plan(person: PersonOptions, places: SessionPlaces) -> PersonTask:
     """Write the options of a person for the processes that share the work; the task that names them."""
     data = json.dumps(person.plain(places), indent=1).encode()
     path = _plan(person.out, person.name)
@@ -136,7 +143,7 @@ class TaskResult:
     findings: list[dict[str, str]] = field(default_factory=list)
     failed: dict[str, str] = field(default_factory=dict)
 
-    def told(self, places: Places) -> TaskResult:
+    def told(self, places: SessionPlaces) -> TaskResult:
         """The same with addresses in place of the paths of temporary files."""
         return TaskResult(**places.told(as_json(vars(self)))) if places.folders else self
 
@@ -147,6 +154,7 @@ class _Kept(_console.Batch):
     def __init__(self) -> None:
         super().__init__("done")
         self.problems: dict[str, str] = {}
+        self.no_gait: dict[str, str] = {}
         self.faults: dict[str, str] = {}
 
     @contextmanager
@@ -159,7 +167,7 @@ class _Kept(_console.Batch):
                 raise
             # a full disk is no property of the recording: what could not be written is tried again by the next run
             told = isinstance(problem, AsterismError) and not isinstance(problem.__cause__, OSError)
-            kept = self.problems if told else self.faults
+            kept = self.no_gait if isinstance(problem, NoGait) else self.problems if told else self.faults
             kept[str(path)] = _console.reason(problem)
             self.failed.append(path)
         else:
@@ -174,7 +182,7 @@ class _Work:
     """What a process keeps of the person of its last task: the options, where the files are, and what labels them."""
 
     person: PersonOptions
-    places: Places
+    places: SessionPlaces
     run: LabelRun | None = None
     batch: _Kept = field(default_factory=_Kept)
 
@@ -183,7 +191,7 @@ class _Work:
         """The work on the person of a task."""
         if task not in _WORK:
             _WORK.clear()
-            places = Places()
+            places = SessionPlaces()
             out = places.local(task.out, bring=False)
             assert out is not None
             path = _plan(out, task.name)
@@ -197,12 +205,17 @@ class _Work:
 
     def labelling(self) -> LabelRun:
         """What labels this person's recordings: models are loaded and narrowed once for all of them."""
+        from asterism.session import is_standing_name
+
         if self.run is None:
             for path, _ in self.person.trials:
                 # one that cannot be brought is named when it is labelled itself
                 with suppress(AsterismError):
                     self.places.bring(path)
             answering = set(that_answer(path for path, _ in self.person.trials))
+            # of several standing trials, the one that counts is the one that labelling sees, too
+            if self.person.found_by_name:
+                answering -= {path for path in answering if is_standing_name(path)} - {self.person.static}
             trials = [Trial(*trial) for trial in self.person.trials if trial[0] in answering]
             self.run = LabelRun.of(self.person.label, trials, self.batch)
         return self.run
@@ -221,7 +234,7 @@ def label_trial(task: PersonTask) -> TaskResult:
         raise _told(problem, work.places) from problem
 
 
-def _told(problem: AsterismError, places: Places) -> AsterismError:
+def _told(problem: AsterismError, places: SessionPlaces) -> AsterismError:
     return type(problem)(places.told(str(problem)))
 
 
@@ -274,7 +287,7 @@ def analyse_person(task: PersonTask) -> TaskResult:
         raise _told(problem, work.places) from problem
 
 
-def _analysed(person: PersonOptions, places: Places) -> TaskResult:
+def _analysed(person: PersonOptions, places: SessionPlaces) -> TaskResult:
     from asterism.session import FinishedFiles
 
     labelled = [(place, person.out / LABELLED / place) for _, place in person.trials]
@@ -330,11 +343,12 @@ def file_name(name: str) -> str:
 
 @dataclass(frozen=True)
 class _Own:
-    """The labelled recordings of one subject: the standing trial, and those that are analysed."""
+    """The labelled recordings of one subject: the standing trial, those that are analysed, and other standing trials, which are not."""
 
     name: str
     standing: Path | None
     walks: tuple[Path, ...]
+    others: tuple[Path, ...] = ()
 
 
 def _analysis(
@@ -371,14 +385,16 @@ def _analysis(
             writers.append(partial(_write_page, dataclasses.replace(options, report=page, json=None), shown, band))
         analyses = dict(results)
         for place, path in labelled:
-            if path in (own.standing, *own.walks):
+            if path in (own.standing, *own.others, *own.walks):
                 kind = "standing" if path == own.standing else "walk" if path in analyses else "not analysed"
+                kind = "standing, not used" if path in own.others else kind
                 rows.append(
                     {"place": place.as_posix(), "file": originals[place], "person": own.name, "kind": kind, **_summary(analyses.get(path))}
                 )
                 rows[-1]["report"] = _below(person.out, report) if path in analyses else None
     # a recording that shows no gait is none that failed
-    findings = [*batch.findings, *(_not_gait(path, sentence) for path, sentence in batch.problems.items())]
+    findings = [*batch.findings, *(_not_analysed(path, sentence, False) for path, sentence in batch.problems.items())]
+    findings += [_not_analysed(path, sentence, True) for path, sentence in batch.no_gait.items()]
 
     def write() -> None:
         table.parent.mkdir(parents=True, exist_ok=True)
@@ -423,22 +439,28 @@ def _subjects(person: PersonOptions, labelled: Sequence[tuple[Path, Path]], batc
         standing = [path for own, _ in by_subject.values() for path in own]
         walks = [path for _, own in by_subject.values() for path in own]
         outside = person.static if person.static not in originals.values() else None
-        return [_Own(person.name, outside or (standing[-1] if standing else None), tuple(walks))]
+        # the one that the names or the settings tell; else the last that shows somebody who stands
+        told = [path for place, path in labelled if path in standing and originals[place] == person.static]
+        used = outside or next(iter(told + standing[::-1]), None)
+        return [_Own(person.name, used, tuple(walks), tuple(path for path in standing if path != used))]
     sentence = (
         f"{person.name}: its recordings are of {len(named)} subjects by their own names ({', '.join(named)}); each is analysed alone."
     )
     mend = "Give each person a folder, or correct the names of the subjects."
     batch.found(Finding("session-two-people", Severity.WARNING, person.name, sentence, mend))
     return [
-        _Own(f"{person.name} {subject}".strip(), standing[-1] if standing else None, tuple(walks))
+        _Own(f"{person.name} {subject}".strip(), standing[-1] if standing else None, tuple(walks), tuple(standing[:-1]))
         for subject, (standing, walks) in sorted(by_subject.items())
     ]
 
 
-def _not_gait(path: str, sentence: str) -> Finding:
-    where = Path(path)
-    said = sentence if where.name in sentence else f"{path}: {sentence}"
-    return Finding("session-no-gait", Severity.NOTE, path, said, "Nothing, where nobody walks in it; its labels are written.")
+def _not_analysed(path: str, sentence: str, shows_no_gait: bool) -> Finding:
+    said = sentence if Path(path).name in sentence else f"{path}: {sentence}"
+    if shows_no_gait:
+        mend = "Nothing, where nobody walks in it: its labels are written. Where somebody does, label heels, toes and the pelvis."
+        return Finding("session-no-gait", Severity.NOTE, path, said, mend)
+    mend = "Mend what is said, and run again; its labels are written, and the person's other recordings are analysed."
+    return Finding("session-not-analysed", Severity.WARNING, path, said, mend)
 
 
 def _summary(analysis: GaitAnalysis | None) -> dict[str, Any]:

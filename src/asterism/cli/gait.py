@@ -243,11 +243,12 @@ def write_results(
     from asterism.recording import subject_of
 
     analyses = [analysis for _, analysis in results]
-    scores = [] if band is None else profile_scores(analyses, band)
+    scores = [] if band is None else profile_scores(analyses, band, sigmas=True)
     for score in scores if options.json != "-" else ():
         side = "left" if score.side == "L" else "right"
-        index = "" if score.gdi is None else f" Gait Deviation Index by this score: {score.gdi:.0f}."
-        _console.result(f"Gait Profile Score, {side}: {math.degrees(score.gps):.1f}° from the mean of the band.{index}")
+        off = ["" if one is None else f" ± {one:.{digits}f}" for one, digits in ((_in_degrees(score.gps_sigma), 1), (score.gdi_sigma, 0))]
+        index = "" if score.gdi is None else f" Gait Deviation Index by this score: {score.gdi:.0f}{off[1]}."
+        _console.result(f"Gait Profile Score, {side}: {math.degrees(score.gps):.1f}{off[0]}° from the mean of the band.{index}")
     if options.save_band is not None:
         people = [subject_of(analysis.recording) or str(path.parent) for path, analysis in results]
         band_of(analyses, people).save(options.save_band)
@@ -267,8 +268,11 @@ def write_results(
             {
                 "side": score.side,
                 "gps_deg": math.degrees(score.gps),
+                "gps_sigma_deg": _in_degrees(score.gps_sigma),
                 "gdi": score.gdi,
+                "gdi_sigma": score.gdi_sigma,
                 "variables_deg": {name: math.degrees(value) for name, value in score.variables.items()},
+                "variables_sigma_deg": {name: math.degrees(value) for name, value in score.sigmas.items()},
             }
             for score in scores
         ],
@@ -278,6 +282,10 @@ def write_results(
         "findings": [finding.to_dict() for finding in batch.findings],
     }
     _console.write_json(options.json, content)
+
+
+def _in_degrees(angle: float | None) -> float | None:
+    return None if angle is None else math.degrees(angle)
 
 
 def _changes(results: list[tuple[Path, GaitAnalysis]], compared: Sequence[tuple[Path, GaitAnalysis]]) -> list[dict[str, Any]]:
@@ -456,6 +464,8 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
         },
         "curves_deg": {name: np.round(np.degrees(curves), 3) for name, curves in analysis.curves.items()},
         "loads": {name: np.round(curves, 4) for name, curves in analysis.loads.items()},
+        # places in "cycles": of some cycles it is not known what acts on the foot
+        "load_cycles": {name: [analysis.cycles.index(cycle) for cycle in own] for name, own in analysis.loaded.items()},
         "load_sigmas": {name: np.round(sigmas, 4) for name, sigmas in analysis.load_sigmas.items()},
         "loads_per_kg": analysis.kinetics is not None and analysis.kinetics.per_kg,
         "emg": [

@@ -55,6 +55,13 @@ class LiveOptions:
         list[str],
         typer.Option("--to", metavar="ADDRESS", help="Pass labelled frames on: udp://HOST:PORT, as JSON. Several times."),
     ] = field(default_factory=list)
+    feedback: Annotated[
+        Path | None,
+        typer.Option("--feedback", metavar="FILE", help="Rules in TOML: what the person is told, and when.", show_default=False),
+    ] = None
+    page: Annotated[bool, typer.Option("--page", help="Show the body and the counts in a browser, with sounds.")] = False
+    host: Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Where the page is served; this machine only.")] = "127.0.0.1"
+    port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="Its port; 0 for a free one.")] = 0
     lines: Annotated[bool, typer.Option("--lines", help="Print each labelled frame as a line of JSON.")] = False
     output: Annotated[
         Path | None,
@@ -78,6 +85,7 @@ def live(options: LiveOptions) -> None:
     came late or could not be read are counted and told at the end. Stop with Ctrl-C. A recording holds all frames that came. Until the end
     they are in a file beside the output, so that a session that is killed loses half a second at most.
     """
+    from asterism.formats import check_suffix
     from asterism.live import LiveRecorder, session_findings
 
     if options.finish is not None:
@@ -88,6 +96,8 @@ def live(options: LiveOptions) -> None:
         raise AsterismError("--lines and --json - both print to standard output; give --json a file.")
     if options.model is not None and options.markers is not None:
         raise AsterismError("a model has its own marker set; give either --model or --markers.")
+    if options.output is not None:
+        check_suffix(options.output)
     _console.check_outputs([options.output, options.json], [options.replay, options.model], options.overwrite)
     if unfinished is not None and unfinished.exists():
         raise AsterismError(
@@ -138,21 +148,21 @@ def _source(options: LiveOptions) -> LiveSource:
 
 
 def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
+    from asterism.cli._options import vertical_axis
     from asterism.labelling.marker_model import MarkerModel
-    from asterism.live import LiveSession, ToDatagrams, ToLines, host_port, make_labeller
+    from asterism.live import Feedback, LiveSession, ToDatagrams, ToLines, host_port, load_feedback, make_labeller
     from asterism.recording import as_vertical
 
     model = None if options.model is None else MarkerModel.load(options.model)
-    make = make_labeller(model, options.markers, options.delay)
-    if options.vertical is not None:
-        from asterism.cli._options import vertical_axis
-
-        up, of_axes = as_vertical(vertical_axis(options.vertical) or "z"), make
-        make = lambda rate, _: of_axes(rate, up)  # noqa: E731 -- the axis that was given counts
+    given = vertical_axis(options.vertical)
+    up = source.about.vertical if given is None else as_vertical(given)
+    rules = None if options.feedback is None else Feedback(load_feedback(options.feedback), as_vertical("z") if up is None else up)
     outputs: list[LiveOutput] = [ToDatagrams(host_port(address, "udp://127.0.0.1:5001")) for address in options.to]
     if options.lines:
         outputs.append(ToLines())
-    return LiveSession(source, make, outputs, options.delay, waits=options.replay is not None)
+    make = make_labeller(model, options.markers, options.delay)
+    # A file can wait until its frames are labelled.
+    return LiveSession(source, make, outputs, options.delay, waits=options.replay is not None, feedback=rules, vertical=up)
 
 
 def _run(session: LiveSession, options: LiveOptions) -> Health:
@@ -164,16 +174,22 @@ def _run(session: LiveSession, options: LiveOptions) -> Health:
         timer = threading.Timer(options.seconds, session.stop)
         timer.daemon = True
         timer.start()
-    told = threading.Event()
+    told, stop_page = threading.Event(), None
+    if options.page:
+        from asterism.web.live_page import ToPage, serve_live
+        from asterism.web.serving import PageAddress
+
+        page = ToPage()
+        session.outputs = [*session.outputs, page]
+        stop_page = serve_live(session, page, PageAddress(options.host, options.port), _console.notice)
     if sys.stderr.isatty():
         threading.Thread(target=_tell, args=(session, told), daemon=True).start()
     try:
         return session.run()
-    except KeyboardInterrupt:
-        session.stop()
-        return session.health()
     finally:
         told.set()
+        if stop_page is not None:
+            stop_page()
         if timer is not None:
             timer.cancel()
 

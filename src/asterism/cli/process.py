@@ -16,7 +16,7 @@ from asterism.cli._command import takes
 from asterism.cli._filling import Fill, fill_limit
 from asterism.cli._folders import Trial, check_folder, trials
 from asterism.cli._options import Dask, Json, KnownLabels, KnownLabelsOption, Processes, Vertical, vertical_axis
-from asterism.cli._process_places import Places
+from asterism.cli._process_places import SessionPlaces
 from asterism.errors import AsterismError
 from asterism.files.atomic import write_atomically
 from asterism.files.plain import as_json
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 TABLE, PARAMETERS, PAGE = "session.csv", "parameters.csv", "index.html"
 """In the folder of the results: the table of all recordings, that of all parameters, and the page on all."""
+_MOST_PRINTED = 200
+"""Lines of the table on the terminal: what somebody may scroll through."""
 LEDGER = "session.json"
 """Among the records: which recordings and persons the sessions had."""
 _COLUMNS = ("file", "person", "kind", "frames", "labelled", "use", "look_at", "cycles", "cadence", "speed", "subject", "worn", "report")
@@ -108,7 +110,7 @@ class _Given:
     """The options, and the paths of what they name: folders of sessions and results, model and band."""
 
     options: ProcessOptions
-    places: Places
+    places: SessionPlaces
     sessions: list[Path]
     output: Path
     model: Path | None
@@ -116,7 +118,7 @@ class _Given:
 
     @classmethod
     def of(cls, options: ProcessOptions) -> _Given:
-        places = Places()
+        places = SessionPlaces()
         sessions, output = [places.path(one) for one in options.sessions], places.path(options.output)
         return cls(options, places, sessions, output, places.file(options.model), places.file(options.band))
 
@@ -194,7 +196,29 @@ def _recordings(given: _Given, batch: _console.Batch) -> list[Trial]:
         if all(results.values()):
             raise AsterismError(f"{said}; name the folder of the recordings.")
         _console.notice(f"asterism: {said} and is left out; move it out of the session.")
-    return [trial for trial in found if results[trial.path] is None]
+    return _without_copies([trial for trial in found if results[trial.path] is None], batch)
+
+
+_RICHEST = (".c3d", ".npz", ".mat", ".trc", ".tsv", ".csv")
+"""Of files of one name, the first of these kinds is the recording: C3D holds most, and others were exported from it."""
+
+
+def _without_copies(found: Sequence[Trial], batch: _console.Batch) -> list[Trial]:
+    """The recordings without those that lie beside one of the same name and a richer kind: walk.trc and walk.csv beside walk.c3d."""
+    named: dict[tuple[Path, str], list[Trial]] = {}
+    for trial in found:
+        named.setdefault((trial.path.parent, trial.path.stem.casefold()), []).append(trial)
+    rank = {suffix: number for number, suffix in enumerate(_RICHEST)}
+    kept = {min(own, key=lambda one: rank.get(one.path.suffix.lower(), len(rank))).path for own in named.values()}
+    copies = [trial.path for trial in found if trial.path not in kept]
+    if copies:
+        from asterism.recording.display import counted
+
+        few = ", ".join(map(str, copies[:6])) + (", ..." if len(copies) > 6 else "")
+        said = f"{counted(len(copies), 'file')} of the names of other recordings beside them are taken for copies and left out: {few}."
+        mend = "Nothing, where they are; else give them names of their own."
+        batch.found(Finding("session-copies", Severity.NOTE, str(copies[0].parent), said, mend))
+    return [trial for trial in found if trial.path in kept]
 
 
 def _check_settings(settings: FolderSettings) -> None:
@@ -303,6 +327,24 @@ class _Run:
         self.persons = [how for _, how in persons]
         self.rows: dict[str, dict[str, Any]] = {}
         self.tasks: list[PersonTask] = []
+        self.workers = self._workers()
+
+    def _workers(self) -> int:
+        """The processes that share the work: as many as were asked for, or fewer where the memory does not hold them, which is told."""
+        from asterism.session.memory import free_memory, need_of, that_fit
+
+        asked = self.options.workers
+        if asked < 2 or self.options.dask is not None:
+            return asked
+        needs = {person.name: need_of([_size(path) for path, _ in person.trials]) for person in self.persons}
+        largest, free = max(needs, key=lambda name: needs[name]), free_memory()
+        found = that_fit(asked, needs[largest], free)
+        if found < asked and free is not None:
+            need, has = needs[largest] / 1e9, free / 1e9
+            _console.notice(
+                f"asterism: {found} of {asked} processes: one may need {need:.1f} GB, for {largest}, and {has:.1f} GB of memory are free."
+            )
+        return found
 
     def label(self, progress: Any) -> None:
         """Label all recordings; what cannot be labelled is named."""
@@ -340,7 +382,7 @@ class _Run:
         """What the function gives for each task, in their order. Ends the run where the disk is full: no other task would fare better."""
         from asterism.session import in_order, spread
 
-        for done, outcome in enumerate(in_order(spread(function, tasks, workers=self.options.workers, dask=self.options.dask))):
+        for done, outcome in enumerate(in_order(spread(function, tasks, workers=self.workers, dask=self.options.dask))):
             self.hold.check()
             if outcome.no_room:
                 _console.error(
@@ -455,11 +497,20 @@ class _Run:
                     "–" if row.get("cadence") is None else f"{row['cadence']:.1f}",
                     "–" if row.get("speed") is None else f"{row['speed']:.2f}",
                 ]
-                for row in rows
+                for row in rows[:_MOST_PRINTED]
             ],
             left=3,
         )
+        if len(rows) > _MOST_PRINTED:
+            _console.result(f"... and {len(rows) - _MOST_PRINTED} more; {self.out / TABLE} has all.")
         _console.result(f"{counted(walks, 'walk')} analysed; open {self.out / PAGE}")
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:  # it is named when it is labelled
+        return 0
 
 
 def _join(target: Path, tables: Sequence[Path]) -> None:

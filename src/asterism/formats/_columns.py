@@ -27,7 +27,7 @@ from asterism.formats._findings import (
 from asterism.formats._physical import COMPUTED, MARKER, UNNAMED, kinds_by_name
 from asterism.formats._units import METRES_PER_UNIT, body_size, metres_per_unit, size_findings
 from asterism.formats._vertical import AXES, LIKELIER, VerticalEvidence, axis_of, chances_of, vertical_evidence, vertical_from_positions
-from asterism.recording import Event, Floats, MarkerSet, ProcessingStep, Recording, as_vertical, axis_name, canonical, without_subject
+from asterism.recording import Event, Floats, MarkerSet, ProcessingStep, Recording, as_vertical, axis_name, canonical, plain_name
 from asterism.recording.arrays import missing_codes
 
 __all__ = [
@@ -206,11 +206,9 @@ def wanted_columns(path: Path, labels: Sequence[str], wanted: MarkerSet) -> tupl
     Raises AsterismError where no marker of the set is present, or two columns carry one marker's name.
     """
     # A set's own name wins over an alias: a file may have both a heel and its other name.
-    exact = {canonical(without_subject(label)) for label in labels} & {canonical(name) for name in wanted.names}
+    exact = {plain_name(label) for label in labels} & {canonical(name) for name in wanted.names}
     spelled = [
-        ""
-        if (name := wanted.name_of(label)) and canonical(name) in exact and canonical(without_subject(label)) != canonical(name)
-        else label
+        "" if (name := wanted.name_of(label)) and canonical(name) in exact and plain_name(label) != canonical(name) else label
         for label in labels
     ]
     try:

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.recording import Floats, Ints, canonical, is_unnamed, without_subject
+from asterism.recording import Floats, Ints, canonical, is_unnamed, plain_name, without_subject
 from asterism.recording.arrays import nan_median
 
 MARKER, COMPUTED, UNNAMED = "marker", "computed", "unnamed"
@@ -84,11 +84,11 @@ def point_kinds(labels: Sequence[str], positions: Floats | None = None, declared
     positions  (T, P, 3) m, NaN missing; None for rounded ones (integer files): then the names decide
     declared   labels that the file lists as angles, forces, moments, powers, scalars or modelled markers
     """
-    listed = {canonical(without_subject(label)) for label in declared} - {""}
+    listed = {plain_name(label) for label in declared} - {""}
     kinds = kinds_by_name(labels)
     for place, label in enumerate(labels):
         # What the file itself lists as computed needs no guess.
-        if kinds[place] != UNNAMED and canonical(without_subject(label)) in listed:
+        if kinds[place] != UNNAMED and plain_name(label) in listed:
             kinds[place] = COMPUTED
     # Few frames show no exact relation, and very many points would take long.
     if positions is not None and len(positions) >= _FEWEST_FRAMES and len(labels) <= 20 * _MOST_POINTS:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.recording import Floats, canonical, without_subject
+from asterism.recording import Floats, plain_name
 from asterism.recording.arrays import nan_median, nan_quantile
 
 SAMPLED_FRAMES = 2_000
@@ -208,5 +208,5 @@ def _by_names(now: Floats, labels: Sequence[str]) -> Floats:
 
 def level_of(label: str) -> int:
     """The level of the body that a label names: 0 foot, 1 knee, 2 pelvis, 3 shoulder, 4 head; -1 none."""
-    name = canonical(without_subject(label))
+    name = plain_name(label)
     return next((level for level, pattern in enumerate(_LEVEL_PATTERNS) if pattern.fullmatch(name)), -1)

@@ -16,6 +16,7 @@ from asterism.gait.events import Walking, find_events, plate_contacts
 from asterism.gait.fills import angles_with_fills, drawn_fills, events_with_fills
 from asterism.gait.intervals import AngleBand, angle_bands
 from asterism.gait.parameters import Parameter, parameters_of
+from asterism.gait.plausibility import rate_finding
 from asterism.gait.said import walking_as_said
 from asterism.motion.clinical import (
     ClinicalAngles,
@@ -138,7 +139,7 @@ def analyse_gait(
     walking = walking_as_said(recording, walking)
     cycles = tuple(cycles_of(walking))
     file, found = str(recording.metadata.get("file", "the recording")), exchanged_finding(recording)
-    if walking.feet.backwards and not walking.events:
+    if walking.backwards and not walking.events:
         sentence = f"{file}: the person goes where the heels point, so that no events are given; they are told of people who walk forwards."
         mend = "Look whether heels and toes carry each other's names, or the time runs backwards; a walk backwards has no events here."
         found.append(Finding("gait-backwards", Severity.WARNING, file, sentence, mend))
@@ -169,6 +170,9 @@ def analyse_gait(
                 "Nothing, where the others are enough." if some else "Leave the recording out of a report on walking straight ahead.",
             )
         )
+    parameters = tuple(parameters_of(walking, cycles))
+    if doubt := rate_finding(file, recording.rate, walking, parameters):
+        found.append(doubt)
     clinical = None
     try:
         clinical = clinical_angles(recording, measures=measures, static=static, model=model)
@@ -202,7 +206,6 @@ def analyse_gait(
     found += () if kinetics is None else kinetics.findings
     if kinetics is not None and kinetics.per_kg and clinical is not None:
         found += _other_mass(file, loads, clinical.subject.mass or 0.0)
-    parameters = tuple(parameters_of(walking, cycles))
     muscles, told = emg_of(recording, cycles)
     found += told
     return GaitAnalysis(

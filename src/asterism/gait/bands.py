@@ -107,7 +107,10 @@ def _band(analyses: Sequence[GaitAnalysis], people: Sequence[str]) -> Band:
             curves.setdefault(name[1:].removesuffix("Angles"), {}).setdefault(person, []).extend(cycles)
     who = {person for by_person in curves.values() for person in by_person}
     if len(who) < 2:
-        raise AsterismError(f"a band needs whole gait cycles of two people or more, and {len(who)} has some; give more controls.")
+        raise AsterismError(
+            f"a band needs whole gait cycles of two people or more, and {len(who)} has some (cycles of turns do not count beside others); "
+            "give more controls."
+        )
     mean, deviation, count = {}, {}, 0
     for name, by_person in curves.items():
         means = np.stack([np.nanmean(cycles, axis=0) for cycles in by_person.values()])
@@ -140,37 +143,55 @@ class ProfileScore:
     gps        the Gait Profile Score, their RMS
     gdi        the Gait Deviation Index that follows from it (GDI* of Schwartz, Rozumalski and Baker 2013): 100 is the mean of the band's
                people, and 10 less is a standard deviation of theirs; None where the band does not tell how they differ
+    sigmas, gps_sigma, gdi_sigma  their standard uncertainties, from session to session; none where they were not asked for
     """
 
     side: str
     variables: Mapping[str, float]
     gps: float
     gdi: float | None = None
+    sigmas: Mapping[str, float] = field(default_factory=dict)
+    gps_sigma: float | None = None
+    gdi_sigma: float | None = None
 
 
-def profile_scores(analyses: Sequence[GaitAnalysis], band: Band) -> list[ProfileScore]:
+def profile_scores(analyses: Sequence[GaitAnalysis], band: Band, *, sigmas: bool = False) -> list[ProfileScore]:
     """The scores of each side of which all nine angles are known, over the cycles of the walks that count (`without_turns`).
+
+    sigmas  also how uncertain they are, by the bands of the angles (`angle_bands`), to first order: an angle is off alike over the cycle,
+            and each angle on its own
 
     >>> from asterism.gait import analyse_gait
     >>> from asterism.simulation import simulate_walks
-    >>> walks = [analyse_gait(walk) for walk in simulate_walks(3, frames=300, markers="helen-hayes", seed=0)]
+    >>> walks = [analyse_gait(walk) for walk in simulate_walks(3, frames=300, markers="helen-hayes", seed=4)]
     >>> scores = profile_scores(walks[:1], band_of(walks, ["a", "b", "c"]))
     >>> [score.side for score in scores], bool(0 < scores[0].gps < 0.5)
     (['L', 'R'], True)
     """
-    scores, analyses = [], analyses_without_turns(analyses)
+    scores, pairs = [], list(zip(analyses, analyses_without_turns(analyses), strict=True))
     for side in ("L", "R"):
-        variables = {}
+        variables, spread = dict[str, float](), dict[str, float]()
         for quantity, which, title in SCORED:
-            own = [analysis.curves[name] for analysis in analyses if (name := f"{side}{quantity}Angles") in analysis.curves]
+            name = f"{side}{quantity}Angles"
+            own = [(analysis, counted.curves[name]) for analysis, counted in pairs if name in counted.curves]
             if own and quantity in band.mean:
-                apart = np.nanmean(np.concatenate(own)[:, :, which], axis=0) - band.mean[quantity][:, which]
+                apart = np.nanmean(np.concatenate([curves for _, curves in own])[:, :, which], axis=0) - band.mean[quantity][:, which]
                 # Directions of progression differ by whole turns.
-                variables[title] = float(np.sqrt(np.mean(((apart + np.pi) % (2 * np.pi) - np.pi) ** 2)))
+                apart = (apart + np.pi) % (2 * np.pi) - np.pi
+                variables[title] = float(np.sqrt(np.mean(apart**2)))
+                known = [analysis.bands[name].standard for analysis, _ in own if name in analysis.bands] if sigmas else []
+                if known and variables[title] > 0.0:
+                    off = np.mean([np.sqrt(sum(part[:, which] ** 2 for part in one.values())) for one in known], axis=0)
+                    spread[title] = abs(float(np.nanmean(apart * off))) / variables[title]
         if len(variables) == len(SCORED) and np.isfinite(list(variables.values())).all():
             gps = float(np.sqrt(np.mean(np.square(list(variables.values())))))
             gdi = None
             if band.log_score is not None and gps > 0 and band.log_score[1] > 0:
                 gdi = 100.0 - 10.0 * (float(np.log(gps)) - band.log_score[0]) / band.log_score[1]
-            scores.append(ProfileScore(side, variables, gps, gdi))
+            score = ProfileScore(side, variables, gps, gdi, spread)
+            if len(spread) == len(SCORED):
+                off_gps = float(np.sqrt(sum((variables[title] * spread[title]) ** 2 for title in spread))) / (len(SCORED) * gps)
+                off_gdi = None if gdi is None or band.log_score is None else 10.0 * off_gps / gps / band.log_score[1]
+                score = replace(score, gps_sigma=off_gps, gdi_sigma=off_gdi)
+            scores.append(score)
     return scores

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, sosfiltfilt, sosfreqz, welch
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
@@ -80,6 +80,8 @@ class EmgChannel:
     name      of the channel in the file; muscle "" and side None where the name does not tell them
     told_by   why the channel counts as a muscle's
     unit      of its envelopes
+    rectified whether the file holds the signal rectified, so that it was smoothed only
+    spread    standard uncertainty of a cycle's envelope, of its height: see `envelope_spread`; None where the signal was rectified before
     cycles    "L" and "R" -> (cycles of that foot, 101), over the cycles of its own side, or of both where the side is not known
     """
 
@@ -89,6 +91,8 @@ class EmgChannel:
     told_by: str
     unit: str
     cycles: Mapping[str, Floats]
+    rectified: bool = False
+    spread: float | None = None
 
 
 def emg_of(recording: Recording, cycles: Sequence[Cycle], rules: EmgRules | None = None) -> tuple[tuple[EmgChannel, ...], list[Finding]]:
@@ -96,7 +100,7 @@ def emg_of(recording: Recording, cycles: Sequence[Cycle], rules: EmgRules | None
 
     A channel is a muscle's where it is in volts, belongs to no force plate, and its name is that of a muscle, or its name or description
     says EMG. The envelope is the signal through a band-pass, rectified, through a low-pass: Butterworth filters of second order, run
-    forwards and backwards.
+    forwards and backwards. A signal that was rectified before goes through the low-pass alone, which is said.
     """
     rules = rules or EmgRules()
     told, left_out, clipped = list[tuple[AnalogChannel, str]](), dict[str, list[str]](), list[str]()
@@ -113,8 +117,15 @@ def emg_of(recording: Recording, cycles: Sequence[Cycle], rules: EmgRules | None
         told.append((channel, why))
     channels = list[EmgChannel]()
     # The channels of a file have one rate, so that all go through the filters together.
-    envelopes = envelope(np.stack([channel.samples for channel, _ in told], axis=1), told[0][0].rate, rules).T if told else ()
-    for (channel, why), values in zip(told, envelopes, strict=True):
+    rectified = [is_rectified(channel.samples) for channel, _ in told]
+    envelopes, spread = np.zeros((len(told), len(told[0][0].samples) if told else 0)), np.full(len(told), np.nan)
+    for state in set(rectified):
+        own = [place for place, one in enumerate(rectified) if one == state]
+        samples = np.stack([told[place][0].samples for place in own], axis=1)
+        envelopes[own] = envelope(samples, told[0][0].rate, rules, rectified=state).T
+        if not state:
+            spread[own] = envelope_spread(samples, told[0][0].rate, rules)
+    for (channel, why), values, state, share in zip(told, envelopes, rectified, spread.tolist(), strict=True):
         side, muscle = side_and_muscle(channel.name)
         over = {
             foot: np.stack(curves)
@@ -122,11 +133,13 @@ def emg_of(recording: Recording, cycles: Sequence[Cycle], rules: EmgRules | None
             if side in (None, foot) and (curves := [over_cycle(values, channel.rate, cycle) for cycle in cycles if cycle.side == foot])
         }
         if over:
-            channels.append(EmgChannel(channel.name, muscle, side, why, channel.unit, over))
-    return tuple(channels), _findings(str(recording.metadata.get("file", "the recording")), left_out, clipped)
+            certain = None if state or not np.isfinite(share) else share
+            channels.append(EmgChannel(channel.name, muscle, side, why, channel.unit, over, state, certain))
+    smoothed = [channel.name for (channel, _), state in zip(told, rectified, strict=True) if state]
+    return tuple(channels), _findings(str(recording.metadata.get("file", "the recording")), left_out, clipped, smoothed)
 
 
-def _findings(file: str, left_out: Mapping[str, Sequence[str]], clipped: Sequence[str]) -> list[Finding]:
+def _findings(file: str, left_out: Mapping[str, Sequence[str]], clipped: Sequence[str], rectified: Sequence[str]) -> list[Finding]:
     """One for each reason: electrodes of one amplifier fail together."""
     found = []
     for problem, names in left_out.items():
@@ -135,7 +148,32 @@ def _findings(file: str, left_out: Mapping[str, Sequence[str]], clipped: Sequenc
     if clipped:
         sentence = f"{file}: EMG of {listed(clipped)} is cut off at the ends of its range; its peaks are too low."
         found.append(Finding("emg-clipped", Severity.WARNING, listed(clipped), sentence, "Record it with a smaller gain."))
+    if rectified:
+        sentence = f"{file}: EMG of {listed(rectified)} is rectified in the file, never below zero: it is smoothed, and not band-passed."
+        mend = "Export raw signals, where envelopes of several recordings are compared: theirs are as that program made them."
+        found.append(Finding("emg-rectified", Severity.NOTE, listed(rectified), sentence, mend))
     return found
+
+
+_BELOW_ZERO = 1e-3
+"""Of a signal's range, by which a rectified one may be below zero: the last bits of a converter. Of 512 raw channels of walks, that
+nearest to it goes three times as far; at half, converters of 8 bits are above it."""
+_ONE_SIDED = 0.5
+"""How far the middle of a rectified signal lies above its low end, against how far below its high end: 0.25 for noise, less for bursts,
+and 1 for a raw signal, whatever its offset. At double, raw ones with an offset count as rectified."""
+
+
+def is_rectified(samples: Floats) -> bool:
+    """Whether a muscle's signal (S,) was rectified, or is an envelope: never below zero, and crowded at its low end.
+
+    >>> raw = np.random.default_rng(0).normal(size=1000)
+    >>> is_rectified(raw), is_rectified(raw + 5.0), is_rectified(np.abs(raw))
+    (False, False, True)
+    """
+    if samples.min() < -_BELOW_ZERO * np.ptp(samples):
+        return False
+    low, middle, high = np.quantile(samples, [0.001, 0.5, 0.999])
+    return bool(middle - low < _ONE_SIDED * (high - middle))
 
 
 @lru_cache(maxsize=8)
@@ -145,8 +183,10 @@ def _filters(rate: float, low: float, high: float, smooth: float) -> tuple[Float
     return band, butter(2, smooth, "lowpass", fs=rate, output="sos")
 
 
-def envelope(samples: Floats, rate: float, rules: EmgRules | None = None) -> Floats:
+def envelope(samples: Floats, rate: float, rules: EmgRules | None = None, *, rectified: bool = False) -> Floats:
     """The linear envelope of samples (S,), or (S, C) of several channels, in their unit and at their rate; never below zero. O(S C).
+
+    rectified  whether they are already (`is_rectified`): a band-pass would take away what the envelope is
 
     >>> times = np.arange(2000) / 1000.0
     >>> burst = np.sin(2 * np.pi * 100 * times) * (times > 1.0)
@@ -157,8 +197,37 @@ def envelope(samples: Floats, rate: float, rules: EmgRules | None = None) -> Flo
     rules = rules or EmgRules()
     band, smooth = _filters(rate, rules.low, rules.high, rules.smooth)
     # An offset would ring through the band-pass at both ends.
-    rectified = np.abs(sosfiltfilt(band, samples - samples.mean(axis=0), axis=0))
-    return np.asarray(np.maximum(sosfiltfilt(smooth, rectified, axis=0), 0.0))
+    size = samples if rectified else np.abs(sosfiltfilt(band, samples - samples.mean(axis=0), axis=0))
+    return np.asarray(np.maximum(sosfiltfilt(smooth, size, axis=0), 0.0))
+
+
+_RECTIFIED = 0.57
+"""pi / 2 - 1: variance of the size of normal noise, of the square of its mean."""
+_KEPT = 0.833
+"""Bandwidth of noise that a Butterworth filter of second order lets through forwards and backwards, of its cut-off: 3 pi / (8 sqrt(2))."""
+_SEGMENT = 256
+"""Samples, at most, of the pieces from which a spectrum is the mean: a muscle's has no line that is narrower than 4 Hz."""
+
+
+def envelope_spread(samples: Floats, rate: float, rules: EmgRules | None = None) -> Floats:
+    """Standard uncertainty of an envelope, of its height, for samples (S,), or (S, C) of several channels that are not rectified. O(S C).
+
+    A muscle's signal is noise, whose size is known the better the more of it the low-pass takes together: the variance is that of the size
+    of normal noise, times the bandwidths of low-pass over signal (Hogan and Mann 1980). With usual filters it is a sixth.
+
+    >>> noise = np.random.default_rng(0).normal(size=40000)
+    >>> found = envelope(noise, 1000.0)[1000:-1000]
+    >>> bool(abs(envelope_spread(noise, 1000.0) / (found.std() / found.mean()) - 1) < 0.15)
+    True
+    """
+    rules = rules or EmgRules()
+    band, _ = _filters(rate, rules.low, rules.high, rules.smooth)
+    frequencies, power = welch(samples, rate, nperseg=min(_SEGMENT, len(samples)), axis=0)
+    passed = np.abs(sosfreqz(band, frequencies, fs=rate)[1]) ** 4
+    power = power.T * passed
+    with np.errstate(invalid="ignore"):  # a signal that is silent has no bandwidth
+        bandwidth = power.sum(axis=-1) ** 2 / (power**2).sum(axis=-1) * frequencies[1]
+        return np.asarray(np.sqrt(_RECTIFIED * _KEPT * rules.smooth / bandwidth))
 
 
 def side_and_muscle(name: str) -> tuple[str | None, str]:
@@ -257,5 +326,8 @@ def _unusable(samples: Floats, rate: float, rules: EmgRules) -> str:
 
 def _cut_off(samples: Floats) -> float:
     """Share of the samples that stay at the lowest or the highest value that occurs: a peak that is whole is there for one sample."""
-    at_end = (samples == samples.min()) | (samples == samples.max())
+    at_end = samples == samples.max()
+    # Of a rectified signal the low end is rest.
+    if not is_rectified(samples):
+        at_end |= samples == samples.min()
     return float((at_end[1:] & (samples[1:] == samples[:-1])).mean())

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from asterism.errors import AsterismError
+from asterism.errors import NoGait
 from asterism.geometry import rotate_z_up
 from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
 from asterism.motion.filters import zero_lag_butterworth
-from asterism.recording import Floats, Recording
+from asterism.recording import Floats, Recording, plain_name
 from asterism.recording.display import significant
 
 SIDES = ("L", "R")
@@ -24,6 +24,8 @@ RATE = 200.0
 """samples per second of all curves here, so that what follows does not depend on the cameras' rate."""
 CUT_OFF = 15.0
 """Hz of the low-pass filter of feet: a strike lasts 30 ms. At half, hard strikes are told early; at double, noise shifts offs."""
+PELVIS_CUT_OFF = 6.0
+"""Hz of the filter of the pelvis, which goes up and down with the steps, three times a second in a run."""
 TURNING = 0.8
 """Hz of the filter of the direction: nobody turns faster, and both feet together point where one heads."""
 
@@ -35,6 +37,7 @@ class Feet:
     heels, toes   m by side, in the room; pelvis (T, 3) m
     ahead         (T, 2) unit vectors, where the feet point on average
     leg_length    m, from the pelvis to the floor
+    noise         by side, what the noise of its markers makes of the heel's acceleration, m/s2, and of the foot's turning, rad/s
     """
 
     times: Floats
@@ -43,6 +46,7 @@ class Feet:
     pelvis: Floats
     ahead: Floats
     leg_length: float
+    noise: Mapping[str, tuple[float, float]]
 
     def forward(self, points: Floats) -> Floats:
         """(T,) m, how far points are ahead of the pelvis."""
@@ -66,10 +70,10 @@ class Feet:
 def feet_of(recording: Recording) -> Feet:
     """The feet of a recording. Gaps are bridged; frames before the first sample of a marker repeat it. O(T).
 
-    Raises AsterismError where no foot has a heel and a toe marker, or no marker of the pelvis is there.
+    Raises NoGait where no foot has a heel and a toe marker, or no marker of the pelvis is there.
     """
     positions = rotate_z_up(recording.positions, recording.vertical)
-    names = [label.rpartition(":")[2].upper().replace(".", "").replace("_", "") for label in recording.labels]
+    names = [plain_name(label).upper() for label in recording.labels]
     # other spellings of the shipped sets
     other = [label.upper() for label in with_plug_in_gait_names(recording).labels]
     names = [
@@ -95,27 +99,46 @@ def feet_of(recording: Recording) -> Feet:
     hips = [found for name in PELVIS if (found := curve(name)) is not None]
     file = recording.metadata.get("file", "the recording")
     if hidden and not (feet and hips):
-        raise AsterismError(
+        raise NoGait(
             f"{file} shows {', '.join(dict.fromkeys(hidden))} in ten frames or fewer; gait events need a longer recording of them."
         )
     if not feet:
-        raise AsterismError(f"{file} has no foot with a heel and a toe marker (such as LHEE and LTOE); gait events need them.")
+        raise NoGait(f"{file} has no foot with a heel and a toe marker (such as LHEE and LTOE); gait events need them.")
     if not hips:
-        raise AsterismError(f"{file} has no marker of the pelvis ({', '.join(PELVIS[:5])}); gait events need one.")
+        raise NoGait(f"{file} has no marker of the pelvis ({', '.join(PELVIS[:5])}); gait events need one.")
     times = np.arange(0.0, (len(recording) - 1) / recording.rate + 1e-9, 1.0 / RATE)
     # a speed needs a sample on either side
     if len(times) < 3:
-        raise AsterismError(f"{file} lasts {significant(len(recording) / recording.rate, 3)} s by its rate; gait events need steps.")
+        raise NoGait(f"{file} lasts {significant(len(recording) / recording.rate, 3)} s by its rate; gait events need steps.")
     parts = _smooth([part for pair in feet.values() for part in pair], recording.rate, times, CUT_OFF)
     smooth = dict(zip(feet, zip(parts[::2], parts[1::2], strict=True), strict=True))
     middle = np.nansum(hips, axis=0) / np.maximum(np.isfinite(hips).sum(axis=0), 1)
     middle[~np.isfinite(hips).any(axis=0)] = np.nan
-    (pelvis,) = _smooth([middle], recording.rate, times, 6.0)
+    (pelvis,) = _smooth([middle], recording.rate, times, PELVIS_CUT_OFF)
     pointing = sum(toe - heel for heel, toe in smooth.values())[:, :2]  # type: ignore[index]
     ahead = _unit(zero_lag_butterworth(_unit(pointing), RATE, TURNING))
     heels, toes = ({side: pair[which] for side, pair in smooth.items()} for which in (0, 1))
     floor = min(float(np.percentile(heel[:, 2], 5)) for heel in heels.values())
-    return Feet(times, heels, toes, pelvis, ahead, float(np.median(pelvis[:, 2])) - floor)
+    noise = {side: _noise(*pair, recording.rate) for side, pair in feet.items()}
+    return Feet(times, heels, toes, pelvis, ahead, float(np.median(pelvis[:, 2])) - floor, noise)
+
+
+def _noise(heel: Floats, toe: Floats, rate: float) -> tuple[float, float]:
+    """See `Feet.noise`: independent errors of the samples (F, 3), as third differences show them, behind the filter and a derivative.
+
+    A foot stands for a quarter of the time at the least. The lower quarter of absolute values of a normal distribution ends at 0.32 of its
+    deviation, and third differences have a variance of 20.
+    """
+    errors = []
+    for points in (heel, toe):
+        rough = np.abs(np.diff(points[:, 2], 3))
+        rough = rough[np.isfinite(rough)]
+        errors.append(float(np.percentile(rough, 25)) / 0.32 / 20**0.5 if len(rough) else 0.0)
+    hertz = np.linspace(0.0, 0.5 * rate, 500)
+    turning = 2 * np.pi * hertz / (1.0 + (hertz / CUT_OFF) ** 4)
+    length = max(float(np.nanmedian(np.linalg.norm(toe - heel, axis=1))), 0.05)
+    upwards = errors[0] * np.sqrt(np.mean((2 * np.pi * hertz * turning) ** 2))
+    return float(upwards), float(np.hypot(errors[0], errors[1]) / length * np.sqrt(np.mean(turning**2)))
 
 
 def _unit(vectors: Floats) -> Floats:

@@ -32,7 +32,7 @@ def gait_table(analyses: Sequence[tuple[str, GaitAnalysis]], *, curves: bool = T
     curves  False: without the curves over the cycle and their extremes, which take most of the time and of the rows
 
     Angles are as uncertain as their bands of another session (`angle_bands`), but for fills and strikes, which are those of this cycle.
-    Moments and powers have the uncertainty of `KineticErrors`, the ground's force and muscles none. O(cycles).
+    Moments, powers and the ground's force have the uncertainty of `KineticErrors`, muscles that of `envelope_spread`. O(cycles).
 
     >>> from asterism.gait import analyse_gait
     >>> from asterism.simulation import simulate_walks
@@ -115,7 +115,9 @@ def _curves(analysis: GaitAnalysis) -> Iterator[tuple[str, Cycle, Floats, Floats
     for channel in analysis.emg:
         for side, envelopes in channel.cycles.items():
             for cycle, curve in zip(_of_side(analysis.cycles, side), envelopes, strict=True):
-                yield f"EMG {channel.name}", cycle, curve[:, None], np.full((len(curve), 1), np.nan), channel.unit
+                off = np.nan if channel.spread is None else channel.spread
+                sigma = np.hypot(off * curve[:, None], moved_by_events(curve[None, :, None], [cycle]))
+                yield f"EMG {channel.name}", cycle, curve[:, None], sigma, channel.unit
 
 
 def load_unit(name: str, per_kg: bool) -> str:

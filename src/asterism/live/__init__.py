@@ -3,6 +3,7 @@
 from asterism.live.chain import LabelChain, LabelledFrame, OfModel, make_labeller
 from asterism.live.clock import FrameCount, SourceClock
 from asterism.live.datagrams import HostPort, JsonDatagrams, frame_as_json, frame_of_json
+from asterism.live.feedback import Cue, Feedback, FeedbackRule, load_feedback
 from asterism.live.found import session_findings
 from asterism.live.frames import LiveFrame, LiveSource, SourceAbout, SourceEnded
 from asterism.live.outputs import ToDatagrams, ToLines, labels_as_json
@@ -12,6 +13,9 @@ from asterism.live.running import Health, LiveOutput, LiveSession
 from asterism.live.sources import host_port, open_source
 
 __all__ = [
+    "Cue",
+    "Feedback",
+    "FeedbackRule",
     "FrameCount",
     "Health",
     "HostPort",
@@ -35,6 +39,7 @@ __all__ = [
     "frame_of_json",
     "host_port",
     "labels_as_json",
+    "load_feedback",
     "make_labeller",
     "open_source",
     "recording_of",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +11,8 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.formats.opensim_model import OsimModel, read_osim
 from asterism.motion.clinical import SkinMotion
-from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
-from asterism.opensim.person import SIDES, Person, Segment, along_limb, places_in
+from asterism.motion.clinical.landmark_body import worn_landmarks
+from asterism.opensim.person import CENTRES, SIDES, PersonInTrial, Segment, along_limb, places_in
 from asterism.recording import Floats, Recording
 
 NEEDED = ("pelvis", *(f"{body}_{side}" for side in "rl" for body in ("femur", "tibia", "talus", "calcn")), "torso")
@@ -52,6 +52,7 @@ class PlacedMarker:
     """A marker of the generic model.
 
     location  (3,) m in the body's axes; sigma  m, what it is off, besides what a walk shows
+    segment   of the person, and place  (3,) m in its axes
     centre    whether it is a joint centre, which was computed
     """
 
@@ -59,6 +60,8 @@ class PlacedMarker:
     body: str
     location: Floats
     sigma: float
+    segment: str = ""
+    place: Floats = field(default_factory=lambda: np.zeros(3))
     centre: bool = False
 
 
@@ -79,12 +82,12 @@ def lumbar_share(model: OsimModel) -> Floats:
     return np.asarray((model.joints["torso"].centre - (left + right) / 2) / np.linalg.norm(right - left))
 
 
-def scale_factors(model: OsimModel, person: Person, trial: Recording) -> dict[str, BodyScale]:
+def scale_factors(model: OsimModel, person: PersonInTrial, trial: Recording) -> dict[str, BodyScale]:
     """The factor of each body of the model, in the order of the bodies.
 
-    Pelvis: between the hip centres. Femur and tibia: between the joint centres. Foot: from the ankle ahead to the toe marker, which sits
-    at the joint of the toes; the mean of both feet. Torso: from lumbar joint to base of the neck, see `_TRUNK`. Others: as the body that
-    they hang on.
+    Pelvis: between the hip centres. Femur and tibia: between the joint centres. Foot: from the ankle ahead to the metatarsal heads, where
+    the joint of the toes is; the mean of both feet. Torso: from lumbar joint to base of the neck, see `_TRUNK`. Arms: between their
+    joint centres. Others: as the body that they hang on.
     """
 
     def apart(one: str, other: str) -> float:
@@ -95,6 +98,8 @@ def scale_factors(model: OsimModel, person: Person, trial: Recording) -> dict[st
         )
 
     def between(one: str, other: str) -> float:
+        if not {one, other} <= model.joints.keys():
+            return float("nan")
         return float(np.linalg.norm(model.joints[one].centre - model.joints[other].centre))
 
     told = {"pelvis": (apart("RHJC", "LHJC"), between("femur_r", "femur_l"), "RHJC to LHJC")}
@@ -106,12 +111,19 @@ def scale_factors(model: OsimModel, person: Person, trial: Recording) -> dict[st
         if foot in person.segments and toe is not None and f"toes_{letter}" in model.joints:
             ahead = float(places_in(person.segments[foot], toe)[0][0])
             length = float((model.joints[f"toes_{letter}"].centre - model.joints[ankle].centre)[0])
-            told[ankle] = (ahead, length, f"{side}AJC ahead to {side}TOE")
+            told[ankle] = (ahead, length, f"{side}AJC ahead to metatarsal heads")
+        told[f"humerus_{letter}"] = (
+            apart(f"{side}SJC", f"{side}EJC"),
+            between(f"humerus_{letter}", f"ulna_{letter}"),
+            f"{side}SJC to {side}EJC",
+        )
+        for body in (f"ulna_{letter}", f"radius_{letter}"):
+            told[body] = (apart(f"{side}EJC", f"{side}WJC"), between(f"ulna_{letter}", f"hand_{letter}"), f"{side}EJC to {side}WJC")
     # feet of one person are alike, and a toe marker is put a centimetre off
     feet = [f"talus_{letter}" for letter in "rl" if f"talus_{letter}" in told]
     if len(feet) == 2:
         both = float(np.mean([told[foot][0] for foot in feet]))
-        told |= {foot: (both, told[foot][1], "AJC ahead to TOE, both feet") for foot in feet}
+        told |= {foot: (both, told[foot][1], "AJC ahead to metatarsal heads, both feet") for foot in feet}
     legs = {name: one for name, one in told.items() if name[:5] in ("femur", "tibia") and np.isfinite(one[0])}
     if not legs:
         raise AsterismError(f"{trial.metadata.get('file', 'the trial')} never shows hip, knee and ankle of a leg; nothing tells its size.")
@@ -120,22 +132,20 @@ def scale_factors(model: OsimModel, person: Person, trial: Recording) -> dict[st
         trunk = _median(np.linalg.norm(person.trunk - person.segments["torso"].centre, axis=1))
         sides = [between(f"femur_{side}", f"tibia_{side}") + between(f"tibia_{side}", f"talus_{side}") for side in "rl"]
         told["torso"] = (trunk, _TRUNK * float(np.mean(sides)), "lumbar joint to base of neck")
-    told = {name: one for name, one in told.items() if np.isfinite(one[0]) and one[0] > 0 and one[1] > 0}
-    found = {name: BodyScale(name, measured / own, measured, own, by) for name, (measured, own, by) in told.items()}
-    return {name: found[name] if name in found else _hanging(model, name, found, size) for name in model.joints}
-
-
-def _hanging(model: OsimModel, body: str, found: Mapping[str, BodyScale], size: float) -> BodyScale:
-    """The factor of the next body above that has one, for a leg without markers that of the other leg."""
-    twin = {"_l": "_r", "_r": "_l"}.get(body[-2:])
-    if twin is not None and body[:-2] + twin in found and body[:5] in ("femur", "tibia", "talus"):
-        return BodyScale(body, found[body[:-2] + twin].factor, None, None, f"as {body[:-2] + twin}")
-    above = model.joints[body].parent
-    while above in model.joints and above not in found:
-        above = model.joints[above].parent
-    if above in found and body not in ("pelvis", "torso"):
-        return BodyScale(body, found[above].factor, None, None, f"as {above}")
-    return BodyScale(body, size, None, None, "as the legs")
+    told = {name: one for name, one in told.items() if name in model.joints and one[0] > 0 and one[1] > 0}
+    found: dict[str, BodyScale] = {}
+    for body, joint in model.joints.items():
+        twin = {"_l": f"{body[:-2]}_r", "_r": f"{body[:-2]}_l"}.get(body[-2:], "")
+        if body in told:
+            measured, own, by = told[body]
+            found[body] = BodyScale(body, measured / own, measured, own, by)
+        elif twin in told:
+            found[body] = BodyScale(body, told[twin][0] / told[twin][1], None, None, f"as {twin}")
+        elif joint.parent in found and body != "torso":
+            found[body] = BodyScale(body, found[joint.parent].factor, None, None, f"as {joint.parent}")
+        else:
+            found[body] = BodyScale(body, size, None, None, "as the legs")
+    return found
 
 
 def _median(values: Floats) -> float:
@@ -143,14 +153,16 @@ def _median(values: Floats) -> float:
     return float(np.median(seen)) if len(seen) else float("nan")
 
 
-def _toe(trial: Recording, person: Person, side: str) -> Floats | None:
-    """(T, 3) m: the toe marker, by whatever name."""
-    named = with_plug_in_gait_names(trial)
-    return person.markers[trial.labels[named.labels.index(f"{side}TOE")]] if f"{side}TOE" in named.labels else None
+def _toe(trial: Recording, person: PersonInTrial, side: str) -> Floats | None:
+    """(T, 3) m: the second metatarsal head, else midway between the first and the fifth, else the toe marker, by whatever names."""
+    at = {role: person.markers[trial.labels[column]] for role, column in worn_landmarks(trial).roles.items()}
+    if f"{side}SM" not in at and {f"{side}FM", f"{side}VM"} <= at.keys():
+        return (at[f"{side}FM"] + at[f"{side}VM"]) / 2
+    return at.get(f"{side}SM", at.get(f"{side}TOE"))
 
 
 def placed_markers(
-    model: OsimModel, person: Person, scales: Mapping[str, BodyScale], bodies: Mapping[str, str], skin: SkinMotion | None = None
+    model: OsimModel, person: PersonInTrial, scales: Mapping[str, BodyScale], bodies: Mapping[str, str], skin: SkinMotion | None = None
 ) -> tuple[list[PlacedMarker], dict[str, str]]:
     """The markers on the generic model, so that scaled they are where the person's are; and why others are left out, by name.
 
@@ -162,8 +174,8 @@ def placed_markers(
     placed, left = list[PlacedMarker](), dict[str, str]()
     lacking = ", ".join(dict.fromkeys(body for body in bodies.values() if body not in model.joints))
     for name, points in person.centres.items():
-        body = {"HJC": "femur", "KJC": "tibia", "AJC": "talus"}[name[1:4]] + "_" + SIDES[name[0]]
-        if np.isfinite(points).any():
+        body = CENTRES[name]
+        if body in model.joints and np.isfinite(points).any():
             placed.append(PlacedMarker(name, body, model.in_body(body, model.joints[body].centre), _NOISE, centre=True))
     for name, body in bodies.items():
         if body not in model.joints:
@@ -172,6 +184,7 @@ def placed_markers(
         if body not in segments:
             left[name] = f"nothing tells where the person's {body} is"
             continue
+        segment = body
         place, _ = places_in(segments[body], person.markers[name])
         if not np.isfinite(place).all():
             left[name] = f"it is never seen together with the markers of {body}"
@@ -181,11 +194,11 @@ def placed_markers(
         if body.startswith("calcn") and toes in model.joints and point[0] - model.joints[toes].centre[0] > _TOES / scales[body].factor:
             body = toes
         sigma = float(np.hypot(_NOISE, slides.get(body if body == "pelvis" else body[:5], _TRUNK_SKIN)))
-        placed.append(PlacedMarker(name, body, model.in_body(body, point), sigma))
+        placed.append(PlacedMarker(name, body, model.in_body(body, point), sigma, segment, place))
     return placed, left
 
 
-def _limbs(person: Person) -> dict[str, Segment]:
+def _limbs(person: PersonInTrial) -> dict[str, Segment]:
     """The segments, those of legs along the line between their joints, with the thigh's axis: the model's knee only bends."""
     found = dict(person.segments)
     for side, letter in SIDES.items():
@@ -204,23 +217,27 @@ def _on_model(model: OsimModel, body: str, place: Floats) -> Floats:
     joints = model.joints
     if body == "pelvis":
         return np.asarray((joints["femur_l"].centre + joints["femur_r"].centre) / 2 + place)
-    below = {"femur": "tibia", "tibia": "talus"}.get(body[:5])
-    if below is None:
-        # the foot's places count from the ankle
-        return np.asarray((joints[f"talus_{body[-1]}"] if body.startswith("calcn") else joints[body]).centre + place)
-    along = joints[body].centre - joints[f"{below}_{body[-1]}"].centre
-    axes = along_limb(along[None], np.array([[0.0, 0.0, 1.0]]))[0]
-    return np.asarray(joints[body].centre + axes @ place)
+    # of a foot places count from the ankle, of the radius from the elbow
+    name, side = body[:-2], body[-2:]
+    first = joints.get({"calcn": "talus", "radius": "ulna"}.get(name, name) + side, joints[body]).centre
+    lower = joints.get({"femur": "tibia", "tibia": "talus", "humerus": "ulna", "radius": "hand"}.get(name, "") + side)
+    if lower is None:
+        return np.asarray(first + place)
+    axes = along_limb((first - lower.centre)[None], np.array([[0.0, 0.0, 1.0]]))[0]
+    return np.asarray(first + axes @ place)
 
 
-def spreads(person: Person, markers: Sequence[PlacedMarker]) -> dict[str, float]:
-    """Marker -> m, how far it moves on its segment in a walk (RMS); those that the walk does not show are left out."""
+def moved(person: PersonInTrial, markers: Sequence[PlacedMarker]) -> dict[str, float]:
+    """Marker -> m, how far it is from its place on its segment in a walk (RMS); those that the walk does not show are left out.
+
+    The place is the standing trial's: shoulders of raised arms are elsewhere than in a walk.
+    """
     segments = _limbs(person)
     found = {}
     for marker in markers:
-        body = marker.body.replace("toes_", "calcn_")
-        if marker.name in person.markers and body in segments and not marker.centre:
-            _, moves = places_in(segments[body], person.markers[marker.name])
-            if np.isfinite(moves):
-                found[marker.name] = moves
+        if marker.name in person.markers and marker.segment in segments:
+            apart = ((segments[marker.segment].local(person.markers[marker.name]) - marker.place) ** 2).sum(axis=1)
+            apart = apart[np.isfinite(apart)]
+            if len(apart):
+                found[marker.name] = float(np.sqrt(apart.mean()))
     return found

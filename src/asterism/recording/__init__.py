@@ -6,7 +6,7 @@ from asterism.recording.clouds import NULL, Clouds, Evidence, Labelling
 from asterism.recording.filled import filled_samples
 from asterism.recording.force_plate import ForcePlate
 from asterism.recording.known_labels import Disagreement, check_labels, is_partly_labelled
-from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, shipped_sets, without_subject
+from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, plain_name, shipped_marker_sets, shipped_sets, without_subject
 from asterism.recording.place import Place, landmarks
 from asterism.recording.processing import ProcessingStep, log_as_text, log_from_text
 from asterism.recording.shares import LABEL_STATES, SURE, LabelShares, LabelStates, label_shares, label_states
@@ -50,6 +50,7 @@ __all__ = [
     "landmarks",
     "log_as_text",
     "log_from_text",
+    "plain_name",
     "shipped_marker_sets",
     "shipped_sets",
     "subject_of",

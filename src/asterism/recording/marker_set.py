@@ -213,6 +213,15 @@ def is_unnamed(label: str) -> bool:
     return _UNNAMED.fullmatch(without_subject(label).strip()) is not None
 
 
+def plain_name(label: str) -> str:
+    """What a label calls its marker, without the subject's name, case and punctuation: by this labels of files are compared.
+
+    >>> plain_name("Ann:L_KNE") == plain_name("lkne")
+    True
+    """
+    return canonical(without_subject(label))
+
+
 def without_subject(label: str) -> str:
     """A label without the subject's name before the last colon.
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from functools import cache
 
-from asterism.recording.marker_set import MarkerSet, canonical, shipped_sets, without_subject
+from asterism.recording.marker_set import MarkerSet, canonical, plain_name, shipped_sets, without_subject
 
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 _OTHER_SIDE = {"l": "r", "r": "l", "left": "right", "right": "left"}
@@ -14,7 +14,7 @@ _OTHER_SIDE = {"l": "r", "r": "l", "left": "right", "right": "left"}
 
 def known_set(names: Sequence[str]) -> MarkerSet | None:
     """The smallest shipped marker set that has all these markers, for their pairs and segments."""
-    wanted = {canonical(without_subject(name)) for name in names}
+    wanted = {plain_name(name) for name in names}
     return next((known for known in _shipped() if wanted <= {canonical(name) for name in known.names}), None)
 
 

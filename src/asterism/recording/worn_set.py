@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from asterism.recording.marker_set import canonical, is_unnamed, shipped_sets, without_subject
+from asterism.recording.marker_set import canonical, is_unnamed, plain_name, shipped_sets
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def worn_marker_sets(labels: Sequence[str], rules: WornSetRules | None = None) -
         # A few common names prove nothing: heads and pelvises are called alike in all sets.
         if not found or len(found) < rules.found * len(marker_set):
             continue
-        own = {marker for label, marker in marker_of.items() if marker and canonical(without_subject(label)) == canonical(marker)}
+        own = {marker for label, marker in marker_of.items() if marker and plain_name(label) == canonical(marker)}
         extra = tuple(label for label in named if marker_of[label] is None)
         missing = tuple(marker for marker in marker_set.names if marker not in held)
         # A laboratory's own spelling tells which of similar sets was meant.

@@ -112,7 +112,12 @@ def _legend(panels: Sequence[CyclePanel], sessions: tuple[str, str] | None, inte
         )
     if any(one.off is not None for one in shown):
         keys.append(('<path d="M13 0v12" stroke="#5b6780" stroke-width="1.4"/>', "foot off"))
-    return "".join(f'<span><svg viewBox="0 0 26 12" aria-hidden="true">{mark}</svg>{escape(name)}</span>' for mark, name in keys)
+    told = [f'<span><svg viewBox="0 0 26 12" aria-hidden="true">{mark}</svg>{escape(name)}</span>' for mark, name in keys]
+    # A page draws it, paper does not.
+    if any(cycle.place for one in shown for cycle in one.cycles):
+        mark = '<path d="M13 0v12" stroke="#5b6780" stroke-dasharray="2 2"/>'
+        told.append(f'<span class="screen"><svg viewBox="0 0 26 12" aria-hidden="true">{mark}</svg>the player&#39;s moment</span>')
+    return "".join(told)
 
 
 def _panel(panel: CyclePanel) -> str:

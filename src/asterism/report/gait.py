@@ -16,7 +16,7 @@ from asterism.report.gait_curves import angle_section, load_sections
 from asterism.report.gait_muscles import muscle_section
 from asterism.report.gait_session import SIDE, GaitSession
 from asterism.report.gait_steps import drawn_steps
-from asterism.report.gait_tables import comparison_section, cycle_section, parameter_section, person_section, score_sections
+from asterism.report.gait_tables import comparison_section, cycle_section, parameter_section, person_section, score_sections, usual_score
 from asterism.report.page import Cell, Page, Section, Table, decimal, percent, write_page
 from asterism.report.player import ShownRecording, pack_recordings
 from asterism.report.recording import label_confidence, labelling_by_names, named_columns
@@ -96,12 +96,14 @@ def _merits(sessions: Sequence[GaitSession], band: Band | None) -> list[tuple[st
 
         return score
 
+    usual = None if band is None else usual_score(band)
+    controls = "" if usual is None else f"; controls {usual[1]:.1f}°"
     few = any(count == "0" for session in sessions for count in cycles(session).split(" | "))
     return [
         told(mean("walking speed", 2), "walking speed, m/s"),
         told(mean("cadence", 0), "cadence, steps/min"),
         told(cycles, "cycles left | right", "warn" if few else ""),
-        *([] if band is None else [told(gps(letter), f"Gait Profile Score, {side}") for letter, side in SIDE.items()]),
+        *([] if band is None else [told(gps(letter), f"Gait Profile Score, {side}{controls}") for letter, side in SIDE.items()]),
     ]
 
 
@@ -257,7 +259,7 @@ def _player(sessions: Sequence[GaitSession]) -> Section:
                 )
             )
     text = "Drag to turn. With the picture in focus, space plays, b plays backwards, and the arrow keys step. "
-    text += "Arrows on the plates are the forces of the ground on the feet."
+    text += "Arrows on the plates are the forces of the ground on the feet; the arrow on the floor shows which way the person faces."
     return Section("The recordings", text, player=pack_recordings(shown))
 
 

@@ -127,7 +127,7 @@ def _certainty(session: GaitSession) -> list[Section]:
         "placed anew (placement). The last column says which of them has the most of the variance."
     )
     head = ["angle", *(f"{when}, {side}, ±°" for when in ("this session", "another session") for side in SIDE.values()), "most by"]
-    return [Section("How certain the angles are", text, table=Table(head, rows, left=1))]
+    return [Section("How certain the angles are", text, table=Table(head, rows, left=1), folded=True)]
 
 
 def _differences(panels: Sequence[CyclePanel]) -> list[list[str | Cell]]:

@@ -8,6 +8,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from asterism.recording import Floats
+from asterism.recording.display import listed
 from asterism.report.cycle_panels import CurvesOfSide, CycleCurve, CyclePanel, drawn_panels
 from asterism.report.gait_curves import session_names, shown_curve
 from asterism.report.gait_session import SIDE, GaitSession
@@ -37,8 +38,13 @@ def muscle_section(sessions: Sequence[GaitSession]) -> list[Section]:
         "point of the mean over the cycles of the channel in its session: heights tell nothing from muscle to muscle or from day to day. "
         f"Channels count as muscles where they are in volts and there is {' or '.join(told)}."
     )
+    if known := [channel.spread for channel in channels if channel.spread is not None]:
+        text += f" The envelope of one cycle is certain to {100 * float(np.median(known)):.0f} % of its height (one standard uncertainty)."
     if any(channel.side is None for channel in channels):
         text += " The files do not say which side some of them are of; these are drawn over the cycles of both feet."
+        text += " --emg EMG1=LRF names them."
+    if rectified := list(dict.fromkeys(channel.name for channel in channels if channel.rectified)):
+        text += f" The files hold {listed(rectified)} rectified, so that the band-pass is left out there."
     drawing = drawn_panels(panels, session_names(sessions), "mean ± 1 SD of the cycles")
     return [Section("Muscle activity over the gait cycle", text, drawing=drawing)]
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +13,8 @@ from asterism.report.gait_session import SIDE, GaitSession
 from asterism.report.page import NOTHING, Cell, Section, Table, decimal
 
 if TYPE_CHECKING:
-    from asterism.gait import Band, ParameterSummary
+    from asterism.gait import Band, ParameterSummary, ProfileScore
+    from asterism.recording import Recording
 
 _DIGITS = {"m": 3, "s": 3, "m/s": 3, "": 3}
 """Behind the point, by unit; one elsewhere."""
@@ -33,7 +35,7 @@ def person_section(sessions: Sequence[GaitSession]) -> Section:
 
 
 def _person(session: GaitSession) -> dict[str, str | Cell]:
-    people = list(dict.fromkeys(str(name) for one in session.analyses if (name := one.recording.metadata.get("subject"))))
+    people = list(dict.fromkeys(name for one in session.analyses if (name := _name(one.recording))))
     found: dict[str, str | Cell] = {
         "person": Cell(", ".join(people) or NOTHING, 0.6 if len(people) > 1 else 0.0),
         "walks": ", ".join(name for name, _ in session.results),
@@ -57,6 +59,12 @@ def _person(session: GaitSession) -> dict[str, str | Cell]:
                 told.append(f"{side} {1000 * value:.0f} mm{'' if known else ', assumed'}")
         found[title] = Cell("; ".join(told) or NOTHING, 0.6 if doubtful else 0.0)
     return found
+
+
+def _name(recording: Recording) -> str:
+    """What the file calls its person, else what its folder does, which is said; nothing of what was not read from a file."""
+    subject, file = recording.metadata.get("subject"), Path(str(recording.metadata.get("file") or ""))
+    return str(subject) if subject else f"{file.absolute().parent.name} (the folder)" if file.is_file() else ""
 
 
 def parameter_section(session: GaitSession, band: Band | None) -> Section:
@@ -176,22 +184,52 @@ def score_sections(sessions: Sequence[GaitSession], band: Band | None) -> list[S
 
     if band is None:
         return []
-    of = {(number, score.side): score for number, session in enumerate(sessions) for score in profile_scores(session.analyses, band)}
+    of = {
+        (number, score.side): score
+        for number, session in enumerate(sessions)
+        for score in profile_scores(session.analyses, band, sigmas=True)
+    }
     if not of:
         return []
     columns = [(number, side) for number in range(len(sessions)) for side in SIDE]
-    rows: list[list[str | Cell]] = [
-        [title, *(decimal(float(np.degrees(of[one].variables[title])), 1) if one in of else NOTHING for one in columns)]
-        for _, _, title in SCORED
-    ]
-    rows.append(["Gait Profile Score", *(decimal(float(np.degrees(of[one].gps)), 1) if one in of else NOTHING for one in columns)])
+
+    def cell(value: float | None, sigma: float | None, digits: int = 1) -> str:
+        off = "" if sigma is None else f" ± {decimal(sigma, digits)}"
+        return NOTHING if value is None else f"{decimal(value, digits)}{off}"
+
+    def angle(value: float, sigma: float | None) -> str:
+        return cell(float(np.degrees(value)), None if sigma is None else float(np.degrees(sigma)))
+
+    def row(title: str, shown: Callable[[ProfileScore], str]) -> list[str | Cell]:
+        return [title, *(shown(of[one]) if one in of else NOTHING for one in columns)]
+
+    rows = [row(title, lambda one, title=title: angle(one.variables[title], one.sigmas.get(title))) for _, _, title in SCORED]  # type: ignore[misc]
+    rows.append(row("Gait Profile Score", lambda one: angle(one.gps, one.gps_sigma)))
     head = ["angle", *(", ".join(filter(None, (SIDE[side], sessions[number].name))) for number, side in columns)]
-    text = f"Degrees from the mean of {band.people} people, root mean square over the cycle (Baker et al. 2009)."
-    indices = {one: score.gdi for one, score in of.items() if score.gdi is not None}
-    if indices:
-        rows.append(["Gait Deviation Index", *(decimal(indices[one], 0) if one in indices else NOTHING for one in columns)])
+    usual = usual_score(band)
+    text = (
+        f"Degrees from the mean of {band.people} people, root mean square over the cycle (Baker et al. 2009). "
+        "± is one standard uncertainty from session to session, by the angles' own."
+    )
+    if any(score.gdi is not None for score in of.values()):
+        rows.append(row("Gait Deviation Index", lambda one: cell(one.gdi, one.gdi_sigma, 0)))
         text += " The index is 100 for the mean of these people, and 10 less for each standard deviation of theirs (GDI*)."
+    if usual is not None:
+        # What a number is to be held against stands beside it.
+        told = {"Gait Profile Score": f"{usual[1]:.1f} ({usual[0]:.1f} to {usual[2]:.1f})", "Gait Deviation Index": "100 (90 to 110)"}
+        rows = [[*row, told.get(str(row[0]), "")] for row in rows]
+        head.append("controls, mean (± 1 SD)")
+        text += " Each of them was held against the others."
     return [Section("Scores", text, table=Table(head, rows))]
+
+
+def usual_score(band: Band) -> tuple[float, float, float] | None:
+    """degrees: the Gait Profile Score of a band's own people, a standard deviation below the mean, the mean, one above; None if unknown."""
+    if band.log_score is None:
+        return None
+    mean, deviation = band.log_score
+    low, middle, high = np.degrees(np.exp([mean - deviation, mean, mean + deviation])).tolist()
+    return low, middle, high
 
 
 def cycle_section(sessions: Sequence[GaitSession]) -> Section:

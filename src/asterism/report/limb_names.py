@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from asterism.files.text import some_of
-from asterism.recording import canonical, shipped_sets
-from asterism.recording.marker_set import without_subject
+from asterism.recording import canonical, plain_name, shipped_sets
 
 if TYPE_CHECKING:
     from asterism.motion.analysis import JointAngles, MotionAnalysis
@@ -23,7 +22,7 @@ _SHOWN = 3
 def limb_names(analysis: MotionAnalysis) -> list[str]:
     """A name for each limb: the one that was given, the segments of a shipped marker set that its markers are on, or its first points."""
     labels = analysis.recording.labels
-    plain = [canonical(without_subject(label)) for label in labels]
+    plain = [plain_name(label) for label in labels]
     segment_of = _segments(plain)
     names: list[str] = []
     for limb, given in enumerate(analysis.names):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,10 @@ from typing import Any
 from asterism.findings import Finding, Severity
 from asterism.labelling.correction.readiness import READY
 from asterism.report.page import NOTHING, Cell, Page, Section, Table, findings_table, write_page
+
+MOST = 500
+"""Lines of a table of recordings or findings on the page: what a browser draws at once, and more than anybody reads. Of more, those that
+need a look come first."""
 
 
 def session_report(path: Path, rows: Sequence[Mapping[str, Any]], findings: Sequence[Finding], failed: Sequence[str]) -> None:
@@ -26,14 +31,17 @@ def session_report(path: Path, rows: Sequence[Mapping[str, Any]], findings: Sequ
     ]
     sections = [
         Section("Persons", "Each name leads to the person's report.", table=_persons(rows, persons)),
-        Section("Recordings", table=_recordings(rows)),
+        Section("Recordings", _which(rows), table=_recordings(_first(rows))),
     ]
     if failed:
         sections.insert(
             0, Section("Failed", "These could not be processed; the terminal says why.", table=Table(["what"], [[one] for one in failed]))
         )
     if findings:
-        sections.append(Section("What to know", table=findings_table(findings)))
+        shown = sorted(findings, key=lambda finding: -finding.severity)[:MOST]
+        more = Counter(finding.code for finding in sorted(findings, key=lambda finding: -finding.severity)[MOST:])
+        rest = [["", f"{count} more [{code}]; --json has all"] for code, count in more.most_common()]
+        sections.append(Section("What to know", table=findings_table(shown, rest)))
     lead = f"{seen} findings to read below." if seen else "Nothing was found that needs a look."
     write_page(path, Page(f"Session of {len(persons)} persons", lead, {}, merits, sections))
 
@@ -58,6 +66,21 @@ def _persons(rows: Sequence[Mapping[str, Any]], persons: Sequence[str]) -> Table
             ]
         )
     return Table(["person", "recordings", "ready", "to look at", "cycles", "steps/min", "m/s"], lines)
+
+
+def _needs_a_look(row: Mapping[str, Any]) -> bool:
+    return bool(row.get("look_at")) or row.get("readiness") != READY
+
+
+def _first(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """The rows that the page shows: all, or of many those that need a look first."""
+    return list(rows) if len(rows) <= MOST else sorted(rows, key=_needs_a_look, reverse=True)[:MOST]
+
+
+def _which(rows: Sequence[Mapping[str, Any]]) -> str:
+    if len(rows) <= MOST:
+        return ""
+    return f"{MOST} of {len(rows)}, those that need a look first ({sum(map(_needs_a_look, rows))}); session.csv has all."
 
 
 def _recordings(rows: Sequence[Mapping[str, Any]]) -> Table:

@@ -234,6 +234,9 @@ def solve_factored(tree, factor, right):
     """x of L^T L x = right, in place. IN factor (D, D). OUT right (D,): the solution. O(entries of the pattern), no allocation."""
     size = len(right)
     for k in range(size - 1, -1, -1):
+        # Branches that nothing pulls at.
+        if right[k] == 0.0:
+            continue
         right[k] /= factor[k, k]
         for p in range(tree.row_starts[k], tree.row_starts[k + 1]):
             right[tree.row_columns[p]] -= factor[k, tree.row_columns[p]] * right[k]
@@ -394,3 +397,50 @@ def pose_frames(tree, q, turns, places, turned, joints):
         for b in range(len(tree.parents)):
             for k in range(3):
                 joints[t, b, k] += places[t, k]
+
+
+@kernel
+def shared_variances(tree, solving, points, weights, shared, q, turns, places, out):
+    """What the numbers of given states vary by where all markers of a bone move together, as skin does.
+
+    IN  points (T, M, 3) m, weights (T, M) m-2; shared (B,) m2, of each axis, independent from bone to bone; q, turns, places: the states
+    OUT out (T, D). Of a state solved by weighted least squares, the answer to a shift is a solution of its normal equations.
+    O(T B P); allocates (D, D) twice.
+    """
+    bones, size, markers = len(tree.parents), out.shape[1], points.shape[1]
+    turned, joints = np.empty((bones, 3, 3)), np.empty((bones, 3))
+    twists, sums, own = np.empty((len(tree.numbers), 6)), np.empty((bones, 16)), np.empty((bones, 4))
+    hessian, factor, gradient = np.zeros((size, size)), np.zeros((size, size)), np.empty(size)
+    misses, answer, force = np.empty(markers), np.empty(size), np.empty(3)
+    for t in range(len(q)):
+        pose_tree(tree, q[t], turns[t], places[t], turned, joints, twists)
+        assemble(tree, solving, points[t], weights[t], q[t], places[t], turned, joints, twists, sums, hessian, gradient, misses)
+        damping = 0.0
+        while not factorise(tree, hessian, damping, factor):
+            damping = max(10.0 * damping, 1e-12)
+        # Composite bodies without what hangs on them are the bones' own again.
+        own[:] = sums[:, :4]
+        for b in range(bones - 1, 0, -1):
+            for k in range(4):
+                own[tree.parents[b], k] -= sums[b, k]
+        out[t] = 0.0
+        for b in range(bones):
+            if not own[b, 0] > 1e-9 * sums[b, 0]:
+                continue
+            for axis in range(3):
+                force[:] = 0.0
+                force[axis] = own[b, 0]
+                mx = own[b, 2] * (1.0 if axis == 2 else 0.0) - own[b, 3] * (1.0 if axis == 1 else 0.0)
+                my = own[b, 3] * (1.0 if axis == 0 else 0.0) - own[b, 1] * (1.0 if axis == 2 else 0.0)
+                mz = own[b, 1] * (1.0 if axis == 1 else 0.0) - own[b, 2] * (1.0 if axis == 0 else 0.0)
+                answer[:] = 0.0
+                above = b
+                while above >= 0:
+                    for n in range(tree.entry_starts[above], tree.entry_starts[above + 1]):
+                        v, d = twists[n], tree.numbers[n]
+                        if tree.moves[d]:
+                            answer[d] += v[0] * mx + v[1] * my + v[2] * mz + v[3] * force[0] + v[4] * force[1] + v[5] * force[2]
+                    above = tree.parents[above]
+                solve_factored(tree, factor, answer)
+                for d in range(size):
+                    out[t, d] += shared[b] * answer[d] ** 2

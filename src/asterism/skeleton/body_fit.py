@@ -9,9 +9,9 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.geometry import fit_rigid, rotate_z_up
-from asterism.recording import Floats, MarkerSet, Recording, canonical, is_unnamed, without_subject
+from asterism.recording import Floats, MarkerSet, Recording, canonical, is_unnamed, plain_name, without_subject
 from asterism.skeleton import anatomy
-from asterism.skeleton.arrays import Known
+from asterism.skeleton.arrays import PosePrior
 from asterism.skeleton.body import ArticulatedBody, BodyMarker, Hinge, as_point
 from asterism.skeleton.body_file import load_body, shipped_bodies
 from asterism.skeleton.pose_kernels import HINGES, PLACE, fit_positions, place_bones
@@ -160,7 +160,7 @@ def _upright(recording: Recording, rules: BodyFitRules) -> dict[str, Floats]:
     some = np.asarray(np.isfinite(points[:, :, 0]).any(axis=0))
     middle = np.full(points.shape[1:], np.nan)
     middle[some] = np.nanmedian(points[:, some], axis=0)
-    places = {canonical(without_subject(label)): middle[i] for i, label in enumerate(recording.labels) if some[i] and not is_unnamed(label)}
+    places = {plain_name(label): middle[i] for i, label in enumerate(recording.labels) if some[i] and not is_unnamed(label)}
     front = [places.get("lasi"), places.get("rasi")]
     backs = [places[name] for name in ("sacr", "lpsi", "rpsi") if name in places]
     if front[0] is None or front[1] is None or not backs:
@@ -192,9 +192,9 @@ def _common_names(standing: Sequence[Recording], posed: Sequence[Mapping[str, Fl
         for name in wanted.names:
             if canonical(name) not in places:
                 column = next((label for label in recording.labels if wanted.name_of(label) == name), None)
-                if column is None or canonical(without_subject(column)) not in places:
+                if column is None or plain_name(column) not in places:
                     raise AsterismError(f"{recording.metadata.get('file', 'the recording')}: there is no marker {name}; label it.")
-                places[canonical(name)] = places[canonical(without_subject(column))]  # type: ignore[index]
+                places[canonical(name)] = places[plain_name(column)]  # type: ignore[index]
     return wanted.names
 
 
@@ -261,10 +261,10 @@ def pose_recording(body: ArticulatedBody, positions: Floats, *, scales: Floats |
     return PosedFrames(poses, rotations, costs)
 
 
-def known_of(body: ArticulatedBody, vertical: Floats, *, tilt: float = 0.25, scale: tuple[float, float] | None = None) -> Known:
+def known_of(body: ArticulatedBody, vertical: Floats, *, tilt: float = 0.25, scale: tuple[float, float] | None = None) -> PosePrior:
     """What is known of a body before any image: about upright (`tilt` rad), about the model's size."""
     common, single = body.scale_spread if scale is None else scale
-    return Known(np.asarray(vertical, dtype=np.float64), np.ones(3), np.array([common**-2.0, single**-2.0]), tilt**-2.0)
+    return PosePrior(np.asarray(vertical, dtype=np.float64), np.ones(3), np.array([common**-2.0, single**-2.0]), tilt**-2.0)
 
 
 def _learned(

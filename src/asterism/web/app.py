@@ -47,8 +47,8 @@ def make_app(session: CorrectionSession) -> Starlette:
     api = _Api(session)
     trial = "/api/trials/{trial}"
     routes = [
-        Route("/", lambda request: _static("review.html")),
-        Route("/static/{name}", lambda request: _static(request.path_params["name"])),
+        Route("/", lambda request: static_file("review.html")),
+        Route("/static/{name}", lambda request: static_file(request.path_params["name"])),
         Route("/api/trials", api.answering(api.trials)),
         Route(f"{trial}/points", api.answering(api.points)),
         Route(f"{trial}/piece_points", api.answering(api.piece_points)),
@@ -366,7 +366,7 @@ async def _json_of(request: Request) -> dict[str, Any]:
     return given
 
 
-def _static(name: str) -> Response:
+def static_file(name: str) -> Response:
     """One of the page's own files."""
     kind = _TYPES.get(name.rpartition(".")[2])
     if name in ("player.js", "player.css"):

@@ -53,9 +53,9 @@ def serve(session: CorrectionSession, place: PageAddress, say: Callable[[str], N
     # A new secret for each run: an old address opens nothing.
     token = secrets.token_urlsafe(24)
     # Bound before anything is told, so that the address is known and the port is ours.
-    with _bound(place) as listening:
+    with bound(place) as listening:
         port = listening.getsockname()[1]
-        address = f"http://{_in_address(place.host)}:{port}/?token={token}"
+        address = address_of(place.host, port, token)
         config = uvicorn.Config(
             Guard(make_app(session), token, place.host, port),
             log_level="critical",
@@ -87,7 +87,7 @@ def serve(session: CorrectionSession, place: PageAddress, say: Callable[[str], N
             session.close()
 
 
-def _bound(place: PageAddress) -> socket.socket:
+def bound(place: PageAddress) -> socket.socket:
     """A socket that is bound."""
     try:
         resolved = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)[0]
@@ -113,6 +113,11 @@ def _bound(place: PageAddress) -> socket.socket:
             raise AsterismError(f"the port {place.port} may not be used; give one above 1023 with --port, or leave it out.") from problem
         raise AsterismError(f"--host {place.host} is no address of this machine; leave it out, or give one of its own.") from problem
     return listening
+
+
+def address_of(host: str, port: int, token: str) -> str:
+    """The address of a page, with its token."""
+    return f"http://{_in_address(host)}:{port}/?token={token}"
 
 
 def _in_address(host: str) -> str:

@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding
-from asterism.labelling.correction.event_log import (
-    REDO,
-    RELABELLED,
-    SAVED,
-    UNDO,
-    CorrectionLog,
-    damaged_line,
-    hash_of_models,
-    hash_of_points,
-)
+from asterism.labelling.correction.event_log import CorrectionLog, hash_of_models, hash_of_points
+from asterism.labelling.correction.history import History
 from asterism.labelling.correction.pieces import (
     Pieces,
     cut_before,
@@ -108,7 +100,7 @@ class _Solved:
     pieces: Pieces
 
 
-class Correction:
+class Correction(History[Touch]):
     """A recording's labels while a person corrects them.
 
     The recording is labelled once, as a whole. `apply` takes what a person says of a piece, labels the recording again with all that was
@@ -129,6 +121,7 @@ class Correction:
 
         model: one for each body. Raises NoMarkers where the recording has no points.
         """
+        super().__init__()
         self.models = tuple(model) if isinstance(model, Sequence) else (model,)
         self.recording = recording
         self.clouds = recording.clouds()
@@ -139,9 +132,6 @@ class Correction:
         self.names = self.marker_set.names
         self._found = first.found
         self._relabelling = Relabelling(first.labeller, self.clouds, first.labelling, first.bodies)
-        self._done: list[Touch] = []
-        self._undone: list[Touch] = []
-        self._log: CorrectionLog | None = None
         self._solved = self._solve([])
         self._items: list[ReviewItem] | None = None
         self.last_change: CorrectionChange | None = None
@@ -157,11 +147,6 @@ class Correction:
     def pieces(self) -> Pieces:
         """The pieces of tracks."""
         return self._solved.pieces
-
-    @property
-    def touches(self) -> tuple[Touch, ...]:
-        """What was said and not taken back, in its order."""
-        return tuple(self._done)
 
     @property
     def filled(self) -> tuple[MarkerSpan, ...]:
@@ -181,16 +166,6 @@ class Correction:
             if touch.events is not None:
                 events = touch.events.applied(events or ())
         return events
-
-    @property
-    def can_undo(self) -> bool:
-        """Whether there is something to take back."""
-        return bool(self._done)
-
-    @property
-    def can_redo(self) -> bool:
-        """Whether something was taken back last."""
-        return bool(self._undone)
 
     @cached_property
     def identity(self) -> tuple[str, str]:
@@ -272,41 +247,26 @@ class Correction:
         # Solved first, then written: what cannot be taken must not be in the log.
         changes = any(touch.is_of_labels for touch in touches)
         solved = self._solve([*self._done, *touches]) if changes else self._solved
-        self._write(*(touch.to_plain() for touch in touches))
-        self._done += touches
-        # A new answer ends what could be taken again.
-        self._undone.clear()
+        self._add(*touches)
         return self._become(solved, touches)
 
     def undo(self) -> CorrectionChange:
         """Take the last touch back. Raises AsterismError where there is none."""
-        if not self._done:
-            raise AsterismError("there is nothing to take back.")
-        solved = self._solve(self._done[:-1]) if self._done[-1].is_of_labels else self._solved
-        self._write({"kind": UNDO})
-        touch = self._done.pop()
-        self._undone.append(touch)
+        touch = self._last_done()
+        solved = self._solve(self._done[:-1]) if touch.is_of_labels else self._solved
+        self._take_back()
         return self._become(solved, (touch,))
 
     def redo(self) -> CorrectionChange:
         """Take again what was taken back last. Raises AsterismError where there is nothing."""
-        if not self._undone:
-            raise AsterismError("there is nothing to take again.")
-        solved = self._solve([*self._done, self._undone[-1]]) if self._undone[-1].is_of_labels else self._solved
-        self._write({"kind": REDO})
-        touch = self._undone.pop()
-        self._done.append(touch)
+        touch = self._last_undone()
+        solved = self._solve([*self._done, touch]) if touch.is_of_labels else self._solved
+        self._take_again()
         return self._become(solved, (touch,))
 
     def attach(self, log: CorrectionLog) -> None:
         """Take what a log holds, and write to it from now on. Raises AsterismError where an entry does not fit the recording."""
-        done: list[Touch] = []
-        undone: list[Touch] = []
-        for number, entry in zip(log.lines, log.entries, strict=True):
-            try:
-                _replay(entry, done, undone)
-            except (KeyError, TypeError, ValueError, IndexError, OverflowError) as problem:
-                raise damaged_line(log.path, number) from problem
+        done, undone = self._replayed(log, Touch.from_plain)
         # An entry that is well formed may still name a point that this recording lacks.
         try:
             solved = self._solve(done)
@@ -334,12 +294,6 @@ class Correction:
         self._solved, self.revision = earlier._solved, earlier.revision
         return self._become(solved, ())
 
-    def close(self) -> None:
-        """Close the log."""
-        if self._log is not None:
-            self._log.close()
-            self._log = None
-
     def labelled_recording(self, by: str = "", *, keep_names: bool = False) -> Recording:
         """The recording under its labels, what was said counted in its processing log; by: what labelled, such as the model's file."""
         return self.logged(self.recording.with_labelling(self.labelling, self.clouds, keep_names=keep_names, by=by))
@@ -352,10 +306,6 @@ class Correction:
         kinds = [touch.kind for touch in self._done]
         counts = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
         return labelled.logged("corrected", "a person", touches=len(self._done), **counts)
-
-    def _write(self, *entries: Mapping[str, Any]) -> None:
-        if self._log is not None:
-            self._log.append(*entries)
 
     def _become(self, solved: _Solved, touches: tuple[Touch, ...]) -> CorrectionChange:
         """Take a solved state, and say what changed."""
@@ -513,17 +463,3 @@ class Correction:
 def _labels_of(pieces: Pieces) -> Ints:
     """(J,) the marker of each piece, -1 without a label, -2 for what a person said to be none."""
     return np.where(pieces.ghost, NULL - 1, pieces.marker)
-
-
-def _replay(entry: Mapping[str, Any], done: list[Touch], undone: list[Touch]) -> None:
-    """Take one entry of a log."""
-    # Saving, and which model labels, are kept in the log for the record: neither is an answer.
-    if entry["kind"] in (SAVED, RELABELLED):
-        return
-    if entry["kind"] == UNDO:
-        undone.append(done.pop())
-    elif entry["kind"] == REDO:
-        done.append(undone.pop())
-    else:
-        done.append(Touch.from_plain(entry))
-        undone.clear()

@@ -12,7 +12,8 @@ import numpy as np
 
 from asterism.errors import AsterismError, NoMarkers
 from asterism.labelling.correction.correct import CorrectionChange, PieceChange
-from asterism.labelling.correction.event_log import REDO, SAVED, UNDO, CorrectionLog, damaged_line, hash_of_points
+from asterism.labelling.correction.event_log import CorrectionLog, hash_of_points
+from asterism.labelling.correction.history import History
 from asterism.labelling.naming import MarkerGroups, body_positions, group_tracklets, locate_groups, mirrored_groups, name_groups
 from asterism.recording import Ints, MarkerSet, Recording, is_unnamed
 from asterism.recording.sides import marker_sides, mirrored_name
@@ -34,7 +35,7 @@ class _Named:
         return {"kind": NAMED, "group": self.group + 1, "marker": self.marker}
 
 
-class GroupNaming:
+class GroupNaming(History[_Named]):
     """The groups of a recording (`group_tracklets`) while a person names them, as `Correction` is for labels.
 
     What was said, not the names, is the state: `undo` and `redo` have no end.
@@ -42,15 +43,13 @@ class GroupNaming:
 
     def __init__(self, recording: Recording) -> None:
         """Group the recording's points. Raises NoMarkers where it has none."""
+        super().__init__()
         self.recording, self.clouds = recording, recording.clouds()
         if not len(self.clouds.xyz):
             raise NoMarkers("the recording has no points to name.")
         self.groups: MarkerGroups = group_tracklets(self.clouds)
         self.places = locate_groups(self.clouds, self.groups)
         self.revision = 0
-        self._done: list[_Named] = []
-        self._undone: list[_Named] = []
-        self._log: CorrectionLog | None = None
 
     @property
     def names(self) -> dict[int, str]:
@@ -59,21 +58,6 @@ class GroupNaming:
         for said in self._done:
             named[said.group] = said.marker
         return {group: marker for group, marker in sorted(named.items()) if marker is not None}
-
-    @property
-    def touches(self) -> tuple[_Named, ...]:
-        """What was said and not taken back, in its order."""
-        return tuple(self._done)
-
-    @property
-    def can_undo(self) -> bool:
-        """Whether there is something to take back."""
-        return bool(self._done)
-
-    @property
-    def can_redo(self) -> bool:
-        """Whether something was taken back last."""
-        return bool(self._undone)
 
     @property
     def left(self) -> list[int]:
@@ -110,21 +94,15 @@ class GroupNaming:
 
     def undo(self) -> CorrectionChange:
         """Take the last name back. Raises AsterismError where there is none."""
-        if not self._done:
-            raise AsterismError("there is nothing to take back.")
-        before = self.names
-        self._write({"kind": UNDO})
-        self._undone.append(self._done.pop())
-        return self._changed(before, self._undone[-1].group)
+        before, said = self.names, self._last_done()
+        self._take_back()
+        return self._changed(before, said.group)
 
     def redo(self) -> CorrectionChange:
         """Take again what was taken back last. Raises AsterismError where there is nothing."""
-        if not self._undone:
-            raise AsterismError("there is nothing to take again.")
-        before = self.names
-        self._write({"kind": REDO})
-        self._done.append(self._undone.pop())
-        return self._changed(before, self._done[-1].group)
+        before, said = self.names, self._last_undone()
+        self._take_again()
+        return self._changed(before, said.group)
 
     def candidates(self, group: int, marker_set: MarkerSet | None = None) -> list[tuple[str, str]]:
         """Names that a group may have, and what to say of each: its mirror image first, then what is not given yet.
@@ -157,21 +135,9 @@ class GroupNaming:
         """Take what a log holds, and write to it from now on. Raises AsterismError where it is of other groups, or damaged."""
         if log.other_model:
             raise AsterismError(f"{log.path}: these names were given to other groups of points; move the log away, and name anew.")
-        done: list[_Named] = []
-        undone: list[_Named] = []
-        for number, entry in zip(log.lines, log.entries, strict=True):
-            try:
-                self._replay(entry, done, undone)
-            except (KeyError, TypeError, ValueError, IndexError, AsterismError) as problem:
-                raise damaged_line(log.path, number) from problem
-        self._done, self._undone, self._log = done, undone, log
+        self._done, self._undone = self._replayed(log, self._read)
+        self._log = log
         self.revision += 1
-
-    def close(self) -> None:
-        """Close the log."""
-        if self._log is not None:
-            self._log.close()
-            self._log = None
 
     @cached_property
     def _positions(self) -> Any:
@@ -197,9 +163,7 @@ class GroupNaming:
 
     def _take(self, said: _Named) -> CorrectionChange:
         before = self.names
-        self._write(said.to_plain())
-        self._done.append(said)
-        self._undone.clear()
+        self._add(said)
         return self._changed(before, said.group)
 
     def _changed(self, before: Mapping[int, str], group: int) -> CorrectionChange:
@@ -211,23 +175,12 @@ class GroupNaming:
         )
         return CorrectionChange((), tuple(parts))
 
-    def _replay(self, entry: Mapping[str, Any], done: list[_Named], undone: list[_Named]) -> None:
-        if entry["kind"] == SAVED:
-            return
-        if entry["kind"] == UNDO:
-            undone.append(done.pop())
-        elif entry["kind"] == REDO:
-            done.append(undone.pop())
-        else:
-            group, marker = entry["group"] - 1, entry["marker"]
-            if entry["kind"] != NAMED or not isinstance(marker, str | None):
-                raise ValueError("not a name of a group")
-            done.append(_Named(self._checked(group), marker))
-            undone.clear()
-
-    def _write(self, entry: Mapping[str, Any]) -> None:
-        if self._log is not None:
-            self._log.append(entry)
+    def _read(self, entry: Mapping[str, Any]) -> _Named:
+        """An entry of a log. Raises ValueError and others where it is none."""
+        group, marker = entry["group"] - 1, entry["marker"]
+        if entry["kind"] != NAMED or not isinstance(marker, str | None):
+            raise ValueError("not a name of a group")
+        return _Named(self._checked(group), marker)
 
     def _checked(self, group: int) -> int:
         if isinstance(group, bool) or not isinstance(group, int) or not 0 <= group < len(self.groups):

@@ -6,7 +6,7 @@ import numpy as np
 
 from asterism.findings import Finding, Severity
 from asterism.geometry import rotate_z_up
-from asterism.recording import Floats, Recording, without_subject
+from asterism.recording import Floats, Recording, plain_name
 
 _HIND = ("HEE", "HEEL", "CAL", "LCA", "ANK", "LM")
 _FORE = ("TOE", "MT2", "D2M", "MT1", "D1M", "MT5", "5TH", "D5M")
@@ -25,7 +25,7 @@ def exchanged_pairs(recording: Recording) -> list[str]:
     Both feet together show where the body is ahead, whichever of them is called left: an exchange of names does not turn it. Without a
     hind and a fore marker on both feet nothing is told. O(T).
     """
-    names = [without_subject(label).upper().replace(".", "").replace("_", "") for label in recording.labels]
+    names = [plain_name(label).upper() for label in recording.labels]
     # of a name that occurs twice nobody knows which is meant
     columns = {name: at for at, name in enumerate(names) if names.count(name) == 1}
     pairs = [name[1:] for name in columns if name[:1] == "L" and name[1:] in _JUDGED and "R" + name[1:] in columns]

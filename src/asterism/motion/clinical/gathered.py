@@ -9,8 +9,10 @@ from itertools import combinations
 import numpy as np
 
 from asterism.findings import Finding, Severity
+from asterism.geometry import rotate_z_up
+from asterism.motion.clinical.estimated import MeasurePriors
 from asterism.motion.clinical.landmark_body import with_plug_in_gait_names, worn_landmarks
-from asterism.motion.clinical.measures import MARKER_RADIUS, SIDES, SubjectMeasures, subject_measures
+from asterism.motion.clinical.measures import MARKER_RADIUS, SIDES, SubjectMeasures, named_radius, subject_measures
 from asterism.motion.clinical.plug_in_gait import radius_by_the_file
 from asterism.motion.clinical.static import StaticRules, with_static_offsets
 from asterism.recording import Floats, Recording
@@ -25,6 +27,21 @@ _LIMBS = ("pelvis", "left thigh", "right thigh", "left shank", "right shank")
 _STEPS = 0.15
 """m, by which one ankle may move past the other while a person stands: 0.007 at most on 17 standing trials of four laboratories, 0.75 and
 more on 28 walks. At half it tells a foot that was put straight, at double a small child's steps come near."""
+_LOW, _LIFTED = 0.08, 0.1
+"""Of the frames, in which a foot stands at least; rad, by which a heel may stand higher above the toe than in the walk: -0.06 to 0.04 on 15
+people of six laboratories. At half, skin tells it; at double, 11 degrees of the ankle are not."""
+_OFFSETS = ("thigh_rotation", "shank_rotation", "tibial_torsion", "foot_flexion", "foot_rotation")
+_SAME_OFFSET = 0.05
+"""rad, by which an offset of the file may differ from that which its standing trial shows: up to 0.001 on 11 trials of four laboratories,
+by the rule that fits, and 0.24 on one computed as a walk. At half, rules of other programs are told; at double, 6 degrees are not."""
+_ROUNDED = 0.5
+"""mm, degrees or kg, by which what is given may differ from what a file holds without a word: a rounded number."""
+_USUAL = 2.5
+"""Standard deviations of `MeasurePriors` within which a width lies, of the leg's length: knees 0.06 to 0.19, ankles 0.056 to 0.106;
+25 people have 0.10 to 0.16 and 0.07 to 0.103. At half, one person in five is told; at double, no mistake is."""
+_SAME_WIDTH = 0.2
+"""By which the wider of two knees or ankles is wider: a swollen one is by less. At half, people with arthritis are told; at double, a
+knee's width typed as an ankle's (0.6 of it) is just told."""
 _FEW = 4
 """Distances, at least, that tell a person."""
 
@@ -50,13 +67,44 @@ def gathered_measures(
         if fitted is not None and abs(fitted - measures.marker_radius) > 1e-4:
             found.append(_another_radius(recording, measures.marker_radius, fitted))
         measures = measures if fitted is None else replace(measures, marker_radius=fitted)
+    found += _differing(recording, measures, given)
     measures = measures.with_values(given)
     if static is not None:
         # a set without wands has no such offsets
         if any(label in ("LTHI", "RTHI") for label in with_plug_in_gait_names(recording).labels):
-            measures = with_static_offsets(static, measures, rules).with_values(given)
-        found += _other_person(recording, static) + _steps(static)
-    return measures, (*found, *_other_length(recording, measures))
+            measures, differs = _with_offsets(static, measures, rules or StaticRules(), given)
+            found += differs
+        found += _other_person(recording, static) + (_steps(static) or _lifted(recording, static))
+    return measures, (*found, *_implausible(recording, measures), *_other_length(recording, measures))
+
+
+def _with_offsets(
+    static: Recording, measures: SubjectMeasures, rules: StaticRules, given: Mapping[str, float]
+) -> tuple[SubjectMeasures, list[Finding]]:
+    """The measures with the offsets of the standing trial, by the rules that its own program followed, where its file tells; and doubts.
+
+    That program reads standing trials with the marker's diameter that the file names, and walks with another one.
+    """
+    named = None if any(name.upper() == "MARKERDIAMETER" for name in given) else named_radius(static)
+    held, still = subject_measures(static), replace(measures, marker_radius=named or measures.marker_radius)
+    own = [(side, name) for side in SIDES for name in _OFFSETS if name in held.of(side).from_file]
+    ways = [rules, replace(rules, tilted=True), replace(rules, flat_foot=False)] if own else [rules]
+    told = [with_static_offsets(static, still, way).with_values(given) for way in ways]
+
+    def apart(one: SubjectMeasures) -> list[float]:
+        return [abs(getattr(one.of(side), name) - getattr(held.of(side), name)) for side, name in own]
+
+    best = replace(min(told, key=lambda one: sum(apart(one))), marker_radius=measures.marker_radius)
+    off = apart(best)
+    if max(off, default=0.0) <= _SAME_OFFSET:
+        return best, []
+    worst = int(np.argmax(off))
+    side, name = own[worst]
+    sentence = f"{_file(static)}: the offsets that its file holds are not those that the trial shows: the {SIDES[side]} "
+    sentence += f"{name.replace('_', ' ')} differs by {np.degrees(off[worst]):.0f} degrees. Its program took them from another standing "
+    sentence += "trial, or a marker was moved since; those of the trial are taken."
+    mend = "Give the standing trial that the program used; or leave it out, where the walk's file holds the offsets."
+    return best, [Finding("clinical-static-differs", Severity.WARNING, _file(static), sentence, mend)]
 
 
 def _over(upper: SubjectMeasures, lower: SubjectMeasures) -> SubjectMeasures:
@@ -89,6 +137,43 @@ def _another_radius(recording: Recording, named: float, fitted: float) -> Findin
     )
 
 
+def _differing(recording: Recording, held: SubjectMeasures, given: Mapping[str, float]) -> list[Finding]:
+    """Measures that were given in place of others, which files hold."""
+    both = {name: held.value_of(name) for name in given}
+    # files hold some digits more than people type
+    told = [
+        f"{name} {given[name]:g}, not {own:.4g}" for name, own in both.items() if own is not None and abs(given[name] - own) >= _ROUNDED
+    ]
+    if not told:
+        return []
+    sentence = f"{_file(recording)}: measures that were given are taken in place of those that its files hold: {', '.join(told)}."
+    mend = "Leave the option out where the file is right."
+    return [Finding("clinical-measure-differs", Severity.NOTE, _file(recording), sentence, mend)]
+
+
+def _implausible(recording: Recording, measures: SubjectMeasures) -> list[Finding]:
+    """Widths that hardly anybody has whose leg is so long, or whose other leg is so wide."""
+    told, priors, legs = list[str](), MeasurePriors(), {side: measures.of(side) for side in SIDES}
+    for joint, (mean, spread) in (("knee", priors.knee), ("ankle", priors.ankle)):
+        widths = {side: getattr(leg, f"{joint}_width") for side, leg in legs.items() if f"{joint}_width" in leg.from_file}
+        odd = [
+            (side, width, length)
+            for side, width in widths.items()
+            if (length := legs[side].leg_length) is not None and abs(width / length - mean) > _USUAL * spread
+        ]
+        told += [
+            f"the {SIDES[side]} {joint}'s width is {1000 * width:.0f} mm, the leg's length {1000 * length:.0f} mm"
+            for side, width, length in odd
+        ]
+        if not odd and len(widths) == 2 and max(widths.values()) > (1.0 + _SAME_WIDTH) * min(widths.values()):
+            told.append(f"the {joint}s' widths are {1000 * widths['L']:.0f} mm on the left and {1000 * widths['R']:.0f} mm on the right")
+    if not told:
+        return []
+    sentence = f"{_file(recording)}: {'; '.join(told)}: hardly anybody is built so. Half of an error of a width moves the joint's centre."
+    mend = "Look whether a measure is another one's, or mistyped, and correct it with --measure."
+    return [Finding("clinical-measure-implausible", Severity.WARNING, _file(recording), sentence, mend)]
+
+
 def _distances(recording: Recording, pairs: Sequence[tuple[str, str]], *shares: float) -> Floats:
     """(shares, pairs) m between two markers: what so much of the frames stays below; NaN where they are never seen together."""
     column = {name: place for place, name in reversed([*enumerate(recording.labels)])}
@@ -119,6 +204,31 @@ def _steps(static: Recording) -> list[Finding]:
     sentence = f"{_file(static)} is no standing trial: its ankles move past each other by {1000 * moved:.0f} mm, and offsets of feet and "
     sentence += "wands are taken from it."
     return [Finding("clinical-static-moves", Severity.WARNING, _file(static), sentence, "Give a trial in which the person stands.")]
+
+
+def _lifted(recording: Recording, static: Recording) -> list[Finding]:
+    """Where a person who stands lifts a heel that comes down further in the walk: a level sole is taken from how the foot stands there."""
+    found = []
+    for side, word in SIDES.items():
+        stands, walks = (_sole(trial, side, share) for trial, share in ((static, 0.5), (recording, _LOW)))
+        if stands - walks > _LIFTED:
+            sentence = (
+                f"{_file(static)}: the {word} heel stands {np.degrees(stands - walks):.0f} degrees higher above the toe than it comes "
+            )
+            sentence += "down in the walk: the person stands on the toes, or leans; the ankle's flexion is off by as much."
+            mend = "Give a trial in which both feet stand flat, or --sloped-foot, where heel and toe markers are meant to differ in height."
+            found.append(Finding("clinical-static-lifted", Severity.WARNING, _file(static), sentence, mend))
+    return found
+
+
+def _sole(recording: Recording, side: str, share: float) -> float:
+    """rad, of the line from toe to heel marker, up: by heights below which each is in so much of the frames; NaN where one is not seen."""
+    named = with_plug_in_gait_names(recording)
+    long = _distances(named, [(f"{side}HEE", f"{side}TOE")], 0.5)[0, 0]
+    if not long > 0.0:
+        return float("nan")
+    heel, toe = (rotate_z_up(named.positions[:, named.labels.index(side + name)], named.vertical)[:, 2] for name in ("HEE", "TOE"))
+    return float(np.arcsin(np.clip((np.nanquantile(heel, share) - np.nanquantile(toe, share)) / long, -1.0, 1.0)))
 
 
 def other_person(recording: Recording, first: Recording) -> list[Finding]:

@@ -26,7 +26,6 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 """m/s^2."""
 FADED = 5.0
 """N: a load next to a step that is less is drift. At half, drift of an amplifier counts; at double, toe off's last hundredth is lost."""
-JOINT_ORDER = ("Ankle", "Knee", "Hip")
 _ORDERS = {
     "Ankle": ((1, 2, 0), {"L": (1, -1, 1), "R": (1, 1, -1)}),
     "Knee": ((1, 0, 2), {"L": (-1, 1, 1), "R": (-1, -1, -1)}),
@@ -112,7 +111,7 @@ class Kinetics:
     moments   such as "LKneeMoment" -> (T, 3) N m/kg in the axes of the segment below: extension (of the ankle: plantar flexion) first
     powers    such as "LKneePower" -> (T,) W/kg, positive where the joint does work
     ground    such as "LGroundReactionForce" -> (T, 3) N/kg, on the foot: ahead and to the left of the way that the person walks, upwards
-    sigmas    by the names of moments and powers, in their units and shapes: standard uncertainties, see `KineticErrors`
+    sigmas    by all these names, in their units and shapes: standard uncertainties, see `KineticErrors`
     per_kg    False where nobody gave the mass: then these are N m, W and N, in stance, of the ground's forces alone
     findings  steps that were left out, and why
 
@@ -179,6 +178,9 @@ def inverse_dynamics(
             turned = spread[:, 3] + (one.about**2).sum(axis=1) * errors.turning**2
             sigmas[f"{side}{joint}Power"] = np.sqrt(turned) / per
         ground[f"{side}GroundReactionForce"] = force @ room / per
+        # A plate's error is of the whole force, along each direction, as its channels cross; the mass' is in proportion.
+        whole = errors.plate * np.linalg.norm(force, axis=1)[:, None]
+        sigmas[f"{side}GroundReactionForce"] = np.hypot(whole, errors.mass * np.abs(force @ room)) / per
     for contact in contacts:
         if contact.side is None:
             found.append(_bad_step(file, None, contact, "it is not one foot alone that loads it"))

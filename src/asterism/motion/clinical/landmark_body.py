@@ -18,7 +18,7 @@ from asterism.motion.clinical.measures import SIDES, SubjectMeasures
 from asterism.motion.clinical.plug_in_gait import Leg, LowerBody, along, turns, walking_axes
 from asterism.motion.rigid.rotations import unit_vectors
 from asterism.recording import Floats, Recording
-from asterism.recording.marker_set import canonical, shipped_sets, without_subject
+from asterism.recording.marker_set import canonical, plain_name, shipped_sets
 from asterism.recording.place import landmarks
 
 ROLES = {
@@ -105,7 +105,7 @@ def worn_landmarks(recording: Recording) -> WornLandmarks:
 
 @lru_cache(maxsize=32)
 def _worn(labels: tuple[str, ...]) -> WornLandmarks:
-    spelled = {canonical(without_subject(label)): column for column, label in enumerate(labels)}
+    spelled = {plain_name(label): column for column, label in enumerate(labels)}
     known = {name: sum(one in roles or one in limbs for one in spelled) for name, (roles, limbs) in _spellings().items()}
     found: dict[str, int] = {}
     limb_of: dict[str, str] = {}
@@ -350,7 +350,7 @@ def _carried(
         return _Told()
     # a subject's name before a label may differ between two files
     names, places = (
-        {canonical(without_subject(trial.labels[column])): column for column in own.segments.get(limb, ())}
+        {plain_name(trial.labels[column]): column for column in own.segments.get(limb, ())}
         for trial, own in ((recording, worn), (still.recording, still.worn))
     )
     common = [name for name in names if name in places]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.recording import Floats, Recording
+from asterism.recording import Floats, Recording, without_subject
 
 SIDES = {"L": "left", "R": "right"}
 MARKER_RADIUS = 0.007
@@ -155,6 +155,26 @@ class SubjectMeasures:
             changed = changed._with_value(name, value)
         return changed
 
+    def value_of(self, name: str) -> float | None:
+        """A measure by the names and in the units of `with_values`; None where a usual one stands for it.
+
+        >>> SubjectMeasures().with_values({"LKneeWidth": 100}).value_of("LKNEEWIDTH"), SubjectMeasures().value_of("LKneeWidth")
+        (100.0, None)
+        """
+        key = name.upper()
+        if key in _WHOLE:
+            attribute, unit = _WHOLE[key][:2]
+            value = getattr(self, attribute)
+            return None if value is None or value == getattr(SubjectMeasures(), attribute) else float(value / unit)
+        parts: tuple[LegMeasures | ArmMeasures, ...] = (self.of(key[:1]), self.arm(key[:1])) if key[:1] in SIDES else ()
+        for part in parts:
+            for measure in part.from_file:
+                if measure in _TURNS and _TURNS[measure] == key[1:]:
+                    return float(np.degrees(getattr(part, measure)))
+                if (_LENGTHS | _ARM_LENGTHS).get(measure, ("",))[0] == key[1:]:
+                    return float(1000.0 * getattr(part, measure))
+        return None
+
     def _with_value(self, name: str, value: float) -> SubjectMeasures:
         key = name.upper()
         if key in _WHOLE:
@@ -199,8 +219,7 @@ def subject_measures(recording: Recording) -> SubjectMeasures:
     left, right = (_leg(recording, side, read) for side in SIDES)
     inter = _length(read("INTERASISDISTANCE"), recording, 0.05, 0.5)
     mass = read("BODYMASS")
-    diameter = _length(read("MARKERDIAMETER"), recording, 0.002, 0.05)
-    radius = MARKER_RADIUS if diameter is None else diameter / 2
+    radius = named_radius(recording) or MARKER_RADIUS
     left_arm, right_arm = (_arm(recording, side, read) for side in SIDES)
     head = read("HEADOFFSET")
     return SubjectMeasures(
@@ -213,6 +232,12 @@ def subject_measures(recording: Recording) -> SubjectMeasures:
         right_arm,
         float(head) if head is not None and abs(head) < _RIGHT_ANGLE else 0.0,
     )
+
+
+def named_radius(recording: Recording) -> float | None:
+    """m: the markers' radius that the recording's file names; None where it names none."""
+    diameter = _length(_reader_of(recording)("MARKERDIAMETER"), recording, 0.002, 0.05)
+    return None if diameter is None else diameter / 2
 
 
 def leg_measures(recording: Recording, side: str) -> LegMeasures:
@@ -261,7 +286,7 @@ def computed_by_the_file(recording: Recording, name: str) -> Floats | None:
 
 def all_computed_by_the_file(recording: Recording, names: Sequence[str]) -> dict[str, Floats]:
     """Those of several quantities that the file has, as `computed_by_the_file` gives one; its points are read once."""
-    labels = [str(label).rpartition(":")[2] for label in getattr(recording.source, "labels", ())]
+    labels = [without_subject(str(label)) for label in getattr(recording.source, "labels", ())]
     columns = {name: labels.index(name) for name in names if name in labels}
     if not columns:
         return {}

@@ -7,6 +7,7 @@ leave open was settled by the segments that recordings of three laboratories hol
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -51,7 +52,7 @@ def upper_body_angles(recording: Recording, measures: SubjectMeasures, room: Flo
             found[f"{side}HeadAngles"] = turns(np.broadcast_to(room, head.shape), head) * seen
             if thorax is not None:
                 found[f"{side}NeckAngles"] = turns(head, thorax) * seen
-        if thorax is not None and all(side + name in recording.labels for name in ("SHO", "ELB", "WRA", "WRB")):
+        if thorax is not None:
             found |= _arm(recording, side, measures, thorax)
     return {name: (angles + np.pi) % (2 * np.pi) - np.pi for name, angles in found.items()}
 
@@ -64,7 +65,27 @@ def arm_measures_needed(outputs: Iterable[str], side: str) -> list[str]:
     return [*(("shoulder_offset", "elbow_width", "wrist_width") if arm else ()), *(("hand_thickness",) if hand else ())]
 
 
-def _arm(recording: Recording, side: str, measures: SubjectMeasures, thorax: Floats) -> dict[str, Floats]:
+@dataclass(frozen=True)
+class Arm:
+    """One arm. Axes (T, 3, 3) are columns in a world with z up: x ahead, y to the left, z up the limb, when it hangs.
+
+    shoulder, elbow, wrist  (T, 3) m, joint centres
+    humerus, forearm        with the elbow's axis as y
+    hand                    with the line between the sides of the wrist as y, of a left hand towards the thumb; None without its marker
+    """
+
+    shoulder: Floats
+    elbow: Floats
+    wrist: Floats
+    humerus: Floats
+    forearm: Floats
+    hand: Floats | None
+
+
+def arm_of(recording: Recording, side: str, measures: SubjectMeasures, thorax: Floats) -> Arm | None:
+    """The arm of side "L" or "R", with these axes of the thorax; None where a marker that it needs is not worn. O(T)."""
+    if any(side + name not in recording.labels for name in ("SHO", "ELB", "WRA", "WRB")):
+        return None
     marker, own, radius, left = marker_of(recording), measures.arm(side), measures.marker_radius, 1.0 if side == "L" else -1.0
     acromion, elbow_marker, thumb_side, little_side = (marker(side + name) for name in ("SHO", "ELB", "WRA", "WRB"))
     ahead = thorax[:, :, 0]
@@ -84,13 +105,22 @@ def _arm(recording: Recording, side: str, measures: SubjectMeasures, thorax: Flo
     humerus = np.stack([cross(y, z), y, z], axis=2)
     # the elbow is a hinge: both have its axis
     forearm = along(elbow - wrist, y)
-    seen = [-1.0, left, -left]
-    found = {
-        f"{side}ShoulderAngles": turns(thorax, humerus, first="x")[:, [1, 0, 2]] * seen,
-        f"{side}ElbowAngles": turns(humerus, forearm) * [-1.0, 0.0, 0.0],
-    }
+    hand = None
     if f"{side}FIN" in recording.labels:
         knuckle = joint_centre(wrist, marker(f"{side}FIN"), between, own.hand_thickness / 2 + radius)
         hand = along(wrist - knuckle, left * (thumb_side - little_side))
-        found[f"{side}WristAngles"] = turns(forearm, hand) * seen
+    return Arm(shoulder, elbow, wrist, humerus, forearm, hand)
+
+
+def _arm(recording: Recording, side: str, measures: SubjectMeasures, thorax: Floats) -> dict[str, Floats]:
+    arm, left = arm_of(recording, side, measures, thorax), 1.0 if side == "L" else -1.0
+    if arm is None:
+        return {}
+    seen = [-1.0, left, -left]
+    found = {
+        f"{side}ShoulderAngles": turns(thorax, arm.humerus, first="x")[:, [1, 0, 2]] * seen,
+        f"{side}ElbowAngles": turns(arm.humerus, arm.forearm) * [-1.0, 0.0, 0.0],
+    }
+    if arm.hand is not None:
+        found[f"{side}WristAngles"] = turns(arm.forearm, arm.hand) * seen
     return found

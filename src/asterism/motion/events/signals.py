@@ -13,7 +13,7 @@ from asterism.geometry import rotate_z_up
 from asterism.motion.events.rules import MovementRules, SignalRule
 from asterism.motion.filters import zero_lag_butterworth
 from asterism.motion.rigid.rotations import unit_vectors
-from asterism.recording import Floats, Recording, canonical, without_subject
+from asterism.recording import Floats, Recording, canonical, plain_name
 
 Key = tuple[str, str]
 """A name of the rules, and the side that it is of: "L", "R" or ""."""
@@ -51,7 +51,7 @@ def places_of(recording: Recording, rules: MovementRules, given: Mapping[str, st
 
     Raises AsterismError where `given` names what is not there.
     """
-    labels = {canonical(without_subject(label)): column for column, label in reversed(list(enumerate(recording.labels)))}
+    labels = {plain_name(label): column for column, label in reversed(list(enumerate(recording.labels)))}
     for name, label in given.items():
         if name not in rules.markers:
             raise AsterismError(f"--marker {name}={label}: {name} is no marker of these rules; theirs are {', '.join(rules.markers)}.")

@@ -8,7 +8,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.motion.rigid.rotations import unit_vectors
-from asterism.recording import Floats, Recording, canonical
+from asterism.recording import Floats, Recording, canonical, plain_name
 
 PELVIS_WIDTH = 0.24
 """Between the markers on the front of the pelvis, in metres, of the body that `RADII` are for."""
@@ -108,7 +108,7 @@ class _Markers:
 
     def __init__(self, recording: Recording) -> None:
         self._positions = recording.positions
-        self._place = {canonical(name.rsplit(":", 1)[-1]): i for i, name in enumerate(recording.labels)}
+        self._place = {plain_name(name): i for i, name in enumerate(recording.labels)}
 
     def mean(self, *names: str) -> Floats | None:
         """(T, 3) m, NaN in frames in which one of those that the recording has is missing; None where it has none of them."""
