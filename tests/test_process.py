@@ -650,6 +650,7 @@ def test_a_scheduler_that_starts_anew_is_asked_again(tmp_path: Path) -> None:
             if len(found) == 10:
                 for process in running:
                     process.kill()
+                    process.wait()
                 running = anew()
     finally:
         for process in running:
