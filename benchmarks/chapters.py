@@ -24,8 +24,9 @@ _SCRIPTS = {
     "files": "vertical.vertical logs.logs",
     "hostile": "long_recordings.long_recordings damaged_files.damaged_files",
     "motion": "paper.toy gait.knee clinical.plug_in_gait angles.sparse angles.dense coverage.coverage "
-    "skeleton.opensim_ik skeleton.kinematics_speed skeleton.skeleton",
+    "skeleton.opensim_ik skeleton.kinematics_speed skeleton.skeleton retarget.retarget",
     "gait": "events.events events.peers gaps.gaps kinetics.kinetics parameters.parameters bands.bands speed.speed page.page",
+    "live": "rows.packets rows.killed rows.damaged rows.soak",
     "house": "startup.startup install.install install.ci process.process process.cluster",
 }
 CHAPTERS = {

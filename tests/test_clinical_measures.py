@@ -93,8 +93,14 @@ def test_a_measure_of_the_whole_person_in_another_unit_is_told(name: str, value:
 
 
 def stood(recording: Recording) -> Recording:
-    """The person as in the first frame, all the time."""
-    return replace(recording, positions=np.repeat(recording.positions[:1], len(recording), axis=0), events=())
+    """The person as in the first frame, all the time, with both feet flat: heels as high above the toes as they come down in the walk."""
+    positions = np.repeat(recording.positions[:1], len(recording), axis=0)
+    for heel, toe in ((recording.labels.index(f"{side}HEE"), recording.labels.index(f"{side}TOE")) for side in "LR"):
+        back = positions[0, heel] - positions[0, toe]
+        up, long = np.subtract(*np.quantile(recording.positions[:, [heel, toe], 2], 0.08, axis=0)), np.linalg.norm(back)
+        level = back[:2] / np.linalg.norm(back[:2]) * np.sqrt(long**2 - up**2)
+        positions[:, heel] = positions[:, toe] + np.append(level, up)
+    return replace(recording, positions=positions, events=())
 
 
 def test_a_walk_given_as_the_standing_trial_is_told() -> None:
@@ -148,6 +154,26 @@ def test_a_standing_trial_is_read_as_its_own_program_read_it_and_one_that_it_did
     (one,) = found
     assert one.code == "clinical-static-differs" and "right foot flexion differs by 11 degrees" in one.sentence
     assert measures.right.foot_flexion == pytest.approx(flexion["R"], abs=1e-12), "what the trial shows is taken"
+
+
+def test_a_heel_that_is_lifted_in_the_standing_trial_is_told_and_one_that_never_comes_down_in_the_walk_is_not() -> None:
+    [walk] = simulate_walks(1, frames=120, markers="helen-hayes", seed=0)
+    static, heel = stood(walk), walk.labels.index("LHEE")
+    long = float(np.median(np.linalg.norm(walk.positions[:, heel] - walk.positions[:, walk.labels.index("LTOE")], axis=1)))
+
+    def codes(walk: Recording, up: float) -> list[str]:
+        moved = static.positions.copy()
+        moved[:, heel, 2] += up * long
+        return [
+            one.sentence for one in gathered_measures(walk, replace(static, positions=moved))[1] if one.code == "clinical-static-lifted"
+        ]
+
+    assert not codes(walk, 0.0) and not codes(walk, 0.05)
+    (said,) = codes(walk, 0.25)
+    assert "left heel stands 1" in said
+    on_toes = walk.positions.copy()
+    on_toes[:, heel, 2] += 0.25 * long
+    assert not codes(replace(walk, positions=on_toes), 0.0)
 
 
 def test_measures_and_standing_trials_of_another_person_are_told() -> None:

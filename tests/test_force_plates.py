@@ -11,6 +11,7 @@ import pytest
 import asterism
 from asterism.formats import force_plates
 from asterism.recording import ForcePlate
+from asterism.recording.plate_feet import BOTH, NOBODY, foot_on
 
 CORNERS = np.array([[1.6, 2.0, 0.0], [1.2, 2.0, 0.0], [1.2, 2.4, 0.0], [1.6, 2.4, 0.0]])
 """m, in the room: the plate's x is the room's, its y the room's backwards, and its z points into the floor."""
@@ -165,3 +166,53 @@ def test_feet_stand_on_real_plates(data: Path) -> None:
         assert np.median(np.min(apart, axis=0)) < 0.025 and plate.load.max() < 1.6 * weight
         seen += 1
     assert seen == 3
+
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def loaded_at(places: np.ndarray, high: float = 0.0) -> ForcePlate:
+    """A plate that bears 600 N at these places (S, 2), a hundred samples per second."""
+    force = np.tile([0.0, 0.0, 600.0], (len(places), 1))
+    corners = CORNERS + np.array([0.0, 0.0, high])
+    arm = np.column_stack([places, np.full(len(places), high)]) - corners.mean(axis=0)
+    return ForcePlate(1, corners, force, np.cross(arm, force), 100.0, UP)
+
+
+def foot(x: float, *, markers: tuple[float, ...] = (0.0, 0.18), high: float = 0.0) -> np.ndarray:
+    """(100, M, 3) markers of a foot that points along y from 2.1 m, and of its knee."""
+    points = [[x, 2.1 + along, high + 0.04] for along in markers]
+    return np.tile([*points, [x, 2.1, high + 0.5]], (100, 1, 1))
+
+
+ROLLING = np.column_stack([np.full(100, 1.35), np.linspace(2.1, 2.32, 100)])
+"""From a heel to the toes, 1.35 m to the right."""
+
+
+@pytest.mark.parametrize("markers", [(0.0, 0.18), (0.0,), (0.0, 0.1, 0.18)])
+@pytest.mark.parametrize("belt", [0.0, 0.4])
+def test_the_foot_that_bears_a_plate_is_told_by_any_markers(markers: tuple[float, ...], belt: float) -> None:
+    """By heel and toe, a heel alone, or more; with a belt that lies higher than its plate, and the other foot passing."""
+    other = foot(1.12, markers=markers, high=belt)
+    other[:, :, 1] += np.linspace(-0.6, 0.6, 100)[:, None]
+    feet = {"L": foot(1.36, markers=markers, high=belt), "R": other}
+    plate = loaded_at(ROLLING)
+    assert foot_on(plate, slice(0, 100), feet, 100.0) == "L"
+    assert foot_on(plate, slice(0, 100), {"L": feet["R"], "R": feet["L"]}, 100.0) == "R"
+
+
+def test_two_feet_and_no_foot_on_a_plate_are_not_one() -> None:
+    feet = {"L": foot(1.25), "R": foot(1.55)}
+    between = np.column_stack([np.full(100, 1.4), np.full(100, 2.2)])
+    assert foot_on(loaded_at(between), slice(0, 100), feet, 100.0) == BOTH
+    # one after the other
+    after = np.column_stack([np.repeat([1.25, 1.55], 50), np.full(100, 2.2)])
+    assert foot_on(loaded_at(after), slice(0, 100), feet, 100.0) == BOTH
+    away = {side: points + np.array([0.0, 3.0, 0.0]) for side, points in feet.items()}
+    for none in (
+        away,
+        {side: np.full_like(points, np.nan) for side, points in feet.items()},
+        {side: points[:, :0] for side, points in feet.items()},
+    ):
+        assert foot_on(loaded_at(between), slice(0, 100), none, 100.0) == NOBODY
+    assert foot_on(loaded_at(between), slice(0, 100), {side: points[:0] for side, points in feet.items()}, 100.0) == NOBODY

@@ -12,7 +12,6 @@ import pytest
 
 from asterism import formats
 from asterism.cli import main
-from asterism.formats.opensim_forces import contacts_on
 from asterism.recording import ForcePlate
 
 RATE, EACH, FRAMES = 100.0, 10, 60
@@ -97,6 +96,24 @@ def test_a_load_under_an_unknown_foot_is_in_the_table_and_on_no_body(tmp_path: P
     assert "the load on force plate 1 from" in capsys.readouterr().err
 
 
+def test_a_load_on_both_feet_acts_on_neither(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = two_steps(tmp_path)
+    recording = formats.read(source, vertical="z")
+    forces, places = (np.concatenate([part, part]) for part in step(FRAMES * EACH // 2))
+    points = recording.positions.copy()
+    # in the second contact both feet stand side by side
+    points[FRAMES // 2 :, 0] = points[FRAMES // 2 :, 1] - [0.0, 0.06, 0.0]
+    written(source, forces, places, points, recording.labels)
+    assert main(["convert", str(source), str(tmp_path / "out.trc"), "--for", "opensim", "--vertical", "z"]) == 0
+    assert "on both feet at once" in capsys.readouterr().err
+    table = formats.read_table(tmp_path / "out_grf.mot")
+    half = len(table.times) // 2
+    up = {who: table.values[:, table.names.index(f"1_{who}_ground_force_vy")] for who in ("left", "other")}
+    assert up["left"][:half].max() > 690 and not up["left"][half:].any() and up["other"][half:].max() > 690
+    loads = ElementTree.parse(tmp_path / "out_grf.xml").getroot().findall(".//ExternalForce")
+    assert [load.findtext("force_identifier") for load in loads] == ["1_left_ground_force_v"]
+
+
 @pytest.mark.parametrize(
     ("given", "why"),
     [
@@ -132,7 +149,7 @@ def test_contacts_are_steps_not_drift_nor_shaking() -> None:
     def contacts(heights: np.ndarray) -> list[tuple[int, int]]:
         forces = np.column_stack([np.zeros((len(heights), 2)), heights])
         plate = ForcePlate(1, CORNERS, forces, np.zeros_like(forces), 1000.0, np.array([0.0, 0.0, 1.0]))
-        return [(run.start, run.stop) for run in contacts_on(plate)]
+        return [(run.start, run.stop) for run in plate.contacts]
 
     heights = np.concatenate([np.zeros(100), np.full(200, 600.0), np.zeros(200), np.full(300, 30.0), np.zeros(100)])
     assert contacts(heights) == [(100, 300)], "thirty newtons are the plate's drift"
@@ -164,7 +181,7 @@ def test_a_step_bears_the_weight_of_the_body(name: str, data: Path) -> None:
     recording = formats.read(data / f"gait-events/plates/{name}.c3d")
     plates, findings = formats.force_plates(recording)
     # From one strike to the next the plates bear all of the body, which is as fast up and down at both: the mean is its weight.
-    strikes = sorted(contact.start for plate in plates for contact in contacts_on(plate))
+    strikes = sorted(contact.start for plate in plates for contact in plate.contacts)
     loads = np.sum([plate.load[strikes[1] : strikes[2]] for plate in plates], axis=0)
     assert recording.source is not None and not findings
     [mass] = recording.source.parameters.values("PROCESSING", "BODYMASS")

@@ -30,6 +30,7 @@ GUIDE = {
         "live",
         "garment",
         "motion",
+        "characters",
         "thesis",
     ],
     "Look it up": ["reference", "findings", "formats", "marker-sets", "conventions", "glossary"],

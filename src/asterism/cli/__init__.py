@@ -71,6 +71,7 @@ _EXAMPLES = {
     "events": "asterism events squats.c3d --rules squat",
     "skeleton": "asterism skeleton walk*.c3d --static static.c3d --table joints.csv",
     "opensim": "asterism opensim walk*.c3d --static static.c3d --model gait2392_simbody.osim -o opensim",
+    "retarget": "asterism retarget walk.c3d --static static.c3d --character troll.glb -o troll_walks.glb",
     "live": "asterism live --replay walk.c3d --markers plug-in-gait -o labelled.c3d",
     "label-views": "asterism label-views 2d.csv --rig rig.toml --body gait15 -o labelled.c3d",
 }
@@ -80,7 +81,7 @@ _HEADINGS = {
     "Labels and marker sets under test": ("audit", "mend", "capturability"),
     "From your own cameras": ("detect", "calibrate", "reconstruct", "rig", "label-views", "body"),
     "While it happens": ("live",),
-    "Movement": ("gait", "skeleton", "events", "segment", "motion", "opensim"),
+    "Movement": ("gait", "skeleton", "events", "segment", "motion", "opensim", "retarget"),
     "Garments": ("garment",),
 }
 """The headings under which the help lists the commands."""

@@ -43,6 +43,13 @@ class KnownLabels(StrEnum):
     IGNORE = "ignore"
 
 
+class MissingBones(StrEnum):
+    """What becomes of bones in frames in which they are not known."""
+
+    HOLD = "hold"
+    INTERPOLATE = "interpolate"
+
+
 class Program(StrEnum):
     """The next program, whose files differ in axes and in what is in their way."""
 
@@ -134,6 +141,18 @@ Dask = Annotated[
     typer.Option(
         "--dask", metavar="ADDRESS", help="A Dask scheduler (tcp://host:8786), or local:N, in place of --workers.", show_default=False
     ),
+]
+LengthUnit = Annotated[
+    str | None,
+    typer.Option(
+        "--unit",
+        metavar="UNIT",
+        help="Unit of length of BVH files: m, cm, mm, in, ft, or metres per unit. By itself cm; of a file that is read, what fits a body.",
+        show_default=False,
+    ),
+]
+Missing = Annotated[
+    MissingBones, typer.Option("--missing", help="What becomes of bones in frames that do not show them: BVH and glTF have no gaps.")
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
 Json = Annotated[

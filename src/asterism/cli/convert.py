@@ -21,7 +21,18 @@ from asterism.cli._filling import (
     filter_choice,
     filter_values,
 )
-from asterism.cli._options import ForProgram, Json, Markers, Overwrite, Vertical, marker_names, vertical_axis
+from asterism.cli._options import (
+    ForProgram,
+    Json,
+    LengthUnit,
+    Markers,
+    Missing,
+    MissingBones,
+    Overwrite,
+    Vertical,
+    marker_names,
+    vertical_axis,
+)
 from asterism.errors import AsterismError
 from asterism.findings import Finding, exit_status
 
@@ -49,6 +60,15 @@ class ConvertOptions:
         ),
     ] = field(default_factory=lambda: ["auto"])
     filter: Filter = "none"
+    static: Annotated[
+        Path | None,
+        typer.Option(
+            "--static", metavar="FILE", help="A standing trial of the person, for the bones of a BVH or glTF file.", show_default=False
+        ),
+    ] = None
+    unit: LengthUnit = None
+    euler: Annotated[str, typer.Option("--euler", metavar="ORDER", help="The order of a BVH's angles, the outermost axis first.")] = "ZXY"
+    missing: Missing = MissingBones.HOLD
     overwrite: Overwrite = False
     json: Json = None
 
@@ -59,6 +79,7 @@ def convert(options: ConvertOptions) -> None:
 
     The suffix of OUT says which: C3D, TRC, CSV, TSV, MAT or NPZ; tables of numbers are MOT, STO or CSV.
     Rigs become .toml (Asterism's), *anipose.toml, camera_array.toml, .yml, .xml, .xcp, .qca.txt or .ori.
+    BVH, .glb and .gltf hold bones: the person's skeleton is fitted to the markers, best with --static, or read from another such file.
     What the other format cannot carry is named on standard error.
     --for turns the recording as the next program takes it: opensim TRC with y up, visual3d and blender C3D with z up.
     For opensim the force plates of a C3D file go beside it: OUT_grf.mot, and OUT_grf.xml with the foot on which each acts.
@@ -83,6 +104,8 @@ def convert(options: ConvertOptions) -> None:
     # rigs and recordings share suffixes, so that this is asked first
     if is_rig(source):
         findings, lost = _convert_rig(source, target, axis, next((one for one in changes if one is not None), None))
+    elif formats.is_skeleton_file(target):
+        findings, lost = _convert_skeleton(options, axis)
     # the whole file, with all that the formats have in common
     elif all(one is None for one in changes):
         findings, lost = formats.convert_and_tell(source, target, axis)
@@ -123,6 +146,20 @@ def convert(options: ConvertOptions) -> None:
         },
     )
     raise typer.Exit(exit_status(findings))
+
+
+def _convert_skeleton(options: ConvertOptions, axis: Any) -> tuple[list[Finding], list[str]]:
+    """Write the bones of a person, or those of another file; returns what was found, and what the other format cannot carry."""
+    from asterism import formats
+    from asterism.cli._skeletons import person_motion
+
+    if options.program is not None or options.fill != "none" or options.filter != "none":
+        raise AsterismError(f"{options.target} holds bones and no markers; leave out --for, --fill and --filter.")
+    person = person_motion(options.source, options.static, options.markers, axis, options.unit)
+    lost = formats.write_skeleton(
+        options.target, person.motion, unit=options.unit or "cm", order=options.euler, missing=options.missing.value
+    )
+    return list(person.findings), lost
 
 
 def _trials(options: ConvertOptions) -> list[Path]:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from asterism.cli import _clinical, _console
 from asterism.cli._command import takes
 from asterism.cli._options import Files, Hip, Json, LowerBodyChoice, Measure, Overwrite, Static, Vertical
+
+if TYPE_CHECKING:
+    from asterism.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -51,8 +54,9 @@ def opensim(options: OpenSimOptions) -> None:
     """
     from asterism import formats
     from asterism.cli._folders import check_folder, recordings_of
+    from asterism.cli._recordings import one_person, report_warnings
     from asterism.errors import AsterismError
-    from asterism.motion.clinical import clinical_angles
+    from asterism.motion.clinical import clinical_angles, exchanged_finding
     from asterism.motion.clinical.gathered import other_person
     from asterism.opensim import OpenSimTrial, generic_model, write_opensim
 
@@ -63,18 +67,22 @@ def opensim(options: OpenSimOptions) -> None:
     if options.model is not None:
         generic_model(options.model)
     batch = _console.Batch("written")
-    static = None if options.static is None else formats.read(options.static, vertical=options.vertical)
+
+    def read(path: Path) -> Recording:
+        recording = formats.read(path, vertical=options.vertical)
+        report_warnings(recording, batch)
+        return one_person(recording, batch)
+
+    static = None if options.static is None else read(options.static)
     standing = None if options.static is None else _console.real_path(options.static)
     trials = list[OpenSimTrial]()
     for path in recordings_of(options.files, batch):
         if _console.real_path(path) == standing:
             continue
         with batch.file(path):
-            recording = formats.read(path, vertical=options.vertical)
-            for finding in recording.warnings:
-                batch.found(finding)
+            recording = read(path)
             measures, doubtful = _clinical.measures_of(recording, static, options.measure, options.hip)
-            found = [*doubtful, *(other_person(recording, trials[0].recording) if trials else ())]
+            found = [*doubtful, *exchanged_finding(recording), *(other_person(recording, trials[0].recording) if trials else ())]
             clinical = None
             try:
                 angles = clinical_angles(recording, measures=measures, static=static, model=options.lower_body)
@@ -114,6 +122,7 @@ def opensim(options: OpenSimOptions) -> None:
                 },
                 "markers": {one.name: {"body": one.body, "location_m": one.location, "joint_centre": one.centre} for one in done.markers},
                 "weights": done.weights,
+                "known_s": done.known,
                 "failed": batch.failed,
                 "findings": [finding.to_dict() for finding in batch.findings],
             },

@@ -21,7 +21,7 @@ from asterism.formats._dispatch import (
 )
 
 if TYPE_CHECKING:
-    from asterism.formats._bones import SkeletonFile
+    from asterism.formats._bones import SkeletonFile, fill_missing_bones
     from asterism.formats._columns import wanted_columns
     from asterism.formats._computed import computed_labels, without_computed
     from asterism.formats._programs import PROGRAMS, for_program, write_for_program
@@ -50,6 +50,7 @@ __all__ = [
     "convert",
     "convert_and_tell",
     "describe",
+    "fill_missing_bones",
     "for_program",
     "force_plates",
     "is_recording_file",
@@ -86,7 +87,7 @@ _MODULE_OF = {
     **dict.fromkeys(("PROGRAMS", "for_program", "write_for_program"), "_programs"),
     "companions": "opensim_forces",
     **dict.fromkeys(("read_blobs", "write_blobs"), "csv_blobs"),
-    "SkeletonFile": "_bones",
+    **dict.fromkeys(("SkeletonFile", "fill_missing_bones"), "_bones"),
     **dict.fromkeys(("is_skeleton_file", "read_skeleton", "write_skeleton"), "skeletons"),
     **dict.fromkeys(("TimeSeriesTable", "read_table", "write_table"), "storage"),
 }

@@ -75,7 +75,7 @@ def unlike(names: list[str]) -> tuple[str, ...]:
     return tuple(out) if len(set(out)) == len(out) else tuple(f"{name} #{n}" for n, name in enumerate(out))
 
 
-def fill_unknown(motion: SkeletonMotion, how: str) -> tuple[SkeletonMotion, list[str]]:
+def fill_missing_bones(motion: SkeletonMotion, how: str) -> tuple[SkeletonMotion, list[str]]:
     """The motion without missing bones, and what became of them, a phrase each: BVH and glTF have no sign for a missing value.
 
     how  "hold": a bone stays turned as it last was, at the beginning as it first is; "interpolate": it turns evenly across a gap
@@ -137,47 +137,14 @@ def _slerped(rotations: Floats, known: NDArray[np.bool_]) -> Floats:
     return found
 
 
-def turned(motion: SkeletonMotion, rotation: Floats) -> SkeletonMotion:
-    """The same motion in other axes: a point p of the room is at `rotation` (3, 3) @ p."""
-    if np.array_equal(rotation, np.eye(3)):
-        return motion
-    return replace(
-        motion,
-        offsets=motion.offsets @ rotation.T,
-        ends=motion.ends @ rotation.T,
-        rotations=rotation @ motion.rotations @ rotation.T,
-        root=motion.root @ rotation.T,
-        vertical=rotation @ motion.vertical,
-        forward=rotation @ motion.forward,
-    )
-
-
-def frame_of(up: Floats, forward: Floats) -> Floats:
-    """(3, 3) columns: forward over the floor, left, up. Where forward is not level or not known, any level direction."""
-    level = forward - (forward @ up) * up
-    if not np.isfinite(level).all() or np.linalg.norm(level) < 1e-6:
-        other = np.eye(3)[int(np.abs(up).argmin())]
-        level = other - (other @ up) * up
-    ahead = level / np.linalg.norm(level)
-    return np.stack([ahead, np.cross(up, ahead), up], axis=1)
-
-
 def turned_into(motion: SkeletonMotion, up: Floats, forward: Floats) -> tuple[SkeletonMotion, str]:
     """The motion in axes in which up and forward are these, and what became of the axes, "" where nothing."""
-    rotation = frame_of(up, forward) @ frame_of(motion.vertical, motion.forward).T
-    # exchanged axes keep every digit
-    exact = np.round(rotation)
-    if np.abs(rotation - exact).max() < 1e-9:
-        rotation = exact + 0.0
-    if np.array_equal(rotation, np.eye(3)):
+    turned = motion.in_axes(up, forward)
+    if turned is motion:
         return motion, ""
-    news = [axis_name(rotation @ axis) for axis in np.eye(3)]
-    return turned(motion, rotation), f"the axes of the room: its x, y, z became {', '.join(news)}, so that {axis_name(up)} is up"
-
-
-def in_axes_of(motion: SkeletonMotion, other: SkeletonMotion) -> SkeletonMotion:
-    """The motion in the axes of another skeleton."""
-    return turned_into(motion, other.vertical, other.forward)[0]
+    # where the axes went, by a skeleton of which nothing else is known
+    news = [axis_name(replace(motion, root=np.tile(axis, (len(motion), 1))).in_axes(up, forward).root[0]) for axis in np.eye(3)]
+    return turned, f"the axes of the room: its x, y, z became {', '.join(news)}, so that {axis_name(up)} is up"
 
 
 def vertical_of(motion: SkeletonMotion, vertical: Floats | None, usual: str = "y") -> tuple[SkeletonMotion, list[Finding]]:
@@ -211,7 +178,7 @@ def _head_over_feet(motion: SkeletonMotion) -> tuple[Floats, Floats] | None:
     if head is None or not feet:
         return None
     some = motion.joints[:: max(1, len(motion) // 200)]
-    rest = rest_joints(motion)
+    rest = motion.rest_joints
     found = []
     for joints in (rest[None], some[np.isfinite(some).all(axis=(1, 2))]):
         up = (joints[:, head] - joints[:, feet].mean(axis=1)).mean(axis=0) if len(joints) else np.zeros(3)
@@ -220,18 +187,9 @@ def _head_over_feet(motion: SkeletonMotion) -> tuple[Floats, Floats] | None:
     return found[0], found[1]
 
 
-def rest_joints(motion: SkeletonMotion) -> Floats:
-    """(B, 3) m, the joints in the rest pose, the root at the origin."""
-    joints = np.zeros((len(motion.names), 3))
-    for b, parent in enumerate(motion.parents):
-        if parent >= 0:
-            joints[b] = joints[parent] + motion.offsets[b]
-    return joints
-
-
 def forward_of(motion: SkeletonMotion) -> SkeletonMotion:
     """The motion with the direction in which its rest pose faces: left of it are the bones whose names say so. Without such names, z."""
-    joints, by_name = rest_joints(motion), {split_name(name): b for b, name in enumerate(motion.names)}
+    joints, by_name = motion.rest_joints, {split_name(name): b for b, name in enumerate(motion.names)}
     across = np.zeros(3)
     for (side, word, number), b in by_name.items():
         other = by_name.get(("right", word, number))

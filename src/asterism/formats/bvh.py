@@ -16,10 +16,9 @@ from asterism.findings import Finding
 from asterism.formats._bones import (
     SkeletonFile,
     as_euler,
-    fill_unknown,
+    fill_missing_bones,
     forward_of,
     from_euler,
-    in_axes_of,
     turned_into,
     unlike,
     vertical_of,
@@ -143,7 +142,7 @@ def write_bvh(
     order    of the Euler angles, the outermost axis first, of x, y and z each once
     missing  "hold": a bone that is missing stays as it last was; "interpolate": it turns evenly across the gap
     """
-    filled, lost = fill_unknown(motion, missing)
+    filled, lost = fill_missing_bones(motion, missing)
     if like is not None:
         document = parse(like)
         source = read_bvh(like, unit=None)
@@ -441,7 +440,7 @@ def _write(path: Path, head: list[str], values: Floats, frame_time: float) -> No
 
 def _write_like(path: Path, motion: SkeletonMotion, document: Document, source: SkeletonFile) -> list[str]:
     """Write the motion through the channels of another file's bones. Raises AsterismError where it has not the same bones."""
-    motion = in_axes_of(motion, source.motion)
+    motion = motion.in_axes(source.motion.vertical, source.motion.forward)
     if motion.names != source.motion.names:
         raise AsterismError("the motion has other bones than the file whose hierarchy is to be kept; map it to that skeleton first.")
     joints, first = document.joints, len(document.joints) - len(motion.names)

@@ -20,7 +20,7 @@ from asterism.errors import AsterismError
 from asterism.files.atomic import utf8, write_atomically
 from asterism.files.text import read_bytes
 from asterism.findings import Finding
-from asterism.formats._bones import SkeletonFile, fill_unknown, forward_of, in_axes_of, rest_joints, turned_into, unlike, vertical_of
+from asterism.formats._bones import SkeletonFile, fill_missing_bones, forward_of, turned_into, unlike, vertical_of
 from asterism.formats._findings import bones_lost, header_doubt
 from asterism.geometry import nearest_orthogonal
 from asterism.recording import Floats, SkeletonMotion
@@ -103,7 +103,7 @@ def write_gltf(path: Path, motion: SkeletonMotion, *, like: Path | None = None, 
 
     A .gltf holds its buffer itself, so that it is one file as a .glb is.
     """
-    filled, lost = fill_unknown(motion, missing)
+    filled, lost = fill_missing_bones(motion, missing)
     if like is None:
         filled, axes = turned_into(filled, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
         document, data = _new_document(filled)
@@ -532,7 +532,7 @@ class _Writer:
 
 def _new_document(motion: SkeletonMotion) -> tuple[dict[str, Any], bytearray]:
     """A document with the skeleton, bodies of its bones, a skin, and the motion."""
-    rest = rest_joints(motion)
+    rest = motion.rest_joints.copy()
     tips = rest + motion.ends
     # the rest pose stands on the floor
     lift = -float(np.nanmin(np.concatenate([rest, tips])[:, 1]))
@@ -634,7 +634,7 @@ def _animation(motion: SkeletonMotion, nodes: list[int], rotations: Floats, root
 def _with_animation(scene: _Scene, like: Path, motion: SkeletonMotion) -> tuple[dict[str, Any], bytearray]:
     """The document of another file with the motion as its first animation, and its first buffer with the data of that."""
     source = read_gltf(like).motion
-    motion = in_axes_of(motion, source)
+    motion = motion.in_axes(source.vertical, source.forward)
     if motion.names != source.names:
         raise AsterismError(f"the motion has other bones than {like.name}; map it to that skeleton first.")
     bones, _ = _bones(scene)

@@ -12,27 +12,16 @@ from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asterism.files.atomic import utf8, write_atomically
 from asterism.formats.storage import TimeSeriesTable, write_table
 from asterism.recording import Floats, ForcePlate, Recording
+from asterism.recording.plate_feet import BOTH, NOBODY, foot_on
 from asterism.recording.sides import marker_sides
 
 _BODIES = {"left": "calcn_l", "right": "calcn_r"}
 """What OpenSim's models call the two feet."""
-_FOOT = 0.3
-"""m, how far a marker of the foot that stands may be from its centre of pressure: the length of a foot. At half, an ankle's marker is too
-far at push-off; at double, the other foot's markers are near."""
-_ONE_FOOT = 0.7
-"""Share of the load to which one foot is nearest, where it stands alone. The other foot passes it, but bears nothing. At 0.5 any two feet
-on one plate are one foot; at 0.9 many single steps are two feet."""
-_STEP = 50.0
-"""N, the load that a contact reaches, five kilograms: less is the drift of a plate. At half, old plates step; at double, no small child."""
-_SHORTEST = 0.05
-"""s, no foot stands or swings for less. At half, the shaking of a treadmill is a step; at double, quick steps of a child are none."""
-_SAMPLES = 200
-"""Samples of a contact that are looked at."""
+_UNKNOWN = {BOTH: "both feet at once", NOBODY: "no foot whose markers are known"}
 
 
 def companions(target: Path) -> tuple[Path, Path]:
@@ -48,24 +37,26 @@ def write_opensim_forces(target: Path, recording: Recording, plates: Sequence[Fo
     """
     table_path, loads_path = companions(target)
     sides = np.array(marker_sides(recording.labels))
+    markers = {side: recording.positions[:, sides == side] for side in _BODIES}
     times = recording.times[0] + np.arange(max(len(plate.force) for plate in plates)) / plates[0].rate
     columns, names, loads, unknown = list[Floats](), list[str](), list[str](), list[str]()
     for plate in plates:
         number = plate.number
-        contacts = contacts_on(plate)
-        feet = [_foot(plate, times, contact, recording, sides) for contact in contacts]
-        used = [side for side in _BODIES if side in feet]
+        contacts = plate.contacts
+        feet = [foot_on(plate, contact, markers, recording.rate) for contact in contacts]
         for contact, foot in zip(contacts, feet, strict=True):
             if foot not in _BODIES:
                 begin, end = times[contact][[0, -1]]
-                unknown.append(f"the load on force plate {number} from {begin:.2f} to {end:.2f} s, which is on {foot}")
-        # A plate on which one foot stands at a time has its number as name, one on which both do also the foot.
-        for side in used or [""]:
-            own = [contact for contact, foot in zip(contacts, feet, strict=True) if foot == side or (len(used) < 2 and foot not in _BODIES)]
-            name = f"{number}_{side + '_' if len(used) > 1 else ''}ground"
+                unknown.append(f"the load on force plate {number} from {begin:.2f} to {end:.2f} s, which is on {_UNKNOWN[foot]}")
+        groups = {side: [contact for contact, foot in zip(contacts, feet, strict=True) if foot == side] for side in _BODIES}
+        groups["other"] = [contact for contact, foot in zip(contacts, feet, strict=True) if foot not in _BODIES]
+        groups = {who: own for who, own in groups.items() if own} or {"other": []}
+        # a plate that one foot uses has its number as name, one that several do also whose the columns are
+        for who, own in groups.items():
+            name = f"{number}_{who + '_' if len(groups) > 1 else ''}ground"
             columns.append(_load(plate, own, turn))
             names += [f"{name}_{part}{axis}" for part in ("force_v", "force_p", "torque_") for axis in "xyz"]
-            loads += [_external_force(name, _BODIES[side], table_path.name)] if side else []
+            loads += [_external_force(name, _BODIES[who], table_path.name)] if who in _BODIES else []
     values = np.concatenate(columns, axis=1)
     times = np.round(times, 9)
     write_table(table_path, TimeSeriesTable(tuple(names), values, times, table_path.stem, in_degrees=True, format="MOT"))
@@ -84,36 +75,6 @@ def _load(plate: ForcePlate, contacts: Sequence[slice], turn: Floats) -> Floats:
         values[loaded] = np.concatenate([part[loaded] @ turn.T for part in parts], axis=1)
     # Digits below a millinewton and a micrometre are noise of the arithmetic.
     return np.round(values, 6) + 0.0
-
-
-def contacts_on(plate: ForcePlate) -> list[slice]:
-    """The runs of samples in which somebody stands on a plate, the next of which begins when the foot has left it."""
-    edges, shortest = np.diff(np.concatenate([[0], plate.loaded.astype(np.int8), [0]])), _SHORTEST * plate.rate
-    begins, ends = np.nonzero(edges > 0)[0], np.nonzero(edges < 0)[0]
-    # A foot that comes back at once has not left.
-    apart = begins[1:] - ends[:-1] >= shortest
-    begins, ends = begins[np.concatenate([[True], apart])[: len(begins)]], ends[np.concatenate([apart, [True]])[: len(ends)]]
-    runs = [slice(int(a), int(b)) for a, b in zip(begins, ends, strict=True) if b - a >= shortest]
-    return [run for run in runs if plate.load[run].max() >= _STEP]
-
-
-def _foot(plate: ForcePlate, times: Floats, contact: slice, recording: Recording, sides: NDArray[np.str_]) -> str:
-    """Which foot stands on a plate: "left", "right", else what is there in words; by the markers nearest to the centre of pressure."""
-    some = np.unique(np.linspace(contact.start, contact.stop - 1, _SAMPLES).round().astype(np.int64))
-    some = some[plate.loaded[some]]
-    frames = np.round((times[some] - recording.times[0]) * recording.rate).astype(np.int64) if len(recording) else some[:0]
-    inside = (frames >= 0) & (frames < len(recording))
-    some, frames = some[inside], frames[inside]
-    apart = np.linalg.norm(recording.positions[frames] - plate.pressure[some][:, None], axis=2)
-    apart[np.isnan(apart)] = np.inf
-    near = {side: apart[:, sides == side].min(axis=1, initial=np.inf) for side in _BODIES}
-    # By the load: the first and last samples of a contact say least, and their centre of pressure is the least exact.
-    load = plate.load[some]
-    known = np.minimum(near["left"], near["right"]) < _FOOT
-    if load[known].sum() <= 0.5 * load.sum():
-        return "no foot whose markers are known"
-    left = float(load[known & (near["left"] < near["right"])].sum() / load[known].sum())
-    return "left" if left >= _ONE_FOOT else "right" if left <= 1 - _ONE_FOOT else "both feet at once"
 
 
 def _external_force(name: str, body: str, table: str) -> str:

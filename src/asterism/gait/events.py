@@ -10,9 +10,10 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from asterism.gait.feet import RATE, Feet, feet_of
-from asterism.geometry import rotate_z_up
+from asterism.geometry import rotate_z_up, z_up_rotation
 from asterism.motion.clinical.kinetics import PlateContact
 from asterism.recording import Event, Floats, ForcePlate, Recording
+from asterism.recording.plate_feet import foot_on
 
 STRIKE, OFF = "Foot Strike", "Foot Off"
 """As C3D files call them."""
@@ -32,6 +33,9 @@ class EventRules:
     knock_within, knock_later  s behind that moment in which a heel's knock on the floor, the peak of its upward acceleration, is
                                sought, and from the peak to the strike
     knock                      m/s2 by which a peak stands above its surroundings to be a knock; less counts in proportion
+    noise                      standard deviations of the markers' noise (`Feet.noise`) that count beside `knock` and `slap`: what noise
+                               makes stand out is neither. Of clean recordings nothing changes. With 1 mm of noise strikes of people who
+                               shuffle are 14 ms off, 19 where this is 0; 15 at half and 14 at double
     slap_later, slap           s, from the fastest fall of the toe against the heel to the strike, and rad/s by which it stands out
     down                       m that a heel may still fall behind a slap: a foot turns about its heel only when the heel is on the floor,
                                and heels give way by a millimetre. A slap counts less the more is left. In turns, whose slaps before that
@@ -54,7 +58,6 @@ class EventRules:
     least_swing                of the leg: a foot that moves less against the pelvis stands. At half, a sway of a foot that stands is a
                                step; at double, shuffling steps of 8 cm are missed
     near                       s, within which an event of a plate and one of the markers are the same
-    foot_off_line              m: a centre of pressure farther from the line between heel and toe is not under that foot alone
     beside                     m, by which a marker of heel or toe may stand over the edge of a plate that the sole's end is still on. At
                                half, one of 173 events of plates at hand is told by markers instead; at double no other is
     """
@@ -64,6 +67,7 @@ class EventRules:
     knock_within: float = 0.09
     knock_later: float = -0.006
     knock: float = 2.0
+    noise: float = 6.0
     knock_weight: float = 2.0
     slap_later: float = -0.011
     slap: float = 1.5
@@ -82,7 +86,6 @@ class EventRules:
     least_step: float = 0.12
     least_swing: float = 0.05
     near: float = 0.12
-    foot_off_line: float = 0.09
     beside: float = 0.03
 
 
@@ -106,11 +109,15 @@ class GaitEvent:
 
 @dataclass(frozen=True)
 class Walking:
-    """The events of a recording in the order of time, its feet, and whether they are on a treadmill."""
+    """The events of a recording in the order of time, its feet, and whether they are on a treadmill.
+
+    backwards  whether the person goes where the heels point, so that no events are told
+    """
 
     events: tuple[GaitEvent, ...]
     feet: Feet
     treadmill: bool
+    backwards: bool = False
 
     def of(self, side: str, label: str) -> list[GaitEvent]:
         """Events of one foot and kind."""
@@ -147,7 +154,7 @@ def find_events(recording: Recording, plates: Sequence[ForcePlate] = (), rules: 
     feet = feet_of(recording)
     if feet.backwards:
         # a heel that goes first strikes last: none of the rules holds
-        return Walking((), feet, treadmill=False)
+        return Walking((), feet, treadmill=False, backwards=True)
     found = [event for side in feet.sides for event in _by_markers(feet, side, rules, belt=False)]
     if _on_treadmill(feet, found):
         found = [event for side in feet.sides for event in _by_markers(feet, side, rules, belt=True)]
@@ -161,7 +168,9 @@ def find_events(recording: Recording, plates: Sequence[ForcePlate] = (), rules: 
             found.append(event)
     kept = [event for side in feet.sides for event in _in_order([one for one in found if one.side == side])]
     inside = [event for event in kept if 0.0 <= event.time <= last]
-    return Walking(tuple(sorted(inside, key=lambda event: event.time)), feet, _on_treadmill(feet, inside))
+    walking = Walking(tuple(sorted(inside, key=lambda event: event.time)), feet, _on_treadmill(feet, inside))
+    # where the pelvis stays in its place, only the feet tell
+    return Walking((), feet, treadmill=True, backwards=True) if walking.treadmill and _stands_in_the_air(walking) else walking
 
 
 def _by_markers(feet: Feet, side: str, rules: EventRules, belt: bool) -> list[GaitEvent]:
@@ -227,12 +236,13 @@ def _told_on_floor(feet: Feet, side: str, ahead: Floats, peaks: Sequence[int], r
     floor = float(np.percentile(heel[:, 2], 5))
     # of the speed over the floor
     jerk = np.gradient(np.gradient(np.linalg.norm(np.gradient(heel[:, :2], axis=0), axis=1)))
+    least = [float(np.hypot(usual, rules.noise * noise)) for usual, noise in zip((rules.knock, rules.slap), feet.noise[side], strict=True)]
     found = []
     for peak in peaks:
         knock, knocks = _stands_out(upwards, peak, 0.0, rules.knock_within)
         slap, slaps = _stands_out(falls, peak, -0.01, 0.13)
         left = 0.0 if slap is None else _fall_left(heel[:, 2], slap)
-        clear = [min(knocks / rules.knock, 1.0), min(slaps / rules.slap, 1.0) * max(1.0 - left / rules.down, 0.0)]
+        clear = [min(knocks / least[0], 1.0), min(slaps / least[1], 1.0) * max(1.0 - left / rules.down, 0.0)]
         told = [
             (knock, rules.knock_later, rules.knock_weight * clear[0]),
             (slap, rules.slap_later, rules.slap_weight * clear[1]),
@@ -290,14 +300,18 @@ def _rise(toe: Floats, peak: int) -> float | None:
     return None if fastest in (0, len(rise) - 1) else (begin + fastest) / RATE
 
 
-def plate_contacts(recording: Recording, feet: Feet, plates: Sequence[ForcePlate], rules: EventRules | None = None) -> list[PlateContact]:
-    """Each time that a plate is loaded for 0.2 s or more, and by which foot. O(samples)."""
+def plate_contacts(recording: Recording, feet: Feet, plates: Sequence[ForcePlate]) -> list[PlateContact]:
+    """Each time that somebody stands on a plate, and by which foot; None where it is not one foot. O(samples)."""
+    # back to the axes of the recording and its plates
+    axes = z_up_rotation(recording.vertical)
+    markers = {side: np.stack([feet.heels[side], feet.toes[side]], axis=1) @ axes for side in feet.sides}
     found = []
     for plate in plates:
-        pressure = rotate_z_up(plate.pressure, recording.vertical)
-        for begin, end in _loaded(plate):
-            side = _foot_on(pressure, plate.rate, begin, end, feet, rules or EventRules())
-            found.append(PlateContact(plate.number, side, begin / plate.rate, end / plate.rate))
+        for contact in plate.contacts:
+            side = foot_on(plate, contact, markers, RATE)
+            found.append(
+                PlateContact(plate.number, side if side in markers else None, contact.start / plate.rate, contact.stop / plate.rate)
+            )
     return found
 
 
@@ -305,7 +319,7 @@ def _by_plates(recording: Recording, feet: Feet, plates: Sequence[ForcePlate], r
     found = []
     by_number = {plate.number: plate for plate in plates}
     duration = {plate.number: len(plate.force) / plate.rate for plate in plates}
-    for contact in plate_contacts(recording, feet, plates, rules):
+    for contact in plate_contacts(recording, feet, plates):
         if contact.side is None:
             continue
         source, corners = f"plate {contact.plate}", rotate_z_up(by_number[contact.plate].corners, recording.vertical)[:, :2]
@@ -324,34 +338,6 @@ def _within(corners: Floats, points: Floats, time: float, rules: EventRules) -> 
     return all(abs(arm @ edge) <= np.linalg.norm(edge) * (0.5 * np.linalg.norm(edge) + rules.beside) for edge in edges)
 
 
-def _loaded(plate: ForcePlate) -> list[tuple[int, int]]:
-    """First sample and the one behind the last of each time that somebody is on a plate for 0.2 s or more."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], plate.loaded, [False]]).astype(int)))
-    pieces: list[tuple[int, int]] = []
-    for begin, end in edges.reshape(-1, 2).tolist():
-        # a load that flickers about the threshold is one
-        if pieces and begin - pieces[-1][1] < 0.03 * plate.rate:
-            pieces[-1] = (pieces[-1][0], end)
-        else:
-            pieces.append((begin, end))
-    return [(begin, end) for begin, end in pieces if end - begin > 0.2 * plate.rate]
-
-
-def _foot_on(pressure: Floats, rate: float, begin: int, end: int, feet: Feet, rules: EventRules) -> str | None:
-    """The side of the foot that is alone on a plate between two samples; None where it is not one foot."""
-    samples = np.linspace(begin + 0.15 * (end - begin), begin + 0.85 * (end - begin), 9).astype(int)
-    moments = np.clip((samples / rate * RATE).astype(int), 0, len(feet.times) - 1)
-    apart = {}
-    for side in feet.sides:
-        heel, toe = feet.heels[side][moments, :2], feet.toes[side][moments, :2]
-        along = toe - heel
-        share = np.clip(((pressure[samples, :2] - heel) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-9), -0.1, 1.4)
-        apart[side] = float(np.nanmedian(np.linalg.norm(pressure[samples, :2] - heel - share[:, None] * along, axis=1)))
-    side = min(apart, key=apart.__getitem__)
-    others = [value for name, value in apart.items() if name != side]
-    return side if apart[side] < rules.foot_off_line and all(value > rules.foot_off_line for value in others) else None
-
-
 def _in_order(events: Sequence[GaitEvent]) -> list[GaitEvent]:
     """Strikes and offs of one foot by turns: of two of a kind in a row the less certain, or else the later, goes."""
     kept: list[GaitEvent] = []
@@ -362,6 +348,19 @@ def _in_order(events: Sequence[GaitEvent]) -> list[GaitEvent]:
             continue
         kept.append(event)
     return kept
+
+
+def _stands_in_the_air(walking: Walking) -> bool:
+    """Whether feet are higher between strike and off than between off and strike: somebody who walks backwards swings them there."""
+    feet, higher = walking.feet, []
+    for side in feet.sides:
+        heights = 0.5 * (feet.heels[side] + feet.toes[side])[:, 2]
+        own = [event for event in walking.events if event.side == side]
+        means = [float(heights[int(RATE * one.time) : int(RATE * other.time) + 1].mean()) for one, other in pairwise(own)]
+        higher += [
+            (mean - following) * (1.0 if one.label == STRIKE else -1.0) for one, mean, following in zip(own, means, means[1:], strict=False)
+        ]
+    return bool(higher) and float(np.median(higher)) > 0.0
 
 
 def _on_treadmill(feet: Feet, events: Sequence[GaitEvent]) -> bool:

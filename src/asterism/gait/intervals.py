@@ -35,8 +35,15 @@ _STEP = 0.001
 """m, by which a marker is moved to see what it does."""
 _CALIBRATED = {"THI": "thigh_rotation", "TIB": "shank_rotation", "TOE": "foot_flexion"}
 """The measure that a standing trial takes of a marker: with it, the marker counts as well placed."""
+_LEG_ANGLES = ("HipAngles", "KneeAngles", "AnkleAngles", "FootProgressAngles")
 _OF_LEGS = ("THI", "KNE", "TIB", "ANK", "TOE")
 _OF_ARMS = ("SHO", "ELB", "WRA", "WRB", "FIN")
+
+
+_NEEDED = frozenset(
+    {"SACR", "LASI", "RASI", "LPSI", "RPSI", *HEAD, *THORAX, *(side + name for side in SIDES for name in (*_OF_LEGS, *_OF_ARMS))}
+)
+"""Markers on which the angles hang."""
 
 
 class AnalysedWalk(Protocol):
@@ -171,6 +178,10 @@ def _of_wands(
     for pair in () if estimator is None else estimator.apart():
         one, other = (angles_of(legs, lower_body(legs, end, sides), room) for end in pair)
         found.add_measure(one, other, middle)
+    if estimator is not None and estimator.sources:
+        # Of a leg that is hardly seen nothing is estimated, and what is open of it is not known.
+        unseen = [side + name for side in sides if side not in estimator.shown for name in _LEG_ANGLES]
+        found.measures.update({name: np.full_like(middle[name], np.nan) for name in unseen if name in middle})
     if placed:
         groups = [[name] for name in ("LASI", "RASI", *sacrum_markers(recording))]
         for name in _OF_LEGS:
@@ -240,6 +251,8 @@ def _placed_anew(recording: Recording, groups: Sequence[Sequence[str]]) -> Recor
     As a marker may be off by as much in each direction, it does not matter along which axes. Every second copy runs backwards, so that
     angles that turn by more than a right angle go on from copy to copy.
     """
+    # Many recordings have as many markers again that no angle hangs on.
+    recording = recording.select([name for name in recording.labels if name in _NEEDED])
     columns = [[recording.labels.index(name) for name in group if name in recording.labels] for group in groups]
     columns = [group for group in columns if group]
     positions = np.repeat(recording.positions[None], 3 * len(columns), axis=0)
@@ -267,7 +280,7 @@ def _band(analysis: AnalysedWalk, name: str, curves: Floats, sources: Sequence[s
         spread["events"] = moved_by_events(curves, own_cycles)
     seen = np.isfinite(curves)
     mean = np.where(seen.any(axis=0), np.nansum(curves, axis=0) / np.maximum(seen.sum(axis=0), 1), np.nan)
-    centre = mean + sum(_over(part.apart[name], times, shown) for part in parts)
+    centre = mean + sum(_over(part.apart[name], times, shown) for part in parts if part.apart[name].any())
     wide = _half(spread)
     return AngleBand(centre - wide, centre + wide, spread)
 

@@ -13,6 +13,9 @@ _BUCKET = 0.5
 _JUMP = 1.0
 """s by which a clock that is set anew differs from what is expected. Networks seldom hold a frame back for so long. Half of it is a pause
 that a busy machine makes; with twice as much a clock that was set by a second counts as a delay for ten seconds."""
+_IN_A_ROW = 5
+"""Late frames, each the next of the one before, after which a source began anew. Half of them a network can hold back together; with twice
+as many ten frames are lost where a sender was started again."""
 
 
 @dataclass
@@ -79,15 +82,20 @@ class FrameCount:
     late: int = 0
     restarts: int = 0
     _last: int | None = None
+    _behind: int = 0
+    _before: int = 0
 
     def takes(self, number: int, window: int = 1000) -> bool:
         """Whether a frame of this number is a new one; window: frames by which a late one may be behind.
 
-        A number that is farther behind, or farther ahead than ten windows, is that of a source that began anew: nothing was lost.
+        A number that is farther behind, or farther ahead than ten windows, is that of a source that began anew: nothing was lost. So are
+        late ones that follow each other, since a network delays one frame or two, and not a row of them.
         """
         if self._last is not None:
             ahead = number - self._last
-            if -window < ahead <= 0:
+            self._behind = 0 if ahead > 0 else self._behind + 1 if number == self._before + 1 else 1
+            self._before = number
+            if -window < ahead <= 0 and self._behind < _IN_A_ROW:
                 self.late += 1
                 return False
             if 0 < ahead <= 10 * window:

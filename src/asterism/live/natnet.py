@@ -143,7 +143,9 @@ def _frame(packet: _Packet, version: tuple[int, int], arrived: float) -> LiveFra
                 packet.records(packet.count(4), 4)
     packet.take("<II")
     at = float(packet.take("<d" if version >= (2, 7) else "<f")[0])
-    points = _together(seen.astype(np.float64), others.astype(np.float64))
+    # Numbers of a damaged packet may be none, and to convert them is then told as a warning.
+    with np.errstate(invalid="ignore"):
+        points = _together(seen.astype(np.float64), others.astype(np.float64))
     return LiveFrame(number, at, arrived, points) if np.isfinite(at) and len(points) <= MOST_POINTS else None
 
 

@@ -6,10 +6,11 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path, PurePath
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.files.atomic import utf8, write_atomically
@@ -18,11 +19,12 @@ from asterism.findings import Finding, Severity
 from asterism.formats import force_plates, write
 from asterism.formats.opensim_forces import companions, write_opensim_forces
 from asterism.formats.opensim_model import OsimModel
+from asterism.gait import analyse_gait
 from asterism.geometry import z_up_rotation
 from asterism.motion.clinical import ClinicalModel
 from asterism.motion.clinical.static import with_knee_markers
 from asterism.opensim.documents import MotionTask, ScaleTask, dynamics_setup, kinematics_setup, marker_set, scale_setup
-from asterism.opensim.person import CENTRES, PersonInTrial, bodies_of, has_leg, person_of, ridden
+from asterism.opensim.person import CENTRES, SIDES, PersonInTrial, bodies_of, has_leg, person_of, ridden
 from asterism.opensim.scaling import BodyScale, PlacedMarker, generic_model, lumbar_share, moved, placed_markers, scale_factors
 from asterism.recording import Floats, Recording, is_unnamed, subject_of
 from asterism.recording.force_plate import ForcePlate
@@ -66,6 +68,7 @@ class OpenSimExport:
     files     kind -> file: "model", "markers", "scale", "factors"; of the trials, by their names, "walk: markers", "walk: forces", ...
     commands  what to run in the folder, in this order
     scales    of the model's bodies; markers  on the generic model; weights  trial -> marker -> weight in inverse kinematics
+    known     trial -> "left" or "right" -> from and to s, where it is known what acts on that foot, so that moments are the person's
     mass      kg; None where nothing tells it
     findings  what is missing, and what was assumed instead
     """
@@ -75,6 +78,7 @@ class OpenSimExport:
     scales: Mapping[str, BodyScale] = field(default_factory=dict)
     markers: tuple[PlacedMarker, ...] = ()
     weights: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    known: Mapping[str, Mapping[str, Sequence[tuple[float, float]]]] = field(default_factory=dict)
     mass: float | None = None
     findings: tuple[Finding, ...] = ()
 
@@ -118,14 +122,14 @@ def write_opensim(
     there = [path for path in files.values() if path.exists()]
     if there and not overwrite:
         raise AsterismError(f"{there[0]} exists; choose another folder with -o, or replace it with --overwrite.")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise AsterismError(f"{folder} cannot be made ({problem.strerror or problem}); name another folder with -o.") from problem
     found = [finding for trial in trials for finding in trial.findings]
     share = np.array([-0.2, 0.9, 0.0]) if generic is None else lumbar_share(generic)
     known = {trial.name: person_of(trial.recording, trial.clinical, share) for trial in trials if trial.clinical is not None}
     persons = {name: person for name, person in known.items() if has_leg(person)}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise AsterismError(f"{folder} cannot be made ({problem.strerror or problem}); name another folder with -o.") from problem
     for trial in trials:
         person = persons.get(trial.name)
         turn = person.turn if person is not None else _turn(trial.recording)
@@ -178,15 +182,16 @@ def _documents(session: _Session, found: list[Finding]) -> OpenSimExport:
     mass, said = _mass(scaled_by, person, session.standing)
     # shoulders move on the trunk, as no model does
     weights = {one.name: _CENTRES if one.centre and one.name[1:] in ("HJC", "KJC", "AJC") else 1.0 for one in placed}
-    scaled = f"{name}_scaled.osim"
+    scaled, (run, whole) = f"{name}_scaled.osim", _without_gaps(placed, person)
+    times = scaled_by.recording.times[run]
     task = ScaleTask(
         model=_beside(session.model, session.folder),
         markers=files["markers"].name,
         trial=files[f"{scaled_by.name}: markers"].name,
-        times=_span(scaled_by.recording),
+        times=(float(times[0]), float(times[-1])),
         mass=mass,
         scales=scales,
-        pairs=_pairs(placed, scales, person),
+        pairs=_pairs(whole, scales),
         weights=weights,
         held=_held(generic, placed, weights),
         placing=session.standing,
@@ -196,6 +201,7 @@ def _documents(session: _Session, found: list[Finding]) -> OpenSimExport:
     write_atomically(files["scale"], utf8(scale_setup(name, task)))
     _factors(scales).write(files["factors"])
     documents, weighed = [files["scale"]], dict[str, Mapping[str, float]]()
+    known = dict[str, dict[str, list[tuple[float, float]]]]()
     for trial in session.moving:
         if trial.name in session.persons:
             own = _motion(session, trial, placed, scaled)
@@ -204,13 +210,15 @@ def _documents(session: _Session, found: list[Finding]) -> OpenSimExport:
             write_atomically(files[f"{trial.name}: kinematics"], utf8(kinematics_setup(trial.name, own)))
             documents.append(files[f"{trial.name}: kinematics"])
             if f"{trial.name}: dynamics" in files:
+                known[trial.name] = _known(trial)
+                found.append(_where_known(trial, known[trial.name]))
                 write_atomically(files[f"{trial.name}: dynamics"], utf8(dynamics_setup(trial.name, own)))
                 documents.append(files[f"{trial.name}: dynamics"])
         else:
             found.append(_no_legs(trial))
     written = {kind: path for kind, path in files.items() if path in documents or not kind.endswith(("kinematics", "dynamics"))}
     commands = tuple(f"opensim-cmd run-tool {path.name}" for path in documents)
-    return OpenSimExport(written, commands, scales, tuple(placed), weighed, mass, (*found, *said))
+    return OpenSimExport(written, commands, scales, tuple(placed), weighed, known, mass, (*found, *said))
 
 
 def _motion(session: _Session, trial: _Prepared, placed: Sequence[PlacedMarker], scaled: str) -> MotionTask:
@@ -258,7 +266,9 @@ def _with_plain_names(recording: Recording) -> tuple[Recording, list[Finding]]:
     seen = np.asarray(recording.visible.any(axis=0))
     labels = [label for label, shown in zip(recording.labels, seen, strict=True) if shown and not is_unnamed(label)]
     if not labels:
-        raise AsterismError(f"{recording.metadata.get('file', 'the recording')} has no point with a name for OpenSim; label it first.")
+        raise AsterismError(
+            f"{recording.metadata.get('file', 'the recording')} never shows a point with a name, which OpenSim needs; label it first."
+        )
     names, found = list[str](), list[Finding]()
     for label in labels:
         name = _plain(without_subject(label))
@@ -336,35 +346,44 @@ def _beside(model: Path, folder: Path) -> str:
         return str(model.absolute())
 
 
-def _pairs(placed: Sequence[PlacedMarker], scales: Mapping[str, BodyScale], person: PersonInTrial) -> dict[str, tuple[str, str]]:
+_BETWEEN = {"femur": "HK", "tibia": "KA", "humerus": "SE", "ulna": "EW", "radius": "EW"}
+"""The joint centres at the ends of a body, by their first letters."""
+
+
+def _without_gaps(placed: Sequence[PlacedMarker], person: PersonInTrial) -> tuple[slice, list[PlacedMarker]]:
+    """The longest run of frames in which fewest points are missing, and the points that are seen in all of it.
+
+    The scale tool leaves a body as it is, and a point out of the pose, for a single sample that is missing.
+    """
+    points = {**person.markers, **person.centres}
+    seen: NDArray[np.bool_] = np.asarray(np.isfinite(np.stack([points[marker.name] for marker in placed])).all(axis=2))
+    missing = (~seen).sum(axis=0)
+    edges = np.concatenate([[0], np.nonzero((seen[:, 1:] != seen[:, :-1]).any(axis=0))[0] + 1, [seen.shape[1]]])
+    runs = [slice(int(begin), int(end)) for begin, end in pairwise(edges)]
+    best = max(runs, key=lambda run: (-int(missing[run.start]), run.stop - run.start))
+    return best, [marker for marker, there in zip(placed, seen[:, best.start], strict=True) if there]
+
+
+def _pairs(whole: Sequence[PlacedMarker], scales: Mapping[str, BodyScale]) -> dict[str, tuple[str, str]]:
     """Body -> two points whose distance tells its factor; bodies of a foot share one."""
-    found: dict[str, tuple[str, str]] = {}
-    centres = {marker.name for marker in placed if marker.centre}
-    known = {"pelvis": ("RHJC", "LHJC")}
-    for side, letter in (("R", "r"), ("L", "l")):
-        for body, upper, lower in (
-            ("femur", "H", "K"),
-            ("tibia", "K", "A"),
-            ("humerus", "S", "E"),
-            ("ulna", "E", "W"),
-            ("radius", "E", "W"),
-        ):
-            known[f"{body}_{letter}"] = (f"{side}{upper}JC", f"{side}{lower}JC")
-    for body, pair in known.items():
-        together = set(pair) <= centres and np.isfinite(person.centres[pair[0]] + person.centres[pair[1]]).all(axis=1).any()
-        if together and body in scales and scales[body].measured is not None:
+    centres, found = {marker.name for marker in whole if marker.centre}, dict[str, tuple[str, str]]()
+    pairs = {
+        f"{body}_{letter}": (f"{side}{ends[0]}JC", f"{side}{ends[1]}JC")
+        for side, letter in SIDES.items()
+        for body, ends in _BETWEEN.items()
+    }
+    for body, pair in {"pelvis": ("RHJC", "LHJC"), **pairs}.items():
+        if set(pair) <= centres and body in scales and scales[body].measured is not None:
             found[body] = pair
-    for body, others in {
-        "torso": ("torso",),
-        **{f"calcn_{side}": tuple(f"{one}_{side}" for one in ("talus", "calcn", "toes")) for side in "rl"},
-    }.items():
-        own = [marker for marker in placed if marker.body == body]
-        widest = max(combinations(own, 2), key=lambda two: float(np.linalg.norm(two[0].location - two[1].location)), default=None)
-        if widest is None or np.linalg.norm(widest[0].location - widest[1].location) * scales[body].factor < _APART:
-            continue
-        seen = np.isfinite(person.markers[widest[0].name] + person.markers[widest[1].name]).all(axis=1)
-        if seen.any():
-            found |= {other: (widest[0].name, widest[1].name) for other in others if other in scales}
+    for body, others in (
+        ("torso", ["torso"]),
+        *((f"calcn_{side}", [f"{one}_{side}" for one in ("talus", "calcn", "toes")]) for side in "rl"),
+    ):
+        own = [marker for marker in whole if marker.body == body]
+        apart = {(a.name, b.name): float(np.linalg.norm(a.location - b.location)) * scales[body].factor for a, b in combinations(own, 2)}
+        widest = max(apart, key=apart.__getitem__, default=None)
+        if widest is not None and apart[widest] > _APART:
+            found |= {other: widest for other in others if other in scales}
     return found
 
 
@@ -436,6 +455,36 @@ def _assumed(
         sentence = f"{file}: by their names these markers sit nowhere; they were put on the segment with which they move: {listed}."
         found.append(Finding("opensim-ridden", Severity.NOTE, file, sentence, "Look whether that is so; markers.xml says where they sit."))
     return found
+
+
+def _known(trial: _Prepared) -> dict[str, list[tuple[float, float]]]:
+    """Side -> from and to s, where it is known what acts on the foot: it is alone on a plate, or in the air."""
+    found: dict[str, list[tuple[float, float]]] = {"left": [], "right": []}
+    if trial.clinical is None:
+        return found
+    try:
+        static, measures = trial.clinical.static, trial.clinical.measures
+        kinetics = analyse_gait(trial.recording, trial.plates, measures, static=static, model=trial.clinical.name).kinetics
+    except AsterismError:
+        return found
+    for side in found:
+        values = None if kinetics is None else kinetics.moments.get(f"{side[0].upper()}KneeMoment")
+        if values is not None:
+            edges = np.flatnonzero(np.diff(np.concatenate([[0], np.isfinite(values[:, 0]).astype(int), [0]])))
+            times = trial.recording.times
+            found[side] = [(float(times[begin]), float(times[end - 1])) for begin, end in edges.reshape(-1, 2)]
+    return found
+
+
+def _where_known(trial: _Prepared, known: Mapping[str, Sequence[tuple[float, float]]]) -> Finding:
+    file = str(trial.recording.metadata.get("file", "the recording"))
+    spans = {side: ", ".join(f"{begin:.2f} to {end:.2f} s" for begin, end in spans) for side, spans in known.items()}
+    told = "; ".join(f"of the {side} leg {text}" for side, text in spans.items() if text)
+    sentence = f"{file}: inverse dynamics are the person's only where it is known what acts on the foot: {told or 'at no time'}."
+    mend = (
+        "Elsewhere a foot stands beside the plates, or with the other on one." if told else "Record steps that hit a plate with one foot."
+    )
+    return Finding("opensim-known", Severity.NOTE if told else Severity.WARNING, file, sentence, mend)
 
 
 def _untold(trial: _Prepared, held: Sequence[str]) -> list[Finding]:

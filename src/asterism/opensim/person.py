@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -85,7 +85,8 @@ def person_of(recording: Recording, clinical: ClinicalModel, lumbar: Floats) -> 
 
     Raises AsterismError where the pelvis has no markers.
     """
-    body = clinical.body(recording)
+    # both hips are known by the pelvis, also where a leg has no markers
+    body = replace(clinical, sides="LR").body(_with_thighs(recording))
     room = np.asarray(walking_axes(body))
     # the room's x is where the person goes
     turned = _Y_UP @ room.T
@@ -114,6 +115,16 @@ def person_of(recording: Recording, clinical: ClinicalModel, lumbar: Floats) -> 
         arm, joints = _arm(recording, clinical, side, turned)
         segments, centres = segments | arm, centres | joints
     return PersonInTrial(turn, segments, centres, markers, neck)
+
+
+def _with_thighs(recording: Recording) -> Recording:
+    """The recording with a column for each thigh's marker of Plug-in-Gait, without a sample where it has none."""
+    worn = with_plug_in_gait_names(recording).labels
+    absent = [f"{side}THI" for side in SIDES if f"{side}THI" not in worn]
+    if not absent:
+        return recording
+    positions = np.concatenate([recording.positions, np.full((len(recording), len(absent), 3), np.nan)], axis=1)
+    return replace(recording, positions=positions, labels=(*recording.labels, *absent), source=None, origin=None, taken=())
 
 
 def has_leg(person: PersonInTrial) -> bool:

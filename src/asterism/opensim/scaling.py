@@ -133,21 +133,19 @@ def scale_factors(model: OsimModel, person: PersonInTrial, trial: Recording) -> 
         sides = [between(f"femur_{side}", f"tibia_{side}") + between(f"tibia_{side}", f"talus_{side}") for side in "rl"]
         told["torso"] = (trunk, _TRUNK * float(np.mean(sides)), "lumbar joint to base of neck")
     told = {name: one for name, one in told.items() if name in model.joints and one[0] > 0 and one[1] > 0}
-    found = {name: BodyScale(name, measured / own, measured, own, by) for name, (measured, own, by) in told.items()}
-    return {name: found[name] if name in found else _hanging(model, name, found, size) for name in model.joints}
-
-
-def _hanging(model: OsimModel, body: str, found: Mapping[str, BodyScale], size: float) -> BodyScale:
-    """The factor of the next body above that has one, for a leg without markers that of the other leg."""
-    twin = {"_l": "_r", "_r": "_l"}.get(body[-2:])
-    if twin is not None and body[:-2] + twin in found and body[:5] in ("femur", "tibia", "talus"):
-        return BodyScale(body, found[body[:-2] + twin].factor, None, None, f"as {body[:-2] + twin}")
-    above = model.joints[body].parent
-    while above in model.joints and above not in found:
-        above = model.joints[above].parent
-    if above in found and body not in ("pelvis", "torso"):
-        return BodyScale(body, found[above].factor, None, None, f"as {above}")
-    return BodyScale(body, size, None, None, "as the legs")
+    found: dict[str, BodyScale] = {}
+    for body, joint in model.joints.items():
+        twin = {"_l": f"{body[:-2]}_r", "_r": f"{body[:-2]}_l"}.get(body[-2:], "")
+        if body in told:
+            measured, own, by = told[body]
+            found[body] = BodyScale(body, measured / own, measured, own, by)
+        elif twin in told:
+            found[body] = BodyScale(body, told[twin][0] / told[twin][1], None, None, f"as {twin}")
+        elif joint.parent in found and body != "torso":
+            found[body] = BodyScale(body, found[joint.parent].factor, None, None, f"as {joint.parent}")
+        else:
+            found[body] = BodyScale(body, size, None, None, "as the legs")
+    return found
 
 
 def _median(values: Floats) -> float:

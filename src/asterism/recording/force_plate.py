@@ -14,6 +14,10 @@ from asterism.recording.arrays import Floats, Ints
 LOADED = 20.0
 """N of vertical force from which a plate counts as loaded, as gait laboratories take it. Amplifiers drift by a few N; at half, drift is a
 step, at double a strike is told a millisecond late."""
+_STEP = 50.0
+"""N, the load that a contact reaches, five kilograms: less is the drift of a plate. At half, old plates step; at double, no small child."""
+_SHORTEST = 0.05
+"""s, no foot stands or swings for less. At half, the shaking of a treadmill is a step; at double, quick steps of a child are none."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,17 @@ class ForcePlate:
     def loaded(self) -> NDArray[np.bool_]:
         """(S,) whether somebody stands on it."""
         return np.asarray(self.load > LOADED)
+
+    @cached_property
+    def contacts(self) -> tuple[slice, ...]:
+        """The runs of samples in which somebody stands on it, the next of which begins when the foot has left it."""
+        edges, shortest = np.diff(np.concatenate([[0], self.loaded.astype(np.int8), [0]])), _SHORTEST * self.rate
+        begins, ends = np.nonzero(edges > 0)[0], np.nonzero(edges < 0)[0]
+        # A foot that comes back at once has not left.
+        apart = begins[1:] - ends[:-1] >= shortest
+        begins, ends = begins[np.concatenate([[True], apart])[: len(begins)]], ends[np.concatenate([apart, [True]])[: len(ends)]]
+        runs = [slice(int(a), int(b)) for a, b in zip(begins, ends, strict=True) if b - a >= shortest]
+        return tuple(run for run in runs if self.load[run].max() >= _STEP)
 
     @cached_property
     def pressure(self) -> Floats:

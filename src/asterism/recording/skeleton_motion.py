@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -94,6 +94,14 @@ class SkeletonMotion:
         """(T, B, 3) m, the joint of each bone in the room."""
         return self._posed[1]
 
+    @cached_property
+    def rest_joints(self) -> Floats:
+        """(B, 3) m, the joint of each bone in the rest pose, the root at the origin."""
+        joints = np.zeros((len(self.names), 3))
+        for bone, parent in enumerate(self.parents[1:], start=1):
+            joints[bone] = joints[parent] + self.offsets[bone]
+        return joints
+
     @property
     def tips(self) -> Floats:
         """(T, B, 3) m, the end of each bone in the room; NaN where `ends` is."""
@@ -108,6 +116,24 @@ class SkeletonMotion:
                 lengths[parent] = np.linalg.norm(self.offsets[bone])
         return lengths
 
+    def in_axes(self, vertical: Floats, forward: Floats) -> SkeletonMotion:
+        """The same motion in a room whose axes are turned so that up and forward are these (3,)."""
+        turn = _level_frame(vertical, forward) @ _level_frame(self.vertical, self.forward).T
+        # exchanged axes keep every digit
+        exact = np.round(turn) + 0.0
+        turn = exact if np.abs(turn - exact).max() < 1e-9 else turn
+        if np.array_equal(turn, np.eye(3)):
+            return self
+        return replace(
+            self,
+            offsets=self.offsets @ turn.T,
+            ends=self.ends @ turn.T,
+            rotations=turn @ self.rotations @ turn.T,
+            root=self.root @ turn.T,
+            vertical=turn @ self.vertical,
+            forward=turn @ self.forward,
+        )
+
     def _rows(self) -> Rows:
         return [("bones", str(len(self.names))), ("frames", duration(len(self), self.rate))]
 
@@ -116,3 +142,13 @@ class SkeletonMotion:
 
     def _repr_html_(self) -> str:
         return as_html("SkeletonMotion", self._rows())
+
+
+def _level_frame(up: Floats, forward: Floats) -> Floats:
+    """(3, 3) columns: forward over the floor, left, up. Where forward is not level or not known, any level direction."""
+    level = forward - (forward @ up) * up
+    if not np.isfinite(level).all() or np.linalg.norm(level) < 1e-6:
+        other = np.eye(3)[int(np.abs(up).argmin())]
+        level = other - (other @ up) * up
+    ahead = level / np.linalg.norm(level)
+    return np.stack([ahead, np.cross(up, ahead), up], axis=1)

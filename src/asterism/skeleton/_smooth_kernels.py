@@ -11,29 +11,37 @@ import numpy as np
 
 from asterism._jit import kernel
 
+_MOST = 500
+"""Iterations of conjugate gradients at most; 10 to 100 are usual."""
+
 
 @kernel
 def likelihood(values, variances, ratio):
     """How likely a course is that drifts at a velocity which changes by white noise, seen with noise.
 
-    IN  values (T,); variances (T,): of the noise of each, but for a common factor; ratio: variance of a second difference, in units of that
-        factor
+    IN  values (T,); variances (T,): of the noise of each, but for a common factor, infinite where a value says nothing; ratio: variance
+        of a second difference, in units of that factor
     OUT twice the negative log likelihood, of the best factor; and that factor. Diffuse start: the first two values tell the course's own.
     O(T), no allocation. Kalman filter with a concentrated scale (Harvey 1989, ch. 3.4).
     """
-    x, v = values[0], 0.0
-    pxx, pxv, pvv = variances[0], 0.0, 1e12 * variances[0]
-    total, square, count = 0.0, 0.0, 0
-    for t in range(1, len(values)):
+    x, v, pxx, pxv, pvv = 0.0, 0.0, 0.0, 0.0, 0.0
+    total, square, count = 0.0, 0.0, -2
+    for t in range(len(values)):
         x += v
         pxx += 2.0 * pxv + pvv
         pxv += pvv
         pvv += ratio
+        if not math.isfinite(variances[t]):
+            continue
+        count += 1
+        # The first value is the course's place, and nothing is known of its velocity.
+        if count == -1:
+            x, v, pxx, pxv, pvv = values[t], 0.0, variances[t], 0.0, 1e12 * variances[t]
+            continue
         away, seen = values[t] - x, pxx + variances[t]
-        if t > 1:
+        if count > 0:
             total += math.log(seen)
             square += away * away / seen
-            count += 1
         gain_x, gain_v = pxx / seen, pxv / seen
         x += gain_x * away
         v += gain_v * away
@@ -46,17 +54,17 @@ def likelihood(values, variances, ratio):
 
 @kernel
 def best_ratio(values, variances):
-    """The ratio of `likelihood` that makes a course likeliest, and its factor; golden section over 14 decades.
+    """The ratio of `likelihood` that makes a course likeliest, and its factor; golden section over 12 decades.
 
-    IN  values (T,), variances (T,). O(40 T), no allocation. The ratio is between 1e-10 and 1e4 of the least variance: below, a course is a
-    straight line, above, no value says anything of its neighbours.
+    IN  values (T,), variances (T,). O(40 T), no allocation. The ratio is between 1e-8 and 1e4 of the least variance: below, values tell
+    each other over more than 100 frames, above, not over one.
     """
     least = variances.min()
-    low, high = math.log(1e-10 * least), math.log(1e4 * least)
+    low, high = math.log(1e-8 * least), math.log(1e4 * least)
     golden = 0.5 * (math.sqrt(5.0) - 1.0)
     one, other = high - golden * (high - low), low + golden * (high - low)
     at_one, at_other = likelihood(values, variances, math.exp(one))[0], likelihood(values, variances, math.exp(other))[0]
-    # 14 decades down to a tenth of one: a strength within a quarter is as good.
+    # 12 decades down to a tenth of one: a strength within a quarter is as good.
     for _ in range(12):
         if at_one < at_other:
             high, other, at_other = other, one, at_one
@@ -154,12 +162,13 @@ def _band(values, frames, pivots, one, two):
 
 
 @kernel
-def smoothing_step(tree, entries, penalties, basis, values, right, most, x):
+def smoothing_step(tree, entries, penalties, basis, values, right, least, x):
     """The step of all frames: (A + penalties D2^T D2) x = right, by conjugate gradients.
 
     The preconditioner is the same matrix with one mean A for all frames, which `basis` takes apart: V^T A V = values, V^T penalties V = 1.
     IN  entries (T, P): the normal equations A of each frame, see `follow`; penalties (D,), above 0; basis (D, D), values (D,);
-        right (T, D); most: iterations at most
+        right (T, D); least: the residual's square in the
+        preconditioner's metric at which it ends
     OUT x (T, D). Gives the iterations.
     O(iterations T (P + D^2)); allocates (T, D) nine times.
     """
@@ -169,8 +178,8 @@ def smoothing_step(tree, entries, penalties, basis, values, right, most, x):
     back = np.ascontiguousarray(basis.T)
     x[:] = 0.0
     left, course, image = right.copy(), np.zeros((frames, size)), np.empty((frames, size))
-    before = 1.0
-    for iteration in range(most):
+    before, start = 1.0, 0.0
+    for iteration in range(_MOST):
         eased = left @ basis
         for t in range(frames):
             for d in range(size):
@@ -190,8 +199,10 @@ def smoothing_step(tree, entries, penalties, basis, values, right, most, x):
         for t in range(frames):
             for d in range(size):
                 now += left[t, d] * eased[t, d]
-        # This is about the square of what is left of the step, in standard deviations, over all numbers: 0.003 of each.
-        if now <= 1e-5 * frames * size:
+        if iteration == 0:
+            start = now
+        # This is about the square of what is left of the step, in standard deviations, over all numbers and frames.
+        if now <= max(least, 1e-10 * start):
             return iteration
         for t in range(frames):
             for d in range(size):
@@ -201,10 +212,13 @@ def smoothing_step(tree, entries, penalties, basis, values, right, most, x):
         for t in range(frames):
             for d in range(size):
                 bend += course[t, d] * image[t, d]
+        # Rounding has taken over; what was found stands.
+        if not bend > 0.0:
+            return iteration
         length = now / bend
         for t in range(frames):
             for d in range(size):
                 x[t, d] += length * course[t, d]
                 left[t, d] -= length * image[t, d]
         before = now
-    return most
+    return _MOST

@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
 
 from asterism.errors import AsterismError
@@ -55,7 +55,9 @@ class KinematicsRules:
     lost_at_most    what one marker may add to that, so that a single wrong one does not count as lost
     smooth          whether frames are smoothed together
     usual_s         s, in which what is usual of a coordinate counts once where no marker tells it: by then a joint is elsewhere
+    least_square    of what is left of a smoothing's step, for each number and frame, in units of its white noise: 0.003 standard deviations
     rounds          of smoothing at most: the equations are linear in small steps
+    done            rad or m, the largest step of a number below which a smoothing is done: 0.06 degrees, 1 mm
     block, overlap  frames that are smoothed together, and by how much their neighbours take part: seconds at any usual rate
     """
 
@@ -71,12 +73,19 @@ class KinematicsRules:
     lost_at_most: float = 50.0
     smooth: bool = True
     usual_s: float = 0.5
+    least_square: float = 1e-5
     rounds: int = 4
+    done: float = 0.001
     block: int = 4000
     overlap: int = 200
 
 
 RULES = KinematicsRules()
+
+
+_HIDDEN = 50.0
+"""Multiples of a number's usual variance above which a frame tells nothing of it. Postures in which axes nearly meet reach 20; frames
+without markers of the bone, hundreds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,15 +293,25 @@ def _block(
     smooth = rules.smooth and frames >= 10
     if smooth:
         white, ratios = _strengths(tree, variances, q, turns, places, known)
-        # What is usual is worth a sighting where frames have better ones; where they have not, it is one for all of half a second.
-        open_ = variances[:, ROOT:] * arrays.precision > 0.5
-        usual = np.where(open_, max(1.0 - 1.0 / (rules.usual_s * rate), 0.0), 0.0) * arrays.precision
-        _smoothed(tree, solving, (points, weights, usual), state, ratios, (misses, entries), rules)
+        # What is usual is worth a sighting in each frame that has better ones. Where these are hidden, it is one for all of half a second,
+        # in units of the white share of the noise, as the smoothness is.
+        sightings = np.minimum(white[ROOT:], 1.0) * arrays.precision / max(rules.usual_s * rate, 1.0)
+        kept, squares = tuple(part.copy() for part in state), _squares(weights, misses).sum(axis=1)
+        _bridge(tree, variances, state, ratios, sightings, known)
+        linearise(arrays, solving, points, weights, q, turns, places, np.empty_like(variances), misses, entries)
+        # Numbers that no marker tells cost none: where markers are farther off, they told something together with others.
+        told = _squares(weights, misses).sum(axis=1) > squares + 1.0
+        for whole, part in zip(state, kept, strict=True):
+            whole[told] = part[told]
+        hidden = np.column_stack([_hidden(variances[:, ROOT + j], known) for j in range(len(arrays.usual))])
+        less = np.where(hidden, arrays.precision - sightings, 0.0)
+        least = float(np.median(np.minimum(white[arrays.moves], 1.0)))
+        _smoothed(tree, solving, (points, weights, less), state, (ratios, least), (misses, entries), rules)
     total = _total(variances, white, ratios, known, _unrolled(q, turns, places)) if smooth else variances
     shared = np.empty_like(variances)
     shared_variances(arrays, solving, points, weights, rules.shared * _spreads(tree), q, turns, places, shared)
     sd = np.sqrt(total + shared)
-    shares = np.where(np.isfinite(misses), weights * misses**2, 0.0)
+    shares = _squares(weights, misses)
     # What Student's t lets go does not say how far the others are off.
     robust = np.minimum(shares, 9.0 * solving.tails) if solving.tails > 0 else shares
     counted = 3.0 * (shares > 0).sum(axis=1)
@@ -382,11 +401,52 @@ def _strengths(
     course = _unrolled(q, turns, places)
     white, ratios = np.zeros(course.shape[1]), np.full(course.shape[1], np.inf)
     for d in np.nonzero(tree.arrays.moves)[0]:
-        seen = np.where(known, variances[:, d], np.inf)
-        # A frame without markers says nothing: as much noise as a thousand others.
-        noise = np.minimum(seen, 1e3 * np.median(variances[known, d]))
+        noise = np.where(_hidden(variances[:, d], known), np.inf, variances[:, d])
         ratios[d], white[d] = best_ratio(np.ascontiguousarray(course[:, d]), noise)
     return white, ratios
+
+
+def _bridge(
+    tree: KinematicTree, variances: Floats, state: tuple[Floats, Floats, Floats], ratios: Floats, sightings: Floats, known: np.ndarray
+) -> None:
+    """Numbers that frames do not tell, from the frames around, number by number: where the smoothing begins. Writes the state.
+
+    sightings (Q,): the weight that what is usual of a coordinate has in each of these frames.
+    """
+    q, turns, places = state
+    usual = np.concatenate([np.zeros(ROOT), sightings])
+    course = _unrolled(q, turns, places)
+    steps = np.zeros_like(course)
+    for d in np.nonzero(np.isfinite(ratios))[0]:
+        hidden = _hidden(variances[:, d], known)
+        if not hidden.any() or hidden.all():
+            continue
+        bands = np.zeros((3, len(course)))
+        for shift, factor in ((0, 1.0), (1, 4.0), (2, 1.0)):
+            bands[2, shift : len(course) - 2 + shift] += factor / ratios[d]
+        bands[1, 1:-1] -= 2.0 / ratios[d]
+        bands[1, 2:] -= 2.0 / ratios[d]
+        bands[0, 2:] = 1.0 / ratios[d]
+        weights, values = np.where(hidden, 0.0, 1.0 / variances[:, d]), course[:, d].copy()
+        # A millionth of a sighting where there is none keeps the root from running off at the ends of a trial.
+        weights[hidden] = max(1e-6 * weights.max(), usual[d])
+        if d >= ROOT:
+            values[hidden] = tree.arrays.usual[d - ROOT]
+        bands[2] += weights
+        steps[hidden, d] = (solveh_banded(bands, weights * values) - course[:, d])[hidden]
+    q += steps[:, ROOT:]
+    places += steps[:, :3]
+    turns[:] = Rotation.from_rotvec(steps[:, 3:6]).as_matrix() @ turns
+
+
+def _squares(weights: Floats, misses: Floats) -> Floats:
+    """(T, M) squares of misses in units of their variance; 0 where a marker is not seen."""
+    return np.where(np.isfinite(misses), weights * misses**2, 0.0)
+
+
+def _hidden(variances: Floats, known: np.ndarray) -> np.ndarray:
+    """(T,) whether a frame tells nothing of a number whose variances (T,) these are."""
+    return np.asarray(~known | (variances > _HIDDEN * np.median(variances[known])))
 
 
 def _total(variances: Floats, white: Floats, ratios: Floats, known: np.ndarray, course: Floats) -> Floats:
@@ -402,7 +462,7 @@ def _total(variances: Floats, white: Floats, ratios: Floats, known: np.ndarray, 
         share = min(float(white[d]), 1.0)
         # Where a frame itself says nothing, its neighbours' own error is the least that remains.
         rest = (1.0 - share) * np.minimum(variances[:, d], usual[d])
-        swing = _swing(course[:, d], variances[:, d] > 4.0 * usual[d], white[d] * ratios[d])
+        swing = _swing(course[:, d], _hidden(variances[:, d], known), white[d] * ratios[d])
         total[:, d] = np.minimum(white[d] * swing * smoothed + rest, np.maximum(variances[:, d], usual[d]))
     return total
 
@@ -432,16 +492,18 @@ def _smoothed(
     solving: Solving,
     measured: tuple[Floats, Floats, Floats],
     state: tuple[Floats, Floats, Floats],
-    ratios: Floats,
+    strengths: tuple[Floats, float],
     out: tuple[Floats, Floats],
     rules: KinematicsRules,
 ) -> None:
     """Gauss and Newton over all frames together: their costs, and the squares of second differences by `ratios`. Writes the state.
 
-    measured: points, weights, and (T, Q) by how much less than its precision what is usual of a coordinate counts.
+    measured: points, weights, and (T, Q) by how much less than its precision what is usual of a coordinate counts; strengths: the ratios,
+    and a usual share of white noise.
     """
     q, turns, places = state
     points, weights, less, misses, entries = *measured, *out
+    ratios, white = strengths
     numbers = slice(ROOT, ROOT + q.shape[1])
     # Numbers that are held have no step, whatever their penalty.
     penalties = np.where(np.isfinite(ratios), 1.0 / ratios, 1.0)
@@ -461,7 +523,9 @@ def _smoothed(
         right = gradients.copy()
         for shift, factor in ((0, 1.0), (1, -2.0), (2, 1.0)):
             right[shift : shift + len(bends)] -= factor * penalties * bends
-        smoothing_step(tree.arrays, entries, penalties, *_basis(tree, entries, penalties), right, 200, steps)
+        smoothing_step(
+            tree.arrays, entries, penalties, *_basis(tree, entries, penalties), right, rules.least_square * white * steps.size, steps
+        )
         before, kept = now, (q.copy(), turns.copy(), places.copy())
         length = 1.0
         while True:
@@ -476,8 +540,8 @@ def _smoothed(
             q[:], turns[:], places[:] = kept
             cost()
             return
-        # A thousandth of a nat for each number is a step of a twentieth of its standard deviation.
-        if before - now < 1e-3 * steps.size:
+        # By cost alone a bridge over a gap would weigh nothing.
+        if np.abs(steps).max() < rules.done:
             return
 
 
@@ -487,8 +551,12 @@ def _basis(tree: KinematicTree, entries: Floats, penalties: Floats) -> tuple[Flo
     mean, whole = entries.mean(axis=0), np.zeros((size, size))
     rows = np.repeat(np.arange(size), np.diff(arrays.row_starts))
     whole[rows, arrays.row_columns] = mean[size:]
-    values, basis = eigh(whole + whole.T + np.diag(mean[:size]), np.diag(penalties))
-    return np.ascontiguousarray(basis), values
+    # Numbers differ by many powers of ten in how much they are smoothed. The factor's singular values are right where the eigenvalues of
+    # the matrix, their squares, would be lost in the rounding of the largest.
+    scale = 1.0 / np.sqrt(penalties)
+    left, singular, _ = np.linalg.svd(scale[:, None] * np.linalg.cholesky(whole + whole.T + np.diag(mean[:size])))
+    # Below a billionth a number is a straight line, and its band of equations would have no factor.
+    return np.ascontiguousarray(scale[:, None] * left), np.maximum(singular**2, 1e-9)
 
 
 def with_spreads(tree: KinematicTree, spreads: Mapping[str, float]) -> KinematicTree:

@@ -29,21 +29,22 @@ class MeasurePriors:
     the joint; larger by what n people leave open: by the root of 1 + 1/n, and by Student's t over that of a normal distribution. Half of
     one narrows the angles that hang on it by up to half, and people beside it are missed; double widens them.
 
-    leg           length, of the way from the anterior iliac spine by the knee's marker to the ankle's (n = 3)
+    leg           length, of the way from the anterior iliac spine by the knee's marker to the ankle's (n = 4)
     knee, ankle   widths, of the length of the leg (n = 10, 11)
     trochanter    m, beyond the regression of Davis et al. (1991) (n = 4)
     radius        m, of the markers: those of 9.5 to 19 mm are usual
     thigh, shank  rad, the wands' angles: next to nothing is known of where somebody puts a wand
     torsion       rad, from the ankle's axis to the knee's (n = 5)
     tilt          rad, of the ankle's axis
-    sole          rad, of the foot's line against what heel and toe marker show, beside the choice between a flat and a sloped foot
+    sole          rad, of the foot's line against what heel and toe marker show, beside the choice between a flat and a sloped foot (n = 3)
     sole_alone    rad, of the foot's line, where no heel marker shows the sole
-    sole_turn     rad, the same seen from above
-    head          rad, by which the head's markers look up: 15 degrees in both standing trials, and none where nobody takes it off
+    sole_turn     rad, the same seen from above (n = 4)
+    head          rad, by which the head's markers look up: 15 degrees in both standing trials, give or take three, and none where nobody
+                  takes it off
     arms          m, standard deviations about an adult's measures (`ArmMeasures`), by hand: files of two people differ by as much
     """
 
-    leg: Prior = (1.007, 0.014)
+    leg: Prior = (1.002, 0.033)
     knee: Prior = (0.123, 0.025)
     ankle: Prior = (0.081, 0.010)
     trochanter: Prior = (0.0057, 0.012)
@@ -52,10 +53,10 @@ class MeasurePriors:
     shank: Prior = (0.0, np.radians(20.0))
     torsion: Prior = (np.radians(-18.0), np.radians(10.0))
     tilt: Prior = (np.radians(6.9), np.radians(8.2))
-    sole: Prior = (0.0, np.radians(2.5))
+    sole: Prior = (0.0, np.radians(2.0))
     sole_alone: Prior = (np.radians(13.3), np.radians(10.5))
-    sole_turn: Prior = (np.radians(1.5), np.radians(4.0))
-    head: Prior = (np.radians(8.0), np.radians(9.0))
+    sole_turn: Prior = (0.0, np.radians(2.9))
+    head: Prior = (np.radians(7.5), np.radians(6.5))
     arms: Mapping[str, float] = field(
         default_factory=lambda: {"shoulder_offset": 0.012, "elbow_width": 0.015, "wrist_width": 0.02, "hand_thickness": 0.008}
     )
@@ -154,7 +155,7 @@ class WalkEstimator:
     def _known(self) -> Mapping[str, tuple[Floats, Floats]]:
         """By side: what is known of `sources`, in standard deviations of their priors: estimate, and a root of its covariance."""
         count = len(self.sources)
-        known = {side: (np.zeros(count), np.eye(count)) for side in self._shown}
+        known = {side: (np.zeros(count), np.eye(count)) for side in self.shown}
         for _ in range(_ROUNDS if known else 0):
             state = {side: estimate for side, (estimate, _) in known.items()}
             middle = self._walk(state)
@@ -175,11 +176,12 @@ class WalkEstimator:
         for side in state:
             hip, knee, ankle = (angles.get(f"{side}{joint}Angles", np.full((1, 3), np.nan)) for joint in ("Hip", "Knee", "Ankle"))
             knee = knee[np.isfinite(knee).all(axis=1)]
-            bend, slope = np.sin(knee[:, 0]), np.nan
-            if np.subtract(*np.percentile(knee[:, 0], [95, 5])) > _BENT:
+            slope = straight = np.nan
+            if len(knee) >= _FEW and np.subtract(*np.percentile(knee[:, 0], [95, 5])) > _BENT:
+                bend = np.sin(knee[:, 0])
                 slope = float(np.mean((bend - bend.mean()) * knee[:, 1]) / bend.var())
-            straight = knee[:, 1].mean() - slope * bend.mean()
-            found[side] = np.array([slope, _mean(hip[:, 2]), straight, knee[:, 2].mean(), _mean(ankle[:, 2])])
+                straight = float(knee[:, 1].mean() - slope * bend.mean())
+            found[side] = np.array([slope, _mean(hip[:, 2]), straight, _mean(knee[:, 2]), _mean(ankle[:, 2])])
         return found
 
     @cached_property
@@ -188,10 +190,14 @@ class WalkEstimator:
         return self.recording.select([name for name in self.recording.labels if name == "SACR" or name[1:] in _LEG])
 
     @cached_property
-    def _shown(self) -> list[str]:
-        """Sides whose angles are known in `_FEW` frames or more; of others nothing can be told."""
-        legs = lower_body(self._legs, self.measures, self.sides).legs
-        return [side for side, leg in legs.items() if np.isfinite(leg.shank).all(axis=(1, 2)).sum() >= _FEW]
+    def shown(self) -> list[str]:
+        """Sides whose thigh, and way from the spine to the ankle, are known in `_FEW` frames or more; of others nothing can be told."""
+        legs, marker = lower_body(self._legs, self.measures, self.sides).legs, marker_of(self._legs)
+
+        def seen(values: Floats) -> bool:
+            return int(np.isfinite(values).reshape(len(values), -1).all(axis=1).sum()) >= _FEW
+
+        return [side for side, leg in legs.items() if seen(leg.thigh) and seen(marker(f"{side}ASI") + marker(f"{side}ANK"))]
 
     def _made(self, state: Mapping[str, Floats]) -> tuple[SubjectMeasures, LowerBody]:
         """The measures at a place of the priors, and the body that they make."""
@@ -199,7 +205,8 @@ class WalkEstimator:
 
         def prior(side: str, name: str, of: str = "", also: float = 0.0) -> float:
             mean, deviation = getattr(self.priors, of or name)
-            return float(mean + shifts[side].get(name, 0.0) * np.hypot(deviation, also))
+            # One of two places `also` to both sides, and normal about it: that holds 95 % within as many deviations as a normal one does.
+            return float(mean + shifts[side].get(name, 0.0) * max(deviation, (abs(also) + 1.645 * deviation) / 1.96))
 
         for side in state:
             leg = given.of(side)
@@ -237,7 +244,7 @@ class WalkEstimator:
         marker = marker_of(self.recording)
         ways = {
             side: [np.linalg.norm(marker(side + one) - marker(side + other), axis=1) for one, other in (("ASI", "KNE"), ("KNE", "ANK"))]
-            for side in self._shown
+            for side in self.shown
         }
         return {side: float(sum(nan_median(way, axis=0) for way in pair)) for side, pair in ways.items()}
 
@@ -245,7 +252,7 @@ class WalkEstimator:
     def _soles(self) -> dict[str, tuple[Floats, float]]:
         """By side whose heel and toe are seen: the way from toe to heel (T, 3) m, and by what angle the sole of a level foot slopes."""
         found = {}
-        for side in self._shown:
+        for side in self.shown:
             names = [side + name for name in ("HEE", "TOE")]
             if not all(name in self.recording.labels for name in names):
                 continue

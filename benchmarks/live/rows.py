@@ -1,0 +1,215 @@
+"""Real packets over the loopback address, a process that is killed, damaged datagrams, and hours of frames in accelerated time."""
+
+from __future__ import annotations
+
+import math
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import tracemalloc
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+import asterism
+from asterism.live import (
+    Cue,
+    HostPort,
+    JsonDatagrams,
+    LabelledFrame,
+    LiveFrame,
+    LiveSession,
+    SourceAbout,
+    SourceEnded,
+    frame_as_json,
+    frame_of_json,
+    make_labeller,
+    recording_of,
+)
+from asterism.live.natnet import frame_of_packet
+from asterism.recording import Clouds
+from benchmarks.benchmark_run import BenchmarkRun
+from benchmarks.data import GAIT_BODY
+from benchmarks.figures import Figure
+from benchmarks.recordings.walks import Condition, full_body_subjects, sample, unseen_model, walks
+
+RATE = 200.0
+
+
+def packets(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """59 markers at 200 Hz, 3 hidden and 3 ghosts, as JSON over UDP: from the last byte of a frame to its labels. Needs a quiet machine."""
+    subject = full_body_subjects()[0]
+    model = unseen_model(benchmark, subject, GAIT_BODY)
+    clouds = sample(next(iter(walks(subject, GAIT_BODY))), Condition(3, 3), 0).clouds
+    count = 400 if benchmark.quick else 6000
+    source = JsonDatagrams(HostPort("127.0.0.1", 0), RATE)
+    sink = _Times()
+    session = LiveSession(source, make_labeller(model, None, 0), [sink])
+    sender = threading.Thread(target=_send, args=(clouds, count, source.port, session))
+    sender.start()
+    health = session.run()
+    sender.join()
+    spent = np.array(sink.seconds[50:])
+    row = "live, 59 markers at 200 Hz, 3 hidden + 3 ghosts"
+    yield Figure(f"{row}, packet to labels: p50", "< 4", 1000 * float(np.quantile(spent, 0.5)), "ms", len(spent))
+    yield Figure(f"{row}, packet to labels: p99.9", "< 10", 1000 * float(np.quantile(spent, 0.999)), "ms", len(spent))
+    unsaid = count - health.labelled - health.dropped - health.lost - health.late
+    yield Figure(f"{row}: frames lost and not told", "== 0", unsaid, "frames", count)
+    yield Figure(f"{row}: frames left out, and told", "none", health.dropped, "frames", count)
+
+
+def killed(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """`asterism live` that records at 100 Hz and is killed at any moment: the seconds that the recording lacks."""
+    rng, lost = np.random.default_rng(0), []
+    with tempfile.TemporaryDirectory() as scratch:
+        walk = asterism.simulation.simulate_walks(subjects=1, frames=1500, seed=3)[0]
+        path = Path(scratch) / "walk.c3d"
+        asterism.write(path, walk)
+        for run in range(3 if benchmark.quick else 50):
+            out = Path(scratch) / f"{run}.c3d"
+            words = ["live", "--replay", str(path), "--loop", "--markers", "helen-hayes", "--lines", "-o", str(out)]
+            process = subprocess.Popen(
+                [sys.executable, "-m", "asterism.cli", *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, bufsize=1
+            )
+            assert process.stdout is not None
+            until, last = math.inf, 0
+            for line in process.stdout:
+                until = min(until, time.monotonic() + rng.uniform(0.3, 2.0))
+                last = int(line.split(",", 1)[0].partition(":")[2])
+                if time.monotonic() >= until:
+                    break
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            kept = len(recording_of(Path(f"{out}.live")).clouds)
+            lost.append(max(0, last + 1 - kept) / walk.rate)
+    yield Figure("live, killed while recording: most that is lost", "<= 0.5", max(lost), "s", len(lost))
+
+
+def damaged(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """Datagrams with bytes changed, cut off, put in and exchanged: exceptions, and the longest time that one takes."""
+    rng, count = np.random.default_rng(0), 2_000 if benchmark.quick else 100_000
+    whole = frame_as_json(LiveFrame(1, 0.5, 0.0, rng.normal(size=(59, 3)), tuple(f"M{n}" for n in range(59))))
+    packet = _natnet(rng)
+    failed, longest, read = 0, 0.0, 0
+    for n in range(count):
+        data = bytearray(whole if n % 2 else packet)
+        for _ in range(int(rng.integers(1, 8))):
+            at = int(rng.integers(0 if n % 2 else 4, max(5, len(data))))
+            end = at + int(rng.integers(0, 9)) if rng.random() < 0.9 else len(data)
+            data[at:end] = rng.bytes(int(rng.integers(0, 9)))
+        if not n % 2:
+            data[2:4] = struct.pack("<H", len(data) - 4 & 0xFFFF)
+        begin = time.perf_counter()
+        try:
+            read += (frame_of_json(bytes(data), 0.0) if n % 2 else frame_of_packet(bytes(data), (3, 0), 0.0)) is not None
+        except Exception:
+            failed += 1
+        longest = max(longest, time.perf_counter() - begin)
+    yield Figure("live, damaged datagrams: exceptions", "== 0", failed, "datagrams", count)
+    yield Figure("live, damaged datagrams: longest time of one", "none", 1000 * longest, "ms", count)
+    yield Figure("live, damaged datagrams: read as a frame all the same", "none", read / count, "fraction", count)
+
+
+def soak(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """Four hours at 100 Hz as fast as they are labelled, 15 markers, the source silent and begun anew 200 times: what grows."""
+    subject = full_body_subjects()[0]
+    model = unseen_model(benchmark, subject, "helen-hayes")
+    clouds = sample(next(iter(walks(subject, "helen-hayes"))), Condition(1, 1), 0).clouds
+    frames = 20_000 if benchmark.quick else 4 * 3600 * 100
+    source, times = _Endless(clouds, frames, frames // 201), _Times(keep=frames)
+    session = LiveSession(source, make_labeller(model, None, 0), [times], waits=True)
+    tracemalloc.start()
+    held = list[int]()
+    source.at = {
+        frames // 10: lambda: held.append(tracemalloc.get_traced_memory()[0]),
+        frames - 1: lambda: held.append(tracemalloc.get_traced_memory()[0]),
+    }
+    health = session.run()
+    tracemalloc.stop()
+    row = f"live, {frames / 360_000:.2g} hours at 100 Hz, source begun anew {health.restarts} times"
+    yield Figure(f"{row}: growth of memory", "< 5", (held[1] - held[0]) / 1e6, "MB", health.labelled)
+    pushes = np.array(times.spent)
+    early, late = np.median(pushes[frames // 10 : frames // 5]), np.median(pushes[-frames // 10 :])
+    yield Figure(f"{row}: time of a frame, last tenth by second", "<= 1.2", float(late / early), "times", health.labelled)
+    yield Figure(
+        f"{row}: frames not labelled and not told", "== 0", frames - health.labelled - health.dropped - health.late, "frames", frames
+    )
+
+
+class _Times:
+    """When frames were labelled."""
+
+    def __init__(self, keep: int = 0) -> None:
+        self.seconds, self._last = list[float](), time.perf_counter()
+        self.spent = np.zeros(keep, dtype=np.float32)
+        self._count = 0
+
+    def send(self, frame: LabelledFrame, cues: Sequence[Cue]) -> None:
+        if len(self.spent):
+            now = time.perf_counter()
+            self.spent[min(self._count, len(self.spent) - 1)] = now - self._last
+            self._last, self._count = now, self._count + 1
+        else:
+            self.seconds.append(frame.done - frame.frame.arrived)
+
+    def close(self) -> None:
+        pass
+
+
+class _Endless:
+    """Clouds again and again, as fast as they are taken; after so many frames its numbers and its clock begin anew."""
+
+    damaged = 0
+
+    def __init__(self, clouds: Clouds, frames: int, each: int) -> None:
+        self.about = SourceAbout("soak", clouds.rate, clouds.vertical)
+        self._points, self._frames, self._each, self._next = list(clouds), frames, each, 0
+        self.at: dict[int, Callable[[], None]] = {}
+
+    def read(self, timeout: float) -> LiveFrame:
+        if self._next >= self._frames:
+            raise SourceEnded
+        n, self._next = self._next, self._next + 1
+        if (act := self.at.get(n)) is not None:
+            act()
+        since = n % self._each
+        return LiveFrame(since, since / self.about.rate, n / self.about.rate, self._points[n % len(self._points)])
+
+    def close(self) -> None:
+        pass
+
+
+_SENDER = """
+import socket, sys, time
+rate, count, port = float(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+lines = sys.stdin.buffer.read().splitlines()
+with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+    begin = time.monotonic()
+    for n in range(count):
+        time.sleep(max(0.0, begin + n / rate - time.monotonic()))
+        out.sendto(lines[n], ("127.0.0.1", port))
+"""
+
+
+def _send(clouds: Clouds, count: int, port: int, session: LiveSession) -> None:
+    """Send frames at their rate from another process, as a camera system does; the end is told by stopping the session."""
+    points = [np.round(each, 6) for each in clouds]
+    lines = b"\n".join(frame_as_json(LiveFrame(n, n / RATE, 0.0, points[n % len(points)])) for n in range(count))
+    time.sleep(3.0)  # labels begin when the model is ready
+    subprocess.run([sys.executable, "-c", _SENDER, str(RATE), str(count), str(port)], input=lines, check=True)
+    time.sleep(1.0)
+    session.stop()
+
+
+def _natnet(rng: np.random.Generator) -> bytes:
+    """A frame of NatNet 3.0: 59 labelled markers and nothing else."""
+    data = struct.pack("<5i", 1, 0, 0, 0, 0) + struct.pack("<i", 59)
+    for n in range(59):
+        data += struct.pack("<i4fHf", n, *rng.normal(size=3), 0.01, 2, 0.0)
+    data += struct.pack("<2i2Id3QHi", 0, 0, 0, 0, 1.0, 1, 2, 3, 0, 0)
+    return struct.pack("<HH", 7, len(data)) + data
