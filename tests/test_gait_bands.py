@@ -13,7 +13,7 @@ import asterism
 from asterism.gait import Cycle, GaitAnalysis, GaitEvent, analyse_gait, over_cycle
 from asterism.gait.intervals import COVERAGE, AngleBand, angle_bands
 from asterism.motion.clinical import ArmMeasures, LegMeasures, SubjectMeasures, clinical_angles
-from asterism.motion.clinical.estimated import WalkEstimator
+from asterism.motion.clinical.estimated import MeasurePriors, WalkEstimator, WalkPriors
 from asterism.motion.clinical.measures import computed_by_the_file
 from asterism.simulation import simulate_walks
 
@@ -155,6 +155,21 @@ def test_the_knee_shows_how_the_wand_of_the_thigh_stands(turn: float) -> None:
     known = replace(KNOWN, left=replace(KNOWN.left, from_file=tuple(name for name in LEGS if name != "thigh_rotation")))
     shown = [WalkEstimator(one, known, "L").estimate().left.thigh_rotation for one in (recording, turned_wand(recording, turn))]
     assert shown[1] - shown[0] == pytest.approx(turn, abs=0.05)
+
+
+def test_what_walks_have_in_common_narrows_what_is_open_and_an_axis_that_is_off_in_all_of_them_less() -> None:
+    """A knee's axis that errs alike in slope and rotation tells less than two that err apart; with nothing in common the priors stay."""
+    known = replace(KNOWN, left=replace(KNOWN.left, from_file=tuple(name for name in LEGS if name != "thigh_rotation")))
+
+    def half(walks: WalkPriors) -> float:
+        ((one, other),) = WalkEstimator(walk().recording, known, "L", walks=walks).apart()
+        return abs(one.left.thigh_rotation - other.left.thigh_rotation) / 2
+
+    usual = WalkPriors()
+    apart, together = half(replace(usual, axis=0.0)), half(usual)
+    wide = (0.0, 100.0)
+    nothing = half(WalkPriors(slope=wide, hip_turn=wide, straight=wide, knee_turn=wide, ankle_turn=wide))
+    assert apart < 0.95 * together < 0.5 * nothing and nothing == pytest.approx(MeasurePriors().thigh[1], rel=0.01)
 
 
 def turned_wand(recording: asterism.Recording, turn: float) -> asterism.Recording:

@@ -139,7 +139,7 @@ def analyse_gait(
     walking = walking_as_said(recording, walking)
     cycles = tuple(cycles_of(walking))
     file, found = str(recording.metadata.get("file", "the recording")), exchanged_finding(recording)
-    if walking.feet.backwards and not walking.events:
+    if walking.backwards and not walking.events:
         sentence = f"{file}: the person goes where the heels point, so that no events are given; they are told of people who walk forwards."
         mend = "Look whether heels and toes carry each other's names, or the time runs backwards; a walk backwards has no events here."
         found.append(Finding("gait-backwards", Severity.WARNING, file, sentence, mend))

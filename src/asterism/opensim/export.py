@@ -6,10 +6,11 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path, PurePath
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.files.atomic import utf8, write_atomically
@@ -23,7 +24,7 @@ from asterism.geometry import z_up_rotation
 from asterism.motion.clinical import ClinicalModel
 from asterism.motion.clinical.static import with_knee_markers
 from asterism.opensim.documents import MotionTask, ScaleTask, dynamics_setup, kinematics_setup, marker_set, scale_setup
-from asterism.opensim.person import CENTRES, PersonInTrial, bodies_of, has_leg, person_of, ridden
+from asterism.opensim.person import CENTRES, SIDES, PersonInTrial, bodies_of, has_leg, person_of, ridden
 from asterism.opensim.scaling import BodyScale, PlacedMarker, generic_model, lumbar_share, moved, placed_markers, scale_factors
 from asterism.recording import Floats, Recording, is_unnamed, subject_of
 from asterism.recording.force_plate import ForcePlate
@@ -181,15 +182,16 @@ def _documents(session: _Session, found: list[Finding]) -> OpenSimExport:
     mass, said = _mass(scaled_by, person, session.standing)
     # shoulders move on the trunk, as no model does
     weights = {one.name: _CENTRES if one.centre and one.name[1:] in ("HJC", "KJC", "AJC") else 1.0 for one in placed}
-    scaled = f"{name}_scaled.osim"
+    scaled, (run, whole) = f"{name}_scaled.osim", _without_gaps(placed, person)
+    times = scaled_by.recording.times[run]
     task = ScaleTask(
         model=_beside(session.model, session.folder),
         markers=files["markers"].name,
         trial=files[f"{scaled_by.name}: markers"].name,
-        times=_span(scaled_by.recording),
+        times=(float(times[0]), float(times[-1])),
         mass=mass,
         scales=scales,
-        pairs=_pairs(placed, scales, person),
+        pairs=_pairs(whole, scales),
         weights=weights,
         held=_held(generic, placed, weights),
         placing=session.standing,
@@ -344,35 +346,44 @@ def _beside(model: Path, folder: Path) -> str:
         return str(model.absolute())
 
 
-def _pairs(placed: Sequence[PlacedMarker], scales: Mapping[str, BodyScale], person: PersonInTrial) -> dict[str, tuple[str, str]]:
+_BETWEEN = {"femur": "HK", "tibia": "KA", "humerus": "SE", "ulna": "EW", "radius": "EW"}
+"""The joint centres at the ends of a body, by their first letters."""
+
+
+def _without_gaps(placed: Sequence[PlacedMarker], person: PersonInTrial) -> tuple[slice, list[PlacedMarker]]:
+    """The longest run of frames in which fewest points are missing, and the points that are seen in all of it.
+
+    The scale tool leaves a body as it is, and a point out of the pose, for a single sample that is missing.
+    """
+    points = {**person.markers, **person.centres}
+    seen: NDArray[np.bool_] = np.asarray(np.isfinite(np.stack([points[marker.name] for marker in placed])).all(axis=2))
+    missing = (~seen).sum(axis=0)
+    edges = np.concatenate([[0], np.nonzero((seen[:, 1:] != seen[:, :-1]).any(axis=0))[0] + 1, [seen.shape[1]]])
+    runs = [slice(int(begin), int(end)) for begin, end in pairwise(edges)]
+    best = max(runs, key=lambda run: (-int(missing[run.start]), run.stop - run.start))
+    return best, [marker for marker, there in zip(placed, seen[:, best.start], strict=True) if there]
+
+
+def _pairs(whole: Sequence[PlacedMarker], scales: Mapping[str, BodyScale]) -> dict[str, tuple[str, str]]:
     """Body -> two points whose distance tells its factor; bodies of a foot share one."""
-    found: dict[str, tuple[str, str]] = {}
-    centres = {marker.name for marker in placed if marker.centre}
-    known = {"pelvis": ("RHJC", "LHJC")}
-    for side, letter in (("R", "r"), ("L", "l")):
-        for body, upper, lower in (
-            ("femur", "H", "K"),
-            ("tibia", "K", "A"),
-            ("humerus", "S", "E"),
-            ("ulna", "E", "W"),
-            ("radius", "E", "W"),
-        ):
-            known[f"{body}_{letter}"] = (f"{side}{upper}JC", f"{side}{lower}JC")
-    for body, pair in known.items():
-        together = set(pair) <= centres and np.isfinite(person.centres[pair[0]] + person.centres[pair[1]]).all(axis=1).any()
-        if together and body in scales and scales[body].measured is not None:
+    centres, found = {marker.name for marker in whole if marker.centre}, dict[str, tuple[str, str]]()
+    pairs = {
+        f"{body}_{letter}": (f"{side}{ends[0]}JC", f"{side}{ends[1]}JC")
+        for side, letter in SIDES.items()
+        for body, ends in _BETWEEN.items()
+    }
+    for body, pair in {"pelvis": ("RHJC", "LHJC"), **pairs}.items():
+        if set(pair) <= centres and body in scales and scales[body].measured is not None:
             found[body] = pair
-    for body, others in {
-        "torso": ("torso",),
-        **{f"calcn_{side}": tuple(f"{one}_{side}" for one in ("talus", "calcn", "toes")) for side in "rl"},
-    }.items():
-        own = [marker for marker in placed if marker.body == body]
-        widest = max(combinations(own, 2), key=lambda two: float(np.linalg.norm(two[0].location - two[1].location)), default=None)
-        if widest is None or np.linalg.norm(widest[0].location - widest[1].location) * scales[body].factor < _APART:
-            continue
-        seen = np.isfinite(person.markers[widest[0].name] + person.markers[widest[1].name]).all(axis=1)
-        if seen.any():
-            found |= {other: (widest[0].name, widest[1].name) for other in others if other in scales}
+    for body, others in (
+        ("torso", ["torso"]),
+        *((f"calcn_{side}", [f"{one}_{side}" for one in ("talus", "calcn", "toes")]) for side in "rl"),
+    ):
+        own = [marker for marker in whole if marker.body == body]
+        apart = {(a.name, b.name): float(np.linalg.norm(a.location - b.location)) * scales[body].factor for a, b in combinations(own, 2)}
+        widest = max(apart, key=apart.__getitem__, default=None)
+        if widest is not None and apart[widest] > _APART:
+            found |= {other: widest for other in others if other in scales}
     return found
 
 

@@ -29,7 +29,7 @@ class MeasurePriors:
     the joint; larger by what n people leave open: by the root of 1 + 1/n, and by Student's t over that of a normal distribution. Half of
     one narrows the angles that hang on it by up to half, and people beside it are missed; double widens them.
 
-    leg           length, of the way from the anterior iliac spine by the knee's marker to the ankle's (n = 3)
+    leg           length, of the way from the anterior iliac spine by the knee's marker to the ankle's (n = 4)
     knee, ankle   widths, of the length of the leg (n = 10, 11)
     trochanter    m, beyond the regression of Davis et al. (1991) (n = 4)
     radius        m, of the markers: those of 9.5 to 19 mm are usual
@@ -44,7 +44,7 @@ class MeasurePriors:
     arms          m, standard deviations about an adult's measures (`ArmMeasures`), by hand: files of two people differ by as much
     """
 
-    leg: Prior = (1.007, 0.014)
+    leg: Prior = (1.002, 0.033)
     knee: Prior = (0.123, 0.025)
     ankle: Prior = (0.081, 0.010)
     trochanter: Prior = (0.0057, 0.012)
