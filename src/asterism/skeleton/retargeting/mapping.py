@@ -97,7 +97,7 @@ def retarget(
 
     Raises AsterismError where a leg of either is not found, the character stands on four legs, or a frame is missing.
 
-    Cost: O(T B), about 1 s for 60 s at 100 Hz.
+    Cost: O(T B), about 1 s for a minute at 100 Hz.
     """
     bones = bones or {}
     if not np.isfinite(motion.rotations).all() or not np.isfinite(motion.root).all():
