@@ -233,6 +233,15 @@ def test_the_pose_is_taken_where_no_sample_is_missing(session: Path, tmp_path: P
     assert np.isfinite(chosen).all() and len(used) > 8
 
 
+def test_the_model_is_found_from_a_linked_folder(session: Path, tmp_path: Path) -> None:
+    (tmp_path / "deep" / "below").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "deep" / "below")
+    assert run(session, tmp_path / "link") == 0
+    named = ElementTree.parse(tmp_path / "link" / "scale.xml").getroot().findtext(".//model_file") or ""
+    # as a program opens it there
+    assert (tmp_path / "link" / named).samefile(session / "round.osim")
+
+
 def test_without_a_standing_trial_the_walk_scales(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [session / "walk.c3d", "-m", session / "round.osim", "-o", tmp_path / "out", "--measure", "BodyMass=70"]
     assert main(["opensim", *(str(one) for one in words)]) == 0

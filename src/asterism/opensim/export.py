@@ -339,9 +339,9 @@ def _subject(recording: Recording) -> str:
 
 
 def _beside(model: Path, folder: Path) -> str:
-    """The model's file as seen from the folder: the tools put their own folder before what they read."""
+    """The model's file as seen from the folder, links followed: the tools put their own folder before what they read."""
     try:
-        return Path(os.path.relpath(os.path.abspath(model), os.path.abspath(folder))).as_posix()
+        return Path(os.path.relpath(os.path.realpath(model), os.path.realpath(folder))).as_posix()
     except ValueError:  # another drive
         return str(model.absolute())
 
