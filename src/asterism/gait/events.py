@@ -33,6 +33,9 @@ class EventRules:
     knock_within, knock_later  s behind that moment in which a heel's knock on the floor, the peak of its upward acceleration, is
                                sought, and from the peak to the strike
     knock                      m/s2 by which a peak stands above its surroundings to be a knock; less counts in proportion
+    noise                      standard deviations of the markers' noise (`Feet.noise`) that count beside `knock` and `slap`: what noise
+                               makes stand out is neither. Of clean recordings nothing changes. With 1 mm of noise strikes of people who
+                               shuffle are 14 ms off, 19 where this is 0; 15 at half and 14 at double
     slap_later, slap           s, from the fastest fall of the toe against the heel to the strike, and rad/s by which it stands out
     down                       m that a heel may still fall behind a slap: a foot turns about its heel only when the heel is on the floor,
                                and heels give way by a millimetre. A slap counts less the more is left. In turns, whose slaps before that
@@ -64,6 +67,7 @@ class EventRules:
     knock_within: float = 0.09
     knock_later: float = -0.006
     knock: float = 2.0
+    noise: float = 6.0
     knock_weight: float = 2.0
     slap_later: float = -0.011
     slap: float = 1.5
@@ -232,12 +236,13 @@ def _told_on_floor(feet: Feet, side: str, ahead: Floats, peaks: Sequence[int], r
     floor = float(np.percentile(heel[:, 2], 5))
     # of the speed over the floor
     jerk = np.gradient(np.gradient(np.linalg.norm(np.gradient(heel[:, :2], axis=0), axis=1)))
+    least = [float(np.hypot(usual, rules.noise * noise)) for usual, noise in zip((rules.knock, rules.slap), feet.noise[side], strict=True)]
     found = []
     for peak in peaks:
         knock, knocks = _stands_out(upwards, peak, 0.0, rules.knock_within)
         slap, slaps = _stands_out(falls, peak, -0.01, 0.13)
         left = 0.0 if slap is None else _fall_left(heel[:, 2], slap)
-        clear = [min(knocks / rules.knock, 1.0), min(slaps / rules.slap, 1.0) * max(1.0 - left / rules.down, 0.0)]
+        clear = [min(knocks / least[0], 1.0), min(slaps / least[1], 1.0) * max(1.0 - left / rules.down, 0.0)]
         told = [
             (knock, rules.knock_later, rules.knock_weight * clear[0]),
             (slap, rules.slap_later, rules.slap_weight * clear[1]),

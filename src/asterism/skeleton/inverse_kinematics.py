@@ -55,7 +55,7 @@ class KinematicsRules:
     lost_at_most    what one marker may add to that, so that a single wrong one does not count as lost
     smooth          whether frames are smoothed together
     usual_s         s, in which what is usual of a coordinate counts once where no marker tells it: by then a joint is elsewhere
-    least_square    of what is left of a smoothing's step, for each number and frame, in units of its white noise: 0.003 standard deviations
+    least_square    of what is left of a smoothing's step, for each number and frame, in units of its white noise: 0.03 standard deviations
     rounds          of smoothing at most: the equations are linear in small steps
     done            rad or m, the largest step of a number below which a smoothing is done: 0.06 degrees, 1 mm
     block, overlap  frames that are smoothed together, and by how much their neighbours take part: seconds at any usual rate
@@ -73,7 +73,7 @@ class KinematicsRules:
     lost_at_most: float = 50.0
     smooth: bool = True
     usual_s: float = 0.5
-    least_square: float = 1e-5
+    least_square: float = 1e-3
     rounds: int = 4
     done: float = 0.001
     block: int = 4000
