@@ -272,6 +272,7 @@ def test_nothing_is_replaced_unless_asked(session: Path, tmp_path: Path, capsys:
     assert run(session, out) == 2 and "exists" in capsys.readouterr().err
     assert (out / "walk.trc").read_bytes() == b"mine" and not (out / "scale.xml").exists()
     assert run(session, out, "--overwrite") == 0 and (out / "walk.trc").read_bytes() == before
+    assert run(session, tmp_path / "two", "--cut-off", "0") == 2 and "0 Hz filters nothing" in capsys.readouterr().err
     assert run(session, session / "walk.c3d") == 2 and "is a file" in capsys.readouterr().err
 
 
@@ -435,7 +436,14 @@ def test_forces_come_with_inverse_dynamics(session: Path, tmp_path: Path) -> Non
     assert tool.findtext("coordinates_file") == "walk_ik.mot" and tool.findtext("forces_to_exclude") == "Muscles"
     loads = ElementTree.parse(tmp_path / "out" / (tool.findtext("external_loads_file") or "")).getroot()
     assert {one.findtext("applied_to_body") for one in loads.iter("ExternalForce")} == {"calcn_l"}
-    table = formats.read_table(tmp_path / "out" / (loads.findtext(".//datafile") or ""))
+    filtered = formats.read_table(tmp_path / "out" / (loads.findtext(".//datafile") or ""))
+    table = formats.read_table(tmp_path / "out" / "walk_grf.mot")
+    up, smooth = (one.values[:, one.names.index("1_ground_force_vy")] for one in (table, filtered))
+    # the same impulse, spread beyond the contact's ends
+    assert smooth.sum() == pytest.approx(up.sum(), rel=0.02) and (smooth > 0).sum() > (up > 0).sum() + 10
+    both = np.minimum(up, smooth) > 100
+    middle = [table.names.index(f"1_ground_force_p{axis}") for axis in "xyz"]
+    np.testing.assert_allclose(filtered.values[both][:, middle], table.values[both][:, middle], atol=1e-6)
     stands = table.times[table.values[:, table.names.index("1_ground_force_vy")] > 250]
     # under the ankle on the markers' clock, in the axes of the TRC
     names, rows, _ = trc(tmp_path / "out" / "walk.trc")
