@@ -151,6 +151,10 @@ class WalkEstimator:
             one, other = (self._made(end)[0] for end in ends)
             yield one, other
 
+    def drawn(self, rng: np.random.Generator) -> SubjectMeasures:
+        """Measures that may be the person's, drawn from what is known of them."""
+        return self._made({side: state + root @ rng.standard_normal(len(state)) for side, (state, root) in self._known.items()})[0]
+
     @cached_property
     def _known(self) -> Mapping[str, tuple[Floats, Floats]]:
         """By side: what is known of `sources`, in standard deviations of their priors: estimate, and a root of its covariance."""
