@@ -164,7 +164,7 @@ def test_what_walks_have_in_common_narrows_what_is_open_and_an_axis_that_is_off_
 
     def half(walks: WalkPriors) -> float:
         ((one, other),) = WalkEstimator(walk().recording, known, "L", walks=walks).apart()
-        return abs(one.left.thigh_rotation - other.left.thigh_rotation) / 2
+        return abs(one[0].left.thigh_rotation - other[0].left.thigh_rotation) / 2
 
     usual = WalkPriors()
     apart, together = half(replace(usual, axis=0.0)), half(usual)
@@ -181,7 +181,7 @@ def test_measures_spread_curves_as_measures_that_are_drawn_do() -> None:
     middle, room = angles_of(recording, body), walking_axes(body)
     drawn, stated = ({name: np.zeros_like(values) for name, values in middle.items()} for _ in range(2))
     for one, other in estimator.apart():
-        more, less = (angles_of(recording, lower_body(recording, end), room) for end in (one, other))
+        more, less = (angles_of(recording, made, room) for _, made in (one, other))
         for name in middle:
             stated[name] += ((more[name] - less[name]) / 2) ** 2 + 3.0 * ((more[name] + less[name]) / 2 - middle[name]) ** 2
     for _ in range(count):
@@ -189,8 +189,8 @@ def test_measures_spread_curves_as_measures_that_are_drawn_do() -> None:
         for name in middle:
             drawn[name] += (angles[name] - middle[name]) ** 2 / count
     for name in ("LHipAngles", "RKneeAngles", "LAnkleAngles", "RFootProgressAngles"):
-        both = [np.sqrt(np.nanmean(part[name], axis=0)) for part in (stated, drawn)]
-        np.testing.assert_allclose(*both, rtol=0.25, err_msg=name)
+        by_bands, by_draws = (np.sqrt(np.nanmean(part[name], axis=0)) for part in (stated, drawn))
+        np.testing.assert_allclose(by_bands, by_draws, rtol=0.25, err_msg=name)
 
 
 def turned_wand(recording: asterism.Recording, turn: float) -> asterism.Recording:

@@ -173,10 +173,8 @@ def _of_wands(
         taken = estimator.estimate()
         middle = angles_of(recording, lower_body(recording, taken, sides), room)
     found = _Open(_apart(middle, reported))
-    # The trunk's angles hang on no measure of a leg.
-    legs = recording.select([label for label in recording.labels if label not in THORAX])
     for pair in () if estimator is None else estimator.apart():
-        one, other = (angles_of(legs, lower_body(legs, end, sides), room) for end in pair)
+        one, other = (angles_of(estimator.legs, made, room) for _, made in pair)
         found.add_measure(one, other, middle)
     if estimator is not None and estimator.sources:
         # Of a leg that is hardly seen nothing is estimated, and what is open of it is not known.
