@@ -147,7 +147,7 @@ class WalkEstimator:
         return self._made({side: state for side, (state, _) in self._known.items()})[0]
 
     def apart(self) -> Iterator[tuple[Made, Made]]:
-        """Pairs of measures with their bodies, one standard deviation to both sides of the estimate, along each of independent directions."""
+        """Pairs of measures with their bodies, a standard deviation to both sides of the estimate, along each of independent directions."""
         for column in range(len(self.sources)):
             ends = ({side: state + sign * root[:, column] for side, (state, root) in self._known.items()} for sign in (1.0, -1.0))
             one, other = (self._made(end) for end in ends)
