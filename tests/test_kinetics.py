@@ -11,6 +11,7 @@ import pytest
 
 import asterism
 from asterism import AsterismError, Recording
+from asterism.cli.gait import as_dict
 from asterism.formats import force_plates
 from asterism.gait import analyse_gait
 from asterism.gait.analysis import _other_mass
@@ -283,10 +284,15 @@ def test_real_walks_have_the_moments_and_powers_of_the_laboratory() -> None:
         theirs = computed_by_the_file(recording, name)
         assert theirs is not None
         assert np.sqrt(np.nanmean((moments - theirs / 1000) ** 2, axis=0)).max() < 0.03, name
+        known = np.isfinite(moments + theirs).all(axis=1)
+        assert (np.abs(moments - theirs / 1000)[known] < 1.96 * analysis.kinetics.sigmas[name][known]).mean() > 0.93, name
     for name, power in analysis.kinetics.powers.items():
         theirs = computed_by_the_file(recording, name)
         assert theirs is not None and np.sqrt(np.nanmean((power - theirs[:, 2]) ** 2)) < 0.1, name
     assert "kinetics-mass-differs" not in [one.code for one in analysis.findings]
+    content = as_dict(analysis)
+    for name, places in content["load_cycles"].items():
+        assert len(places) == len(content["loads"][name]) and {content["cycles"][place]["side"] for place in places} == {name[0]}
     # without a mass the stances are shown, and that they are not per kg is said
     heavy = analyse_gait(recording, plates, replace(subject_measures(recording), mass=None))
     assert heavy.kinetics is not None and not heavy.kinetics.per_kg and "kinetics-mass" in [one.code for one in heavy.findings]

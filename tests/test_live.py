@@ -5,7 +5,10 @@ from __future__ import annotations
 import errno
 import json
 import math
+import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -384,3 +387,26 @@ def test_a_source_that_sends_nothing_is_told(tmp_path: Path, capsys) -> None:
     assert "live-silent" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
     assert main(["live"]) == 2 and "give one source" in capsys.readouterr().err
+
+
+def test_ctrl_c_ends_a_session_with_all_that_came(tmp_path: Path, walks: list[Recording], model: asterism.MarkerModel) -> None:
+    asterism.write(tmp_path / "walk.c3d", walks[5].frames(slice(60)))
+    model.save(tmp_path / "walkers.model")
+    words = ["--replay", "walk.c3d", "--loop", "--model", "walkers.model", "--lines", "-o", "out.c3d", "--json", "out.json"]
+    process = subprocess.Popen([sys.executable, "-m", "asterism.cli", "live", *words], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
+    assert process.stdout is not None
+    for line in process.stdout:
+        if '"frame":70' in line:
+            process.send_signal(signal.SIGINT)
+            break
+    process.communicate(timeout=60)
+    assert process.returncode == 0
+    told = json.loads((tmp_path / "out.json").read_text())
+    assert told["frames"] == told["labelled"] >= 71
+    assert len(asterism.read(tmp_path / "out.c3d")) == told["frames"]
+    assert not (tmp_path / "out.c3d.live").exists()
+
+
+def test_a_format_that_cannot_be_written_is_refused_before_a_session_begins(tmp_path: Path, capsys) -> None:
+    assert main(["live", "udp://127.0.0.1:0", "--rate", "100", "-o", str(tmp_path / "x.txt")]) == 2
+    assert "no format has the suffix .txt" in capsys.readouterr().err and not list(tmp_path.iterdir())

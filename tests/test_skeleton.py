@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import twins_skeleton as twins
@@ -11,12 +9,13 @@ from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
 from asterism.errors import AsterismError
+from asterism.formats.opensim_model import simm_spline
 from asterism.recording import Recording
 from asterism.skeleton import load_body, solve_kinematics, tree_of
 from asterism.skeleton._smooth_kernels import likelihood, smoothed_variances, smoothing_step
 from asterism.skeleton._tree_kernels import assemble, factorise, inverse_diagonal, pose_tree, shared_variances, solve_factored
 from asterism.skeleton.inverse_kinematics import KinematicsRules, Solving
-from asterism.skeleton.osim_file import load_osim, simm_spline
+from asterism.skeleton.osim_file import load_osim
 from asterism.skeleton.tree import Coordinate, Curve, JointMotion, KinematicTree, TreeBone, TreeMarker
 
 pytestmark = pytest.mark.kernels
@@ -177,11 +176,8 @@ def test_a_movement_without_noise_is_found_again(turn) -> None:
     q, recording = _walk(tree, 60, 100.0, np.random.default_rng(1), Rotation.from_rotvec(turn).as_matrix())
     free = KinematicTree(tree.bones, tuple(Coordinate(c.name, c.usual) for c in tree.coordinates), tree.markers, starts=tree.starts)
     found = solve_kinematics(free, recording, rules=GAUSS)
-    # Where an arm is straight, its turn is the upper arm's as well as the forearm's, and nothing tells which.
-    told = [i for i, c in enumerate(free.coordinates) if not any(part in c.name for part in ("arm", "hand"))]
-    assert np.degrees(np.abs(found.coordinates - q))[:, told].max() < 0.2
-    alone = solve_kinematics(free, recording, rules=replace(GAUSS, smooth=False))
-    assert np.degrees(np.abs(alone.coordinates - q)).max() < 0.01
+    # Smoothing is as strong as the course is smooth; a straight arm's turn is told from the forearm's by the frames around.
+    assert np.degrees(np.abs(found.coordinates - q)).max() < 0.1
     assert np.nanmax(found.misses) < 1e-3
 
 
@@ -197,7 +193,9 @@ _JOINT = """<CustomJoint name="{name}"><socket_parent_frame>{parent}_offset</soc
 <orientation>{turned}</orientation></PhysicalOffsetFrame>
 <PhysicalOffsetFrame name="{child}_offset"><socket_parent>/bodyset/{child}</socket_parent><translation>{own}</translation>
 <orientation>0 0 0.2</orientation></PhysicalOffsetFrame></frames><SpatialTransform>{axes}</SpatialTransform></CustomJoint>"""
-_AXIS = '<TransformAxis name="{name}"><coordinates>{coordinate}</coordinates><axis>{axis}</axis>{function}</TransformAxis>'
+_AXIS = (
+    '<TransformAxis name="{name}"><coordinates>{coordinate}</coordinates><axis>{axis}</axis><function>{function}</function></TransformAxis>'
+)
 _LINE = "<LinearFunction><coefficients>1 0</coefficients></LinearFunction>"
 _NONE = "<Constant><value>0</value></Constant>"
 _POINTS = "<SimmSpline><x>-2 -1 0 0.5 1</x><y>0.01 0.03 0 -0.02 -0.01</y></SimmSpline>"
@@ -308,7 +306,7 @@ def test_a_simm_spline_goes_through_its_points_smoothly_and_ends_like_their_cubi
 def test_an_opensim_model_that_cannot_be_read_says_why(osim) -> None:
     text = osim.read_text()
     for wrong, right, said in (
-        ("<JointSet>", "<Joints>", "open it in OpenSim 4"),
+        ("<JointSet>", "<Joints>", "hangs on no joint"),
         ("meters", "inches", "save it in meters"),
         (
             "<MultiplierFunction><function><SimmSpline><x>-2 -1 0 0.5 1</x>",

@@ -30,7 +30,7 @@ def plug_in_gait(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Share of curves of walks within what is asked, and how far the offsets of standing trials are off.
 
     One trial (HC040) holds offsets that it does not show itself: those of another trial, with which its program computed it as a walk
-    (`clinical-static-differs`). One (sydney) has a foot's rotation of an older program, 0.02 and 0.03 rad off.
+    (`clinical-static-differs`). The others come out to 0.001 rad.
     """
     files = [path for part in ("gait", "gait-events", "movement") for path in sorted((folder() / part).rglob("*.c3d"))]
     walks = [path for path in files if "static" not in path.name][: 6 if benchmark.quick else None]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ from asterism.cli import _console
 from asterism.cli._options import marker_names, vertical_axis
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.recording import Clouds, Labelling, MarkerSet, Recording, keep_labels
+from asterism.recording import MarkerSet, Recording
 
 if TYPE_CHECKING:
     from asterism.cameras import Rig
@@ -41,15 +41,21 @@ def read_labelled(files: Sequence[Path], markers: str | MarkerSet | None, vertic
     """
     marker_set = markers if isinstance(markers, MarkerSet) else marker_set_of(markers)
     axis = vertical_axis(vertical)
+    recordings = _each(files, batch, lambda path: formats.read(path, markers=marker_set, vertical=axis))
+    return recordings if marker_set is not None else _with_common_markers(recordings, batch)
+
+
+def _each(files: Sequence[Path], batch: _console.Batch, read: Callable[[Path], Recording]) -> list[Recording]:
+    """The files of a batch that can be read, whose warnings are told. Raises AsterismError where none is left."""
     recordings = []
     for path in files:
         with batch.file(path):
-            recording = formats.read(path, markers=marker_set, vertical=axis)
+            recording = read(path)
             report_warnings(recording, batch)
             recordings.append(recording)
     if not recordings:
         raise AsterismError("none of the files can be used; the reasons are above.")
-    return recordings if marker_set is not None else _with_common_markers(recordings, batch)
+    return recordings
 
 
 def read_people(files: Sequence[Path], marker_set: MarkerSet, vertical: str | None, batch: _console.Batch) -> list[Recording]:
@@ -59,22 +65,19 @@ def read_people(files: Sequence[Path], marker_set: MarkerSet, vertical: str | No
     """
     from asterism.session.people import people_in
 
-    axis, recordings = vertical_axis(vertical), list[Recording]()
-    for path in files:
-        with batch.file(path):
-            try:
-                recording = formats.read(path, markers=marker_set, vertical=axis)
-            except AsterismError:
-                # two people have two points of one name
-                recording = formats.read(path, vertical=axis)
-                if not people_in(recording.labels, marker_set):
-                    raise
-                recording = recording.select([label for label in recording.labels if marker_set.name_of(label) is not None])
-            report_warnings(recording, batch)
-            recordings.append(recording)
-    if not recordings:
-        raise AsterismError("none of the files can be used; the reasons are above.")
-    return recordings
+    axis = vertical_axis(vertical)
+
+    def read(path: Path) -> Recording:
+        try:
+            return formats.read(path, markers=marker_set, vertical=axis)
+        except AsterismError:
+            # two people have two points of one name
+            recording = formats.read(path, vertical=axis)
+            if not people_in(recording.labels, marker_set):
+                raise
+            return recording.select([label for label in recording.labels if marker_set.name_of(label) is not None])
+
+    return _each(files, batch, read)
 
 
 def one_person(recording: Recording, batch: _console.Batch) -> Recording:
@@ -99,19 +102,16 @@ def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str
     from asterism.labelling.training.markers import named_markers
 
     axis = vertical_axis(vertical)
-    recordings = []
-    for path in files:
-        with batch.file(path):
-            recording = formats.read(path, markers=marker_set, vertical=axis)
-            report_warnings(recording, batch)
-            if marker_set is None:
-                # computed points and numbers for tracks are no markers
-                recording = recording.select(named_markers(recording))
-            with_names(path, recording.labels if recording.visible.any() else ())
-            recordings.append(recording)
-    if not recordings:
-        raise AsterismError("none of the files can be used; the reasons are above.")
-    return recordings
+
+    def read(path: Path) -> Recording:
+        recording = formats.read(path, markers=marker_set, vertical=axis)
+        if marker_set is None:
+            # computed points and numbers for tracks are no markers
+            recording = recording.select(named_markers(recording))
+        with_names(path, recording.labels if recording.visible.any() else ())
+        return recording
+
+    return _each(files, batch, read)
 
 
 def marker_set_of(markers: str | None) -> MarkerSet | None:
@@ -184,11 +184,3 @@ def assumptions(path: Path, rig: Rig) -> list[Finding]:
 
     mend = "Check it with `asterism info`."
     return [Finding("format-rig-assumed", Severity.NOTE, str(path), f"{path} does not say {what}.", mend) for what in guesses(rig)]
-
-
-def labels_kept(path: Path, labelling: Labelling, recording: Recording, clouds: Clouds, marker_set: MarkerSet) -> Labelling:
-    """The labelling with the labels that a file has already. Raises AsterismError, naming the file, where two columns claim one marker."""
-    try:
-        return keep_labels(labelling, recording, clouds, marker_set)
-    except AsterismError as problem:
-        raise AsterismError(f"{path}: {problem}") from None

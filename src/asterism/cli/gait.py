@@ -464,6 +464,8 @@ def as_dict(analysis: GaitAnalysis) -> dict[str, Any]:
         },
         "curves_deg": {name: np.round(np.degrees(curves), 3) for name, curves in analysis.curves.items()},
         "loads": {name: np.round(curves, 4) for name, curves in analysis.loads.items()},
+        # places in "cycles": of some cycles it is not known what acts on the foot
+        "load_cycles": {name: [analysis.cycles.index(cycle) for cycle in own] for name, own in analysis.loaded.items()},
         "load_sigmas": {name: np.round(sigmas, 4) for name, sigmas in analysis.load_sigmas.items()},
         "loads_per_kg": analysis.kinetics is not None and analysis.kinetics.per_kg,
         "emg": [

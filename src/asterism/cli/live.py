@@ -85,6 +85,7 @@ def live(options: LiveOptions) -> None:
     came late or could not be read are counted and told at the end. Stop with Ctrl-C. A recording holds all frames that came. Until the end
     they are in a file beside the output, so that a session that is killed loses half a second at most.
     """
+    from asterism.formats import check_suffix
     from asterism.live import LiveRecorder, session_findings
 
     if options.finish is not None:
@@ -95,6 +96,8 @@ def live(options: LiveOptions) -> None:
         raise AsterismError("--lines and --json - both print to standard output; give --json a file.")
     if options.model is not None and options.markers is not None:
         raise AsterismError("a model has its own marker set; give either --model or --markers.")
+    if options.output is not None:
+        check_suffix(options.output)
     _console.check_outputs([options.output, options.json], [options.replay, options.model], options.overwrite)
     if unfinished is not None and unfinished.exists():
         raise AsterismError(
@@ -183,9 +186,6 @@ def _run(session: LiveSession, options: LiveOptions) -> Health:
         threading.Thread(target=_tell, args=(session, told), daemon=True).start()
     try:
         return session.run()
-    except KeyboardInterrupt:
-        session.stop()
-        return session.health()
     finally:
         told.set()
         if stop_page is not None:

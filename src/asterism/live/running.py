@@ -6,6 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -117,36 +118,49 @@ class LiveSession:
     _queue: deque[LiveFrame] = field(default_factory=deque)
     _there: threading.Condition = field(default_factory=threading.Condition)
     _ended: bool = False
+    _all_read: bool = False
     _count: FrameCount = field(default_factory=FrameCount)
     _clock: SourceClock = field(default_factory=SourceClock)
     _health: Health = field(default_factory=Health)
     _arrivals: deque[float] = field(default_factory=lambda: deque(maxlen=1000))
     _latencies: deque[float] = field(default_factory=lambda: deque(maxlen=_LATENCIES))
     _rate: float = float("nan")
+    _chain: LabelChain | None = None
+    _failed: Exception | None = None
 
     def run(self) -> Health:
         """Read and label until the source ends. Raises AsterismError where the labelling cannot begin."""
         self._rate = self.source.about.rate
-        reader = threading.Thread(target=self._read, name="live source", daemon=True)
+        threads = [
+            threading.Thread(target=self._read, name="live source", daemon=True),
+            threading.Thread(target=self._work, name="live labels", daemon=True),
+        ]
         try:
             # What can be made before the first frame keeps none of them waiting.
-            chain = self._chain() if np.isfinite(self._rate) else None
-            reader.start()
-            self._label(chain)
+            self._chain = self._made() if np.isfinite(self._rate) else None
+            for thread in threads:
+                thread.start()
+            # This thread only waits, so that Ctrl-C breaks no frame off: it ends the session with all that came.
+            while threads[1].is_alive():
+                with suppress(KeyboardInterrupt):
+                    threads[1].join(_TIMEOUT)
+                    continue
+                self.stop()
         finally:
             self.stop()
-            if reader.ident is not None:
-                reader.join(timeout=5 * _TIMEOUT)
+            if threads[0].ident is not None:
+                threads[0].join(timeout=5 * _TIMEOUT)
             for output in self.outputs:
                 output.close()
             self.source.close()
+        if self._failed is not None:
+            raise self._failed
         return self.health()
 
     def stop(self) -> None:
-        """End the session; frames that wait are not labelled."""
+        """End the session: no frame is taken any more, and those that wait are labelled."""
         with self._there:
             self._ended = True
-            self._queue.clear()
             self._there.notify_all()
 
     @property
@@ -191,7 +205,7 @@ class LiveSession:
             self._health.problem = f"{self.source.about.name} failed ({problem}); start it again."
         finally:
             with self._there:
-                self._ended = True
+                self._ended = self._all_read = True
                 self._there.notify_all()
 
     def _take(self, frame: LiveFrame) -> None:
@@ -212,20 +226,26 @@ class LiveSession:
                 self._health.dropped += 1
             self._there.notify_all()
 
-    def _chain(self) -> LabelChain:
+    def _made(self) -> LabelChain:
         return LabelChain(self.make(self._rate, self.up), self._rate, self.delay)
 
-    def _label(self, chain: LabelChain | None) -> None:
-        """Label frames until there are no more. chain: None where the rate is to be found first."""
-        if chain is None:
-            begin = self._frames_for_rate()
-            if not np.isfinite(self._rate):
-                return
-            chain = self._chain()
+    def _work(self) -> None:
+        """The labelling thread."""
+        try:
+            begin = list[LiveFrame]()
+            if self._chain is None:
+                begin = self._frames_for_rate()
+                if not np.isfinite(self._rate):
+                    return
+                self._chain = self._made()
             for frame in begin:
-                self._labelled(chain, frame)
-        while (next_frame := self._wait()) is not None:
-            self._labelled(chain, next_frame)
+                self._labelled(self._chain, frame)
+            while (next_frame := self._wait()) is not None:
+                self._labelled(self._chain, next_frame)
+        except Exception as problem:  # told by the thread that waits
+            self._failed = problem
+        finally:
+            self.stop()
 
     def _frames_for_rate(self) -> list[LiveFrame]:
         """The first frames, by whose times the rate is found."""
@@ -244,7 +264,8 @@ class LiveSession:
     def _wait(self) -> LiveFrame | None:
         """The oldest frame that waits; None at the end."""
         with self._there:
-            while not self._queue and not self._ended:
+            # A frame that was taken as the session ended is still to come.
+            while not self._queue and not self._all_read:
                 self._there.wait(_TIMEOUT)
             frame = self._queue.popleft() if self._queue else None
             self._there.notify_all()

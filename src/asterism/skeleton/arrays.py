@@ -35,7 +35,7 @@ class ArticulatedBodyArrays(NamedTuple):
     radii: Floats
 
 
-class Known(NamedTuple):
+class PosePrior(NamedTuple):
     """What is known before any image.
 
     vertical (3,); scale_usual (3,); scale_precision (2,): of the common scale, and of each scale's difference from it; tilt_precision rad-2

@@ -11,7 +11,7 @@ from asterism.errors import AsterismError
 from asterism.geometry import fit_rigid, rotate_z_up
 from asterism.recording import Floats, MarkerSet, Recording, canonical, is_unnamed, plain_name, without_subject
 from asterism.skeleton import anatomy
-from asterism.skeleton.arrays import Known
+from asterism.skeleton.arrays import PosePrior
 from asterism.skeleton.body import ArticulatedBody, BodyMarker, Hinge, as_point
 from asterism.skeleton.body_file import load_body, shipped_bodies
 from asterism.skeleton.pose_kernels import HINGES, PLACE, fit_positions, place_bones
@@ -261,10 +261,10 @@ def pose_recording(body: ArticulatedBody, positions: Floats, *, scales: Floats |
     return PosedFrames(poses, rotations, costs)
 
 
-def known_of(body: ArticulatedBody, vertical: Floats, *, tilt: float = 0.25, scale: tuple[float, float] | None = None) -> Known:
+def known_of(body: ArticulatedBody, vertical: Floats, *, tilt: float = 0.25, scale: tuple[float, float] | None = None) -> PosePrior:
     """What is known of a body before any image: about upright (`tilt` rad), about the model's size."""
     common, single = body.scale_spread if scale is None else scale
-    return Known(np.asarray(vertical, dtype=np.float64), np.ones(3), np.array([common**-2.0, single**-2.0]), tilt**-2.0)
+    return PosePrior(np.asarray(vertical, dtype=np.float64), np.ones(3), np.array([common**-2.0, single**-2.0]), tilt**-2.0)
 
 
 def _learned(

@@ -55,7 +55,7 @@ class KinematicsRules:
     lost_at_most    what one marker may add to that, so that a single wrong one does not count as lost
     smooth          whether frames are smoothed together
     usual_s         s, in which what is usual of a coordinate counts once where no marker tells it: by then a joint is elsewhere
-    least_square    of what is left of a smoothing's step, for each number and frame, in units of its white noise: 0.003 standard deviations
+    least_square    of what is left of a smoothing's step, for each number and frame, in units of its white noise: 0.03 standard deviations
     rounds          of smoothing at most: the equations are linear in small steps
     done            rad or m, the largest step of a number below which a smoothing is done: 0.06 degrees, 1 mm
     block, overlap  frames that are smoothed together, and by how much their neighbours take part: seconds at any usual rate
@@ -73,7 +73,7 @@ class KinematicsRules:
     lost_at_most: float = 50.0
     smooth: bool = True
     usual_s: float = 0.5
-    least_square: float = 1e-5
+    least_square: float = 1e-3
     rounds: int = 4
     done: float = 0.001
     block: int = 4000
@@ -296,7 +296,13 @@ def _block(
         # What is usual is worth a sighting in each frame that has better ones. Where these are hidden, it is one for all of half a second,
         # in units of the white share of the noise, as the smoothness is.
         sightings = np.minimum(white[ROOT:], 1.0) * arrays.precision / max(rules.usual_s * rate, 1.0)
+        kept, squares = tuple(part.copy() for part in state), _squares(weights, misses).sum(axis=1)
         _bridge(tree, variances, state, ratios, sightings, known)
+        linearise(arrays, solving, points, weights, q, turns, places, np.empty_like(variances), misses, entries)
+        # Numbers that no marker tells cost none: where markers are farther off, they told something together with others.
+        told = _squares(weights, misses).sum(axis=1) > squares + 1.0
+        for whole, part in zip(state, kept, strict=True):
+            whole[told] = part[told]
         hidden = np.column_stack([_hidden(variances[:, ROOT + j], known) for j in range(len(arrays.usual))])
         less = np.where(hidden, arrays.precision - sightings, 0.0)
         least = float(np.median(np.minimum(white[arrays.moves], 1.0)))
@@ -305,7 +311,7 @@ def _block(
     shared = np.empty_like(variances)
     shared_variances(arrays, solving, points, weights, rules.shared * _spreads(tree), q, turns, places, shared)
     sd = np.sqrt(total + shared)
-    shares = np.where(np.isfinite(misses), weights * misses**2, 0.0)
+    shares = _squares(weights, misses)
     # What Student's t lets go does not say how far the others are off.
     robust = np.minimum(shares, 9.0 * solving.tails) if solving.tails > 0 else shares
     counted = 3.0 * (shares > 0).sum(axis=1)
@@ -431,6 +437,11 @@ def _bridge(
     q += steps[:, ROOT:]
     places += steps[:, :3]
     turns[:] = Rotation.from_rotvec(steps[:, 3:6]).as_matrix() @ turns
+
+
+def _squares(weights: Floats, misses: Floats) -> Floats:
+    """(T, M) squares of misses in units of their variance; 0 where a marker is not seen."""
+    return np.where(np.isfinite(misses), weights * misses**2, 0.0)
 
 
 def _hidden(variances: Floats, known: np.ndarray) -> np.ndarray:

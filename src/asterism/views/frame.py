@@ -9,7 +9,7 @@ from itertools import pairwise, permutations
 import numpy as np
 
 from asterism.recording import Floats, Ints
-from asterism.skeleton.arrays import ArticulatedBodyArrays, Known
+from asterism.skeleton.arrays import ArticulatedBodyArrays, PosePrior
 from asterism.skeleton.body import ArticulatedBody
 from asterism.skeleton.body_fit import known_of
 from asterism.skeleton.pose_kernels import HINGES, add_priors
@@ -82,7 +82,7 @@ class FrameLabeller:
     limb_rules: LimbSearchRules = LIMB_RULES
 
     @property
-    def known(self) -> Known:
+    def known(self) -> PosePrior:
         """What is known of the body before any image."""
         usual = 1.0 if self.size is None else self.size
         narrow = (0.03, self.body.scale_spread[1]) if self.size is not None else None
@@ -321,7 +321,7 @@ class FrameLabeller:
     def _with_limbs(self, t: int, pose: Floats, rotation: Floats) -> BlobLabels:
         return self._fitted(t, pose, rotation, self.limb_rules.fit, self.rules.steps)
 
-    def _from(self, found: BlobLabels) -> tuple[Floats, Floats, Known, LimbSearchRules]:
+    def _from(self, found: BlobLabels) -> tuple[Floats, Floats, PosePrior, LimbSearchRules]:
         return found.pose, found.rotation, self._kit[2], self.limb_rules
 
     def _free(self, t: int, found: BlobLabels, markers: Ints) -> LimbScreen:
@@ -398,7 +398,7 @@ class FrameLabeller:
         return float(cost)
 
     @cached_property
-    def _kit(self) -> tuple[ArticulatedBodyArrays, PinholeArrays, Known, Observing, Ints, ViewsRules]:
+    def _kit(self) -> tuple[ArticulatedBodyArrays, PinholeArrays, PosePrior, Observing, Ints, ViewsRules]:
         return self.body.arrays, self.scene.cameras, self.known, self.observing, self.free, self.rules
 
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from asterism.recording import Floats, Ints
-from asterism.skeleton.arrays import ArticulatedBodyArrays, Known
+from asterism.skeleton.arrays import ArticulatedBodyArrays, PosePrior
 from asterism.skeleton.body import ArticulatedBody
 from asterism.skeleton.pose_kernels import HINGES, PLACE
 from asterism.skeleton.posing import posed_bones
@@ -153,7 +153,7 @@ class LimbScreen:
         angles, costs = self._screened(limb, limb.rest, pose, rotation, tried, blur)
         return self._with_angles(limb, pose, _apart(angles, costs, kept, apart))
 
-    def alone(self, limb: Limb, pose: Floats, rotation: Floats, known: Known, rules: LimbSearchRules, kept: int) -> Floats:
+    def alone(self, limb: Limb, pose: Floats, rotation: Floats, known: PosePrior, rules: LimbSearchRules, kept: int) -> Floats:
         """Poses (N, 9 + J), best first, N at most `kept`, with a limb sought and then fitted as if all blobs were its own.
 
         O(tried (bones + blobs) + first steps blobs).
@@ -181,7 +181,7 @@ class LimbScreen:
         out[:, HINGES + limb.hinges] = angles
         return out
 
-    def labelled(self, limb: Limb, labels: Ints, pose: Floats, rotation: Floats, known: Known, *, tried: int, steps: int) -> Floats:
+    def labelled(self, limb: Limb, labels: Ints, pose: Floats, rotation: Floats, known: PosePrior, *, tried: int, steps: int) -> Floats:
         """The pose (9 + J,) with the angles of one limb that fit labels (P,) best, from `tried` starts. O(tried steps)."""
         angles = np.concatenate([pose[None, HINGES + limb.hinges], limb.tried[:tried]])
         number = np.full(len(self.body.markers) + 1, -1, dtype=np.int64)
@@ -195,7 +195,7 @@ class LimbScreen:
         return out
 
     def _fitted(
-        self, limb: Limb, angles: Floats, labels: Ints, sigmas: Floats, steps: int, pose: Floats, rotation: Floats, known: Known
+        self, limb: Limb, angles: Floats, labels: Ints, sigmas: Floats, steps: int, pose: Floats, rotation: Floats, known: PosePrior
     ) -> tuple[Floats, Floats]:
         """Angles (N, L) of a limb after a fit from each, and their costs (N,); see `fit_limb`."""
         turned, moved = posed_bones(self.body, pose, rotation)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
@@ -40,11 +40,52 @@ def report_findings(findings: Sequence[Finding], *, written: bool, wanted: bool)
     return exit_status(findings) if written else 2
 
 
-def format_loses(output: Path, what: str) -> Finding:
-    """The finding that a rig's file leaves something out."""
-    return Finding(
-        "board-format-loses", Severity.WARNING, str(output), f"{output} leaves out {what}.", "Write .toml, which keeps everything."
-    )
+class _Outputs(Protocol):
+    """What is written of a calibration."""
+
+    @property
+    def output(self) -> Path | None:
+        """The rig."""
+
+    @property
+    def report(self) -> Path | None:
+        """The page."""
+
+    @property
+    def json(self) -> Any:
+        """The numbers."""
+
+    @property
+    def force(self) -> bool:
+        """Whether a rig that should not be used is written, too."""
+
+
+def hand_over(
+    made: BoardCalibration, command: str, facts: Mapping[str, Any], outputs: _Outputs, settings: Mapping[str, Any], *, alone: bool
+) -> int:
+    """Write and show a calibration from boards, and return the exit status.
+
+    facts: what JSON says of the inputs; settings: what the page says of them; alone: whether each camera was calibrated by itself, too.
+    """
+    findings, output = list(made.findings), outputs.output
+    # a rig that should not be used is not left where the next command finds it
+    written = output is not None and (made.usable or outputs.force)
+    if output is not None and written:
+        from asterism.cameras.files import write_rig
+
+        # a lens that the format cannot hold is another rig when it is read
+        mend = "Write .toml, which keeps everything."
+        for what in write_rig(made.rig, output):
+            findings.append(Finding("board-format-loses", Severity.WARNING, str(output), f"{output} leaves out {what}.", mend))
+    if outputs.report is not None:
+        from asterism.report import board_report
+
+        board_report(outputs.report, made, settings=settings)
+    told = {"rig": output if written else None, **made.summary(), "findings": [finding.to_dict() for finding in findings]}
+    _console.write_json(outputs.json, {"command": command, **facts, **told})
+    if outputs.json != "-":
+        show_cameras(made, alone=alone)
+    return report_findings(findings, written=written, wanted=output is not None)
 
 
 def show_cameras(made: BoardCalibration, *, alone: bool) -> None:

@@ -11,7 +11,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import Json, Overwrite, Report
-from asterism.cli.calibrate._calibration import Force, RigToWrite, format_loses, report_findings, show_cameras
+from asterism.cli.calibrate._calibration import Force, RigToWrite, hand_over
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
@@ -73,32 +73,8 @@ def board(options: BoardOptions) -> None:
         _console.check_new(path, options.overwrite)
     chosen = _board(options)
     made = _calibrated(options, chosen)
-    findings = list(made.findings)
-    # a rig that should not be used is not left where the next command finds it
-    written = options.output is not None and (made.usable or options.force)
-    if options.output is not None and written:
-        from asterism.cameras.files import write_rig
-
-        # a lens that the format cannot hold is another rig when it is read
-        findings += [format_loses(options.output, what) for what in write_rig(made.rig, options.output)]
-    if options.report is not None:
-        from asterism.report import board_report
-
-        settings = {"files": [str(path) for path in options.paths], "board": str(chosen), "known lenses": options.rig}
-        board_report(options.report, made, settings=settings)
-    _console.write_json(
-        options.json,
-        {
-            "command": "calibrate board",
-            "files": options.paths,
-            "rig": options.output if written else None,
-            **made.summary(),
-            "findings": [finding.to_dict() for finding in findings],
-        },
-    )
-    if options.json != "-":
-        show_cameras(made, alone=True)
-    raise typer.Exit(report_findings(findings, written=written, wanted=options.output is not None))
+    settings = {"files": [str(path) for path in options.paths], "board": str(chosen), "known lenses": options.rig}
+    raise typer.Exit(hand_over(made, "calibrate board", {"files": options.paths}, options, settings, alone=True))
 
 
 def _calibrated(options: BoardOptions, chosen: Board) -> BoardCalibration:

@@ -11,7 +11,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import Json, Overwrite, Report, Workers
-from asterism.cli.calibrate._calibration import Force, RigToWrite, format_loses, report_findings, show_cameras
+from asterism.cli.calibrate._calibration import Force, RigToWrite, hand_over
 
 if TYPE_CHECKING:
     from asterism.calibration.boards import BoardCalibration
@@ -59,36 +59,14 @@ def calibrate(options: CalibrateOptions) -> None:
     outputs = options.output, options.report, options.json, options.covariance
     _console.check_outputs(outputs, (*options.images, options.rig, options.target), options.overwrite)
     made = _calibrated(options)
-    findings = list(made.findings)
-    written = options.output is not None and (made.usable or options.force)
-    if options.output is not None and written:
-        from asterism.cameras.files import write_rig
-
-        findings += [format_loses(options.output, what) for what in write_rig(made.rig, options.output)]
     # with the rig or not at all: the covariance of another calibration would mislead
     if options.covariance is not None and (made.usable or options.force):
         from asterism.garment.rig_covariance import RigCovariance
 
         RigCovariance.of(made).save(options.covariance)
-    if options.report is not None:
-        from asterism.report import board_report
-
-        settings = {"images": [str(path) for path in options.images], "target": str(options.target), "known lenses": options.rig}
-        board_report(options.report, made, settings=settings)
-    _console.write_json(
-        options.json,
-        {
-            "command": "garment calibrate",
-            "files": options.images,
-            "target": options.target,
-            "rig": options.output if written else None,
-            **made.summary(),
-            "findings": [finding.to_dict() for finding in findings],
-        },
-    )
-    if options.json != "-":
-        show_cameras(made, alone=False)
-    raise typer.Exit(report_findings(findings, written=written, wanted=options.output is not None))
+    settings = {"images": [str(path) for path in options.images], "target": str(options.target), "known lenses": options.rig}
+    facts = {"files": options.images, "target": options.target}
+    raise typer.Exit(hand_over(made, "garment calibrate", facts, options, settings, alone=False))
 
 
 def _calibrated(options: CalibrateOptions) -> BoardCalibration:

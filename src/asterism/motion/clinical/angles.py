@@ -13,9 +13,8 @@ from asterism.motion.clinical.gathered import gathered_measures
 from asterism.motion.clinical.landmark_body import landmark_body, with_plug_in_gait_names, worn_landmarks
 from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures
 from asterism.motion.clinical.model import MODELS, ClinicalModel, wears_both_sides, wears_medial_markers
-from asterism.motion.clinical.plug_in_gait import lower_body
 from asterism.motion.clinical.upper_body import arm_measures_needed
-from asterism.motion.joints.anatomy import AnatomicalFrames, sacrum_markers
+from asterism.motion.joints.anatomy import sacrum_markers
 from asterism.recording import Floats, Recording
 
 CLINICAL = ("flexion", "adduction", "rotation")
@@ -189,20 +188,6 @@ def _left_out(recording: Recording, model: ClinicalModel, outputs: Mapping[str, 
     return found
 
 
-def leg_axes(recording: Recording, side: str, measures: LegMeasures) -> AnatomicalFrames:
-    """The frames of one leg in the axes of ISB, x ahead, y up, z to the right, z up in the room; see `lower_body` for Plug-in-Gait's own.
-
-    Raises AsterismError where a marker is missing.
-    """
-    body = lower_body(recording, SubjectMeasures().with_leg(side, measures), side)
-    leg = body.legs[side]
-
-    def isb(axes: Floats) -> Floats:
-        return np.stack([axes[:, :, 0], axes[:, :, 2], -axes[:, :, 1]], axis=2)
-
-    return AnatomicalFrames(isb(body.pelvis), isb(leg.thigh), isb(leg.shank), leg.hip, leg.knee, leg.ankle)
-
-
 def _assumed(recording: Recording, measures: SubjectMeasures, sides: Sequence[str]) -> list[Finding]:
     """A finding for each leg whose widths nobody gave: they move the joint by half of their error."""
     found = []
@@ -211,18 +196,8 @@ def _assumed(recording: Recording, measures: SubjectMeasures, sides: Sequence[st
         if measures.hip_regression is not None:
             del needed["leg_length"]
         lacking = [name for name in needed if name not in measures.of(side).from_file]
-        if lacking:
-            words = ", ".join(name.replace("_", " ") for name in lacking)
-            taken = " and ".join(dict.fromkeys(needed[name] for name in lacking))
-            found.append(
-                Finding(
-                    "clinical-measures",
-                    Severity.NOTE,
-                    _file(recording),
-                    f"{_file(recording)} has no {words} of the {SIDES[side]} leg, so that it has {taken}.",
-                    "Give the measures, or a standing trial that holds them.",
-                )
-            )
+        taken = " and ".join(dict.fromkeys(needed[name] for name in lacking))
+        found += _lacking(recording, lacking, f"{SIDES[side]} leg, so that it has {taken}")
     return found
 
 
@@ -231,18 +206,16 @@ def _assumed_arms(recording: Recording, measures: SubjectMeasures, outputs: Mapp
     found = []
     for side in SIDES:
         lacking = [name for name in arm_measures_needed(outputs, side) if name not in measures.arm(side).from_file]
-        if lacking:
-            words = ", ".join(name.replace("_", " ") for name in lacking)
-            found.append(
-                Finding(
-                    "clinical-measures",
-                    Severity.NOTE,
-                    _file(recording),
-                    f"{_file(recording)} has no {words} of the {SIDES[side]} arm; an adult's were taken.",
-                    "Give the measures, or a standing trial that holds them.",
-                )
-            )
+        found += _lacking(recording, lacking, f"{SIDES[side]} arm; an adult's were taken")
     return found
+
+
+def _lacking(recording: Recording, lacking: Sequence[str], of: str) -> list[Finding]:
+    if not lacking:
+        return []
+    words = ", ".join(name.replace("_", " ") for name in lacking)
+    mend = "Give the measures, or a standing trial that holds them."
+    return [Finding("clinical-measures", Severity.NOTE, _file(recording), f"{_file(recording)} has no {words} of the {of}.", mend)]
 
 
 def _file(recording: Recording) -> str:

@@ -26,7 +26,6 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 """m/s^2."""
 FADED = 5.0
 """N: a load next to a step that is less is drift. At half, drift of an amplifier counts; at double, toe off's last hundredth is lost."""
-JOINT_ORDER = ("Ankle", "Knee", "Hip")
 _ORDERS = {
     "Ankle": ((1, 2, 0), {"L": (1, -1, 1), "R": (1, 1, -1)}),
     "Knee": ((1, 0, 2), {"L": (-1, 1, 1), "R": (-1, -1, -1)}),

@@ -25,7 +25,8 @@ class StaticRules:
     """How a standing trial is read.
 
     flat_foot   the sole stands flat: heel and toe marker count as equally high. Without, their heights count
-    tilted      the angle between the ankle's axis and the shank is taken from the malleoli; without, it is a right one
+    tilted      the angle between the ankle's axis and the shank is taken from the malleoli, and the foot's axis is the ankle's, as older
+                programs have it; without, it is a right one, and the foot's axis is the knee's
     level_head  the head looks straight ahead: its tilt is taken off. Without, the offset stays that of the measures
     """
 
@@ -101,12 +102,13 @@ def _leg_with_offsets(static: Recording, side: str, measures: SubjectMeasures, r
         told["tibial_torsion"] = left * _mean(between)
     own = own.with_values(_known(told))
     if f"{side}TOE" in static.labels and f"{side}HEE" in static.labels:
-        leg = _leg(static, side, measures, replace(own, foot_flexion=0.0, foot_rotation=0.0))
-        assert leg.foot is not None
+        leg = _leg(static, side, measures, own)
+        # Programs that tilt the ankle's axis lay the foot's beside it; others beside the knee's.
+        axis = (leg.distal_shank if rules.tilted else leg.shank)[:, :, 1]
         toe, heel = marker(f"{side}TOE"), marker(f"{side}HEE").copy()
         if rules.flat_foot:
             heel[:, 2] = toe[:, 2]
-        sole = turns(leg.foot, along(heel - toe, leg.shank[:, :, 1]))
+        sole = turns(along(leg.ankle - toe, axis), along(heel - toe, axis))
         told["foot_flexion"] = -_mean(sole[:, 0])
         told["foot_rotation"] = -left * _mean(sole[:, 1])
     return own.with_values(_known(told))
