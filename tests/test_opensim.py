@@ -214,6 +214,34 @@ def test_gaps_are_missing_samples_to_opensim(session: Path, tmp_path: Path) -> N
     assert names[-1] == "RTOE" and np.isnan(rows[40:50, -3:]).all() and np.isfinite(rows[50:, -3:]).all()
 
 
+def test_the_pose_is_taken_where_no_sample_is_missing(session: Path, tmp_path: Path) -> None:
+    still = formats.read(session / "stands.c3d")
+    positions = still.positions.copy()
+    for label, gap in (("LASI", slice(0, 2)), ("LTOE", slice(9, 11)), ("T10", slice(5, 20))):
+        positions[gap, still.labels.index(label)] = np.nan
+    formats.write(tmp_path / "stands.npz", replace(still, positions=positions, source=None, origin=None, taken=()))
+    words = [session / "walk.c3d", "--static", tmp_path / "stands.npz", "-m", session / "round.osim", "-o", tmp_path / "out"]
+    assert main(["opensim", *(str(one) for one in words), "--measure", "BodyMass=70"]) == 0
+    tool = ElementTree.parse(tmp_path / "out" / "scale.xml").getroot()[0]
+    names, rows, _ = trc(tmp_path / "out" / "stands.trc")
+    for range_ in tool.iter("time_range"):
+        begin, end = (float(word) for word in (range_.text or "").split())
+        # the frames between the gaps of pelvis and toe, where T10 is seen as well: without LASI there are no hips
+        assert (begin, end) == pytest.approx((rows[2, 1], rows[4, 1]), abs=1e-5)
+    used = {name for pair in tool.iter("markers") for name in (pair.text or "").split()} & set(names)
+    chosen = rows[2:5, 2:].reshape(3, -1, 3)[:, [names.index(name) for name in used]]
+    assert np.isfinite(chosen).all() and len(used) > 8
+
+
+def test_the_model_is_found_from_a_linked_folder(session: Path, tmp_path: Path) -> None:
+    (tmp_path / "deep" / "below").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "deep" / "below")
+    assert run(session, tmp_path / "link") == 0
+    named = ElementTree.parse(tmp_path / "link" / "scale.xml").getroot().findtext(".//model_file") or ""
+    # as a program opens it there
+    assert (tmp_path / "link" / named).samefile(session / "round.osim")
+
+
 def test_without_a_standing_trial_the_walk_scales(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [session / "walk.c3d", "-m", session / "round.osim", "-o", tmp_path / "out", "--measure", "BodyMass=70"]
     assert main(["opensim", *(str(one) for one in words)]) == 0
@@ -244,6 +272,7 @@ def test_nothing_is_replaced_unless_asked(session: Path, tmp_path: Path, capsys:
     assert run(session, out) == 2 and "exists" in capsys.readouterr().err
     assert (out / "walk.trc").read_bytes() == b"mine" and not (out / "scale.xml").exists()
     assert run(session, out, "--overwrite") == 0 and (out / "walk.trc").read_bytes() == before
+    assert run(session, tmp_path / "two", "--cut-off", "0") == 2 and "0 Hz filters nothing" in capsys.readouterr().err
     assert run(session, session / "walk.c3d") == 2 and "is a file" in capsys.readouterr().err
 
 
@@ -407,7 +436,14 @@ def test_forces_come_with_inverse_dynamics(session: Path, tmp_path: Path) -> Non
     assert tool.findtext("coordinates_file") == "walk_ik.mot" and tool.findtext("forces_to_exclude") == "Muscles"
     loads = ElementTree.parse(tmp_path / "out" / (tool.findtext("external_loads_file") or "")).getroot()
     assert {one.findtext("applied_to_body") for one in loads.iter("ExternalForce")} == {"calcn_l"}
-    table = formats.read_table(tmp_path / "out" / (loads.findtext(".//datafile") or ""))
+    filtered = formats.read_table(tmp_path / "out" / (loads.findtext(".//datafile") or ""))
+    table = formats.read_table(tmp_path / "out" / "walk_grf.mot")
+    up, smooth = (one.values[:, one.names.index("1_ground_force_vy")] for one in (table, filtered))
+    # the same impulse, spread beyond the contact's ends
+    assert smooth.sum() == pytest.approx(up.sum(), rel=0.02) and (smooth > 0).sum() > (up > 0).sum() + 10
+    both = np.minimum(up, smooth) > 100
+    middle = [table.names.index(f"1_ground_force_p{axis}") for axis in "xyz"]
+    np.testing.assert_allclose(filtered.values[both][:, middle], table.values[both][:, middle], atol=1e-6)
     stands = table.times[table.values[:, table.names.index("1_ground_force_vy")] > 250]
     # under the ankle on the markers' clock, in the axes of the TRC
     names, rows, _ = trc(tmp_path / "out" / "walk.trc")
@@ -441,6 +477,13 @@ def test_opensim_runs_from_it(static: bool, session: Path, tmp_path: Path) -> No
     done = subprocess.run([python, "-c", TOOLS, str(scaled)], cwd=tmp_path / "out", capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr + done.stdout
     assert float(done.stdout.strip().split("\n")[-1]) == pytest.approx(70.0)
+    # what the tool measured is what the table says, though a marker has a gap
+    table = [line.split(",") for line in (tmp_path / "out" / "scale_factors.csv").read_text(encoding="utf-8").split("\n")[1:] if line]
+    factors, after = {cells[1]: float(cells[2]) for cells in table}, read_osim(tmp_path / "out" / str(scaled))
+    for _, parent, body, _, place, _, _ in joints():
+        if parent != "ground":
+            bone = after.joints[body].centre - after.joints[parent].centre
+            assert np.linalg.norm(bone) / np.linalg.norm(place) == pytest.approx(factors[parent], rel=0.02), body
     [errors] = (tmp_path / "out").glob("*marker_errors.sto")
     table = formats.read_table(errors)
     rms = table.values[:, table.names.index("marker_error_RMS")]

@@ -91,7 +91,7 @@ def process(options: ProcessOptions) -> None:
     persons = _persons(given, batch)
     if options.dry_run:
         _show_plan(persons, given)
-        raise typer.Exit(0)
+        raise typer.Exit(1 if batch.failed else 0)
     from asterism.session import held
 
     out, remote = given.output, given.places.folders.get(given.output)

@@ -435,7 +435,10 @@ def _turns(path: Path, matrices: Floats) -> Floats:
     """(N, 3, 3) the rotations in matrices (N, 4, 4)."""
     part = matrices[:, :3, :3]
     scale = np.linalg.norm(part, axis=1, keepdims=True)
-    turns = nearest_orthogonal(part / np.where(scale > 0, scale, 1.0))
+    turns = part / np.where(scale > 0, scale, 1.0)
+    # what only scales along its own axes is a rotation already
+    sheared = np.abs(turns.swapaxes(1, 2) @ turns - np.eye(3)).max(axis=(1, 2)) > 1e-7
+    turns[sheared] = nearest_orthogonal(turns[sheared])
     if (np.linalg.det(turns) < 0).any():
         raise AsterismError(
             f"{path}: bones are mirrored by a negative scale; apply the scale in the program that made it, and export again."

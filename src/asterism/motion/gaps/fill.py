@@ -131,11 +131,10 @@ def fill_gaps(
 
 def _trial(recording: Recording, labels: Sequence[str]) -> GapTrial:
     """The measured samples of a recording in mm; NaN for others, also for what the processing log calls filled."""
-    points, guessed = np.full((len(recording), len(labels), 3), np.nan), np.isfinite(filled_samples(recording))
-    for place, label in enumerate(labels):
-        if label in recording.labels:
-            column = recording.labels.index(label)
-            points[:, place] = np.where(guessed[:, [column]], np.nan, 1000.0 * recording.positions[:, column])
+    points = np.full((len(recording), len(labels), 3), np.nan)
+    there = [place for place, label in enumerate(labels) if label in recording.labels]
+    columns = [recording.labels.index(labels[place]) for place in there]
+    points[:, there] = 1000.0 * np.where(np.isfinite(filled_samples(recording))[:, columns, None], np.nan, recording.positions[:, columns])
     return GapTrial.of(points, recording.rate)
 
 

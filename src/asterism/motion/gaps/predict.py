@@ -51,11 +51,14 @@ class GapRules:
     brief     s, gaps up to which the next two count: at 0.3, errors at 0.25 s are 3 % more, at half nothing changes at 0.1 s
     brief_kernels, brief_times  the same, chosen on 480 gaps of 0.1 s: smoother, with less noise. On other gaps they err a quarter less
     pose      mates that make the axes in which the pose is seen; 3, 6 and 10 err 3, 6 and 10 % more at 1 s
+    lengths   mates whose distances mend a candidate for gaps that are not brief: without, one marker errs 3 to 4 % more, three at once 3
+              to 6 %; 6 err 1 % more
     local     power by which markers that move against the filled one count less in the pose; 1 errs 9 % more, 2 and 4 up to 8 %
     scores    principal components of the pose; 20 err 1 % more, 12 err 4 %
     frames    most frames that are learned from: time grows with the square to the cube, 200 and 160 change errors by 3 %
     near      share of these that are next to the gap in time, the others next to it in pose; 0.4 and 0.7 change nothing
-    elsewhere most frames of other trials, the nearest in pose; 30 and 120 differ by 1 %
+    shown     frames of each other trial that are looked at, evenly spaced; 60 err the same, 180 1 to 2 % more
+    elsewhere most of these that are learned from, the nearest in pose; with 30 errors grow by 2 to 4 %
     power     candidates count by the power of their error: 4 and 8 differ by 1 %
     worst     a candidate that errs this many times as much as the best does not count
     reach     frames before and behind the gap that are looked at, so that hours cost no more than a trial
@@ -79,10 +82,12 @@ class GapRules:
     )
     brief_times: tuple[Kernel, ...] = (Kernel(0.0, 0.0, 300.0, 0.25, 0.1), Kernel(0.0, 0.0, 300.0, 0.5, 0.03))
     pose: int = 4
+    lengths: int = 4
     local: float = 3.0
     scores: int = 30
     frames: int = 180
     near: float = 0.55
+    shown: int = 90
     elsewhere: int = 60
     power: float = 8.0
     worst: float = 1.6
@@ -106,6 +111,8 @@ _OTHER = 1e6
 """s between frames of different trials, which are independent but for the pose."""
 _ALL_MOVED = 2.4
 """Mean over standard deviation of how far a mate that jumps moves axes of 3, 4, 6 and 10 mates: 1/3, 1/4, 1/6 and 1/10 of its jump."""
+_JUDGED = 12
+"""Rows of a block that judge it: 25 and 50 choose the same, to 0.1 %, and take a tenth and a fifth longer."""
 _LEAST = 0.01
 """mm, the least standard deviation that is stated: coordinates in files are no finer."""
 
@@ -171,14 +178,19 @@ class _Frames:
 class _Candidate:
     """What one choice of axes and kernel says.
 
-    off        (blocks, length, 3) mm to these; expected (blocks, length) mm2, the variance that it stated for them
+    off        (blocks, some, 3) mm to these, in some rows of each; expected (blocks, some) mm2, the variance that it stated for them
+    length     rows of a block
     positions  (G, 3) mm in the gap; variance (G,) mm2 of a coordinate
+    lengths    (G, K) mm, what it says of the distances to mates, and lengths_off (blocks, some, K) mm to those; K is 0 in the room's axes
     """
 
     off: Floats
     expected: Floats
+    length: int
     positions: Floats
     variance: Floats
+    lengths: Floats
+    lengths_off: Floats
 
 
 def predict_gap(trials: Sequence[GapTrial], column: int, gap: Ints, rules: GapRules = RULES) -> tuple[Floats, Floats] | None:
@@ -196,7 +208,7 @@ def predict_gap(trials: Sequence[GapTrial], column: int, gap: Ints, rules: GapRu
     first, gap = trials[0].some(around), np.searchsorted(around, gap)
     # A trial in which the marker is hardly seen says nothing about it.
     others = [t for t in trials[1:] if len(t.seen) and t.seen[:, column].mean() > _PRESENT]
-    frames = _Frames.of([first, *(t.some(t.frames[:: max(len(t.seen) // rules.frames, 1)]) for t in others)])
+    frames = _Frames.of([first, *(t.some(t.frames[:: max(len(t.seen) // rules.shown, 1)]) for t in others)])
     usable: NDArray[np.bool_] = np.asarray(frames.shown[gap].all(axis=0))
     for trial in range(1 + len(others)):
         usable &= frames.seen[frames.trial == trial].mean(axis=0) > _PRESENT
@@ -220,7 +232,8 @@ def predict_gap(trials: Sequence[GapTrial], column: int, gap: Ints, rules: GapRu
 def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: Ints, rules: GapRules) -> list[_Candidate]:
     """All candidates for a gap; mates: columns, the steadiest first; observed: frames in which the marker is seen."""
     some = observed[:: max(len(observed) // 200, 1)]
-    pose = _pose(frames, column, mates, some, rules) if len(mates) >= 3 else None
+    shape = frames.points[np.ix_(some, mates)].mean(axis=0)
+    pose = _pose(frames, column, mates, shape, some, rules) if len(mates) >= 3 else None
     absent = not (frames.trial[observed] == 0).any()
     if absent and pose is None:
         return []
@@ -230,16 +243,18 @@ def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: 
     apart = np.abs(frames.time[every][:, None] - frames.time[rows][None])
     apart[frames.trial[every][:, None] != frames.trial[rows][None]] = _OTHER
     points = frames.points[every, column]
-    process = _Process(apart, blocks, learned, pose=None if pose is None else pose[every])
-    found = []
     brief = frames.time[gap[-1]] - frames.time[gap[0]] <= rules.brief
+    nearest = mates[: 0 if brief or pose is None else rules.lengths]
+    process = _Process(
+        apart, blocks, learned, points, None if pose is None else pose[every], frames.points[every][:, nearest].swapaxes(1, 2)
+    )
+    found = []
     for kernel in () if absent else rules.brief_times if brief else rules.times:
         found += process.candidates(kernel, points[None], None)
     if pose is None:
         return found
     axes = [
-        _axes(frames.points[every], columns, np.arange(0, learned, max(learned // 100, 1)))
-        for columns in _choices(frames, mates, some, rules)
+        _axes(frames.points[every], columns, np.arange(0, learned, max(learned // 100, 1))) for columns in _choices(mates, shape, rules)
     ]
     axes = [(rotations, places) for rotations, places in axes if np.isfinite(rotations).all()]
     if axes:
@@ -247,51 +262,63 @@ def _candidates(frames: _Frames, column: int, gap: Ints, mates: Ints, observed: 
         local = np.matmul((points - places)[:, :, None], rotations)[:, :, 0]
         for kernel in rules.brief_kernels if brief else rules.kernels:
             found += process.candidates(kernel, local, (rotations, places))
-    return found
+    return found + process.mended(found, rules)
 
 
 @dataclass
 class _Process:
     """Gaussian processes over the same frames: those that are learned from, then those of the gap.
 
-    apart (R, learned) s; blocks (blocks, length) rows that are left out together; learned: rows before those of the gap; pose (R, scores)
+    apart  (R, learned) s; blocks (blocks, length) consecutive rows that are left out together; learned: rows before those of the gap
+    points (R, 3) mm, the marker; pose (R, scores); mates (R, 3, K) mm, the steadiest, for their distances
     """
 
     apart: Floats
     blocks: Ints
     learned: int
+    points: Floats
     pose: Floats | None
+    mates: Floats
 
     def __post_init__(self) -> None:
+        length = self.blocks.shape[1]
+        # Errors change little from frame to frame: of a long block every so many frames say what all do.
+        self._judged = np.arange(0, length, max(length // _JUDGED, 1))
+        self._told = np.arange(self.learned, len(self.apart), max(length // _JUDGED, 1))
+        self._rows = self.blocks[:, self._judged]
+        self._lengths = np.linalg.norm(self.points[:, :, None] - self.mates, axis=1)
         self._slow: dict[float, Floats] = {}
         if self.pose is None:
             return
         self._linear = self.pose @ self.pose[: self.learned].T
-        self._same = self.apart < _OTHER
+        self._same = np.where(self.apart < _OTHER, _OFFSET**2, 0.0)
         self._squares = (self.pose**2).sum(axis=1)
         distances = np.maximum(self._squares[:, None] + self._squares[None, : self.learned] - 2.0 * self._linear, 0.0)
         # Every third row tells the median as well.
         typical = np.median(distances[: self.learned : 3, : self.learned : 3]) + 1e-9
         # Squared, in typical distances.
         self._apart = distances / typical
+        self._distances = np.sqrt(self._apart)
 
     def covariance(self, kernel: Kernel) -> tuple[Floats, Floats]:
         """(R, learned) mm2 of all rows with those that are learned from, and (R,) variances; both without noise."""
         if kernel.length not in self._slow:
-            scaled = np.sqrt(5.0) / kernel.length * self.apart
-            self._slow[kernel.length] = (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)
+            self._slow[kernel.length] = _matern(np.sqrt(5.0) / kernel.length * self.apart, 1.0 / 3.0)
         # The constant stands for a mean that is not known: 5 mm in the mates' axes, 1 m in the laboratory's.
         constant = 25.0 if kernel.linear else 1e6
-        total = kernel.slow**2 * self._slow[kernel.length] + constant
+        total = kernel.slow**2 * self._slow[kernel.length]
+        total += constant
         variances = np.full(len(total), kernel.slow**2 + kernel.curved**2 + constant)
         if kernel.linear:
-            total += kernel.linear**2 * self._linear + _OFFSET**2 * self._same
+            total += kernel.linear**2 * self._linear
+            total += self._same
             variances += kernel.linear**2 * self._squares + _OFFSET**2
         if kernel.curved and kernel.rough:
-            scaled = np.sqrt(3.0 * self._apart) / kernel.width
-            total += kernel.curved**2 * (1.0 + scaled) * np.exp(-scaled)
+            total += kernel.curved**2 * _matern(np.sqrt(3.0) / kernel.width * self._distances, 0.0)
         elif kernel.curved:
-            total += kernel.curved**2 * np.exp(self._apart / (-2.0 * kernel.width**2))
+            curved = np.exp(self._apart / (-2.0 * kernel.width**2))
+            curved *= kernel.curved**2
+            total += curved
         return total, variances
 
     def candidates(self, kernel: Kernel, values: Floats, axes: tuple[Floats, Floats] | None) -> list[_Candidate]:
@@ -300,24 +327,90 @@ class _Process:
         noisy = covariance[:many].copy()
         noisy.flat[:: many + 1] += kernel.noise**2
         inverse = _inverse(noisy)
-        means = values[:, :many].mean(axis=1)
-        weights = inverse @ np.concatenate(list(values[:, :many] - means[:, None]), axis=1)
+        means = np.concatenate([values[:, :many].mean(axis=1).ravel(), self._lengths[:many].mean(axis=0)])
+        learned = np.concatenate([*values[:, :many], self._lengths[:many]], axis=1) - means
+        weights = inverse @ learned
         # What a block's own rows add is taken out by the inverse of their part of the inverse.
-        variances = np.linalg.inv(inverse[self.blocks[:, :, None], self.blocks[:, None]])
-        off, expected = variances @ weights[self.blocks], np.einsum("bll->bl", variances)
+        taken = np.array(
+            [_inverse_rows(inverse[block[0] : block[-1] + 1, block[0] : block[-1] + 1], self._judged) for block in self.blocks]
+        )
+        off, expected = taken @ weights[self.blocks], taken[:, np.arange(len(self._judged)), self._judged]
         across = covariance[many:]
-        filled = across @ weights
-        variance = np.maximum(own[many:] - ((across @ inverse) * across).sum(axis=1), 0.0) + kernel.noise**2
-        found = []
-        for at, mean in enumerate(means):
-            three = slice(3 * at, 3 * at + 3)
-            errors, positions = off[:, :, three], filled[:, three] + mean
-            if axes is not None:
-                rotations, places = axes[0][at], axes[1][at]
-                errors = np.einsum("blij,blj->bli", rotations[self.blocks], errors)
-                positions = np.einsum("gij,gj->gi", rotations[many:], positions) + places[many:]
-            found.append(_Candidate(errors, expected, positions, variance))
-        return found
+        filled = across @ weights + means
+        some = self._told - many
+        variance = np.maximum(own[self._told] - ((across[some] @ inverse) * across[some]).sum(axis=1), 0.0) + kernel.noise**2
+        variance = np.interp(np.arange(len(across)), some, variance)
+        sides = 3 * len(values)
+        errors = np.moveaxis(off[:, :, :sides].reshape(*off.shape[:2], -1, 3), 2, 0)
+        positions = np.moveaxis(filled[:, :sides].reshape(len(filled), -1, 3), 1, 0)
+        if axes is not None:
+            rotations, places = axes
+            errors = np.matmul(rotations[:, self._rows], errors[..., None])[..., 0]
+            positions = np.matmul(rotations[:, many:], positions[..., None])[..., 0] + places[:, many:]
+        # In the room's axes nothing of the pose is known, on which the distances depend.
+        sides = sides if axes is not None else filled.shape[1]
+        shared = variance, filled[:, sides:], off[:, :, sides:]
+        length = self.blocks.shape[1]
+        return [_Candidate(error, expected, length, position, *shared) for error, position in zip(errors, positions, strict=True)]
+
+    def mended(self, found: Sequence[_Candidate], rules: GapRules) -> list[_Candidate]:
+        """Those of the candidates that count, each moved along the lines to the mates.
+
+        Where a place is not as far from a mate as predicted, one of both is wrong: by how much of it the place moves is learned from the
+        blocks, one share for each mate, which is held to be 0 +- 1 beforehand. A block errs as a whole, and so counts as one sample.
+        """
+        far = _block_errors(found).mean(axis=1)
+        chosen = [one for one, mean in zip(found, far, strict=True) if one.lengths.shape[1] and mean <= rules.worst * far.min()]
+        if not chosen:
+            return []
+        errors, positions, lengths, lengths_off = (
+            np.array([getattr(one, name) for one in chosen]) for name in ("off", "positions", "lengths", "lengths_off")
+        )
+        rows, sets = self._rows, len(chosen)
+        steps = _steps(self.points[rows] - errors, self.mates[rows], self._lengths[rows] - lengths_off)
+        there = _steps(positions, self.mates[self.learned :], lengths)
+        # As for the choice: each half of the blocks is judged by what the other one says.
+        half = len(rows) // 2
+        parts = [
+            (steps[:, part].reshape(sets, -1, steps.shape[-1]), errors[:, part].reshape(sets, -1, 1))
+            for part in (slice(0, half), slice(half, None))
+        ]
+        squares = [np.matmul(step.swapaxes(1, 2), step) for step, _ in parts]
+        products = [np.matmul(step.swapaxes(1, 2), error) for step, error in parts]
+        held = np.eye(steps.shape[-1]) * ((errors**2).mean(axis=(1, 2, 3)) + 1e-9)[:, None, None] * len(self._judged)
+        moved = [
+            error - np.matmul(step, np.linalg.solve(squares[other] + held, products[other]))
+            for (step, error), other in zip(parts, (1, 0), strict=True)
+        ]
+        shares = np.linalg.solve(squares[0] + squares[1] + held, products[0] + products[1])
+        errors = np.concatenate(moved, axis=1).reshape(errors.shape)
+        positions = positions + np.matmul(there, shares[:, None])[..., 0]
+        return [replace(one, off=off, positions=place) for one, off, place in zip(chosen, errors, positions, strict=True)]
+
+
+def _matern(scaled: Floats, square: float) -> Floats:
+    """(1 + x + square x2) exp(-x): Matern 3/2 with 0 and 5/2 with a third, of scaled distances."""
+    grown = square * scaled
+    grown += 1.0
+    grown *= scaled
+    grown += 1.0
+    grown *= np.exp(-scaled)
+    return np.asarray(grown)
+
+
+def _steps(places: Floats, mates: Floats, lengths: Floats) -> Floats:
+    """(..., 3, K) mm, from places (..., 3) along the lines to mates (..., 3, K) to where these are as far away as lengths (..., K) say."""
+    lines = places[..., None] - mates
+    squares = lines[..., 0, :] ** 2 + lines[..., 1, :] ** 2 + lines[..., 2, :] ** 2
+    return np.asarray(lines * (lengths / np.sqrt(squares + 1e-9) - 1.0)[..., None, :])
+
+
+def _inverse_rows(matrix: Floats, rows: Ints) -> Floats:
+    """(rows, size) those rows of the inverse of a symmetric positive definite matrix (size, size)."""
+    wanted = np.zeros((len(matrix), len(rows)))
+    wanted[rows, np.arange(len(rows))] = 1.0
+    _, solved, problem = lapack.dposv(matrix, wanted, lower=1, overwrite_b=1)
+    return np.asarray((np.linalg.pinv(matrix, hermitian=True)[:, rows] if problem else solved).T)
 
 
 def _blended(found: Sequence[_Candidate], learned: int, rules: GapRules, least: float = 0.0) -> tuple[Floats, Floats]:
@@ -325,7 +418,7 @@ def _blended(found: Sequence[_Candidate], learned: int, rules: GapRules, least: 
 
     learned: frames that were learned from; least: of the scale
     """
-    each = np.array([np.linalg.norm(one.off, axis=2).mean(axis=1) for one in found])
+    each = _block_errors(found)
     weights = _weights(each, rules)
     positions: Floats = sum(weight * one.positions for weight, one in zip(weights, found, strict=True) if weight > 0.0)
     variance: Floats = sum(weight * one.variance for weight, one in zip(weights, found, strict=True) if weight > 0.0)
@@ -341,7 +434,7 @@ def _blended(found: Sequence[_Candidate], learned: int, rules: GapRules, least: 
     # By their mean square and by what holds 95 % of them: a few large errors speak as well as many small ones.
     scale = max(least, float(np.sqrt((off**2).mean() / expected.mean())), float(np.quantile(ratios, 0.95)) / 1.96)
     # Few blocks tell the scale badly: as in Student's t, with three coordinates for each block that shares no frame with another.
-    freedom = 3.0 * max(learned / expected.shape[1], 1.0)
+    freedom = 3.0 * max(learned / found[0].length, 1.0)
     deviation = np.sqrt(variance) * scale * float(stdtrit(freedom, 0.975)) / 1.96
     # A mate that takes another point's label in the gap moves all axes, those of few mates the most: the blocks do not know of it.
     apart = sum(
@@ -349,6 +442,12 @@ def _blended(found: Sequence[_Candidate], learned: int, rules: GapRules, least: 
     )
     spread = np.sqrt(apart)
     return positions, np.maximum(np.where(spread > deviation, _ALL_MOVED * spread, deviation), _LEAST)
+
+
+def _block_errors(found: Sequence[_Candidate]) -> Floats:
+    """(C, blocks) mm, how far each candidate is off in each block, on average."""
+    off = np.array([one.off for one in found])
+    return np.asarray(np.sqrt(off[..., 0] ** 2 + off[..., 1] ** 2 + off[..., 2] ** 2).mean(axis=2))
 
 
 def _weights(errors: Floats, rules: GapRules) -> Floats:
@@ -369,19 +468,17 @@ def _by_steadiness(frames: _Frames, column: int, usable: Ints, observed: Ints) -
     return usable[np.argsort(spread + 0.01 * mean, kind="stable")]
 
 
-def _choices(frames: _Frames, mates: Ints, some: Ints, rules: GapRules) -> list[Ints]:
-    """The different sets of mates that make axes."""
-    sizes = {len(_enough(frames, mates, some, size)) for size in rules.mates}
-    return [mates[:size] for size in sorted(sizes)]
+def _choices(mates: Ints, shape: Floats, rules: GapRules) -> list[Ints]:
+    """The different sets of mates that make axes; shape (mates, 3) mm, where they are on average."""
+    return [mates[:size] for size in sorted({_enough(shape, size) for size in rules.mates})]
 
 
-def _enough(frames: _Frames, mates: Ints, some: Ints, size: int) -> Ints:
-    """The first `size` mates, and more where these lie in a line."""
-    for many in range(min(size, len(mates)), len(mates)):
-        shape = (frames.points[some][:, mates[:many]] - frames.points[some][:, mates[:many]].mean(axis=1, keepdims=True)).mean(axis=0)
-        if np.linalg.svd(shape, compute_uv=False)[1] > _EXTENT:
-            return mates[:many]
-    return mates
+def _enough(shape: Floats, size: int) -> int:
+    """`size`, and more where the first `size` mates of a shape (mates, 3) mm lie in a line; at most all."""
+    for many in range(min(size, len(shape)), len(shape)):
+        if np.linalg.svd(shape[:many] - shape[:many].mean(axis=0), compute_uv=False)[1] > _EXTENT:
+            return many
+    return len(shape)
 
 
 def _axes(points: Floats, mates: Ints, some: Ints) -> tuple[Floats, Floats]:
@@ -400,9 +497,9 @@ def _axes(points: Floats, mates: Ints, some: Ints) -> tuple[Floats, Floats]:
     return rotations, places
 
 
-def _pose(frames: _Frames, column: int, mates: Ints, some: Ints, rules: GapRules) -> Floats | None:
+def _pose(frames: _Frames, column: int, mates: Ints, shape: Floats, some: Ints, rules: GapRules) -> Floats | None:
     """(F, scores) principal components of all mates in the axes of the steadiest; those that move little against the marker weigh more."""
-    rotations, places = _axes(frames.points, _enough(frames, mates, some, rules.pose), some)
+    rotations, places = _axes(frames.points, mates[: _enough(shape, rules.pose)], some)
     if not np.isfinite(rotations).all():
         return None
     local = np.matmul(frames.points[:, mates] - places[:, None], rotations)
@@ -479,9 +576,13 @@ def _blocks(frames: _Frames, rows: Ints, length: int) -> Ints:
 
 
 def _inverse(matrix: Floats) -> Floats:
-    """The inverse of a symmetric positive definite matrix, which is overwritten."""
-    factor, problem = lapack.dpotrf(matrix, lower=1, overwrite_a=1)
+    """The inverse of a symmetric positive definite matrix."""
+    # Transposed, it lies as LAPACK wants it, and need not be copied.
+    factor, problem = lapack.dpotrf(matrix.T, lower=1)
     if problem:
         return np.asarray(np.linalg.pinv(matrix, hermitian=True), dtype=np.float64)
-    lower = np.tril(lapack.dpotri(factor, lower=1, overwrite_c=1)[0])
-    return np.asarray(lower + np.tril(lower, -1).T)
+    # The upper triangle is clean.
+    lower = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
+    inverse = lower + lower.T
+    inverse.flat[:: len(inverse) + 1] *= 0.5
+    return np.asarray(inverse)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -32,7 +32,8 @@ def trials_of_person(recording: Recording, others: Iterable[Recording]) -> list[
     >>> len(trials_of_person(first, [second, stranger]))
     1
     """
-    return [other for other in others if not _copy(recording, other) and marker_difference(recording, other) <= SAME_PERSON]
+    distances: dict[tuple[str, ...], tuple[Floats, Floats]] = {}
+    return [other for other in others if not _copy(recording, other) and _difference(recording, other, distances) <= SAME_PERSON]
 
 
 def _copy(first: Recording, second: Recording) -> bool:
@@ -52,21 +53,33 @@ def marker_difference(first: Recording, second: Recording) -> float:
 
     O(markers^2) by at most 80 frames.
     """
-    shared = [label for label in first.labels if label in second.labels and not is_unnamed(label)]
-    parts = [_distances(recording, shared) for recording in (first, second)]
-    shared_seen = np.isfinite(parts[0][0] + parts[1][0])
-    if len(shared) < _SHARED or not shared_seen.any():
+    return _difference(first, second, {})
+
+
+def _difference(first: Recording, second: Recording, known: dict[tuple[str, ...], tuple[Floats, Floats]]) -> float:
+    """`marker_difference`; known: the distances of the first recording by the markers that others share with it, which grow."""
+    shared = tuple(label for label in first.labels if label in second.labels and not is_unnamed(label))
+    if len(shared) < _SHARED:
         return float("nan")
-    apart = np.abs(parts[0][0] - parts[1][0])[shared_seen]
-    spread = np.hypot(parts[0][1], parts[1][1])[shared_seen]
-    return float(np.median(apart[np.argsort(spread, kind="stable")[: _PAIRS * len(shared)]]))
+    if shared not in known:
+        known[shared] = _distances(first, shared)
+    (middle, spread), (other, others) = known[shared], _distances(second, shared)
+    seen = np.isfinite(middle + other)
+    if not seen.any():
+        return float("nan")
+    apart = np.abs(middle - other)[seen]
+    return float(np.median(apart[np.argsort(np.hypot(spread, others)[seen], kind="stable")[: _PAIRS * len(shared)]]))
 
 
-def _distances(recording: Recording, labels: list[str]) -> tuple[Floats, Floats]:
+def _distances(recording: Recording, labels: Sequence[str]) -> tuple[Floats, Floats]:
     """(pairs,) m, the median distance of two markers and the median deviation from it; NaN where they are never seen together."""
     columns = [recording.labels.index(label) for label in labels]
-    points = recording.positions[:: max(len(recording) // _FRAMES, 1), columns]
+    points = np.ascontiguousarray(recording.positions[:: max(len(recording) // _FRAMES, 1), columns].transpose(2, 1, 0))
+    # One row for each pair: medians along what lies together in memory are cheap.
     rows, others = np.triu_indices(len(labels), 1)
-    apart = np.linalg.norm(points[:, rows] - points[:, others], axis=2)
-    middle = nan_median(apart, axis=0)
-    return middle, nan_median(np.abs(apart - middle), axis=0)
+    squares = np.zeros((len(rows), points.shape[2]))
+    for axis in points:
+        squares += (axis[rows] - axis[others]) ** 2
+    apart = np.sqrt(squares)
+    middle = nan_median(apart, axis=1)
+    return middle, nan_median(np.abs(apart - middle[:, None]), axis=1)
