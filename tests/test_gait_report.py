@@ -116,6 +116,26 @@ def test_a_curve_is_drawn_as_it_is_and_broken_where_it_is_unknown(tmp_path: Path
     np.testing.assert_allclose(read, values, atol=(high - low) / 1000)
 
 
+def test_cycles_of_turns_are_pale_and_neither_in_the_mean_nor_in_the_axes() -> None:
+    straight, turn = CycleCurve(np.linspace(0, 1, 101)), CycleCurve(np.linspace(0, 90, 101), "left, cycle 2, a turn", counts=False)
+    side = CurvesOfSide("left", [straight, turn])
+    np.testing.assert_array_equal(side.mean, straight.values)
+    drawing = drawn_panels([CyclePanel("pelvic rotation", "°", [side])])
+    assert drawing.count('class="cycle left turn"') == 1 and "in no mean" in drawing
+    assert float(re.findall(r'data-high="([^"]+)"', drawing)[0]) < 2
+    # where it is all that there is, it has its axes, and no mean
+    alone = drawn_panels([CyclePanel("knee power", "W", [CurvesOfSide("left", [turn])])])
+    assert float(re.findall(r'data-high="([^"]+)"', alone)[0]) > 90 and re.findall(r'class="mean left" d=""', alone)
+
+
+def test_the_table_of_cycles_says_which_turn(walks: list[GaitAnalysis], tmp_path: Path) -> None:
+    first, *others = walks[0].cycles
+    marked = (replace(first, turns=True), *(replace(cycle, turns=False) for cycle in others))
+    gait_report(tmp_path / "gait.html", [("walk", replace(walks[0], cycles=marked))])
+    page = (tmp_path / "gait.html").read_text()
+    assert page.count("turns, in no mean") == 1 and page.count(">straight<") == len(others) and "1 of them the person turns" in page
+
+
 def test_what_no_cycle_shows_has_no_axes_and_many_cycles_leave_their_mean_in_view() -> None:
     unknown, known = np.full(101, np.nan), np.linspace(0, 1, 101)
     drawing = drawn_panels([CyclePanel("ankle", "°", [CurvesOfSide("left", [CycleCurve(unknown)] * 2)])])

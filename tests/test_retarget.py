@@ -388,3 +388,27 @@ def test_the_command_moves_a_character_in_both_formats_and_says_what_it_did(
     assert main(["retarget", "walk.bvh", "-c", "walk.c3d", "-o", "n.bvh"]) == 2
     assert main(["retarget", "walk.bvh", "-c", "troll.bvh", "-o", "troll.bvh", "--overwrite"]) == 2, "an input is not replaced"
     assert not Path("n.bvh").exists()
+
+
+def test_a_recording_of_markers_becomes_bones_in_both_formats(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from asterism.formats import write
+    from asterism.simulation import simulate_walks
+
+    monkeypatch.chdir(tmp_path)
+    write("walk.c3d", simulate_walks(1, frames=60, seed=0)[0])
+    assert main(["convert", "walk.c3d", "walk.bvh", "--unit", "m", "--euler", "xyz"]) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert "the axes of the room: its x, y, z became z, x, y" in told and "blanks in the names of bones, which became _" in told
+    assert "Xrotation Yrotation Zrotation" in Path("walk.bvh").read_text()
+    found = read_skeleton("walk.bvh", unit="m").motion
+    assert len(found) == 60 and found.vertical.tolist() == [0, 1, 0]
+    foot = found.joints[:, found.names.index("left_foot"), 1]
+    assert 0.0 < foot.min() < 0.2, "m, the ankle over the floor"
+    assert main(["convert", "walk.bvh", "walk.glb", "--unit", "m"]) == 0
+    assert np.allclose(read_skeleton("walk.glb").motion.joints, found.joints, atol=1e-5)
+    assert main(["convert", "walk.c3d", "n.glb", "--fill", "auto"]) == 2
+    assert "holds bones and no markers; leave out --for, --fill and --filter" in " ".join(capsys.readouterr().err.split())
+    assert main(["convert", "walk.bvh", "walk.trc"]) == 2
+    assert main(["convert", "walk.c3d", "n.bvh", "--euler", "xxz"]) == 2

@@ -26,8 +26,8 @@ class EventRules:
 
     Times are means over half of the people whom the benchmark knows, every second by name, against what their files say: plates, and
     strikes set by hand, which come 10 to 30 ms before those of plates. So strikes are 5 ms early against plates alone. The weights are
-    those that were best on that half; at half and at double of each the errors of strikes change by 1 ms or less, those of shuffling feet
-    by 3 ms with twice `knock_within`.
+    those that were best on that half; at half and at double of each the errors of strikes change by 1 ms or less, but those of
+    turns by 6 with twice `knock_within`, and those of shuffling feet by 8 and 10 with `fallen`.
 
     strike_later, off_later    s, from the moment when a heel is farthest ahead of the pelvis (a toe farthest behind) to the strike (off)
     knock_within, knock_later  s behind that moment in which a heel's knock on the floor, the peak of its upward acceleration, is

@@ -191,6 +191,9 @@ def _stands(
     over = points[:, :, 2] - minimum_filter1d(points[:, :, 2], 2 * int(_AROUND * rate) + 1, axis=0, mode="nearest")
     evidence = np.exp(-((np.linalg.norm(velocity, axis=2) / still[:, None]) ** 2) - (over / near) ** 2)
     down = evidence > 0.5
+    # of a still foot that stands on its toes, or lies behind a knee, only the lower end stands
+    tilt = points[:, 0, 2] - points[:, 1, 2]
+    down &= np.column_stack([tilt < near, tilt > -near]) | ~down.all(axis=1, keepdims=True)
     if given is not None:
         down &= (given >= 0)[:, None]
         # in a stance something stands, unless both move as feet in the air do: then events between are missing
