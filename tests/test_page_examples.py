@@ -30,6 +30,7 @@ from asterism.formats import write_blobs, write_skeleton
 from asterism.labelling import MarkerModel, TrainingRules
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import ImagingSettings, render_images, ring_rig, simulate_blobs, simulate_wand, walker_capsules
+from tests.characters import character, stepping_person
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted({*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")} - {ROOT / "docs" / "index.md"})  # a copy of README.md, for the site
