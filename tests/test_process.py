@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import errno
+import html
 import json
 import os
 import pickle
@@ -151,6 +152,9 @@ def test_a_file_that_fails_costs_itself(session: Path, tmp_path: Path, capsys: p
     assert run(tmp_path / "people", "-o", tmp_path / "out", "--markers", "helen-hayes") == 1
     out, err = capsys.readouterr()
     assert "broken.c3d" in err and "walk.c3d" in out
+    page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    (why,) = {line.rpartition("broken.c3d")[2] for line in err.splitlines() if "broken.c3d" in line and "2 files" not in line}
+    assert "1 could not be processed" in page and why and why in html.unescape(page), why
     assert (tmp_path / "out" / "labelled" / "walk.c3d").exists()
 
 
