@@ -30,6 +30,7 @@ GUIDE = {
         "live",
         "garment",
         "motion",
+        "opensim",
         "characters",
         "thesis",
     ],
