@@ -25,7 +25,7 @@ import numpy as np
 import pytest
 
 import asterism
-from asterism import AsterismError
+from asterism import AsterismError, formats
 from asterism.cli import main
 from asterism.cli._process_tasks import _Kept, _not_analysed, _page
 from asterism.findings import Severity
@@ -579,6 +579,20 @@ def test_a_folder_without_rights_costs_itself(
     told = capsys.readouterr()
     assert [person["person"] for person in json.loads(told.out)["persons"]] == ["p1"]
     assert f"{session / 'p2'}: permission denied" in told.err
+
+
+def test_each_walk_has_its_skeleton_where_it_is_asked_for(one_person: Path, done: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(done, out)
+    for _ in range(2):
+        assert run(one_person, "-o", out, "--markers", "helen-hayes", "--skeleton") in (0, 1)
+        bones = formats.read_skeleton(out / "skeleton" / "p1" / "walk.bvh").motion
+        assert len(bones) == len(walk(1)) and any("thigh" in name for name in bones.names)
+        with (out / "skeleton" / "p1.csv").open(newline="", encoding="utf-8") as file:
+            assert len(list(csv.DictReader(file))) > len(walk(1))
+        # a result that was deleted is made again
+        (out / "skeleton" / "p1" / "walk.bvh").unlink()
+    assert not (out / "skeleton" / "p2.csv").exists()
 
 
 def test_as_many_processes_work_as_the_memory_holds(
