@@ -16,6 +16,7 @@ import asterism
 from asterism.cli import main
 from asterism.findings import Finding, Severity
 from asterism.gait import GaitAnalysis, analyse_gait, band_of, compare_sessions
+from asterism.gait.bands import other_models
 from asterism.gait.parameters import Parameter
 from asterism.motion.analysis import analyse_motion
 from asterism.recording import ForcePlate, Recording
@@ -396,3 +397,19 @@ def test_who_has_no_name_in_the_file_is_called_as_the_folder_is(tmp_path: Path, 
         gait_report(tmp_path / "p.html", [("walk", replace(walks[0], recording=replace(walks[0].recording, metadata=metadata)))])
         row = (tmp_path / "p.html").read_text().split('<td class="text">person<')[1].split("</tr>")[0]
         assert said in row and ("bert" in row) == ("bert" in said)
+
+
+def test_scores_against_a_band_of_another_model_say_so(
+    tmp_path: Path, walks: list[GaitAnalysis], capsys: pytest.CaptureFixture[str]
+) -> None:
+    band = band_of(walks, ["a", "b", "c"])
+    assert band.models == ("Plug-in-Gait",) and other_models(walks, band) == ""
+    assert other_models(walks, replace(band, models=())) == "", "a band of an older version does not say"
+    other = replace(band, models=("the gait protocol of somebody",))
+    other.save(tmp_path / "other.band")
+    asterism.write(tmp_path / "walk.c3d", walks[0].recording)
+    words = ["gait", str(tmp_path / "walk.c3d"), "--band", str(tmp_path / "other.band"), "--report", str(tmp_path / "p.html")]
+    assert main(words) == 1
+    (told,) = [line for line in capsys.readouterr().err.splitlines() if "gait-band-model" in line]
+    assert "by the gait protocol of somebody, these by Plug-in-Gait" in told
+    assert "these by Plug-in-Gait" in (tmp_path / "p.html").read_text()
