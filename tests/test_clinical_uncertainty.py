@@ -77,7 +77,7 @@ def test_without_sources_there_is_no_uncertainty_and_each_source_alone_adds_some
 def test_skin_moves_with_the_flexion_and_by_its_size() -> None:
     once, twice = (found(ClinicalErrors(skin=SkinMotion().times(factor), placement_m=None), trials=60) for factor in (0.1, 0.2))
     for one, other in zip(once.joints, twice.joints, strict=True):
-        np.testing.assert_allclose(other.standard, 2 * one.standard, rtol=0.1)
+        np.testing.assert_allclose(other.standard, 2 * one.standard, rtol=0.1, atol=1e-12)  # of what skin does not turn, rounding
     [knee] = [one for one in once.joints if one.joint.name == "left knee"]
     bent = np.abs(walk()[1].joints[1].angles[:, 0])
     assert knee.standard[np.argmax(bent), 0] > knee.standard[np.argmin(bent), 0]

@@ -147,13 +147,24 @@ def test_a_person_who_stands_has_no_events() -> None:
 
 def test_feet_without_markers_are_named() -> None:
     walk = stepping()
-    with pytest.raises(AsterismError, match="heel and a toe"):
+    with pytest.raises(AsterismError, match="heel or ankle and one of the toes"):
         find_events(walk.select(["LHEE", "RHEE", "SACR"]))
     with pytest.raises(AsterismError, match="pelvis"):
         find_events(walk.select(["LHEE", "LTOE"]))
     one_leg = find_events(walk.select(["LHEE", "LTOE", "SACR"]))
     assert {event.side for event in one_leg.events} == {"L"}
     assert "step length" not in {one.name for one in parameters_of(one_leg, cycles_of(one_leg))}
+
+
+def test_an_ankle_serves_for_a_heel_without_a_marker_and_that_is_said() -> None:
+    walk = stepping()
+    other = replace(walk, labels=tuple(label.replace("RHEE", "RANK") for label in walk.labels))
+    analysis = analyse_gait(other)
+    by_heel, by_ankle = ({event.sigma for event in analysis.walking.of(side, STRIKE)} for side in "LR")
+    assert len(analysis.walking.events) == len(find_events(walk).events) and min(by_ankle) > max(by_heel)
+    assert [one.sentence for one in analysis.findings if one.code == "gait-no-heel"] == [
+        "the recording has no marker of the right heel: strikes are told by the ankle, and less certain."
+    ]
 
 
 @given(

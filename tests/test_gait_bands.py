@@ -15,6 +15,7 @@ from asterism.gait.intervals import COVERAGE, AngleBand, angle_bands
 from asterism.motion.clinical import ArmMeasures, LegMeasures, SubjectMeasures, clinical_angles
 from asterism.motion.clinical.estimated import MeasurePriors, WalkEstimator, WalkPriors
 from asterism.motion.clinical.measures import computed_by_the_file
+from asterism.motion.clinical.plug_in_gait import angles_of, lower_body, walking_axes
 from asterism.simulation import simulate_walks
 
 LEGS = {"knee_width": 0.104, "ankle_width": 0.066, "leg_length": 0.86, "asis_trochanter": 0.072, "thigh_rotation": -0.1,
@@ -163,13 +164,33 @@ def test_what_walks_have_in_common_narrows_what_is_open_and_an_axis_that_is_off_
 
     def half(walks: WalkPriors) -> float:
         ((one, other),) = WalkEstimator(walk().recording, known, "L", walks=walks).apart()
-        return abs(one.left.thigh_rotation - other.left.thigh_rotation) / 2
+        return abs(one[0].left.thigh_rotation - other[0].left.thigh_rotation) / 2
 
     usual = WalkPriors()
     apart, together = half(replace(usual, axis=0.0)), half(usual)
     wide = (0.0, 100.0)
     nothing = half(WalkPriors(slope=wide, hip_turn=wide, straight=wide, knee_turn=wide, ankle_turn=wide))
     assert apart < 0.95 * together < 0.5 * nothing and nothing == pytest.approx(MeasurePriors().thigh[1], rel=0.01)
+
+
+def test_measures_spread_curves_as_measures_that_are_drawn_do() -> None:
+    """Along independent directions, each on its own, slope and bend hold what all of them do together."""
+    recording = walk().recording.frames(slice(60, 220, 3))
+    estimator, rng, count = WalkEstimator(recording, SubjectMeasures(), "LR"), np.random.default_rng(1), 100
+    body = lower_body(recording, estimator.estimate())
+    middle, room = angles_of(recording, body), walking_axes(body)
+    drawn, stated = ({name: np.zeros_like(values) for name, values in middle.items()} for _ in range(2))
+    for one, other in estimator.apart():
+        more, less = (angles_of(recording, made, room) for _, made in (one, other))
+        for name in middle:
+            stated[name] += ((more[name] - less[name]) / 2) ** 2 + 3.0 * ((more[name] + less[name]) / 2 - middle[name]) ** 2
+    for _ in range(count):
+        angles = angles_of(recording, lower_body(recording, estimator.drawn(rng)), room)
+        for name in middle:
+            drawn[name] += (angles[name] - middle[name]) ** 2 / count
+    for name in ("LHipAngles", "RKneeAngles", "LAnkleAngles", "RFootProgressAngles"):
+        by_bands, by_draws = (np.sqrt(np.nanmean(part[name], axis=0)) for part in (stated, drawn))
+        np.testing.assert_allclose(by_bands, by_draws, rtol=0.25, err_msg=name)
 
 
 def turned_wand(recording: asterism.Recording, turn: float) -> asterism.Recording:

@@ -233,6 +233,15 @@ def test_the_pose_is_taken_where_no_sample_is_missing(session: Path, tmp_path: P
     assert np.isfinite(chosen).all() and len(used) > 8
 
 
+def test_the_model_is_found_from_a_linked_folder(session: Path, tmp_path: Path) -> None:
+    (tmp_path / "deep" / "below").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "deep" / "below")
+    assert run(session, tmp_path / "link") == 0
+    named = ElementTree.parse(tmp_path / "link" / "scale.xml").getroot().findtext(".//model_file") or ""
+    # as a program opens it there
+    assert (tmp_path / "link" / named).samefile(session / "round.osim")
+
+
 def test_without_a_standing_trial_the_walk_scales(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [session / "walk.c3d", "-m", session / "round.osim", "-o", tmp_path / "out", "--measure", "BodyMass=70"]
     assert main(["opensim", *(str(one) for one in words)]) == 0
@@ -263,6 +272,7 @@ def test_nothing_is_replaced_unless_asked(session: Path, tmp_path: Path, capsys:
     assert run(session, out) == 2 and "exists" in capsys.readouterr().err
     assert (out / "walk.trc").read_bytes() == b"mine" and not (out / "scale.xml").exists()
     assert run(session, out, "--overwrite") == 0 and (out / "walk.trc").read_bytes() == before
+    assert run(session, tmp_path / "two", "--cut-off", "0") == 2 and "0 Hz filters nothing" in capsys.readouterr().err
     assert run(session, session / "walk.c3d") == 2 and "is a file" in capsys.readouterr().err
 
 
@@ -426,7 +436,14 @@ def test_forces_come_with_inverse_dynamics(session: Path, tmp_path: Path) -> Non
     assert tool.findtext("coordinates_file") == "walk_ik.mot" and tool.findtext("forces_to_exclude") == "Muscles"
     loads = ElementTree.parse(tmp_path / "out" / (tool.findtext("external_loads_file") or "")).getroot()
     assert {one.findtext("applied_to_body") for one in loads.iter("ExternalForce")} == {"calcn_l"}
-    table = formats.read_table(tmp_path / "out" / (loads.findtext(".//datafile") or ""))
+    filtered = formats.read_table(tmp_path / "out" / (loads.findtext(".//datafile") or ""))
+    table = formats.read_table(tmp_path / "out" / "walk_grf.mot")
+    up, smooth = (one.values[:, one.names.index("1_ground_force_vy")] for one in (table, filtered))
+    # the same impulse, spread beyond the contact's ends
+    assert smooth.sum() == pytest.approx(up.sum(), rel=0.02) and (smooth > 0).sum() > (up > 0).sum() + 10
+    both = np.minimum(up, smooth) > 100
+    middle = [table.names.index(f"1_ground_force_p{axis}") for axis in "xyz"]
+    np.testing.assert_allclose(filtered.values[both][:, middle], table.values[both][:, middle], atol=1e-6)
     stands = table.times[table.values[:, table.names.index("1_ground_force_vy")] > 250]
     # under the ankle on the markers' clock, in the axes of the TRC
     names, rows, _ = trc(tmp_path / "out" / "walk.trc")

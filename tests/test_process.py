@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import csv
 import errno
+import html
 import json
 import os
 import pickle
 import shutil
 import signal
+import socket
+import subprocess
+import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
@@ -147,6 +152,9 @@ def test_a_file_that_fails_costs_itself(session: Path, tmp_path: Path, capsys: p
     assert run(tmp_path / "people", "-o", tmp_path / "out", "--markers", "helen-hayes") == 1
     out, err = capsys.readouterr()
     assert "broken.c3d" in err and "walk.c3d" in out
+    page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    (why,) = {line.rpartition("broken.c3d")[2] for line in err.splitlines() if "broken.c3d" in line and "2 files" not in line}
+    assert "1 could not be processed" in page and why and why in html.unescape(page), why
     assert (tmp_path / "out" / "labelled" / "walk.c3d").exists()
 
 
@@ -481,6 +489,98 @@ def test_a_messy_folder_is_one_person_with_one_standing_trial(session: Path, tmp
     assert [path.name for path in (out / "reports").glob("*.html")] == ["2026-11-03-Müller- Jörg -v1.2-.html"]
 
 
+def test_a_save_on_the_page_of_review_makes_its_person_anew_and_nobody_else(
+    session: Path, done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("websockets", "starlette", "uvicorn"):
+        pytest.importorskip(name)
+    from correcting import longest, served
+
+    out = tmp_path / "out"
+    shutil.copytree(done, out)
+    before, content = times(out), (out / "labelled" / "p1" / "walk.c3d").read_bytes()
+
+    def sits(sitting: Any, address: Any, say: Any) -> None:
+        with served(sitting) as browser:
+            (trial,) = [one for one in browser.get("/api/trials")["trials"] if str(one["path"]).endswith("p1/walk.c3d")]
+            at = f"/api/trials/{trial['id']}"
+            state = browser.get(f"{at}/state")
+            piece = longest(state["pieces"]["id"], state["pieces"]["first"], state["pieces"]["last"])
+            event = {"kind": "name", "piece": piece, "marker": "SACR"}
+            browser.post(f"{at}/touch", {"revision": state["revision"], "event": event})
+            saved = browser.post(f"{at}/save", {})
+        assert Path(saved["path"]) == out / "labelled" / "p1" / "walk.c3d"
+
+    monkeypatch.setattr("asterism.web.serve", sits)
+    words = ["review", session, "--serve", "-o", out / "labelled", "--overwrite", "--markers", "helen-hayes"]
+    words += ["--log-folder", tmp_path]
+    assert main([*map(str, words)]) == 0
+    corrected = (out / "labelled" / "p1" / "walk.c3d").read_bytes()
+    assert corrected != content
+    run(session, "-o", out, "--markers", "helen-hayes")
+    assert (out / "labelled" / "p1" / "walk.c3d").read_bytes() == corrected
+    changed = {name for name, when in times(out).items() if when != before[name]}
+    assert {"labelled/p1/walk.c3d", "gait/p1/walk.c3d", "reports/p1.html"} <= changed
+    assert all("p1" in name for name in changed), changed
+
+
+@pytest.mark.parametrize("where", ["labelling", "analysing", "writing"])
+def test_ctrl_c_leaves_nothing_half_written_and_the_next_run_goes_on(
+    where: str, one_person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    what = (one_person, "-o", out, "--markers", "helen-hayes")
+    place = {
+        "labelling": "asterism.session.FileLabeller.label",
+        "analysing": "asterism.cli._process_tasks.analysed",
+        "writing": "os.replace",
+    }[where]
+
+    def interrupted(*given: Any, **_: Any) -> Any:
+        if where != "writing" or "walk.c3d" in str(given[-1]):
+            raise KeyboardInterrupt
+        return os.rename(*given)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(place, interrupted)
+        assert run(*what) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert not list(out.rglob("*.part")) and not (out / "index.html").exists()
+    assert run(*what) == 0
+    assert (out / "gait" / "p1" / "walk.c3d").exists() and "another run" not in capsys.readouterr().err
+
+
+def test_a_person_whose_trials_are_of_another_set_is_told_and_others_go_on(
+    one_person: Path, session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without a standing trial, and with a wand among the walks."""
+    (one_person / "p1" / "static.c3d").unlink()
+    wand = replace(walk(1).frames(slice(0, 60)), positions=walk(1).positions[:60, :3] * 0.2, labels=("*1", "*2", "*3"), events=())
+    asterism.write(one_person / "p1" / "wand.c3d", wand)
+    assert run(one_person, "-o", tmp_path / "out", "--markers", "helen-hayes", "--json", "-") == 1
+    told = json.loads(capsys.readouterr().out)
+    rows = {Path(row["file"]).name: row for row in told["files"]}
+    assert rows["walk.c3d"]["kind"] == "walk" and rows["walk.c3d"]["use"] == "ready"
+    assert rows["wand.c3d"]["use"] != "ready" and rows["wand.c3d"]["cycles"] == 0
+
+
+def test_a_folder_without_rights_costs_itself(
+    session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scan = os.scandir
+
+    def denied(folder: Any) -> Any:
+        if Path(folder).name == "p2":
+            raise PermissionError(errno.EACCES, "Permission denied", str(folder))
+        return scan(folder)
+
+    monkeypatch.setattr(os, "scandir", denied)
+    assert run(session, "-o", tmp_path / "out", "--dry-run", "--json", "-") == 1
+    told = capsys.readouterr()
+    assert [person["person"] for person in json.loads(told.out)["persons"]] == ["p1"]
+    assert f"{session / 'p2'}: permission denied" in told.err
+
+
 def test_as_many_processes_work_as_the_memory_holds(
     one_person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -521,6 +621,48 @@ def test_a_task_that_kills_its_process_costs_itself(how: str, tmp_path: Path) ->
     assert [outcome.value for outcome in found] == [4, None, 25, None, 64]
     assert found[1].problem == "three is none."
     assert "SIGKILL" in found[3].problem
+
+
+def slowly(task: tuple[int, Path]) -> int:
+    """A task of a tenth of a second that says that it was begun."""
+    time.sleep(0.1)
+    (task[1] / f"{task[0]} {os.getpid()}").touch()
+    return task[0]
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_starts_anew_is_asked_again(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+
+    def start(kind: str, *words: str) -> subprocess.Popen[bytes]:
+        given = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *words, "--no-dashboard"]
+        return subprocess.Popen(given, cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL)
+
+    def anew() -> list[subprocess.Popen[bytes]]:
+        scheduler = start("scheduler", "--host", "127.0.0.1", "--port", address.rpartition(":")[2])
+        return [scheduler, start("worker", address, "--nthreads", "1", "--no-nanny")]
+
+    running, found = anew(), list[int]()
+    try:
+        for place, outcome in spread(slowly, [(number, tmp_path) for number in range(40)], dask=address):
+            assert outcome.value == place
+            found.append(place)
+            if len(found) == 10:
+                for process in running:
+                    process.kill()
+                    process.wait()
+                running = anew()
+    finally:
+        for process in running:
+            process.kill()
+            process.wait()
+    assert sorted(found) == list(range(40))
+    begun = [path.name.split()[0] for path in tmp_path.glob("* *")]
+    assert len(begun) - len(set(begun)) <= 2, "only what was not answered is begun again"
 
 
 def test_one_process_gives_what_each_task_gives(tmp_path: Path) -> None:

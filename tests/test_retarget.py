@@ -339,6 +339,22 @@ def test_a_bent_limb_reaches_its_target_with_its_own_lengths_and_turns_no_more_t
     assert np.allclose(np.linalg.norm(tip, axis=1), sum(lengths), rtol=1e-3), "a target out of reach straightens it"
 
 
+def test_limbs_without_a_plane_or_a_length_stay_limbs() -> None:
+    root, middle, end = np.array([[0.0, 0, 0.9]]), np.array([[0.0, 0, 0.45]]), np.array([[0.0, 0, 0.0]])
+    for along in (end, middle, root, np.array([[0.0, 0.0, 2.0]])):
+        for elbow in (middle, root):
+            for turn in bend(root, elbow, end, along, np.array([[0.0, 0.0, 1.0]])):
+                assert np.isfinite(turn).all() and np.allclose(turn @ turn.swapaxes(1, 2), np.eye(3), atol=1e-9)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 8])
+@pytest.mark.parametrize("hands", [False, True])
+def test_a_few_frames_are_enough(frames: int, hands: bool) -> None:
+    person = stepping_person(seconds=0.1)
+    result = retarget(replace(person, rotations=person.rotations[:frames], root=person.root[:frames]), character(0.7), hands=hands)
+    assert len(result.motion) == frames and result.after.slip < 0.001 and result.after.deepest < 0.001
+
+
 def test_a_knee_that_is_straight_bends_ahead_of_the_shank(walker: SkeletonMotion) -> None:
     hip, knee, ankle = np.array([[0.0, 0, 0.9]]), np.array([[0.0, 0, 0.45]]), np.array([[0.0, 0, 0.0]])
     upper, _ = bend(hip, knee, ankle, np.array([[0.0, 0.0, 0.1]]), np.array([[0.0, 1.0, 0.0]]))
@@ -388,3 +404,27 @@ def test_the_command_moves_a_character_in_both_formats_and_says_what_it_did(
     assert main(["retarget", "walk.bvh", "-c", "walk.c3d", "-o", "n.bvh"]) == 2
     assert main(["retarget", "walk.bvh", "-c", "troll.bvh", "-o", "troll.bvh", "--overwrite"]) == 2, "an input is not replaced"
     assert not Path("n.bvh").exists()
+
+
+def test_a_recording_of_markers_becomes_bones_in_both_formats(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from asterism.formats import write
+    from asterism.simulation import simulate_walks
+
+    monkeypatch.chdir(tmp_path)
+    write("walk.c3d", simulate_walks(1, frames=60, seed=0)[0])
+    assert main(["convert", "walk.c3d", "walk.bvh", "--unit", "m", "--euler", "xyz"]) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert "the axes of the room: its x, y, z became z, x, y" in told and "blanks in the names of bones, which became _" in told
+    assert "Xrotation Yrotation Zrotation" in Path("walk.bvh").read_text()
+    found = read_skeleton("walk.bvh", unit="m").motion
+    assert len(found) == 60 and found.vertical.tolist() == [0, 1, 0]
+    foot = found.joints[:, found.names.index("left_foot"), 1]
+    assert 0.0 < foot.min() < 0.2, "m, the ankle over the floor"
+    assert main(["convert", "walk.bvh", "walk.glb", "--unit", "m"]) == 0
+    assert np.allclose(read_skeleton("walk.glb").motion.joints, found.joints, atol=1e-5)
+    assert main(["convert", "walk.c3d", "n.glb", "--fill", "auto"]) == 2
+    assert "holds bones and no markers; leave out --for, --fill and --filter" in " ".join(capsys.readouterr().err.split())
+    assert main(["convert", "walk.bvh", "walk.trc"]) == 2
+    assert main(["convert", "walk.c3d", "n.bvh", "--euler", "xxz"]) == 2

@@ -14,14 +14,18 @@ from asterism import formats
 from asterism.cli import command_line
 from asterism.errors import AsterismError
 from asterism.recording import Recording
-from asterism.skeleton import FittedPerson, PersonRules, fit_person, load_body, save_body, solve_kinematics, tree_of
+from asterism.recording.filled import GapFill, logged_fills
+from asterism.skeleton import FittedPerson, KinematicsRules, PersonRules, fit_person, load_body, save_body, solve_kinematics, tree_of
 from asterism.skeleton.outputs import kinematics_findings, kinematics_table
+from asterism.skeleton.person import joint_label
+from asterism.skeleton.tree import TreeMarker
 
 FEW = PersonRules(frames=(2, 8))
 """Few frames: a quick fit."""
 
 
 LOWER = ("LASI", "RASI", "SACR", *(side + name for side in "LR" for name in ("THI", "KNE", "TIB", "ANK", "HEE", "TOE")))
+BONES = ("thigh", "shank", "foot")
 UPPER = ("C7", "T10", "CLAV", "STRN", *(side + name for side in "LR" for name in ("SHO", "ELB", "WRA", "WRB", "FIN")))
 
 
@@ -150,6 +154,45 @@ def test_a_part_of_the_body_has_the_bones_that_it_shows(labels, root, absent) ->
     assert absent not in person.tree.bone_names
     assert [finding.code for finding in person.findings] == ["skeleton-no-static"]
     assert np.nanmedian(solve_kinematics(person.tree, walk).misses) < 0.005
+
+
+def test_columns_of_joints_tell_where_the_joints_are() -> None:
+    truth = load_body("plug-in-gait")
+    walk, tree = moved(40, 60.0, LOWER), tree_of(truth)
+    at = [TreeMarker(joint_label(f"{side} {bone}"), f"{side} {bone}", (0.0, 0.0, 0.0)) for side in ("left", "right") for bone in BONES]
+    q = solve_kinematics(tree, moved(40, 60.0))
+    joints = np.stack([q.posed[1][:, tree.bone_names.index(marker.bone)] for marker in at], axis=1)
+    told = replace(
+        walk,
+        positions=np.concatenate([walk.positions, joints], axis=1),
+        labels=(*walk.labels, *(marker.name for marker in at)),
+        source=None,
+    )
+    found, alone = (fit_person([], [trial], rules=FEW) for trial in (told, walk))
+    pivots = {bone.name: np.array(bone.pivot) for bone in truth.bones}
+    for upper, lower in (("left thigh", "left shank"), ("right shank", "right foot")):
+        length = np.linalg.norm(pivots[lower] - pivots[upper])
+        assert abs(found.lengths[upper] - length) < 0.006
+        assert abs(found.lengths[upper] - length) < abs(alone.lengths[upper] - length)
+    assert found.tree.labels == walk.labels, "a joint is no marker"
+
+
+def test_what_was_filled_hardly_counts(person) -> None:
+    walk, knee = moved(20, 60.0), "left knee flexion"
+    positions = walk.positions.copy()
+    at = walk.labels.index("LANK")
+    positions[5:15, at] += [0.05, 0.0, 0.0]
+    wrong = replace(walk, positions=positions)
+    filled = logged_fills(wrong, [GapFill("LANK", 5 / 60, 14 / 60, 0.05)], "test", 0.1)
+    # By squares: Student's t would let a marker go that is so far off.
+    rules = KinematicsRules(tails=0.0)
+    whole, off, on = (angle(solve_kinematics(person.tree, each, rules=rules), knee) for each in (walk, wrong, filled))
+    assert np.abs(on - whole).max() < 0.3 * np.abs(off - whole).max()
+
+
+def test_trials_of_several_people_are_told() -> None:
+    trials = [replace(moved(8, 25.0, LOWER), metadata={"subject": name}) for name in ("Ann", "Bob")]
+    assert [finding.code for finding in fit_person(trials[:1], trials[1:], rules=FEW).findings] == ["skeleton-several-people"]
 
 
 def test_one_frame_is_enough_for_a_pose_and_nothing_for_none(person) -> None:

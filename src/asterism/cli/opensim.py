@@ -38,6 +38,9 @@ class OpenSimOptions:
     measure: Measure = field(default_factory=list)
     lower_body: LowerBodyChoice = None
     hip: Hip = None
+    cut_off: Annotated[
+        float, typer.Option("--cut-off", metavar="HZ", help="Of the low-pass filter of coordinates and forces in inverse dynamics.")
+    ] = 6.0
     vertical: Vertical = None
     overwrite: Overwrite = False
     json: Json = None
@@ -95,7 +98,7 @@ def opensim(options: OpenSimOptions) -> None:
                 batch.found(finding)
             trials.append(OpenSimTrial(recording, clinical))
     if trials:
-        done = write_opensim(options.output, trials, options.model, static=static, overwrite=options.overwrite)
+        done = write_opensim(options.output, trials, options.model, static=static, cut_off=options.cut_off, overwrite=options.overwrite)
         for finding in done.findings:
             batch.found(finding)
         if options.json != "-":

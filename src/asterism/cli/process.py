@@ -91,7 +91,7 @@ def process(options: ProcessOptions) -> None:
     persons = _persons(given, batch)
     if options.dry_run:
         _show_plan(persons, given)
-        raise typer.Exit(0)
+        raise typer.Exit(1 if batch.failed else 0)
     from asterism.session import held
 
     out, remote = given.output, given.places.folders.get(given.output)
@@ -408,6 +408,7 @@ class _Run:
         except AsterismError as problem:
             _console.error(str(problem) if name in str(problem) else f"{name}: {problem}")
             self.batch.failed.append(Path(name))
+            self.batch.reasons[Path(name)] = str(problem)
 
     def close(self) -> None:
         """Write the tables and the page, and print what became of each recording."""
@@ -423,7 +424,8 @@ class _Run:
             _console.write_csv(out / TABLE, _COLUMNS, cells)
             tables = sorted({out / "gait" / f"{name}.csv" for name in self._tables()})
             _join(out / PARAMETERS, [path for path in tables if self.places.bring(path)])
-            session_report(out / PAGE, rows, findings, failed)
+            reasons = [self.places.told(self.batch.reasons.get(path, "")) for path in self.batch.failed]
+            session_report(out / PAGE, rows, findings, dict(zip(failed, reasons, strict=True)))
             for name in (TABLE, PARAMETERS, PAGE):
                 self.places.take(out / name)
             if self.options.json != "-":

@@ -34,6 +34,9 @@ class SkeletonOptions:
         ),
     ] = None
     markers: Markers = None
+    clinical: Annotated[
+        bool, typer.Option("--clinical", help="Take hip, knee and ankle centres from the clinical model, with the files' measures.")
+    ] = False
     smooth: Annotated[bool, typer.Option("--smooth/--no-smooth", help="Whether frames tell each other their poses.")] = True
     output: Annotated[
         Path | None,
@@ -114,6 +117,7 @@ def skeleton(options: SkeletonOptions) -> None:
 def _tree(options: SkeletonOptions, moving: list[Recording], batch: _console.Batch) -> KinematicTree:
     """The model that is given, or the skeleton of the person."""
     from asterism.formats import read
+    from asterism.motion.clinical.joint_centres import with_joint_centres
     from asterism.recording import MarkerSet
     from asterism.skeleton import fit_person, load_body, load_osim, tree_of
 
@@ -121,6 +125,10 @@ def _tree(options: SkeletonOptions, moving: list[Recording], batch: _console.Bat
         return load_osim(options.model) if options.model.suffix.casefold() == ".osim" else tree_of(load_body(options.model))
     names = marker_names(options.markers)
     standing = [] if options.static is None else [read(options.static, markers=names, vertical=options.vertical)]
+    if options.clinical:
+        static = standing[0] if standing else None
+        standing = [with_joint_centres(one) for one in standing]
+        moving = [with_joint_centres(one, static=static) for one in moving]
     person = fit_person(standing, moving, markers=None if names is None else MarkerSet.load(names))
     for finding in person.findings:
         batch.found(finding)

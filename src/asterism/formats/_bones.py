@@ -46,23 +46,29 @@ def as_euler(rotations: Floats, order: str) -> Floats:
     axes = ["XYZ".index(axis) for axis in order.upper()]
     i, j, k = (*axes, *(axis for axis in range(3) if axis not in axes))
     odd = 1.0 if (j - i) % 3 == 1 else -1.0
-    flat = rotations.reshape(len(rotations), -1, 3, 3)
-    out, before = np.empty((*flat.shape[:2], 3)), np.zeros((flat.shape[1], 3))
-    for t, r in enumerate(flat):
-        cosine = np.hypot(r[:, i, i], r[:, i, j])
-        middle = odd * np.arctan2(r[:, i, k], cosine)
-        inner = np.where(cosine > _LOCKED, -odd * np.arctan2(r[:, i, j], r[:, i, i]), before[:, 2])
-        # the outer angle is what is left when the inner one is taken out, exact also near a right angle
-        rest = r @ axis_rotations("xyz"[k], inner).swapaxes(1, 2)
-        outer = np.arctan2(odd * rest[:, k, j], rest[:, j, j])
-        first = np.stack([outer, middle, inner], axis=1)
-        second = np.stack([outer + np.pi, np.pi - middle, inner + np.pi], axis=1)
-        # whole turns are free
-        first, second = (one + 2 * np.pi * np.round((before - one) / (2 * np.pi)) for one in (first, second))
-        nearer = np.abs(second - before).sum(axis=1) < np.abs(first - before).sum(axis=1) - 1e-9
-        # the first frame has the angles that a person would write
-        out[t] = before = np.where(nearer[:, None] & (t > 0), second, first)
-    return out.reshape(*rotations.shape[:-2], 3)[..., : len(axes)]
+    r = rotations.reshape(len(rotations), -1, 3, 3)
+    cosine = np.hypot(r[..., i, i], r[..., i, j])
+    middle = odd * np.arctan2(r[..., i, k], cosine)
+    inner = np.where(cosine > _LOCKED, -odd * np.arctan2(r[..., i, j], r[..., i, i]), 0.0)
+    frames = np.maximum.accumulate(np.where(cosine > _LOCKED, np.arange(len(r))[:, None], 0), axis=0)
+    inner = np.take_along_axis(inner, frames, axis=0)
+    # the outer angle is what is left when the inner one is taken out, exact also near a right angle
+    back = axis_rotations("xyz"[k], inner.ravel()).swapaxes(1, 2).reshape(r.shape)
+    rest = np.einsum("tbxy,tbyz->tbxz", r, back)
+    outer = np.arctan2(odd * rest[..., k, j], rest[..., j, j])
+    one = np.stack([outer, middle, inner], axis=2)
+    other = np.stack([outer + np.pi, np.pi - middle, inner + np.pi], axis=2)
+    # From a frame to the next, angles of both kinds change alike: what counts is where the kind must change. The first frame has the
+    # angles that a person would write.
+    kept, changed = (np.abs(_wrapped(after[1:] - one[:-1])).sum(axis=2) for after in (one, other))
+    kind = np.cumsum(np.concatenate([np.zeros((1, r.shape[1]), dtype=np.int64), changed < kept - 1e-9]), axis=0) % 2
+    found = np.unwrap(np.where(kind[:, :, None] == 1, other, one), axis=0)
+    return found.reshape(*rotations.shape[:-2], 3)[..., : len(axes)]
+
+
+def _wrapped(angles: Floats) -> Floats:
+    """Angles within half a turn to both sides."""
+    return (angles + np.pi) % (2 * np.pi) - np.pi
 
 
 def unlike(names: list[str]) -> tuple[str, ...]:

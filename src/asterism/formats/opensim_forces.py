@@ -1,17 +1,19 @@
 """The force plates of a recording in; OpenSim's table of ground reaction forces, and which of them acts on which foot, out.
 
-The table (MOT) has for each plate the force `1_ground_force_vx` ... in N, the centre of pressure `1_ground_force_px` ... in m and the free
-moment `1_ground_torque_x` ... in N m, y up. The loads (XML, `ExternalLoads`) name the body on which each acts. Nothing is smoothed. Where
-nobody stands on a plate, forces and moments are zero, and the centre of pressure is the plate's middle.
+The table (MOT) has for each plate the force `1_ground_force_vx` ... in N, the centre of pressure `1_ground_force_px` ... in m and the
+free moment `1_ground_torque_x` ... in N m, y up. The loads (XML, `ExternalLoads`) name the body on which each acts. Nothing is smoothed
+unless asked. Where nobody stands on a plate, forces and moments are zero, and the centre of pressure is the plate's middle.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
+from scipy.signal import butter, sosfiltfilt
 
 from asterism.files.atomic import utf8, write_atomically
 from asterism.formats.storage import TimeSeriesTable, write_table
@@ -29,11 +31,14 @@ def companions(target: Path) -> tuple[Path, Path]:
     return target.with_name(f"{target.stem}_grf.mot"), target.with_name(f"{target.stem}_grf.xml")
 
 
-def write_opensim_forces(target: Path, recording: Recording, plates: Sequence[ForcePlate], turn: Floats) -> list[str]:
+def write_opensim_forces(
+    target: Path, recording: Recording, plates: Sequence[ForcePlate], turn: Floats, cut_off: float | None = None
+) -> list[str]:
     """Write both files beside `target`; returns phrases on the contacts that act on no foot, because it is not known which.
 
     recording  that the plates are of, its markers named, by which feet are told
     turn       (3, 3) rotation from these axes to OpenSim's
+    cut_off    Hz, of the low-pass filter of each contact's force and moment; by default nothing is filtered
     """
     table_path, loads_path = companions(target)
     sides = np.array(marker_sides(recording.labels))
@@ -54,7 +59,7 @@ def write_opensim_forces(target: Path, recording: Recording, plates: Sequence[Fo
         # a plate that one foot uses has its number as name, one that several do also whose the columns are
         for who, own in groups.items():
             name = f"{number}_{who + '_' if len(groups) > 1 else ''}ground"
-            columns.append(_load(plate, own, turn))
+            columns.append(_load(plate, own, turn) if cut_off is None else _load(*_smoothed(plate, own, cut_off), turn))
             names += [f"{name}_{part}{axis}" for part in ("force_v", "force_p", "torque_") for axis in "xyz"]
             loads += [_external_force(name, _BODIES[who], table_path.name)] if who in _BODIES else []
     values = np.concatenate(columns, axis=1)
@@ -75,6 +80,21 @@ def _load(plate: ForcePlate, contacts: Sequence[slice], turn: Floats) -> Floats:
         values[loaded] = np.concatenate([part[loaded] @ turn.T for part in parts], axis=1)
     # Digits below a millinewton and a micrometre are noise of the arithmetic.
     return np.round(values, 6) + 0.0
+
+
+def _smoothed(plate: ForcePlate, contacts: Sequence[slice], cut_off: float) -> tuple[ForcePlate, list[slice]]:
+    """The plate as it would be with these contacts alone, force and moment filtered as OpenSim filters coordinates; all of its samples.
+
+    Butterworth's filter of third order, forwards and backwards. The centre of pressure is that of the filtered force and moment.
+    """
+    inside = np.zeros(len(plate.force), dtype=bool)
+    for contact in contacts:
+        inside[contact] = True
+    sections = butter(3, min(cut_off, 0.49 * plate.rate), fs=plate.rate, output="sos")
+    kept = (np.where(inside[:, None] & np.isfinite(part), part, 0.0) for part in (plate.force, plate.moment))
+    padding = min(3 * (2 * len(sections) + 1), len(inside) - 1)
+    force, moment = (np.asarray(sosfiltfilt(sections, part, axis=0, padlen=padding), dtype=np.float64) for part in kept)
+    return replace(plate, force=force, moment=moment), [slice(0, len(inside))]
 
 
 def _external_force(name: str, body: str, table: str) -> str:

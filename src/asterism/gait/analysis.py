@@ -12,7 +12,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.gait.cycles import POINTS, Cycle, cycles_of, over_cycle
 from asterism.gait.emg import EmgChannel, emg_of
-from asterism.gait.events import Walking, find_events, plate_contacts
+from asterism.gait.events import SIDE_NAMES, Walking, find_events, plate_contacts
 from asterism.gait.fills import angles_with_fills, drawn_fills, events_with_fills
 from asterism.gait.intervals import AngleBand, angle_bands
 from asterism.gait.parameters import Parameter, parameters_of
@@ -153,6 +153,10 @@ def analyse_gait(
                 "Record more steps, or give a longer part of the recording.",
             )
         )
+    if walking.feet.ankles and walking.events:
+        sides = " and ".join(SIDE_NAMES[side].lower() for side in sorted(walking.feet.ankles))
+        sentence = f"{file} has no marker of the {sides} heel: strikes are told by the ankle, and less certain."
+        found.append(Finding("gait-no-heel", Severity.NOTE, file, sentence, "Put a marker on the heel, or name it (LHEE, RHEE)."))
     if turning := [cycle for cycle in cycles if cycle.turns]:
         some = len(turning) < len(cycles)
         found.append(

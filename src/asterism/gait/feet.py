@@ -16,9 +16,10 @@ from asterism.recording import Floats, Recording, plain_name
 from asterism.recording.display import significant
 
 SIDES = ("L", "R")
-HEEL = (("HEE",), ("HEEL",), ("CAL",), ("LCA",))
+HEEL = (("HEE",), ("HEEL",), ("CAL",), ("LCA",), ("ANK",))
 TOE = (("TOE",), ("MT2",), ("D2M",), ("MT1", "MT5"), ("D1M", "D5M"), ("FM", "VM"), ("MT5",), ("5TH",), ("D5M",))
-"""Names after the side, best first; of two names the middle counts. Points and underscores in names do not."""
+"""Names after the side, best first; of two names the middle counts. Points and underscores in names do not. An ankle's marker serves where
+a heel has none, see `Feet.ankles`."""
 PELVIS = ("SACR", "LASI", "RASI", "LPSI", "RPSI", "LASIS", "RASIS", "LPSIS", "RPSIS")
 RATE = 200.0
 """samples per second of all curves here, so that what follows does not depend on the cameras' rate."""
@@ -37,6 +38,7 @@ class Feet:
     heels, toes   m by side, in the room; pelvis (T, 3) m
     ahead         (T, 2) unit vectors, where the feet point on average
     leg_length    m, from the pelvis to the floor
+    ankles        sides whose ankle's marker is taken for the heel's: it goes ahead as the heel does, and knocks and slaps less clearly
     noise         by side, what the noise of its markers makes of the heel's acceleration, m/s2, and of the foot's turning, rad/s
     """
 
@@ -47,6 +49,7 @@ class Feet:
     ahead: Floats
     leg_length: float
     noise: Mapping[str, tuple[float, float]]
+    ankles: frozenset[str] = frozenset()
 
     def forward(self, points: Floats) -> Floats:
         """(T,) m, how far points are ahead of the pelvis."""
@@ -70,7 +73,7 @@ class Feet:
 def feet_of(recording: Recording) -> Feet:
     """The feet of a recording. Gaps are bridged; frames before the first sample of a marker repeat it. O(T).
 
-    Raises NoGait where no foot has a heel and a toe marker, or no marker of the pelvis is there.
+    Raises NoGait where no foot has a marker of heel or ankle and one of the toes, or no marker of the pelvis is there.
     """
     positions = rotate_z_up(recording.positions, recording.vertical)
     names = [plain_name(label).upper() for label in recording.labels]
@@ -103,7 +106,9 @@ def feet_of(recording: Recording) -> Feet:
             f"{file} shows {', '.join(dict.fromkeys(hidden))} in ten frames or fewer; gait events need a longer recording of them."
         )
     if not feet:
-        raise NoGait(f"{file} has no foot with a heel and a toe marker (such as LHEE and LTOE); gait events need them.")
+        raise NoGait(
+            f"{file} has no foot with a marker of heel or ankle and one of the toes (such as LHEE and LTOE); gait events need them."
+        )
     if not hips:
         raise NoGait(f"{file} has no marker of the pelvis ({', '.join(PELVIS[:5])}); gait events need one.")
     times = np.arange(0.0, (len(recording) - 1) / recording.rate + 1e-9, 1.0 / RATE)
@@ -119,8 +124,9 @@ def feet_of(recording: Recording) -> Feet:
     ahead = _unit(zero_lag_butterworth(_unit(pointing), RATE, TURNING))
     heels, toes = ({side: pair[which] for side, pair in smooth.items()} for which in (0, 1))
     floor = min(float(np.percentile(heel[:, 2], 5)) for heel in heels.values())
+    ankles = frozenset(side for side in feet if all(curve(side + name) is None for (name,) in HEEL[:-1]))
     noise = {side: _noise(*pair, recording.rate) for side, pair in feet.items()}
-    return Feet(times, heels, toes, pelvis, ahead, float(np.median(pelvis[:, 2])) - floor, noise)
+    return Feet(times, heels, toes, pelvis, ahead, float(np.median(pelvis[:, 2])) - floor, noise, ankles)
 
 
 def _noise(heel: Floats, toe: Floats, rate: float) -> tuple[float, float]:

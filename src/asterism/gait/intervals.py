@@ -173,12 +173,10 @@ def _of_wands(
         taken = estimator.estimate()
         middle = angles_of(recording, lower_body(recording, taken, sides), room)
     found = _Open(_apart(middle, reported))
-    # The trunk's angles hang on no measure of a leg.
-    legs = recording.select([label for label in recording.labels if label not in THORAX])
-    for pair in () if estimator is None else estimator.apart():
-        one, other = (angles_of(legs, lower_body(legs, end, sides), room) for end in pair)
-        found.add_measure(one, other, middle)
     if estimator is not None and estimator.sources:
+        for pair in estimator.apart():
+            one, other = (angles_of(estimator.legs, made, room) for _, made in pair)
+            found.add_measure(one, other, middle)
         # Of a leg that is hardly seen nothing is estimated, and what is open of it is not known.
         unseen = [side + name for side in sides if side not in estimator.shown for name in _LEG_ANGLES]
         found.measures.update({name: np.full_like(middle[name], np.nan) for name in unseen if name in middle})

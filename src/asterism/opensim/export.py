@@ -31,8 +31,9 @@ from asterism.recording.force_plate import ForcePlate
 from asterism.recording.marker_set import without_subject
 
 CUT_OFF = 6.0
-"""Hz, of the low-pass filter of the coordinates in inverse dynamics, as gait laboratories take it: above it there is noise of markers. At
-half, a knee's moment at heel strike is lower by a third; at double, noise of accelerations is four times as large."""
+"""Hz, of the low-pass filter of coordinates and forces in inverse dynamics, as gait laboratories take it: above it is noise of markers.
+Both have the same: forces that are not filtered beside coordinates that are make a hip's peak at heel strike three times as high. At
+half, moments of stance are lower by a tenth; at double, noise of accelerations is four times as large."""
 _UNKNOWN = 2.0
 """How many times more a marker without a known name moves on every other segment. At 1 any marker sits somewhere, those at a joint by
 chance; at 4 markers on a soft thigh sit nowhere."""
@@ -100,6 +101,7 @@ def write_opensim(
     model: str | Path | None = None,
     *,
     static: Recording | None = None,
+    cut_off: float = CUT_OFF,
     overwrite: bool = False,
 ) -> OpenSimExport:
     """Write a folder with which OpenSim's scale tool, inverse kinematics and inverse dynamics run at once.
@@ -108,17 +110,20 @@ def write_opensim(
             legs that are known, only markers and forces are written
     static  a standing trial with the same markers; without it the model is scaled by the first walk, and its markers stay where the
             walk shows them
+    cut_off  Hz, of the low-pass filter of coordinates and forces in inverse dynamics
 
     Nothing is written where a file is there already, unless `overwrite`. Raises AsterismError where that is so, where the folder cannot be
     written to, or the model lacks a body that legs need.
     """
     folder = Path(folder)
+    if not 0.0 < cut_off < np.inf:
+        raise AsterismError(f"a cut-off of {cut_off:g} Hz filters nothing; give one in Hz, such as {CUT_OFF:g}.")
     if not walks:
         raise AsterismError("there is no walk to write for OpenSim; name one.")
     generic = None if model is None else generic_model(model)
     trials = _prepared(walks, static)
     still, moving = (trials[0], trials[1:]) if static is not None else (None, trials)
-    files = _targets(folder, trials, generic is not None)
+    files = _targets(folder, trials, generic is not None, len(trials) - len(moving))
     there = [path for path in files.values() if path.exists()]
     if there and not overwrite:
         raise AsterismError(f"{there[0]} exists; choose another folder with -o, or replace it with --overwrite.")
@@ -137,6 +142,8 @@ def write_opensim(
         write(files[f"{trial.name}: markers"], _turned(trial.recording, turn, own))
         if f"{trial.name}: forces" in files:
             unknown = write_opensim_forces(files[f"{trial.name}: markers"], trial.recording, trial.plates, turn)
+            if f"{trial.name}: filtered forces" in files and trial.name in persons:
+                write_opensim_forces(_filtered(folder, trial), trial.recording, trial.plates, turn, cut_off)
             found += [_load(trial, phrase) for phrase in unknown]
         elif trial is not still:
             found.append(_no_forces(trial))
@@ -145,7 +152,7 @@ def write_opensim(
         found += [_no_model(folder)] if generic is None else [_no_legs(scaled_by)]
         kept = {kind: path for kind, path in files.items() if kind.endswith((": markers", ": forces", ": loads"))}
         return OpenSimExport(kept, findings=tuple(found))
-    session = _Session(folder, files, generic, Path(model), scaled_by, still is not None, moving, persons)
+    session = _Session(folder, files, generic, Path(model), scaled_by, still is not None, moving, persons, cut_off)
     return _documents(session, found)
 
 
@@ -161,6 +168,7 @@ class _Session:
     standing: bool
     moving: Sequence[_Prepared]
     persons: Mapping[str, PersonInTrial]
+    cut_off: float
 
 
 def _documents(session: _Session, found: list[Finding]) -> OpenSimExport:
@@ -216,7 +224,9 @@ def _documents(session: _Session, found: list[Finding]) -> OpenSimExport:
                 documents.append(files[f"{trial.name}: dynamics"])
         else:
             found.append(_no_legs(trial))
-    written = {kind: path for kind, path in files.items() if path in documents or not kind.endswith(("kinematics", "dynamics"))}
+    moved_by = ("kinematics", "dynamics", "filtered forces", "filtered loads")
+    without = {f"{trial.name}: {kind}" for trial in session.moving if trial.name not in session.persons for kind in moved_by}
+    written = {kind: path for kind, path in files.items() if kind not in without}
     commands = tuple(f"opensim-cmd run-tool {path.name}" for path in documents)
     return OpenSimExport(written, commands, scales, tuple(placed), weighed, known, mass, (*found, *said))
 
@@ -225,7 +235,7 @@ def _motion(session: _Session, trial: _Prepared, placed: Sequence[PlacedMarker],
     """Of one walk; a marker's weight is one over the square of what it is off, in centimetres."""
     moves = moved(session.persons[trial.name], placed)
     weights = {one.name: (0.01 / float(np.hypot(one.sigma, moves[one.name]))) ** 2 for one in placed if one.name in moves}
-    loads = session.files.get(f"{trial.name}: loads")
+    loads = session.files.get(f"{trial.name}: filtered loads")
     return MotionTask(
         model=scaled,
         trial=session.files[f"{trial.name}: markers"].name,
@@ -234,7 +244,7 @@ def _motion(session: _Session, trial: _Prepared, placed: Sequence[PlacedMarker],
         weights=weights,
         held=_held(session.generic, placed, weights),
         loads="" if loads is None else loads.name,
-        cut_off=CUT_OFF,
+        cut_off=session.cut_off,
     )
 
 
@@ -289,18 +299,24 @@ def _with_plain_names(recording: Recording) -> tuple[Recording, list[Finding]]:
     return replace(recording.select(labels), labels=tuple(names)), found
 
 
-def _targets(folder: Path, trials: Sequence[_Prepared], documents: bool) -> dict[str, Path]:
-    """All files that will be written."""
+def _filtered(folder: Path, trial: _Prepared) -> Path:
+    """Beside which the filtered forces are written."""
+    return folder / f"{trial.name}_filtered.trc"
+
+
+def _targets(folder: Path, trials: Sequence[_Prepared], documents: bool, standing: int) -> dict[str, Path]:
+    """All files that may be written; standing  how many of the trials, the first, are no walks."""
     files: dict[str, Path] = {}
-    for trial in trials:
+    for number, trial in enumerate(trials):
         path = folder / f"{trial.name}.trc"
         files[f"{trial.name}: markers"] = path
         if trial.plates:
             files[f"{trial.name}: forces"], files[f"{trial.name}: loads"] = companions(path)
-        if documents:
+        if documents and number >= standing:
             files[f"{trial.name}: kinematics"] = folder / f"{trial.name}_ik.xml"
-            if trial.plates:
+            if trial.plates and number >= standing:
                 files[f"{trial.name}: dynamics"] = folder / f"{trial.name}_id.xml"
+                files[f"{trial.name}: filtered forces"], files[f"{trial.name}: filtered loads"] = companions(_filtered(folder, trial))
     if documents:
         files |= {"markers": folder / "markers.xml", "scale": folder / "scale.xml", "factors": folder / "scale_factors.csv"}
     return files
@@ -339,9 +355,9 @@ def _subject(recording: Recording) -> str:
 
 
 def _beside(model: Path, folder: Path) -> str:
-    """The model's file as seen from the folder: the tools put their own folder before what they read."""
+    """The model's file as seen from the folder, links followed: the tools put their own folder before what they read."""
     try:
-        return Path(os.path.relpath(os.path.abspath(model), os.path.abspath(folder))).as_posix()
+        return Path(os.path.relpath(os.path.realpath(model), os.path.realpath(folder))).as_posix()
     except ValueError:  # another drive
         return str(model.absolute())
 

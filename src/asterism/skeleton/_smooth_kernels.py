@@ -11,8 +11,8 @@ import numpy as np
 
 from asterism._jit import kernel
 
-_MOST = 500
-"""Iterations of conjugate gradients at most; 10 to 100 are usual."""
+_MOST = 150
+"""Iterations of conjugate gradients at most; 10 to 50 are usual. Somersaults take more, and the next round goes on with what is left."""
 
 
 @kernel

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from asterism.errors import AsterismError
 from asterism.geometry import fit_rigid, vector_from_rotation, z_up_rotation
 from asterism.progress import Progress
-from asterism.recording import Floats, MarkerSet, Recording, SkeletonMotion
+from asterism.recording import Floats, MarkerSet, Recording, SkeletonMotion, filled_samples
 from asterism.skeleton._smooth_kernels import best_ratio, smoothed_variances, smoothing_step
 from asterism.skeleton._tree_kernels import ROOT, follow, linearise, pose_frames, pose_tree, shared_variances
 from asterism.skeleton.tree import KinematicTree
@@ -55,7 +55,7 @@ class KinematicsRules:
     lost_at_most    what one marker may add to that, so that a single wrong one does not count as lost
     smooth          whether frames are smoothed together
     usual_s         s, in which what is usual of a coordinate counts once where no marker tells it: by then a joint is elsewhere
-    least_square    of what is left of a smoothing's step, for each number and frame, in units of its white noise: 0.003 standard deviations
+    least_square    of what is left of a smoothing's step, for each number and frame, in units of its white noise: 0.03 standard deviations
     rounds          of smoothing at most: the equations are linear in small steps
     done            rad or m, the largest step of a number below which a smoothing is done: 0.06 degrees, 1 mm
     block, overlap  frames that are smoothed together, and by how much their neighbours take part: seconds at any usual rate
@@ -73,7 +73,7 @@ class KinematicsRules:
     lost_at_most: float = 50.0
     smooth: bool = True
     usual_s: float = 0.5
-    least_square: float = 1e-5
+    least_square: float = 1e-3
     rounds: int = 4
     done: float = 0.001
     block: int = 4000
@@ -176,8 +176,7 @@ def solve_kinematics(
 
     weights  marker -> m-2, instead of the inverse square of its spread and noise; a marker that is not named has none
 
-    The recording's confidence of a label, and the standard deviation of a filled place, lessen a marker's weight. A marker counts by its
-    own name or by one of the recording's spellings of it. Missing markers are allowed in any frame.
+    The standard deviation of a place that was filled lessens its weight. Missing markers are allowed in any frame.
 
     Standard deviations are those of the normal equations, times what markers are off more than they are expected to. What of a course is
     white is averaged out by its neighbours; what remains moves with the skin, and is not. Skin under all markers of a bone moves together,
@@ -199,7 +198,10 @@ def _weights(
     if given is not None:
         return np.tile([given.get(name, 0.0) for name in tree.labels], (len(recording.positions), 1)).astype(np.float64)
     variance = np.array([marker.spread**2 + rules.noise**2 for marker in tree.markers])
-    return np.tile(1.0 / variance, (len(recording.positions), 1))
+    # What was filled is as much less certain.
+    filled = np.zeros((len(recording.positions), len(columns)))
+    filled[:, columns >= 0] = np.nan_to_num(filled_samples(recording)[:, columns[columns >= 0]])
+    return np.asarray(1.0 / (variance + filled**2))
 
 
 def solve_points(

@@ -73,6 +73,18 @@ _ENDS: Mapping[str, Point] = {"head": (0.0, 0.0, 0.25), "hand": (0.0, 0.0, -0.17
 """m, of a body of 1.70 m: crown, fingertips, tip of the great toe."""
 
 
+def joint_label(bone: str) -> str:
+    """The name of a column of a recording that holds the joint of a bone, as a clinical model or a functional trial tells it.
+
+    >>> joint_label("left thigh")
+    'left thigh joint'
+    """
+    return f"{bone} joint"
+
+
+_JOINT_COLUMNS = {joint_label(joint.segment): joint.segment for joint in JOINTS}
+
+
 @dataclass(frozen=True)
 class PersonRules:
     """How a skeleton is fitted to a person.
@@ -80,6 +92,7 @@ class PersonRules:
     frames       of the standing and of the moving trials that count, evenly spread: more say little that is new
     joint        m, how well the laying of the usual skeleton tells a joint's place beforehand: 11 to 19 mm at hips (Bell 1990)
     place        m, the same of a marker's place on its bone, beside what its name says
+    centre       m, how far a joint is from where a column of a recording has it, in each pose
     alike        m, how far the two sides differ: half of adults have 2 % between the legs
     spread       m, how far a marker moves about its place beforehand: mostly skin that slides; half of what is believed, since what
                  the markers of a segment do together looks like a movement of the bone, and is not seen
@@ -92,6 +105,7 @@ class PersonRules:
     frames: tuple[int, int] = (5, 35)
     joint: float = 0.015
     place: float = 0.02
+    centre: float = 0.010
     alike: float = 0.006
     spread: float = 0.008
     moves: float = 6.0
@@ -138,23 +152,29 @@ def fit_person(
     markers  the set that is worn; by default all named markers. Where its places are not said they are known by their names in the shipped
              sets, and markers of unknown names sit where they are seen on the skeleton
 
-    The usual skeleton is laid on some frames by the places of the set (`place_learning`). Joints, marker places and their spreads are then
-    found together with the poses, as in a bundle adjustment: a joint is where both bones carry it alike, as far as the movement tells, and
-    where the laying has it else. Deterministic; one to three seconds.
+    Columns of joints (`joint_label`) are no markers: they tell where joints are. `with_joint_centres` of `motion.clinical` adds those of
+    Plug-in-Gait. The usual skeleton is laid on some frames by the places of the set (`place_learning`). Joints, marker places and their
+    spreads are then found together with the poses, as in a bundle adjustment: a joint is where both bones carry it alike, as far as the
+    movement tells, and where the laying has it else. Deterministic; one to three seconds.
     Raises AsterismError where fewer than six markers are known, or no trial is given.
     """
     recordings = [*standing, *moving]
     if not recordings:
         raise AsterismError("a skeleton is fitted to trials of a person; give a standing one, a moving one, or both.")
-    known = marker_set_of(recordings, "markers") if markers is None else markers
+    named = [recording.select([label for label in recording.labels if label not in _JOINT_COLUMNS]) for recording in recordings]
+    known = marker_set_of(named, "skeleton") if markers is None else markers
     shares = (rules.frames[0] if standing and moving else sum(rules.frames) if standing else 0, rules.frames[1] if moving else 0)
     frames = [_spread_frames(part, known, count) for part, count in ((standing, shares[0]), (moving, shares[1]))]
-    points = np.concatenate([part for part in frames if len(part)])
+    points, joints = (np.concatenate([part[which] for part in frames if len(part[which])]) for which in (0, 1))
     body, worn, segments = _laid(known, recordings[0], points)
     tree = _tree(body, worn, segments, known.title or "skeleton", rules)
     columns = [known.names.index(name) for name in worn]
-    findings = [] if standing else [_no_standing(recordings[0])]
-    return FittedPerson(refine(tree, points[:, columns], rules), known.title, tuple(findings))
+    findings = [*([] if standing else [_no_standing(recordings[0])]), *_several_people(recordings)]
+    told = [i for i, bone in enumerate(_JOINT_COLUMNS.values()) if bone in tree.bone_names and np.isfinite(joints[:, i]).any()]
+    centres = [TreeMarker(list(_JOINT_COLUMNS)[i], list(_JOINT_COLUMNS.values())[i], (0.0, 0.0, 0.0), rules.centre) for i in told]
+    measured = np.concatenate([points[:, columns], joints[:, told]], axis=1)
+    tree = refine(tree.with_markers([*tree.markers, *centres]), measured, rules)
+    return FittedPerson(tree.with_markers(tree.markers[: len(columns)]), known.title, tuple(findings))
 
 
 def _no_standing(recording: Recording) -> Finding:
@@ -168,9 +188,18 @@ def _no_standing(recording: Recording) -> Finding:
     )
 
 
-def _spread_frames(recordings: Sequence[Recording], known: MarkerSet, count: int) -> Floats:
-    """(F, M, 3) m, so many frames of trials, z up, the fullest of each stretch."""
-    parts = []
+def _several_people(recordings: Sequence[Recording]) -> list[Finding]:
+    people = sorted({str(name) for recording in recordings if (name := recording.metadata.get("subject"))})
+    if len(people) < 2:
+        return []
+    sentence = f"the trials name several people: {', '.join(people)}. Bones are fitted to all of them."
+    return [Finding("skeleton-several-people", Severity.WARNING, ", ".join(people), sentence, "Give the trials of one person.")]
+
+
+def _spread_frames(recordings: Sequence[Recording], known: MarkerSet, count: int) -> tuple[Floats, Floats]:
+    """(F, M, 3) m, so many frames of trials, z up, the fullest of each stretch; and (F, J, 3) m, the joints of `_JOINT_COLUMNS` in them."""
+    parts, joints = list[Floats](), list[Floats]()
+    told = MarkerSet(tuple(_JOINT_COLUMNS))
     for recording in recordings:
         columns = known.columns_of(recording.labels)
         stretches = [part for part in np.array_split(np.arange(len(recording)), max(count // len(recordings), 1)) if len(part)]
@@ -178,10 +207,14 @@ def _spread_frames(recordings: Sequence[Recording], known: MarkerSet, count: int
         # Of equally full frames the middle one: ends of trials are where people come and go.
         chosen = [part[np.nonzero(shown[part] == shown[part].max())[0]] for part in stretches]
         frames = [int(best[len(best) // 2]) for best in chosen]
-        points = np.full((len(frames), len(known), 3), np.nan)
-        points[:, columns >= 0] = rotate_z_up(recording.positions[frames], recording.vertical)[:, columns[columns >= 0]]
-        parts.append(points)
-    return np.concatenate(parts) if parts else np.empty((0, len(known), 3))
+        upright = rotate_z_up(recording.positions[frames], recording.vertical)
+        for kept, its in ((parts, columns), (joints, told.columns_of(recording.labels))):
+            points = np.full((len(frames), len(its), 3), np.nan)
+            points[:, its >= 0] = upright[:, its[its >= 0]]
+            kept.append(points)
+    if not parts:
+        return np.empty((0, len(known), 3)), np.empty((0, len(told), 3))
+    return np.concatenate(parts), np.concatenate(joints)
 
 
 def _laid(known: MarkerSet, first: Recording, points: Floats) -> tuple[PlacedBody, list[str], list[str]]:
@@ -355,9 +388,11 @@ def _twists(tree: KinematicTree, found: Kinematics, t: int) -> Floats:
 def _add_priors(first: KinematicTree, tree: KinematicTree, normal: Floats, right: Floats, rules: PersonRules) -> None:
     """What is known of joints and places beforehand, added in place."""
     bones = len(tree.bones)
+    # A joint's own place on its bone is the bone's origin.
+    places = np.repeat([1e-5 if marker.name in _JOINT_COLUMNS else rules.place for marker in tree.markers], 3)
     for precision, before, now, start in (
         (rules.joint**-2.0, first.arrays.offsets, tree.arrays.offsets, 0),
-        (rules.place**-2.0, first.arrays.places, tree.arrays.places, 3 * bones),
+        (places**-2.0, first.arrays.places, tree.arrays.places, 3 * bones),
     ):
         rows = np.arange(start, start + now.size)
         normal[rows, rows] += precision
@@ -387,6 +422,7 @@ def _moved(tree: KinematicTree, step: Floats, spreads: Floats, rules: PersonRule
     # Two centimetres at once: beyond that the equations say little.
     steps = np.clip(step, -0.02, 0.02).reshape(-1, 3)
     believed = np.sqrt(0.5 * (spreads**2 + rules.spread**2))
+    believed[[marker.name in _JOINT_COLUMNS for marker in tree.markers]] = rules.centre
     moved = [replace(bone, offset=bone.offset + by) for bone, by in zip(tree.bones[1:], steps[1:bones], strict=True)]
     worn = [
         replace(marker, place=_point(np.array(marker.place) + by), spread=float(spread))

@@ -19,6 +19,8 @@ from asterism.recording.arrays import nan_median
 
 Prior = tuple[float, float]
 """Mean and standard deviation."""
+Made = tuple[SubjectMeasures, LowerBody]
+"""Measures, and the body that they make of the markers of pelvis and legs."""
 
 
 @dataclass(frozen=True)
@@ -144,12 +146,16 @@ class WalkEstimator:
         """The measures with all that is lacking. O(T)."""
         return self._made({side: state for side, (state, _) in self._known.items()})[0]
 
-    def apart(self) -> Iterator[tuple[SubjectMeasures, SubjectMeasures]]:
-        """Pairs of measures, one standard deviation to both sides of the estimate along each of independent directions."""
+    def apart(self) -> Iterator[tuple[Made, Made]]:
+        """Pairs of measures with their bodies, a standard deviation to both sides of the estimate, along each of independent directions."""
         for column in range(len(self.sources)):
             ends = ({side: state + sign * root[:, column] for side, (state, root) in self._known.items()} for sign in (1.0, -1.0))
-            one, other = (self._made(end)[0] for end in ends)
+            one, other = (self._made(end) for end in ends)
             yield one, other
+
+    def drawn(self, rng: np.random.Generator) -> SubjectMeasures:
+        """Measures that may be the person's, drawn from what is known of them."""
+        return self._made({side: state + root @ rng.standard_normal(len(state)) for side, (state, root) in self._known.items()})[0]
 
     @cached_property
     def _known(self) -> Mapping[str, tuple[Floats, Floats]]:
@@ -172,7 +178,7 @@ class WalkEstimator:
 
     def _walk(self, state: Mapping[str, Floats]) -> dict[str, Floats]:
         """By side (5,) rad: what `WalkPriors` expects, NaN where the walk does not tell it."""
-        angles, found = angles_of(self._legs, self._made(state)[1]), {}
+        angles, found = angles_of(self.legs, self._made(state)[1]), {}
         for side in state:
             hip, knee, ankle = (angles.get(f"{side}{joint}Angles", np.full((1, 3), np.nan)) for joint in ("Hip", "Knee", "Ankle"))
             knee = knee[np.isfinite(knee).all(axis=1)]
@@ -185,21 +191,21 @@ class WalkEstimator:
         return found
 
     @cached_property
-    def _legs(self) -> Recording:
+    def legs(self) -> Recording:
         """The recording with the markers of pelvis and legs alone."""
         return self.recording.select([name for name in self.recording.labels if name == "SACR" or name[1:] in _LEG])
 
     @cached_property
     def shown(self) -> list[str]:
         """Sides whose thigh, and way from the spine to the ankle, are known in `_FEW` frames or more; of others nothing can be told."""
-        legs, marker = lower_body(self._legs, self.measures, self.sides).legs, marker_of(self._legs)
+        legs, marker = lower_body(self.legs, self.measures, self.sides).legs, marker_of(self.legs)
 
         def seen(values: Floats) -> bool:
             return int(np.isfinite(values).reshape(len(values), -1).all(axis=1).sum()) >= _FEW
 
         return [side for side, leg in legs.items() if seen(leg.thigh) and seen(marker(f"{side}ASI") + marker(f"{side}ANK"))]
 
-    def _made(self, state: Mapping[str, Floats]) -> tuple[SubjectMeasures, LowerBody]:
+    def _made(self, state: Mapping[str, Floats]) -> Made:
         """The measures at a place of the priors, and the body that they make."""
         given, shifts = self.measures, {side: dict(zip(self.sources, own.tolist(), strict=True)) for side, own in state.items()}
 
@@ -223,7 +229,7 @@ class WalkEstimator:
         bare = given
         for side in state:
             bare = bare.with_leg(side, replace(bare.of(side), foot_flexion=0.0, foot_rotation=0.0))
-        body = lower_body(self._legs, bare, self.sides)
+        body = lower_body(self.legs, bare, self.sides)
         legs = dict(body.legs)
         for side in state:
             line = legs[side].foot

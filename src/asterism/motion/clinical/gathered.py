@@ -17,6 +17,7 @@ from asterism.motion.clinical.plug_in_gait import radius_by_the_file
 from asterism.motion.clinical.static import StaticRules, with_static_offsets
 from asterism.recording import Floats, Recording
 from asterism.recording.arrays import nan_quantile
+from asterism.recording.display import significant
 
 _SAME_LEG = 0.07
 """Of a leg's length, by which markers may show another one: they show 0.4 % less to 2.5 % more on four people of three laboratories."""
@@ -94,10 +95,19 @@ def _with_offsets(
     def apart(one: SubjectMeasures) -> list[float]:
         return [abs(getattr(one.of(side), name) - getattr(held.of(side), name)) for side, name in own]
 
-    best = replace(min(told, key=lambda one: sum(apart(one))), marker_radius=measures.marker_radius)
-    off = apart(best)
-    if max(off, default=0.0) <= _SAME_OFFSET:
+    nearest = min(range(len(ways)), key=lambda place: sum(apart(told[place])))
+    # Where no rule gives the file's offsets, they tell none.
+    fits = max(apart(told[nearest]), default=0.0) <= _SAME_OFFSET
+    way, best = (ways[nearest], told[nearest]) if fits else (rules, told[0])
+    best = replace(best, marker_radius=measures.marker_radius)
+    if fits and way == rules:
         return best, []
+    if fits:
+        how = "the ankle's axis through both malleoli as it is" if way.tilted else "heel and toe marker as high as they are"
+        sentence = f"{_file(static)}: read with {how}, as its own program did: the offsets that its file holds follow so."
+        mend = "Nothing, where they are to be those of that program."
+        return best, [Finding("clinical-static-rule", Severity.NOTE, _file(static), sentence, mend)]
+    off = apart(best)
     worst = int(np.argmax(off))
     side, name = own[worst]
     sentence = f"{_file(static)}: the offsets that its file holds are not those that the trial shows: the {SIDES[side]} "
@@ -142,7 +152,9 @@ def _differing(recording: Recording, held: SubjectMeasures, given: Mapping[str, 
     both = {name: held.value_of(name) for name in given}
     # files hold some digits more than people type
     told = [
-        f"{name} {given[name]:g}, not {own:.4g}" for name, own in both.items() if own is not None and abs(given[name] - own) >= _ROUNDED
+        f"{name} {significant(given[name], 4)}, not {significant(own, 4)}"
+        for name, own in both.items()
+        if own is not None and abs(given[name] - own) >= _ROUNDED
     ]
     if not told:
         return []

@@ -161,13 +161,13 @@ def find_contacts(motion: SkeletonMotion, parts: BodyParts, events: Iterable[Eve
     speeds = {side: _velocity(one, _SMOOTH, rate) for side, one in points.items()}
     near, given = _NEAR * leg / 0.9, _phases(events, len(motion), rate)
     belt = _belt(every, np.concatenate(list(speeds.values()), axis=1), motion.root, floor[0], near, rate)
-    # what stands on a belt tells its speed better than what is low
+    # what stands on a belt tells its speed better than what is low; where nothing does, there is none
     for _ in range(_REFINED if belt.any() else 1):
         still = _STILL * np.sqrt(leg / 0.9) + _FASTER * np.linalg.norm(_velocity(motion.root, _SLOW, rate) - belt, axis=1)
         standing = {side: _stands(one, speeds[side] - belt, still, near, rate, given.get(side)) for side, one in points.items()}
-        on_belt = np.concatenate([speeds[side][flags] for side, flags in standing.items()])
-        if belt.any() and len(on_belt):
-            belt = np.median(on_belt, axis=0) * (1.0, 1.0, 0.0)
+        if belt.any():
+            on_belt = np.concatenate([speeds[side][flags] for side, flags in standing.items()])
+            belt = np.median(on_belt, axis=0) * (1.0, 1.0, 0.0) if len(on_belt) else np.zeros(3)
     level = dict[str, Floats]()
     if not belt.any():
         floor = _floor(points, standing, floor, near)
@@ -191,6 +191,9 @@ def _stands(
     over = points[:, :, 2] - minimum_filter1d(points[:, :, 2], 2 * int(_AROUND * rate) + 1, axis=0, mode="nearest")
     evidence = np.exp(-((np.linalg.norm(velocity, axis=2) / still[:, None]) ** 2) - (over / near) ** 2)
     down = evidence > 0.5
+    # of a still foot that stands on its toes, or lies behind a knee, only the lower end stands
+    tilt = points[:, 0, 2] - points[:, 1, 2]
+    down &= np.column_stack([tilt < near, tilt > -near]) | ~down.all(axis=1, keepdims=True)
     if given is not None:
         down &= (given >= 0)[:, None]
         # in a stance something stands, unless both move as feet in the air do: then events between are missing

@@ -97,7 +97,7 @@ def retarget(
 
     Raises AsterismError where a leg of either is not found, the character stands on four legs, or a frame is missing.
 
-    Cost: O(T B), about 1 s for 60 s at 100 Hz.
+    Cost: O(T B), about 1 s for a minute at 100 Hz.
     """
     bones = bones or {}
     if not np.isfinite(motion.rotations).all() or not np.isfinite(motion.root).all():
@@ -115,7 +115,9 @@ def retarget(
     if feet:
         result, moved = _with_feet_held(figure, world, hips, copied, contacts, soles)
     if hands:
-        result = _with_hands_placed(person, figure, result, scale, seen.floor, world)
+        result = _with_hands_placed(person, figure, result, scale, seen.floor)
+    if feet:
+        result = _with_hands_lifted(figure, result)
     driven = {figure.motion.names.index(one) for _, one, _, _ in said}
     free = tuple(name for b, name in enumerate(figure.motion.names) if b not in driven)
     before, after = (feet_errors(one, soles, contacts) for one in (copied, result))
@@ -366,13 +368,14 @@ def _with_feet_held(
     rate, parts = copied.rate, figure.parts
     belt = np.arange(len(copied))[:, None] / rate * contacts.belt
     world = dict(world)
-    # knees, hands and seat do not go through the floor
-    feet = {b for sole in soles.values() for b in (sole.foot, sole.toe)}
+    # knees, seat and head do not go through the floor; for feet, legs are bent, and arms for hands
+    ends = {b for sole in soles.values() for b in (sole.foot, sole.toe)} | {
+        parts.bones[one] for one in parts.bones if one.endswith(" hand")
+    }
     pelvis = parts.bones["pelvis"]
     lines = {b: [b, *_above(copied, b)] for b in range(len(copied.names))}
-    others = [b for b, line in lines.items() if pelvis in line and not feet & set(line)]
-    heights = copied.joints[:, others, 2].min(axis=1)
-    hips = hips + smooth_hull(np.maximum(-heights, 0.0), rate)[:, None] * _UP
+    others = [b for b, line in lines.items() if pelvis in line and not ends & set(line)]
+    hips = hips + smooth_hull(np.maximum(-_lowest(copied, others), 0.0), rate)[:, None] * _UP
     for side, sole in soles.items():
         turned = world.get(sole.foot, copied.turned[:, sole.foot])
         world[sole.foot] = _level(turned, sole, np.asarray(contacts.standing[side].all(axis=1)), rate)
@@ -472,27 +475,51 @@ def _bent(motion: SkeletonMotion, parts: BodyParts, side: str, limb: tuple[str, 
     """The rotations in the room of the two bones of a limb whose end is at the target (T, 3)."""
     upper, lower, end = (parts.bones[f"{side} {part}"] for part in limb)
     joints, turned = motion.joints, motion.turned
-    # knees flex backwards and elbows ahead, about axes that lie across in a standing rest pose
-    hinge = turned[:, upper] @ np.array([0.0, 1.0 if limb[0] == "thigh" else -1.0, 0.0])
+    # knees flex backwards and elbows ahead, about axes that lie across where the limb hangs; in the rest pose it may point elsewhere
+    along = motion.rest_joints[lower] - motion.rest_joints[upper]
+    hangs = shortest(-_UP, along / max(float(np.linalg.norm(along)), 1e-9)) if along.any() else np.eye(3)
+    hinge = turned[:, upper] @ hangs @ np.array([0.0, 1.0 if limb[0] == "thigh" else -1.0, 0.0])
     first, second = bend(joints[:, upper], joints[:, lower], joints[:, end], target, hinge)
     return {upper: first @ turned[:, upper], lower: second @ turned[:, lower]}
 
 
-def _with_hands_placed(
-    person: _Standing, figure: _Standing, result: SkeletonMotion, scale: float, floor: Floats, world: Mapping[int, Floats]
-) -> SkeletonMotion:
+_ARM = ("upper arm", "forearm", "hand")
+
+
+def _with_hands_placed(person: _Standing, figure: _Standing, result: SkeletonMotion, scale: float, floor: Floats) -> SkeletonMotion:
     """The motion with wrists where the person's are, from the floor under the hips, in the character's size."""
     joints = person.motion.joints
-    limb, changed = ("upper arm", "forearm", "hand"), dict[int, Floats]()
     for side in SIDES:
-        if all(f"{side} {part}" in parts.bones for part in limb for parts in (person.parts, figure.parts)):
+        if all(f"{side} {part}" in parts.bones for part in _ARM for parts in (person.parts, figure.parts)):
             wrist = joints[:, person.parts.bones[f"{side} hand"]]
-            target = scale * (wrist - height_of(floor, wrist)[:, None] * _UP)
-            changed |= _bent(result, figure.parts, side, limb, target)
-    turned = result.turned.copy()
-    keep = {b: turned[:, b] for b in range(len(result.names)) if b in world} | changed
-    hips = np.mean([result.joints[:, figure.parts.bones[f"{side} thigh"]] for side in SIDES], axis=0)
-    # toes and what else was corrected stay as they are
-    feet = [b for side in SIDES for b in figure.parts.limb(side, "thigh", "shank", "foot", "toe")]
-    keep |= {b: turned[:, b] for b in feet}
-    return _posed(figure, keep, hips, result.rate)
+            result = _arm_to(figure, result, side, scale * (wrist - height_of(floor, wrist)[:, None] * _UP))
+    return result
+
+
+def _with_hands_lifted(figure: _Standing, result: SkeletonMotion) -> SkeletonMotion:
+    """The motion with arms bent where hands or fingers would go through the floor: long arms of somebody who leans on them."""
+    for side in SIDES:
+        if any(f"{side} {part}" not in figure.parts.bones for part in _ARM):
+            continue
+        hand = figure.parts.bones[f"{side} hand"]
+        low = _lowest(result, [b for b in range(len(result.names)) if hand in (b, *_above(result, b))])
+        if low.min() < 0:
+            lift = smooth_hull(np.maximum(-low, 0.0), result.rate)
+            result = _arm_to(figure, result, side, result.joints[:, hand] + lift[:, None] * _UP)
+    return result
+
+
+def _arm_to(figure: _Standing, result: SkeletonMotion, side: str, target: Floats) -> SkeletonMotion:
+    """The motion with a wrist at the target (T, 3); the hand stays turned as it is, and all else on its bone."""
+    changed, hand = _bent(result, figure.parts, side, _ARM, target), figure.parts.bones[f"{side} hand"]
+    turned, rotations = result.turned.copy(), result.rotations.copy()
+    for b, parent in enumerate(result.parents[1:], start=1):
+        turned[:, b] = changed[b] if b in changed else turned[:, b] if b == hand else turned[:, parent] @ rotations[:, b]
+        rotations[:, b] = turned[:, parent].swapaxes(1, 2) @ turned[:, b]
+    return replace(result, rotations=rotations)
+
+
+def _lowest(motion: SkeletonMotion, bones: list[int]) -> Floats:
+    """(T,) m, the lowest joint or end of these bones."""
+    ends = [b for b in bones if np.isfinite(motion.ends[b]).all()]
+    return np.concatenate([motion.joints[:, bones, 2], motion.tips[:, ends, 2]], axis=1).min(axis=1)
