@@ -339,6 +339,22 @@ def test_a_bent_limb_reaches_its_target_with_its_own_lengths_and_turns_no_more_t
     assert np.allclose(np.linalg.norm(tip, axis=1), sum(lengths), rtol=1e-3), "a target out of reach straightens it"
 
 
+def test_limbs_without_a_plane_or_a_length_stay_limbs() -> None:
+    root, middle, end = np.array([[0.0, 0, 0.9]]), np.array([[0.0, 0, 0.45]]), np.array([[0.0, 0, 0.0]])
+    for along in (end, middle, root, np.array([[0.0, 0.0, 2.0]])):
+        for elbow in (middle, root):
+            for turn in bend(root, elbow, end, along, np.array([[0.0, 0.0, 1.0]])):
+                assert np.isfinite(turn).all() and np.allclose(turn @ turn.swapaxes(1, 2), np.eye(3), atol=1e-9)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 8])
+@pytest.mark.parametrize("hands", [False, True])
+def test_a_few_frames_are_enough(frames: int, hands: bool) -> None:
+    person = stepping_person(seconds=0.1)
+    result = retarget(replace(person, rotations=person.rotations[:frames], root=person.root[:frames]), character(0.7), hands=hands)
+    assert len(result.motion) == frames and result.after.slip < 0.001 and result.after.deepest < 0.001
+
+
 def test_a_knee_that_is_straight_bends_ahead_of_the_shank(walker: SkeletonMotion) -> None:
     hip, knee, ankle = np.array([[0.0, 0, 0.9]]), np.array([[0.0, 0, 0.45]]), np.array([[0.0, 0, 0.0]])
     upper, _ = bend(hip, knee, ankle, np.array([[0.0, 0.0, 0.1]]), np.array([[0.0, 1.0, 0.0]]))

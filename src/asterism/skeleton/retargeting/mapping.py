@@ -475,8 +475,10 @@ def _bent(motion: SkeletonMotion, parts: BodyParts, side: str, limb: tuple[str, 
     """The rotations in the room of the two bones of a limb whose end is at the target (T, 3)."""
     upper, lower, end = (parts.bones[f"{side} {part}"] for part in limb)
     joints, turned = motion.joints, motion.turned
-    # knees flex backwards and elbows ahead, about axes that lie across in a standing rest pose
-    hinge = turned[:, upper] @ np.array([0.0, 1.0 if limb[0] == "thigh" else -1.0, 0.0])
+    # knees flex backwards and elbows ahead, about axes that lie across where the limb hangs; in the rest pose it may point elsewhere
+    along = motion.rest_joints[lower] - motion.rest_joints[upper]
+    hangs = shortest(-_UP, along / max(float(np.linalg.norm(along)), 1e-9)) if along.any() else np.eye(3)
+    hinge = turned[:, upper] @ hangs @ np.array([0.0, 1.0 if limb[0] == "thigh" else -1.0, 0.0])
     first, second = bend(joints[:, upper], joints[:, lower], joints[:, end], target, hinge)
     return {upper: first @ turned[:, upper], lower: second @ turned[:, lower]}
 
