@@ -16,6 +16,7 @@ import asterism
 from asterism.cli import main
 from asterism.findings import Finding, Severity
 from asterism.gait import GaitAnalysis, analyse_gait, band_of, compare_sessions
+from asterism.gait.bands import other_models
 from asterism.gait.parameters import Parameter
 from asterism.motion.analysis import analyse_motion
 from asterism.recording import ForcePlate, Recording
@@ -114,6 +115,26 @@ def test_a_curve_is_drawn_as_it_is_and_broken_where_it_is_unknown(tmp_path: Path
     heights = in_node(f"{constants}{function} return [...heightsOf({{ getAttribute: () => path }})];", tmp_path, path=path)
     read = np.array([np.nan if height is None else low + (1660 - height) / 1600 * (high - low) for height in heights])
     np.testing.assert_allclose(read, values, atol=(high - low) / 1000)
+
+
+def test_cycles_of_turns_are_pale_and_neither_in_the_mean_nor_in_the_axes() -> None:
+    straight, turn = CycleCurve(np.linspace(0, 1, 101)), CycleCurve(np.linspace(0, 90, 101), "left, cycle 2, a turn", counts=False)
+    side = CurvesOfSide("left", [straight, turn])
+    np.testing.assert_array_equal(side.mean, straight.values)
+    drawing = drawn_panels([CyclePanel("pelvic rotation", "°", [side])])
+    assert drawing.count('class="cycle left turn"') == 1 and "in no mean" in drawing
+    assert float(re.findall(r'data-high="([^"]+)"', drawing)[0]) < 2
+    # where it is all that there is, it has its axes, and no mean
+    alone = drawn_panels([CyclePanel("knee power", "W", [CurvesOfSide("left", [turn])])])
+    assert float(re.findall(r'data-high="([^"]+)"', alone)[0]) > 90 and re.findall(r'class="mean left" d=""', alone)
+
+
+def test_the_table_of_cycles_says_which_turn(walks: list[GaitAnalysis], tmp_path: Path) -> None:
+    first, *others = walks[0].cycles
+    marked = (replace(first, turns=True), *(replace(cycle, turns=False) for cycle in others))
+    gait_report(tmp_path / "gait.html", [("walk", replace(walks[0], cycles=marked))])
+    page = (tmp_path / "gait.html").read_text()
+    assert page.count("turns, in no mean") == 1 and page.count(">straight<") == len(others) and "1 of them the person turns" in page
 
 
 def test_what_no_cycle_shows_has_no_axes_and_many_cycles_leave_their_mean_in_view() -> None:
@@ -376,3 +397,19 @@ def test_who_has_no_name_in_the_file_is_called_as_the_folder_is(tmp_path: Path, 
         gait_report(tmp_path / "p.html", [("walk", replace(walks[0], recording=replace(walks[0].recording, metadata=metadata)))])
         row = (tmp_path / "p.html").read_text().split('<td class="text">person<')[1].split("</tr>")[0]
         assert said in row and ("bert" in row) == ("bert" in said)
+
+
+def test_scores_against_a_band_of_another_model_say_so(
+    tmp_path: Path, walks: list[GaitAnalysis], capsys: pytest.CaptureFixture[str]
+) -> None:
+    band = band_of(walks, ["a", "b", "c"])
+    assert band.models == ("Plug-in-Gait",) and other_models(walks, band) == ""
+    assert other_models(walks, replace(band, models=())) == "", "a band of an older version does not say"
+    other = replace(band, models=("the gait protocol of somebody",))
+    other.save(tmp_path / "other.band")
+    asterism.write(tmp_path / "walk.c3d", walks[0].recording)
+    words = ["gait", str(tmp_path / "walk.c3d"), "--band", str(tmp_path / "other.band"), "--report", str(tmp_path / "p.html")]
+    assert main(words) == 1
+    (told,) = [line for line in capsys.readouterr().err.splitlines() if "gait-band-model" in line]
+    assert "by the gait protocol of somebody, these by Plug-in-Gait" in told
+    assert "these by Plug-in-Gait" in (tmp_path / "p.html").read_text()

@@ -344,6 +344,7 @@ def test_the_mass_is_what_the_plates_bear(
     words = [session / "walk.c3d", "--static", tmp_path / "stands.c3d", "-m", session / "round.osim", "-o", tmp_path / "out"]
     assert main(["opensim", *(str(one) for one in words)]) == (0 if beside == 0 else 1)
     assert said in capsys.readouterr().err
+    assert not list((tmp_path / "out").glob("*grf*")), "no inverse dynamics of who stands"
     mass = float(ElementTree.parse(tmp_path / "out" / "scale.xml").findtext(".//mass") or 0)
     assert mass == pytest.approx(600 / 9.81 if beside == 0 else -1, abs=0.01)
 

@@ -26,10 +26,11 @@ import asterism
 from asterism.cameras import Rig
 from asterism.cameras.files import write_rig
 from asterism.cli import command_line
-from asterism.formats import write_blobs
+from asterism.formats import write_blobs, write_skeleton
 from asterism.labelling import MarkerModel, TrainingRules
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import ImagingSettings, render_images, ring_rig, simulate_blobs, simulate_wand, walker_capsules
+from tests.characters import character, stepping_person
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted({*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")} - {ROOT / "docs" / "index.md"})  # a copy of README.md, for the site
@@ -47,11 +48,13 @@ def called(rig: Rig, *names: str) -> Rig:
 
 @pytest.fixture(scope="session")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the pages' examples read: labelled walks, rigs, a wand, what cameras saw of a walk, two folders of photographs."""
+    """What the pages' examples read: labelled walks, bones, rigs, a wand, what cameras saw of a walk, two folders of photographs."""
     folder = tmp_path_factory.mktemp("examples")
     for name, walk in zip(("ann", "ben", "cem", "walk"), simulate_walks(4, frames=60, markers="helen-hayes", seed=3), strict=True):
         asterism.write(folder / f"{name}.c3d", walk)
     asterism.write(folder / "walk.npz", walk)
+    write_skeleton(folder / "walk.bvh", stepping_person(seconds=0.6))
+    write_skeleton(folder / "troll.bvh", character(0.7, 1.4))
     rig = called(ring_rig(3, rng=np.random.default_rng(1)), "left", "middle", "right")
     write_rig(rig, folder / "rig.toml")
     write_rig(called(ring_rig(2), "8", "9"), folder / "walking.xcp")

@@ -99,6 +99,11 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "was moved" in (tmp_path / "page.html").read_text(encoding="utf-8")
     assert main(["calibrate", "refine", str(tmp_path / "walk.csv"), "--rig", str(tmp_path / "true.toml"), "--frames", "40"]) == 0
     assert "no camera was moved" in capsys.readouterr().out
+    # a format that cannot hold the vertical says so, here as of a board
+    words = ["calibrate", "refine", str(tmp_path / "walk.csv"), "--rig", str(tmp_path / "true.toml"), "--frames", "40"]
+    assert main([*words, "-o", str(tmp_path / "rig.yml"), "--json", str(tmp_path / "lost.json")]) == 1
+    assert "leaves out the vertical" in capsys.readouterr().err
+    assert [one["code"] for one in json.loads((tmp_path / "lost.json").read_text())["findings"]][-1] == "board-format-loses"
 
 
 def zoomed(camera: Camera, factor: float) -> Camera:

@@ -263,29 +263,36 @@ def test_four_legs_and_no_legs_are_refused_in_a_sentence(walker: SkeletonMotion)
         retarget(gap, character())
 
 
-def test_a_rest_pose_that_is_none_is_replaced_by_a_frame_that_stands(walker: SkeletonMotion) -> None:
-    # as libraries of motions have it: at rest all bones lie along x
-    rng = np.random.default_rng(0)
-    odd = Rotation.random(len(walker.names), random_state=1).as_matrix()
-    turned = walker.turned @ odd
-    above = [max(p, 0) for p in walker.parents]
+def resting_oddly(motion: SkeletonMotion) -> SkeletonMotion:
+    """The same joints over time from a rest pose that is none, as libraries of motions have it: bones lie anyhow."""
+    odd = Rotation.random(len(motion.names), random_state=1).as_matrix()
+    turned, above = motion.turned @ odd, [max(p, 0) for p in motion.parents]
     rotations = turned[:, above].swapaxes(2, 3) @ turned
     rotations[:, 0] = turned[:, 0]
-    offsets = np.einsum("bji,bj->bi", odd[above], walker.offsets)
-    strange = replace(
-        walker, rotations=rotations, offsets=offsets, ends=np.einsum("bji,bj->bi", odd, walker.ends), forward=rng.normal(size=3)
-    )
+    offsets, ends = np.einsum("bji,bj->bi", odd[above], motion.offsets), np.einsum("bji,bj->bi", odd, motion.ends)
+    return replace(motion, rotations=rotations, offsets=offsets, ends=ends, forward=np.array([0.3, -0.5, 0.1]))
+
+
+def test_a_rest_pose_that_is_none_is_replaced_by_a_frame_that_stands(walker: SkeletonMotion) -> None:
+    strange, plain = resting_oddly(walker), retarget(walker, character(0.8))
     assert np.allclose(strange.joints, walker.joints)
-    result = retarget(strange, character(0.8))
-    assert "retarget-rest-pose" in [finding.code for finding in result.findings]
-    plain = retarget(walker, character(0.8))
-    assert result.after.slip < 0.001
-    # heading is free, because such a rest pose faces nowhere: lengths between joints are not
-    ours, theirs = upright(result.motion).joints, upright(plain.motion).joints
-    for a, b in (("LeftHand", "RightHand"), ("LeftFoot", "RightFoot"), ("Head", "LeftHand"), ("Hips", "Head")):
-        i, j = plain.motion.names.index(a), plain.motion.names.index(b)
-        apart = np.linalg.norm(ours[:, i] - ours[:, j], axis=1) - np.linalg.norm(theirs[:, i] - theirs[:, j], axis=1)
-        assert np.abs(apart).max() < 0.12, f"{a} to {b}, m"
+    as_person, as_character = retarget(strange, character(0.8)), retarget(walker, strange)
+    for result, expected in ((as_person, plain), (as_character, retarget(walker, walker))):
+        assert "retarget-rest-pose" in [finding.code for finding in result.findings]
+        assert result.after.slip < 0.001
+        # heading is free, because such a rest pose faces nowhere: lengths between joints are not
+        ours, theirs = upright(result.motion).joints, upright(expected.motion).joints
+        names = [name.casefold() for name in expected.motion.names]
+        ends = [next(i for i, name in enumerate(names) if "left" in name and name.endswith(part)) for part in ("hand", "foot")] + [
+            names.index("head"),
+            0,
+        ]
+        for i in ends:
+            for j in ends:
+                apart = np.linalg.norm(ours[:, i] - ours[:, j], axis=1) - np.linalg.norm(theirs[:, i] - theirs[:, j], axis=1)
+                assert np.abs(apart).max() < 0.12, f"{names[i]} to {names[j]}, m"
+    with pytest.raises(AsterismError, match="neither the rest pose of the character nor any of its frames stands upright"):
+        retarget(walker, replace(resting_oddly(walker), rotations=np.tile(np.eye(3), (len(walker), len(walker.names), 1, 1))))
 
 
 def test_feet_on_a_treadmill_go_with_the_belt_and_do_not_slip_on_it() -> None:
@@ -337,6 +344,22 @@ def test_a_bent_limb_reaches_its_target_with_its_own_lengths_and_turns_no_more_t
     away = bend(root, middle, end, root + 100 * direction, rng.normal(size=(6, 3)))
     tip = np.einsum("tij,tj->ti", away[0], middle - root) + np.einsum("tij,tj->ti", away[1], end - middle)
     assert np.allclose(np.linalg.norm(tip, axis=1), sum(lengths), rtol=1e-3), "a target out of reach straightens it"
+
+
+def test_limbs_without_a_plane_or_a_length_stay_limbs() -> None:
+    root, middle, end = np.array([[0.0, 0, 0.9]]), np.array([[0.0, 0, 0.45]]), np.array([[0.0, 0, 0.0]])
+    for along in (end, middle, root, np.array([[0.0, 0.0, 2.0]])):
+        for elbow in (middle, root):
+            for turn in bend(root, elbow, end, along, np.array([[0.0, 0.0, 1.0]])):
+                assert np.isfinite(turn).all() and np.allclose(turn @ turn.swapaxes(1, 2), np.eye(3), atol=1e-9)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 8])
+@pytest.mark.parametrize("hands", [False, True])
+def test_a_few_frames_are_enough(frames: int, hands: bool) -> None:
+    person = stepping_person(seconds=0.1)
+    result = retarget(replace(person, rotations=person.rotations[:frames], root=person.root[:frames]), character(0.7), hands=hands)
+    assert len(result.motion) == frames and result.after.slip < 0.001 and result.after.deepest < 0.001
 
 
 def test_a_knee_that_is_straight_bends_ahead_of_the_shank(walker: SkeletonMotion) -> None:

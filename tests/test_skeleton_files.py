@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from asterism.errors import AsterismError, NoMarkers
-from asterism.formats import convert, describe, read, read_skeleton, write_skeleton
+from asterism.formats import convert, describe, read, read_skeleton, write, write_skeleton
 from asterism.formats._bones import as_euler, from_euler, turned_into
-from asterism.recording import SkeletonMotion
+from asterism.recording import Recording, SkeletonMotion
 from asterism.recording.bone_names import parts_of
 
 Y, Z = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
@@ -218,6 +218,8 @@ def test_a_persons_bvh_is_read_in_metres_with_up_and_ahead(tmp_path: Path) -> No
     assert read_skeleton(tmp_path / "a.bvh", unit="in").motion.joints[0, 2, 1] == pytest.approx(165 * 0.0254)
     with pytest.raises(NoMarkers, match="bones of a skeleton and no markers"):
         read(tmp_path / "a.bvh")
+    with pytest.raises(AsterismError, match="holds bones and no markers; fit a skeleton"):
+        write(tmp_path / "n.bvh", Recording(np.zeros((2, 1, 3)), ("LASI",), 100.0))
     assert convert(tmp_path / "a.bvh", tmp_path / "a.glb") == []
     assert np.allclose(read_skeleton(tmp_path / "a.glb").motion.joints[1], file.motion.joints[1], atol=1e-6)
     write_skeleton(tmp_path / "b.bvh", file.motion, like=tmp_path / "a.bvh")
@@ -506,3 +508,47 @@ def test_bones_are_known_by_the_names_that_programs_give_them(program: str) -> N
 def test_fingers_and_their_numbers_are_known() -> None:
     names = ["mixamorig:RightHandThumb1", "index_02_r", "f_middle.03.R", "R_Pinky1"]
     assert set(parts_of(names, [-1, 0, 0, 0])) == {"right thumb 1", "right index 2", "right middle 3", "right little 1"}
+
+
+def test_packed_accessors_are_read_as_the_specification_has_them(tmp_path: Path) -> None:
+    """Rotations as normalised 16-bit integers with a stride, and translations that are zeros but for one sparse value."""
+    path = foreign(tmp_path)
+    document = json.loads(path.read_text())
+    data = bytearray(base64.b64decode(document["buffers"][0]["uri"].split(",")[1]))
+    plain = read_skeleton(path, vertical="y").motion
+    view = document["bufferViews"][2]
+    turns = np.frombuffer(bytes(data), "<f4", 12, view["byteOffset"]).reshape(3, 4)
+    packed = np.zeros((3, 8), "<i2")
+    packed[:, :4] = np.round(turns * 32767)
+    for blob, extra in ((packed, {"byteStride": 16}), (np.array([1], "<u2"), {}), (np.array([[0, 0, 7]], "<f4"), {})):
+        data += bytes(-len(data) % 4)
+        document["bufferViews"].append({"buffer": 0, "byteOffset": len(data), "byteLength": blob.nbytes, **extra})
+        data += blob.tobytes()
+    document["accessors"][2] = {"bufferView": 3, "componentType": 5122, "normalized": True, "count": 3, "type": "VEC4"}
+    sparse = {"count": 1, "indices": {"bufferView": 4, "componentType": 5123}, "values": {"bufferView": 5}}
+    document["accessors"].append({"componentType": 5126, "count": 3, "type": "VEC3", "sparse": sparse})
+    document["animations"][0]["samplers"].append({"input": 1, "output": 3})
+    document["animations"][0]["channels"].append({"sampler": 1, "target": {"node": 1, "path": "translation"}})
+    document["buffers"] = [{"byteLength": len(data), "uri": "data:;base64," + base64.b64encode(data).decode()}]
+    path.write_text(json.dumps(document))
+    found = read_skeleton(path, vertical="y").motion
+    assert np.allclose(found.rotations, plain.rotations, atol=1e-4)
+    assert found.root.tolist() == pytest.approx(np.array([[0, 0, 0], [0, 0.07, 0], [0, 0, 0]])), "m: 7 cm along the armature's z"
+
+
+@pytest.mark.parametrize("suffix", [".bvh", ".glb"])
+def test_whatever_a_damaged_file_holds_it_ends_in_a_sentence(tmp_path: Path, suffix: str) -> None:
+    path, rng = tmp_path / f"walk{suffix}", np.random.default_rng(3)
+    write_skeleton(path, any_skeleton(4))
+    whole, refused = path.read_bytes(), 0
+    for k in range(60):
+        data = bytearray(whole[: rng.integers(1, len(whole))] if k % 3 == 2 else whole)
+        for at in rng.integers(0, len(data), 6):
+            data[at] = ord(rng.choice(list('0123456789-.{}[]",:e '))) if k % 3 else rng.integers(0, 256)
+        path.write_bytes(data)
+        try:
+            read_skeleton(path)
+        except AsterismError as problem:
+            refused += 1
+            assert path.name in str(problem) and "Error" not in str(problem)
+    assert refused > 20

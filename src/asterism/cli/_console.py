@@ -192,6 +192,7 @@ class Batch:
         self.passed_over: list[Path] = []
         self.done: list[Path] = []
         self.failed: list[Path] = []
+        self.reasons: dict[Path, str] = {}
         self.findings: list[Finding] = []
 
     @contextmanager
@@ -216,6 +217,7 @@ class Batch:
             sentence = reason(problem)
             error(sentence if path.name in sentence else f"{path}: {sentence}")
             self.failed.append(path)
+            self.reasons[path] = sentence
         else:
             self.done.append(path)
 

@@ -155,6 +155,8 @@ def _convert_skeleton(options: ConvertOptions, axis: Any) -> tuple[list[Finding]
 
     if options.program is not None or options.fill != "none" or options.filter != "none":
         raise AsterismError(f"{options.target} holds bones and no markers; leave out --for, --fill and --filter.")
+    # before the skeleton is fitted, which takes seconds
+    formats.check_skeleton_form(options.unit or "cm", options.euler)
     person = person_motion(options.source, options.static, options.markers, axis, options.unit)
     lost = formats.write_skeleton(
         options.target, person.motion, unit=options.unit or "cm", order=options.euler, missing=options.missing.value

@@ -239,11 +239,17 @@ def write_results(
     compared: Sequence[tuple[Path, GaitAnalysis]] = (),
 ) -> None:
     """Write what the options ask for of at least one analysis, and of those of a second session that are compared with it."""
+    from asterism.findings import Finding, Severity
     from asterism.gait import band_of, profile_scores
+    from asterism.gait.bands import other_models
     from asterism.recording import subject_of
 
     analyses = [analysis for _, analysis in results]
     scores = [] if band is None else profile_scores(analyses, band, sigmas=True)
+    if band is not None and (told := other_models(analyses, band)):
+        mend = "Give a band of controls with these markers, or leave the scores out."
+        where = str(options.band or "the band of controls")
+        batch.found(Finding("gait-band-model", Severity.WARNING, where, f"{where}: {told}", mend))
     for score in scores if options.json != "-" else ():
         side = "left" if score.side == "L" else "right"
         off = ["" if one is None else f" ± {one:.{digits}f}" for one, digits in ((_in_degrees(score.gps_sigma), 1), (score.gdi_sigma, 0))]

@@ -53,9 +53,10 @@ class NumberTable:
         text = io.StringIO()
         lines = csv.writer(text, lineterminator="\n")
         lines.writerow(self.columns)
-        for row in self.rows:
-            # Seven digits are more than any of these numbers is certain to.
-            lines.writerow(["" if one is None else f"{one:.7g}" if isinstance(one, float) else one for one in row])
+        # Seven digits are more than any of these numbers is certain to. Column by column, since a cell's kind is its column's.
+        cells = zip(self.columns.values(), zip(*self.rows, strict=True), strict=False)
+        written = [[None if one is None else f"{one:.7g}" for one in column] if kind is float else column for kind, column in cells]
+        lines.writerows(zip(*written, strict=True))
         return text.getvalue()
 
     def _parquet(self) -> bytes:

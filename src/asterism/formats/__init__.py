@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from asterism.formats.c3d.plates import force_plates
     from asterism.formats.csv_blobs import read_blobs, write_blobs
     from asterism.formats.opensim_forces import companions
-    from asterism.formats.skeletons import is_skeleton_file, read_skeleton, write_skeleton
+    from asterism.formats.skeletons import check_skeleton_form, is_skeleton_file, read_skeleton, write_skeleton
     from asterism.formats.storage import TimeSeriesTable, read_table, write_table
 
 __all__ = [
@@ -44,6 +44,7 @@ __all__ = [
     "SkeletonFile",
     "TimeSeriesTable",
     "analog_channels",
+    "check_skeleton_form",
     "check_suffix",
     "companions",
     "computed_labels",
@@ -88,7 +89,7 @@ _MODULE_OF = {
     "companions": "opensim_forces",
     **dict.fromkeys(("read_blobs", "write_blobs"), "csv_blobs"),
     **dict.fromkeys(("SkeletonFile", "fill_missing_bones"), "_bones"),
-    **dict.fromkeys(("is_skeleton_file", "read_skeleton", "write_skeleton"), "skeletons"),
+    **dict.fromkeys(("check_skeleton_form", "is_skeleton_file", "read_skeleton", "write_skeleton"), "skeletons"),
     **dict.fromkeys(("TimeSeriesTable", "read_table", "write_table"), "storage"),
 }
 

@@ -147,9 +147,7 @@ def write_bvh(
         document = parse(like)
         source = read_bvh(like, unit=None)
         return lost + _write_like(path, filled, document, source)
-    if sorted(order.upper()) != ["X", "Y", "Z"]:
-        raise AsterismError(f"the order of Euler angles {order!r} is not x, y and z, each once; give ZXY, XYZ or the like.")
-    scale = metres_in(unit)
+    order, scale = checked_order(order), metres_in(unit)
     filled, axes = turned_into(filled, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
     if axes:
         lost.append(axes)
@@ -166,16 +164,23 @@ def write_bvh(
             names[b],
             filled.parents[b],
             filled.offsets[b] / scale,
-            (*(f"{axis}position" for axis in "XYZ" if not b), *(f"{axis}rotation" for axis in order.upper())),
+            (*(f"{axis}position" for axis in "XYZ" if not b), *(f"{axis}rotation" for axis in order)),
             None if children[b] else np.nan_to_num(filled.ends[b]) / scale,
         )
         for b in range(len(names))
     ]
     lines = ["HIERARCHY", *_hierarchy(joints, children, 0, 0, ranks)]
     columns = [filled.root / scale]
-    columns += [np.degrees(as_euler(filled.rotations[:, b], order.upper())) for b in ranks]
+    columns += [np.degrees(as_euler(filled.rotations[:, b], order)) for b in ranks]
     _write(path, lines, np.concatenate(columns, axis=1), 1.0 / filled.rate)
     return lost
+
+
+def checked_order(order: str) -> str:
+    """The order of Euler angles in capitals. Raises AsterismError where it is not x, y and z, each once."""
+    if sorted(order.upper()) != ["X", "Y", "Z"]:
+        raise AsterismError(f"the order of Euler angles {order!r} is not x, y and z, each once; give ZXY, XYZ or the like.")
+    return order.upper()
 
 
 def metres_in(unit: str | float) -> float:

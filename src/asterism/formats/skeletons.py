@@ -50,6 +50,14 @@ def read_skeleton(
     return located_file(path, found)
 
 
+def check_skeleton_form(unit: str | float, order: str) -> None:
+    """Raise AsterismError where a BVH cannot be written in this unit of length, or with angles in this order."""
+    from asterism.formats import bvh
+
+    bvh.metres_in(unit)
+    bvh.checked_order(order)
+
+
 def write_skeleton(
     path: str | Path,
     motion: SkeletonMotion,

@@ -14,6 +14,7 @@ from asterism.files.atomic import utf8, write_atomically
 from asterism.gait.analysis import GaitAnalysis, analyses_without_turns
 from asterism.gait.cycles import POINTS
 from asterism.recording import Floats
+from asterism.recording.display import listed
 
 SCORED = (
     ("Pelvis", 0, "pelvic tilt"),
@@ -37,6 +38,7 @@ class Band:
     parameters  by their names in `PARAMETERS`, mean and standard deviation; none in bands of older versions
     log_score   mean and standard deviation of the logarithm of the Gait Profile Score (rad) of each side of each of these people against
                 the others; None of fewer than three people, and in bands of older versions
+    models      whose definitions the angles are by; none in bands of older versions
     """
 
     mean: Mapping[str, Floats]
@@ -45,6 +47,7 @@ class Band:
     cycles: int
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     log_score: tuple[float, float] | None = None
+    models: tuple[str, ...] = ()
 
     def save(self, path: str | Path) -> None:
         """Write it as JSON, degrees, whole or not at all. Raises AsterismError where the file cannot be written."""
@@ -56,6 +59,7 @@ class Band:
         content["parameters"] = {name: {"mean": mean, "sd": deviation} for name, (mean, deviation) in self.parameters.items()}
         if self.log_score is not None:
             content["log_score"] = list(self.log_score)
+        content["models"] = list(self.models)
         write_atomically(Path(path), utf8(json.dumps(content, indent=1) + "\n"))
 
     @classmethod
@@ -73,13 +77,14 @@ class Band:
             parameters = {name: (float(one["mean"]), float(one["sd"])) for name, one in content.get("parameters", {}).items()}
             logs = content.get("log_score")
             log_score = None if logs is None else (float(logs[0]), float(logs[1]))
+            models = tuple(map(str, content.get("models", ())))
         except OSError as problem:
             raise AsterismError(f"{path} cannot be read ({problem.strerror}); name a file that --save-band wrote.") from None
         except (ValueError, KeyError, TypeError, AttributeError, IndexError):
             raise AsterismError(f"{path} is no band of gait curves; make one with asterism gait controls/*.c3d --save-band FILE.") from None
         if any(values.shape != (POINTS, 3) for values in (*mean.values(), *deviation.values())):
             raise AsterismError(f"{path} has curves of another length than {POINTS} points; make the band again with --save-band.")
-        return cls(mean, deviation, people, cycles, parameters, log_score)
+        return cls(mean, deviation, people, cycles, parameters, log_score, models)
 
 
 def band_of(analyses: Sequence[GaitAnalysis], people: Sequence[str]) -> Band:
@@ -118,7 +123,20 @@ def _band(analyses: Sequence[GaitAnalysis], people: Sequence[str]) -> Band:
         # What a single cycle of a control does: how people differ, and how one person's cycles do.
         mean[name], deviation[name] = means.mean(axis=0), np.sqrt(means.var(axis=0, ddof=1) + within)
         count = max(count, sum(len(cycles) for cycles in by_person.values()))
-    return Band(mean, deviation, len(who), count, _parameters_of(analyses, people))
+    return Band(mean, deviation, len(who), count, _parameters_of(analyses, people), models=_models(analyses))
+
+
+def _models(analyses: Sequence[GaitAnalysis]) -> tuple[str, ...]:
+    known = [(one.clinical.model, one.recording) for one in analyses if one.clinical is not None]
+    return tuple(dict.fromkeys(model.title(recording) for model, recording in known))
+
+
+def other_models(analyses: Sequence[GaitAnalysis], band: Band) -> str:
+    """A sentence where angles are by other definitions than those of a band, so that scores hold the difference; else nothing."""
+    others = [title for title in _models(analyses) if title not in band.models]
+    if not others or not band.models:
+        return ""
+    return f"The controls' angles are by {listed(band.models)}, these by {listed(others)}: a score holds that difference, too."
 
 
 def _parameters_of(analyses: Sequence[GaitAnalysis], people: Sequence[str]) -> dict[str, tuple[float, float]]:

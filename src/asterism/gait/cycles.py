@@ -73,8 +73,8 @@ def cycles_of(walking: Walking) -> list[Cycle]:
 
 TURNING = np.deg2rad(15.0)
 """By which the direction of both feet may change from a strike to the next of the same foot: sway has the period of a cycle and takes no
-part. 36 cycles straight ahead of eight people in `movement` (walks, stairs, a sprint of 7 m/s) change by 7 degrees at most, near their
-ends. At half, these turn; at double, a right angle in three strides is straight."""
+part. 40 cycles straight ahead of nine people in `movement` (walks, a treadmill, a sprint of 7 m/s) change by 7 degrees at most, near the
+ends of recordings. At half, these turn; at double, a right angle in three strides is straight."""
 
 
 def _turned(walking: Walking, begins: float, ends: float) -> float:

@@ -46,11 +46,14 @@ def gait_table(analyses: Sequence[tuple[str, GaitAnalysis]], *, curves: bool = T
 def _rows(file: str, analysis: GaitAnalysis, curves: bool) -> Iterator[tuple[Any, ...]]:
     recording = analysis.recording
 
-    def row(kind: str, name: str, value: float, sigma: float | None, unit: str, begins: float, ends: float, **more: Any) -> tuple[Any, ...]:
-        cells = {"side": None, "cycle": None, "turns": None, "percent": None, "axis": None, "deviation": None, "cycles": None} | more
+    def frames_of(begins: Any, ends: Any) -> tuple[Any, Any]:
         # A time that is a frame's, but for the last digit, is of this frame alone.
         places = np.round([begins * recording.rate, ends * recording.rate], 6)
-        first, last = recording.first_frame + int(np.floor(places[0])), recording.first_frame + int(np.ceil(places[1]))
+        return recording.first_frame + np.floor(places[0]).astype(int), recording.first_frame + np.ceil(places[1]).astype(int)
+
+    def row(kind: str, name: str, value: float, sigma: float | None, unit: str, begins: float, ends: float, **more: Any) -> tuple[Any, ...]:
+        cells = {"side": None, "cycle": None, "turns": None, "percent": None, "axis": None, "deviation": None, "cycles": None} | more
+        first, last = map(int, frames_of(begins, ends))
         cells |= {"file": file, "kind": kind, "name": name, "value": float(value), "unit": unit, "begins_s": float(begins)}
         cells |= {"uncertainty": _known(sigma), "ends_s": float(ends), "first_frame": first, "last_frame": last}
         return tuple(cells[column] for column in COLUMNS)
@@ -76,16 +79,21 @@ def _rows(file: str, analysis: GaitAnalysis, curves: bool) -> Iterator[tuple[Any
     for name, cycle, values, sigmas, unit in _curves(analysis):
         number = numbers[cycle.side, cycle.strike.time]
         times = np.linspace(cycle.strike.time, cycle.next_strike.time, len(values))
+        first, last = (places.tolist() for places in frames_of(times, times))
+        seconds = times.tolist()
         for axis, letter in enumerate("xyz"[: values.shape[1]]):
             known = np.flatnonzero(np.isfinite(values[:, axis]))
             if not len(known):
                 continue
-            which: dict[str, Any] = {"side": cycle.side, "cycle": number, "turns": int(cycle.turns), "axis": letter}
-            places = [("curve", int(percent)) for percent in known]
+            places = [("curve", percent) for percent in known.tolist()]
             places += [("maximum", int(known[values[known, axis].argmax()])), ("minimum", int(known[values[known, axis].argmin()]))]
-            for kind, percent in places:
-                time = times[percent]
-                yield row(kind, name, values[percent, axis], sigmas[percent, axis], unit, time, time, percent=percent, **which)
+            shown, off = values[:, axis].tolist(), [_known(sigma) for sigma in sigmas[:, axis].tolist()]
+            # In the order of `COLUMNS`: nearly all rows are these.
+            for kind, here in places:
+                yield (
+                    file, kind, name, cycle.side, number, here, int(cycle.turns), letter, shown[here], off[here], unit, None, None,
+                    seconds[here], seconds[here], first[here], last[here],
+                )  # fmt: skip
 
 
 def _known(value: float | None) -> float | None:

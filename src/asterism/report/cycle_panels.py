@@ -162,8 +162,9 @@ def _panel(panel: CyclePanel) -> str:
 def _axis(panel: CyclePanel) -> tuple[float, float, Floats]:
     """The lowest and the highest value that fit, and three to six round ones between them."""
     # A turn by a right angle would leave no room for the rest.
-    counted = [(one, cycle) for one in panel.sides for cycle in one.cycles if cycle.counts]
-    curves = [values for one, cycle in counted for values in (cycle.values, *(one.interval or ()))]
+    every_cycle = [(one, cycle) for one in panel.sides for cycle in one.cycles]
+    counted = [(one, cycle) for one, cycle in every_cycle if cycle.counts]
+    curves = [values for one, cycle in counted or every_cycle for values in (cycle.values, *(one.interval or ()))]
     every = np.concatenate([np.zeros(0), *curves, *(panel.control or ())])
     every = every[np.isfinite(every)]
     low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 1.0)

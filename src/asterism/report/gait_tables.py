@@ -180,7 +180,7 @@ def comparison_section(first: GaitSession, second: GaitSession, band: Band | Non
 def score_sections(sessions: Sequence[GaitSession], band: Band | None) -> list[Section]:
     """Gait Profile Score and its parts, a column for each side of each session; none without a band, or without all nine angles."""
     from asterism.gait import profile_scores
-    from asterism.gait.bands import SCORED
+    from asterism.gait.bands import SCORED, other_models
 
     if band is None:
         return []
@@ -220,7 +220,8 @@ def score_sections(sessions: Sequence[GaitSession], band: Band | None) -> list[S
         rows = [[*row, told.get(str(row[0]), "")] for row in rows]
         head.append("controls, mean (± 1 SD)")
         text += " Each of them was held against the others."
-    return [Section("Scores", text, table=Table(head, rows))]
+    note = other_models([analysis for session in sessions for analysis in session.analyses], band)
+    return [Section("Scores", text, table=Table(head, rows), note=note)]
 
 
 def usual_score(band: Band) -> tuple[float, float, float] | None:

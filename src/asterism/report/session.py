@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,8 +17,8 @@ MOST = 500
 need a look come first."""
 
 
-def session_report(path: Path, rows: Sequence[Mapping[str, Any]], findings: Sequence[Finding], failed: Sequence[str]) -> None:
-    """Write the page. rows: as `asterism process` has them. failed: files and persons that could not be processed."""
+def session_report(path: Path, rows: Sequence[Mapping[str, Any]], findings: Sequence[Finding], failed: Mapping[str, str]) -> None:
+    """Write the page. rows: as `asterism process` has them. failed: files and persons that could not be processed, each with the reason."""
     walks = [row for row in rows if row.get("kind") == "walk"]
     to_look_at = [row for row in rows if row.get("look_at")]
     persons = list(dict.fromkeys(row["person"] for row in rows))
@@ -34,15 +35,15 @@ def session_report(path: Path, rows: Sequence[Mapping[str, Any]], findings: Sequ
         Section("Recordings", _which(rows), table=_recordings(_first(rows))),
     ]
     if failed:
-        sections.insert(
-            0, Section("Failed", "These could not be processed; the terminal says why.", table=Table(["what"], [[one] for one in failed]))
-        )
+        lines = [[name, said] for name, said in failed.items()]
+        sections.insert(0, Section("Failed", "The next run tries these again.", table=Table(["what", "why"], lines, left=2)))
     if findings:
         shown = sorted(findings, key=lambda finding: -finding.severity)[:MOST]
         more = Counter(finding.code for finding in sorted(findings, key=lambda finding: -finding.severity)[MOST:])
         rest = [["", f"{count} more [{code}]; --json has all"] for code, count in more.most_common()]
         sections.append(Section("What to know", table=findings_table(shown, rest)))
-    lead = f"{seen} findings to read below." if seen else "Nothing was found that needs a look."
+    lead = f"{len(failed)} could not be processed. " if failed else ""
+    lead += f"{seen} findings to read below." if seen else "" if failed else "Nothing was found that needs a look."
     write_page(path, Page(f"Session of {len(persons)} persons", lead, {}, merits, sections))
 
 
@@ -83,13 +84,23 @@ def _which(rows: Sequence[Mapping[str, Any]]) -> str:
     return f"{MOST} of {len(rows)}, those that need a look first ({sum(map(_needs_a_look, rows))}); session.csv has all."
 
 
+def _shared(names: Sequence[str]) -> str:
+    """The folder that all names have before them; "" where some are paths and others addresses."""
+    try:
+        return os.path.commonpath([os.path.dirname(name) for name in names])
+    except ValueError:
+        return ""
+
+
 def _recordings(rows: Sequence[Mapping[str, Any]]) -> Table:
     lines = list[list[str | Cell]]()
+    # what all have before their names is no news, and as wide as the page
+    shared = _shared([str(row["file"]) for row in rows])
     for row in rows:
         labelled, look_at = row.get("labelled"), row.get("look_at")
         lines.append(
             [
-                str(row["file"]),
+                str(row["file"]).removeprefix(shared).lstrip("/\\"),
                 str(row.get("kind") or NOTHING),
                 str(row.get("use") or NOTHING),
                 NOTHING if labelled is None else f"{100 * labelled:.2f} %",

@@ -13,6 +13,7 @@ from asterism.findings import Finding, Severity, exit_status, worst
 
 if TYPE_CHECKING:
     from asterism.calibration.boards import BoardCalibration
+    from asterism.cameras import Rig
 
 RigToWrite = Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="The rig to write.", show_default=False)]
 Force = Annotated[bool, typer.Option("--force", help="Write the rig even where it should not be used.")]
@@ -38,6 +39,14 @@ def report_findings(findings: Sequence[Finding], *, written: bool, wanted: bool)
         return exit_status(findings)
     _console.error("do not use this calibration" + ("; it was not written (--force writes it)." if wanted and not written else "."))
     return exit_status(findings) if written else 2
+
+
+def write_cameras(rig: Rig, output: Path) -> list[Finding]:
+    """Write a rig, and return what its format leaves out: a lens that it cannot hold is another one when it is read."""
+    from asterism.cameras.files import write_rig
+
+    lost, mend = write_rig(rig, output), "Write .toml, which keeps everything."
+    return [Finding("board-format-loses", Severity.WARNING, str(output), f"{output} leaves out {what}.", mend) for what in lost]
 
 
 class _Outputs(Protocol):
@@ -71,12 +80,7 @@ def hand_over(
     # a rig that should not be used is not left where the next command finds it
     written = output is not None and (made.usable or outputs.force)
     if output is not None and written:
-        from asterism.cameras.files import write_rig
-
-        # a lens that the format cannot hold is another rig when it is read
-        mend = "Write .toml, which keeps everything."
-        for what in write_rig(made.rig, output):
-            findings.append(Finding("board-format-loses", Severity.WARNING, str(output), f"{output} leaves out {what}.", mend))
+        findings += write_cameras(made.rig, output)
     if outputs.report is not None:
         from asterism.report import board_report
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,7 +13,8 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import Json, Overwrite, Report
-from asterism.findings import exit_status
+from asterism.cli.calibrate._calibration import write_cameras
+from asterism.findings import Finding, exit_status
 
 if TYPE_CHECKING:
     from asterism.calibration import Refinement
@@ -42,7 +44,7 @@ def refine(options: RefineOptions) -> None:
     for path in (options.output, options.report, options.json):
         _console.check_new(path, options.overwrite)
     from asterism.calibration import refine_rig
-    from asterism.cameras.files import read_rig, write_rig
+    from asterism.cameras.files import read_rig
     from asterism.formats import read_blobs
 
     rig = read_rig(options.rig)
@@ -50,22 +52,23 @@ def refine(options: RefineOptions) -> None:
     seen = read_blobs(options.blobs, rig.names)
     with _console.progress("refining") as progress:
         made = refine_rig(seen, rig, frames=options.frames, progress=progress)
+    findings = list(made.findings)
     if options.output is not None:
-        write_rig(made.rig, options.output)
+        findings += write_cameras(made.rig, options.output)
     if options.report is not None:
         from asterism.report import refinement_report
 
         refinement_report(options.report, made, settings={"2D points": options.blobs, "rig": options.rig})
-    _console.write_json(options.json, _as_json(made, options, len(seen)))
+    _console.write_json(options.json, _as_json(made, findings, options, len(seen)))
     if options.json != "-":
         _print(made)
     # last, so that they stand below the table that they explain
-    for finding in made.findings:
+    for finding in findings:
         _console.report(finding)
-    raise typer.Exit(exit_status(made.findings))
+    raise typer.Exit(exit_status(findings))
 
 
-def _as_json(made: Refinement, options: RefineOptions, frames: int) -> dict[str, Any]:
+def _as_json(made: Refinement, findings: Sequence[Finding], options: RefineOptions, frames: int) -> dict[str, Any]:
     return {
         "command": "calibrate refine",
         "file": options.blobs,
@@ -73,7 +76,7 @@ def _as_json(made: Refinement, options: RefineOptions, frames: int) -> dict[str,
         "frames": frames,
         "frames_used": made.frames,
         "noise_px": made.noise,
-        "findings": [finding.to_dict() for finding in made.findings],
+        "findings": [finding.to_dict() for finding in findings],
         "cameras": [
             {
                 "name": check.name,

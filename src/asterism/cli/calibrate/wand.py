@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,12 +13,13 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import Json, Overwrite, Report, metres
-from asterism.cli.calibrate._calibration import Force, RigToWrite, report_findings, show_notes
+from asterism.cli.calibrate._calibration import Force, RigToWrite, report_findings, show_notes, write_cameras
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.calibration.wand import WandCalibration
     from asterism.cameras import Rig
+    from asterism.findings import Finding
 
 _USUAL_WAND = "0 0.2 0.6"
 
@@ -88,23 +90,22 @@ def wand(options: WandOptions) -> None:
     wanted = options.output is not None
     # a rig that should not be used is not left where the next command finds it
     written = wanted and (made.usable or options.force)
+    findings = list(made.findings)
     if options.output is not None and written:
-        from asterism.cameras.files import write_rig
-
-        write_rig(made.rig, options.output)
+        findings += write_cameras(made.rig, options.output)
     if options.report is not None:
         from asterism.report import wand_report
 
         lengths = " ".join(f"{length:g}" for length in made.wand.lengths)
         settings = {"2D points": options.blobs, "wand in m": lengths, "known lenses": options.rig}
         wand_report(options.report, made, settings=settings)
-    _console.write_json(options.json, _as_json(made, options.blobs, options.output if written else None))
+    _console.write_json(options.json, _as_json(made, findings, options.blobs, options.output if written else None))
     if options.json != "-":
         _print(made)
         # the usual wand is a guess, and the scale of all that follows
         if options.lengths is None:
             _console.result(f"note: the wand's markers were taken to be at {_USUAL_WAND} m; where yours are not, give --wand.")
-    raise typer.Exit(report_findings(made.findings, written=written, wanted=wanted))
+    raise typer.Exit(report_findings(findings, written=written, wanted=wanted))
 
 
 def _calibrated(options: WandOptions) -> WandCalibration:
@@ -218,7 +219,7 @@ def _distance(given: str | None) -> tuple[str, str, float] | None:
     return found[1].strip(), found[2].strip(), float(found[3])
 
 
-def _as_json(made: WandCalibration, blobs: Path, output: Path | None) -> dict[str, Any]:
+def _as_json(made: WandCalibration, findings: Sequence[Finding], blobs: Path, output: Path | None) -> dict[str, Any]:
     import numpy as np
 
     from asterism.calibration.wand import coverage
@@ -232,7 +233,7 @@ def _as_json(made: WandCalibration, blobs: Path, output: Path | None) -> dict[st
         "file": blobs,
         "rig": output,
         "usable": made.usable,
-        "findings": [finding.to_dict() for finding in made.findings],
+        "findings": [finding.to_dict() for finding in findings],
         "frames": made.frames,
         "frames_used": len(made.used),
         "wand_m": made.wand.lengths,

@@ -17,6 +17,7 @@ from asterism.motion.clinical.plug_in_gait import radius_by_the_file
 from asterism.motion.clinical.static import StaticRules, with_static_offsets
 from asterism.recording import Floats, Recording
 from asterism.recording.arrays import nan_quantile
+from asterism.recording.display import significant
 
 _SAME_LEG = 0.07
 """Of a leg's length, by which markers may show another one: they show 0.4 % less to 2.5 % more on four people of three laboratories."""
@@ -151,7 +152,9 @@ def _differing(recording: Recording, held: SubjectMeasures, given: Mapping[str, 
     both = {name: held.value_of(name) for name in given}
     # files hold some digits more than people type
     told = [
-        f"{name} {given[name]:g}, not {own:.4g}" for name, own in both.items() if own is not None and abs(given[name] - own) >= _ROUNDED
+        f"{name} {significant(given[name], 4)}, not {significant(own, 4)}"
+        for name, own in both.items()
+        if own is not None and abs(given[name] - own) >= _ROUNDED
     ]
     if not told:
         return []

@@ -293,9 +293,10 @@ def radius_by_the_file(recording: Recording, measures: SubjectMeasures) -> float
         if left < _MEETS:
             return stated
         # The angles follow the radius evenly, so that the square of what is left is a parabola: three radii tell where it is lowest.
-        three = _RADII[[0, len(_RADII) // 2, -1]]
-        best = best_of(three)
-        bend, slope, _ = np.polyfit(three, [errors[radius] ** 2 for radius in three.tolist()], 2)
+        between = bool(_RADII[0] < stated < _RADII[-1])
+        best = best_of(_RADII[[0, -1] if between else [0, len(_RADII) // 2, -1]])
+        three = {**errors, stated: left} if between else errors
+        bend, slope, _ = np.polyfit(list(three), [error**2 for error in three.values()], 2)
         place = int(np.argmin(np.abs(_RADII - (-slope / (2 * bend) if bend > 0 else best))))
         best = best_of(_RADII[[place]])
         if errors[best] < _MEETS:

@@ -161,13 +161,13 @@ def find_contacts(motion: SkeletonMotion, parts: BodyParts, events: Iterable[Eve
     speeds = {side: _velocity(one, _SMOOTH, rate) for side, one in points.items()}
     near, given = _NEAR * leg / 0.9, _phases(events, len(motion), rate)
     belt = _belt(every, np.concatenate(list(speeds.values()), axis=1), motion.root, floor[0], near, rate)
-    # what stands on a belt tells its speed better than what is low
+    # what stands on a belt tells its speed better than what is low; where nothing does, there is none
     for _ in range(_REFINED if belt.any() else 1):
         still = _STILL * np.sqrt(leg / 0.9) + _FASTER * np.linalg.norm(_velocity(motion.root, _SLOW, rate) - belt, axis=1)
         standing = {side: _stands(one, speeds[side] - belt, still, near, rate, given.get(side)) for side, one in points.items()}
-        on_belt = np.concatenate([speeds[side][flags] for side, flags in standing.items()])
-        if belt.any() and len(on_belt):
-            belt = np.median(on_belt, axis=0) * (1.0, 1.0, 0.0)
+        if belt.any():
+            on_belt = np.concatenate([speeds[side][flags] for side, flags in standing.items()])
+            belt = np.median(on_belt, axis=0) * (1.0, 1.0, 0.0) if len(on_belt) else np.zeros(3)
     level = dict[str, Floats]()
     if not belt.any():
         floor = _floor(points, standing, floor, near)

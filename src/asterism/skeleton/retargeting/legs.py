@@ -89,7 +89,7 @@ def bend(root: Floats, middle: Floats, end: Floats, target: Floats, hinge: Float
     law of cosines.
     """
     upper, lower, line = middle - root, end - middle, end - root
-    a, b = np.linalg.norm(upper, axis=1), np.linalg.norm(lower, axis=1)
+    a, b = (np.maximum(np.linalg.norm(bone, axis=1), 1e-9) for bone in (upper, lower))
     goal = target - root
     distance = np.linalg.norm(goal, axis=1)
     before, after = _unit(line, upper), _unit(goal, line)
@@ -169,7 +169,10 @@ def _between(bone: Floats, axis: Floats, new_bone: Floats, new_axis: Floats) -> 
     frames = []
     for along, about in ((bone, axis), (new_bone, new_axis)):
         first = _unit(along, about)
-        second = _unit(about - (about * first).sum(axis=1, keepdims=True) * first, about)
+        other = np.eye(3)[np.abs(first).argmin(axis=1)]
+        # an axis along the bone says nothing of how the limb bends: any axis across will do
+        about = np.where(np.linalg.norm(np.cross(about, first), axis=1, keepdims=True) > 1e-6, about, other)
+        second = _unit(about - (about * first).sum(axis=1, keepdims=True) * first, other)
         frames.append(np.stack([first, second, np.cross(first, second)], axis=2))
     found: Floats = frames[1] @ frames[0].swapaxes(1, 2)
     return found
