@@ -30,7 +30,10 @@ class SkeletonOptions:
     model: Annotated[
         Path | None,
         typer.Option(
-            "--model", metavar="FILE", help="Move this model as it is: an .osim of OpenSim 4, or a body model (TOML).", show_default=False
+            "--model",
+            metavar="FILE",
+            help="Move this model as it is: an OpenSim model (.osim), or a body model (TOML, or gait15).",
+            show_default=False,
         ),
     ] = None
     markers: Markers = None
@@ -123,7 +126,7 @@ def _tree(options: SkeletonOptions, moving: list[Recording], batch: _console.Bat
     from asterism.skeleton import fit_person, load_body, load_osim, tree_of
 
     if options.model is not None:
-        return load_osim(options.model) if options.model.suffix.casefold() == ".osim" else tree_of(load_body(options.model))
+        return load_osim(options.model) if options.model.suffix.casefold() == ".osim" else tree_of(load_body(str(options.model)))
     names = marker_names(options.markers)
     standing = [] if options.static is None else [read(options.static, markers=names, vertical=options.vertical)]
     for one in moving:
