@@ -263,29 +263,36 @@ def test_four_legs_and_no_legs_are_refused_in_a_sentence(walker: SkeletonMotion)
         retarget(gap, character())
 
 
-def test_a_rest_pose_that_is_none_is_replaced_by_a_frame_that_stands(walker: SkeletonMotion) -> None:
-    # as libraries of motions have it: at rest all bones lie along x
-    rng = np.random.default_rng(0)
-    odd = Rotation.random(len(walker.names), random_state=1).as_matrix()
-    turned = walker.turned @ odd
-    above = [max(p, 0) for p in walker.parents]
+def resting_oddly(motion: SkeletonMotion) -> SkeletonMotion:
+    """The same joints over time from a rest pose that is none, as libraries of motions have it: bones lie anyhow."""
+    odd = Rotation.random(len(motion.names), random_state=1).as_matrix()
+    turned, above = motion.turned @ odd, [max(p, 0) for p in motion.parents]
     rotations = turned[:, above].swapaxes(2, 3) @ turned
     rotations[:, 0] = turned[:, 0]
-    offsets = np.einsum("bji,bj->bi", odd[above], walker.offsets)
-    strange = replace(
-        walker, rotations=rotations, offsets=offsets, ends=np.einsum("bji,bj->bi", odd, walker.ends), forward=rng.normal(size=3)
-    )
+    offsets, ends = np.einsum("bji,bj->bi", odd[above], motion.offsets), np.einsum("bji,bj->bi", odd, motion.ends)
+    return replace(motion, rotations=rotations, offsets=offsets, ends=ends, forward=np.array([0.3, -0.5, 0.1]))
+
+
+def test_a_rest_pose_that_is_none_is_replaced_by_a_frame_that_stands(walker: SkeletonMotion) -> None:
+    strange, plain = resting_oddly(walker), retarget(walker, character(0.8))
     assert np.allclose(strange.joints, walker.joints)
-    result = retarget(strange, character(0.8))
-    assert "retarget-rest-pose" in [finding.code for finding in result.findings]
-    plain = retarget(walker, character(0.8))
-    assert result.after.slip < 0.001
-    # heading is free, because such a rest pose faces nowhere: lengths between joints are not
-    ours, theirs = upright(result.motion).joints, upright(plain.motion).joints
-    for a, b in (("LeftHand", "RightHand"), ("LeftFoot", "RightFoot"), ("Head", "LeftHand"), ("Hips", "Head")):
-        i, j = plain.motion.names.index(a), plain.motion.names.index(b)
-        apart = np.linalg.norm(ours[:, i] - ours[:, j], axis=1) - np.linalg.norm(theirs[:, i] - theirs[:, j], axis=1)
-        assert np.abs(apart).max() < 0.12, f"{a} to {b}, m"
+    as_person, as_character = retarget(strange, character(0.8)), retarget(walker, strange)
+    for result, expected in ((as_person, plain), (as_character, retarget(walker, walker))):
+        assert "retarget-rest-pose" in [finding.code for finding in result.findings]
+        assert result.after.slip < 0.001
+        # heading is free, because such a rest pose faces nowhere: lengths between joints are not
+        ours, theirs = upright(result.motion).joints, upright(expected.motion).joints
+        names = [name.casefold() for name in expected.motion.names]
+        ends = [next(i for i, name in enumerate(names) if "left" in name and name.endswith(part)) for part in ("hand", "foot")] + [
+            names.index("head"),
+            0,
+        ]
+        for i in ends:
+            for j in ends:
+                apart = np.linalg.norm(ours[:, i] - ours[:, j], axis=1) - np.linalg.norm(theirs[:, i] - theirs[:, j], axis=1)
+                assert np.abs(apart).max() < 0.12, f"{names[i]} to {names[j]}, m"
+    with pytest.raises(AsterismError, match="neither the rest pose of the character nor any of its frames stands upright"):
+        retarget(walker, replace(resting_oddly(walker), rotations=np.tile(np.eye(3), (len(walker), len(walker.names), 1, 1))))
 
 
 def test_feet_on_a_treadmill_go_with_the_belt_and_do_not_slip_on_it() -> None:

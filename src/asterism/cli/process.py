@@ -65,6 +65,7 @@ class ProcessOptions:
         typer.Option("--band", metavar="FILE", help="A band of controls, which `asterism gait --save-band` wrote.", show_default=False),
     ] = None
     vertical: Vertical = None
+    skeleton: Annotated[bool, typer.Option("--skeleton", help="Write each walk's skeleton (BVH) and a table of joints, too.")] = False
     workers: Processes = 1
     dask: Dask = None
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False
@@ -79,7 +80,7 @@ def process(options: ProcessOptions) -> None:
     The recordings of one folder are one person's. Each is labelled as `asterism label` does it, with the person's standing trial. Then gaps
     are filled, and gait is analysed as `asterism gait` does it, with the measures and offsets of the standing trial. FOLDER gets the
     labelled recordings (labelled), a page for each person and each walk (reports), the parameters of each person (gait), a table of all
-    recordings (session.csv), one of all parameters (parameters.csv), and a page on all (index.html).
+    recordings (session.csv), one of all parameters (parameters.csv), and a page on all (index.html). With --skeleton, bones over time too.
 
     A run that was stopped goes on where it was. What was corrected since (`asterism review --serve`) stays, and what depends on it is made
     anew. A file session.toml in a folder says otherwise for it and those below: person, model, markers, static, vertical, fill, leave_out
@@ -172,6 +173,7 @@ def _persons(given: _Given, batch: _console.Batch) -> list[tuple[PlannedPerson, 
                     fill=settings.fill or options.fill,
                     band=given.band,
                     measures=tuple(sorted(settings.measures.items())),
+                    skeleton=options.skeleton,
                     overwrite=options.overwrite,
                 ),
             )

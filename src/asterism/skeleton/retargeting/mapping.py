@@ -95,14 +95,15 @@ def retarget(
     hands      hands go where the person's are, as measured from the hips in the character's size, instead of arms that turn alike
     feet       feet are held where they stand
 
-    Raises AsterismError where a leg of either is not found, the character stands on four legs, or a frame is missing.
+    Raises AsterismError where a leg of either is not found, either stands nowhere or on four legs, or a frame is missing.
 
     Cost: O(T B), about 1 s for a minute at 100 Hz.
     """
     bones = bones or {}
     if not np.isfinite(motion.rotations).all() or not np.isfinite(motion.root).all():
         raise AsterismError("bones of the motion are missing in some frames; fill them first, as by interpolation.")
-    person, figure = _standing(motion, bones.get("person")), _standing(character, bones.get("character"))
+    person = _standing(motion, bones.get("person"), "recording")
+    figure = _standing(character, bones.get("character"), "character")
     events = list(events)
     seen = find_contacts(person.motion, person.parts, events)
     scale = leg_length(figure.motion, figure.parts) / leg_length(person.motion, person.parts)
@@ -175,7 +176,7 @@ def _findings(person: _Standing, figure: _Standing, seen: FootContacts, scale: f
 # Rest poses.
 
 
-def _standing(motion: SkeletonMotion, given: Mapping[str, str] | None) -> _Standing:
+def _standing(motion: SkeletonMotion, given: Mapping[str, str] | None, who: str) -> _Standing:
     parts = body_parts(motion, given)
     upright = motion.in_axes(_UP, _AHEAD)
     onto = np.tile(np.eye(3), (len(motion.names), 1, 1))
@@ -196,6 +197,10 @@ def _standing(motion: SkeletonMotion, given: Mapping[str, str] | None) -> _Stand
     offsets = np.einsum("bij,bj->bi", pose[above], upright.offsets)
     ends = np.einsum("bij,bj->bi", pose, upright.ends)
     standing = replace(upright, offsets=offsets, ends=ends, rotations=rotations)
+    if not _stands(standing, parts):
+        raise AsterismError(
+            f"neither the rest pose of the {who} nor any of its frames stands upright; export it with a T pose as its rest pose."
+        )
     refuse_four_legs(standing, parts)
     return _Standing(standing, parts, pose, True)
 
