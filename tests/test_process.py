@@ -14,6 +14,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -595,6 +596,26 @@ def test_each_walk_has_its_skeleton_where_it_is_asked_for(one_person: Path, done
         # a result that was deleted is made again
         (out / "skeleton" / "p1" / "walk.bvh").unlink()
     assert not (out / "skeleton" / "p2.csv").exists()
+
+
+def test_a_recording_whose_disk_stalls_costs_itself(
+    one_person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As in a folder of a network whose server has gone: opening a file never returns."""
+    (one_person / "p1" / "walk.c3d").rename(one_person / "p1" / "dead.c3d")
+    released, opens = threading.Event(), Path.open
+
+    def stalled(path: Path, *more: Any, **other: Any) -> Any:
+        if path.name == "dead.c3d" and "people" in path.parts:
+            released.wait(60.0)
+        return opens(path, *more, **other)
+
+    monkeypatch.setattr("asterism.files.stalls.STALLED", 0.2)
+    monkeypatch.setattr(Path, "open", stalled)
+    assert run(one_person, "-o", tmp_path / "out", "--markers", "helen-hayes") == 1
+    released.set()
+    assert f"{one_person / 'p1' / 'dead.c3d'}: its disk has not answered" in capsys.readouterr().err
+    assert (tmp_path / "out" / "labelled" / "p1" / "static.c3d").exists()
 
 
 def test_as_many_processes_work_as_the_memory_holds(
