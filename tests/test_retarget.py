@@ -435,6 +435,7 @@ def test_the_command_moves_a_character_in_both_formats_and_says_what_it_did(
     # a character in BVH can become a body in glTF
     assert main(["retarget", "walk.bvh", "-c", "troll.bvh", "-o", "other.glb"]) == 0
     assert np.allclose(read_skeleton("other.glb").motion.joints[5], read_skeleton("out.bvh").motion.joints[5], atol=1e-4)
+    assert main(["retarget", "walk.bvh", "-c", "troll.glb", "-o", "nowhere/other.glb"]) == 2, "a folder that is not there"
     capsys.readouterr()
     Path("bones.toml").write_text('[character]\n"left knee" = "LeftLeg"\n')
     assert main(["retarget", "walk.bvh", "-c", "troll.bvh", "-o", "n.bvh", "--bones", "bones.toml"]) == 2
