@@ -12,13 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 import asterism
 from asterism import formats
 from asterism.cli import main
 from asterism.errors import AsterismError
-from asterism.motion.gaps import Filled, fill_gaps, trials_of_person
+from asterism.motion.gaps import Filled, GapRules, fill_gaps, trials_of_person
 from asterism.recording import Recording, filled_samples
 from asterism.simulation import simulate_walks
 
@@ -252,6 +253,49 @@ def test_convert_asks_the_trials_beside_and_names_them(people: list[Recording], 
         assert json.loads((tmp_path / "out.json").read_text())["filled"]["trials"] == told
     assert main([*words, "--trials", "nowhere.c3d"]) == 2
     assert "nowhere.c3d" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("length", [10, 50])
+def test_a_spike_beside_the_gap_does_not_pull_the_fill_after_it(walks: list[Recording], length: int) -> None:
+    spoilt = walks[0].positions.copy()
+    spoilt[[98, 101 + length], walks[0].labels.index("LKNE")] += [[0.05], [-0.04]]
+    gap = ("LKNE", slice(100, 100 + length))
+    clean, beside = (off(fill_gaps(without(walk, gap)), walks[0]) for walk in (walks[0], replace(walks[0], positions=spoilt)))
+    assert len(beside) == length and beside.mean() < 1.5 * clean.mean() + 0.0005, f"{1000 * beside.mean():.1f} mm"
+
+
+def swinging_arm(seed: int) -> Recording:
+    """A trunk that stands, and an arm of two rods that swings as it likes: poses in a gap are new, lengths are not."""
+    rng = np.random.default_rng(seed)
+    angles = gaussian_filter1d(rng.normal(size=(240, 4)), 25, axis=0)
+    ahead, up, turn, lift = (0.6 * angles / angles.std(axis=0)).T
+
+    def along(azimuth: np.ndarray, height: np.ndarray) -> np.ndarray:
+        return np.stack([np.cos(height) * np.cos(azimuth), np.cos(height) * np.sin(azimuth), np.sin(height)], axis=1)
+
+    trunk = np.broadcast_to([[0.0, 0.0, 0.0], [0.1, 0.2, 0.0], [0.0, -0.2, 0.1], [0.05, 0.0, 0.3]], (240, 4, 3))
+    elbow = trunk[:, 1] + 0.3 * along(ahead, up - 1.0)
+    wrist = elbow + 0.25 * along(turn, lift)
+    arm = np.stack([elbow, wrist, wrist + 0.05 * along(turn + 1.0, lift)], axis=1)
+    positions = np.concatenate([trunk, arm], axis=1) + rng.normal(0.0, 0.0002, (240, 7, 3))
+    return Recording(positions, ("STRN", "RSHO", "LSHO", "C7", "RELB", "RWRA", "RFIN"), 100.0)
+
+
+def test_distances_to_mates_mend_fills() -> None:
+    arms = [swinging_arm(seed) for seed in range(6)]
+    cut = [without(arm, ("RELB", slice(90, 150))) for arm in arms]
+    told = [
+        np.mean([off(fill_gaps(one, limit=9.0, rules=GapRules(lengths=many)), arm).mean() for one, arm in zip(cut, arms, strict=True)])
+        for many in (0, 4)
+    ]
+    assert told[1] < 0.97 * told[0], f"{1000 * told[0]:.1f} mm without, {1000 * told[1]:.1f} mm with distances"
+
+
+def test_a_segment_that_is_wholly_lost_is_left_and_said(walks: list[Recording]) -> None:
+    leg = ("LTHI", "LKNE", "LTIB", "LANK", "LHEE", "LTOE")
+    fill = fill_gaps(without(walks[0], *((label, slice(60, 180)) for label in leg)))
+    assert not fill.filled.any()
+    assert {finding.where for finding in fill.findings} == set(leg) and {finding.code for finding in fill.findings} == {"gap-not-filled"}
 
 
 def test_mates_that_take_turns_to_be_missing_fill_a_gap_in_pieces(walks: list[Recording]) -> None:

@@ -32,6 +32,7 @@ GUIDE = {
         "motion",
         "opensim",
         "characters",
+        "opensim",
         "thesis",
     ],
     "Look it up": ["reference", "findings", "formats", "marker-sets", "conventions", "glossary"],
