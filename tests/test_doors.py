@@ -193,7 +193,6 @@ READERS = {
     "gait": (),
     "skeleton": ("--model", "gait15"),
     "opensim": ("-o", "OUT"),
-    "skeleton": (),
     "retarget": ("-c", "CHARACTER", "-o", "OUT.bvh"),
     "events": ("--rules", "squat"),
     "train": ("-o", "OUT.model", "--markers", "helen-hayes", "--no-audit"),
@@ -202,7 +201,7 @@ READERS = {
     "label": ("-m", "MODEL", "-o", "OUT"),
 }
 """Commands that read recordings, and what they need beside one."""
-OTHERS = {"demo", "warm-up", "detect", "reconstruct", "label-views", "capturability", "process", "live", "retarget"}
+OTHERS = {"demo", "warm-up", "detect", "reconstruct", "label-views", "capturability", "process", "live"}
 """Commands that read none, or bones; one that takes minutes and reads as `evaluate` does; one that takes folders, and labels as `label`
 does; and one that plays recordings."""
 

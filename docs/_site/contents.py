@@ -30,7 +30,6 @@ GUIDE = {
         "live",
         "garment",
         "motion",
-        "opensim",
         "characters",
         "opensim",
         "thesis",
