@@ -189,6 +189,7 @@ READERS = {
     "convert": ("OUT.trc",),
     "evaluate": ("-m", "MODEL", "--occlusions", "0"),
     "gait": (),
+    "skeleton": ("--model", "gait15"),
     "opensim": ("-o", "OUT"),
     "events": ("--rules", "squat"),
     "train": ("-o", "OUT.model", "--markers", "helen-hayes", "--no-audit"),
@@ -197,9 +198,9 @@ READERS = {
     "label": ("-m", "MODEL", "-o", "OUT"),
 }
 """Commands that read recordings, and what they need beside one."""
-OTHERS = {"demo", "warm-up", "detect", "reconstruct", "label-views", "capturability", "process", "live"}
-"""Commands that read none; one that takes minutes and reads as `evaluate` does; one that takes folders, and labels as `label` does; and one
-that plays recordings."""
+OTHERS = {"demo", "warm-up", "detect", "reconstruct", "label-views", "capturability", "process", "live", "retarget"}
+"""Commands that read none, or bones; one that takes minutes and reads as `evaluate` does; one that takes folders, and labels as `label`
+does; and one that plays recordings."""
 
 
 def test_every_command_that_reads_recordings_is_asked() -> None:

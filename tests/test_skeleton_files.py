@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from asterism.errors import AsterismError, NoMarkers
-from asterism.formats import convert, describe, read, read_skeleton, write_skeleton
+from asterism.formats import convert, describe, read, read_skeleton, write, write_skeleton
 from asterism.formats._bones import as_euler, from_euler, turned_into
-from asterism.recording import SkeletonMotion
+from asterism.recording import Recording, SkeletonMotion
 from asterism.recording.bone_names import parts_of
 
 Y, Z = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
@@ -218,6 +218,8 @@ def test_a_persons_bvh_is_read_in_metres_with_up_and_ahead(tmp_path: Path) -> No
     assert read_skeleton(tmp_path / "a.bvh", unit="in").motion.joints[0, 2, 1] == pytest.approx(165 * 0.0254)
     with pytest.raises(NoMarkers, match="bones of a skeleton and no markers"):
         read(tmp_path / "a.bvh")
+    with pytest.raises(AsterismError, match="holds bones and no markers; fit a skeleton"):
+        write(tmp_path / "n.bvh", Recording(np.zeros((2, 1, 3)), ("LASI",), 100.0))
     assert convert(tmp_path / "a.bvh", tmp_path / "a.glb") == []
     assert np.allclose(read_skeleton(tmp_path / "a.glb").motion.joints[1], file.motion.joints[1], atol=1e-6)
     write_skeleton(tmp_path / "b.bvh", file.motion, like=tmp_path / "a.bvh")

@@ -21,6 +21,7 @@ from asterism.cli._folders import Trial
 from asterism.cli._labelling import ROW
 from asterism.cli._options import KnownLabels
 from asterism.cli._process_places import Reference, SessionPlaces
+from asterism.cli._process_skeleton import person_skeleton
 from asterism.cli.gait import GaitOptions, analysed, write_results
 from asterism.cli.label import LabelOptions, LabelRun
 from asterism.errors import AsterismError, NoGait, guarded_reading
@@ -33,8 +34,8 @@ from asterism.session.spread import no_room
 if TYPE_CHECKING:
     from asterism.gait import Band, GaitAnalysis
 
-LABELLED, REPORTS, OUTPUTS, RECORDS = "labelled", "reports", "gait", "records"
-"""The folders of a session's results: labelled recordings, pages, recordings with model outputs, and records of what was done."""
+LABELLED, REPORTS, OUTPUTS, RECORDS, SKELETONS = "labelled", "reports", "gait", "records", "skeleton"
+"""The folders of a session's results: labelled recordings, pages, recordings with model outputs, records, and skeletons."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ class PersonOptions:
     fill: str = "none"
     band: Path | None = None
     measures: tuple[tuple[str, float], ...] = ()
+    skeleton: bool = False
     overwrite: bool = False
 
     @property
@@ -328,12 +330,13 @@ def _analysed(person: PersonOptions, places: SessionPlaces) -> TaskResult:
 def of_recording(place: str) -> list[str]:
     """The results of a recording, below the folder of results."""
     path = Path(place)
-    return [f"{LABELLED}/{place}", f"{OUTPUTS}/{path.with_suffix('.c3d').as_posix()}", f"{REPORTS}/{path.with_suffix('.html').as_posix()}"]
+    found = ((LABELLED, path.suffix), (OUTPUTS, ".c3d"), (REPORTS, ".html"), (SKELETONS, ".bvh"))
+    return [f"{folder}/{path.with_suffix(suffix).as_posix()}" for folder, suffix in found]
 
 
 def of_person(name: str) -> list[str]:
     """The results of a person, who is called so as a file."""
-    return [f"{OUTPUTS}/{name}.csv", f"{REPORTS}/{name}.html"]
+    return [f"{OUTPUTS}/{name}.csv", f"{REPORTS}/{name}.html", f"{SKELETONS}/{name}.csv"]
 
 
 def file_name(name: str) -> str:
@@ -383,6 +386,14 @@ def _analysis(
         for page, shown in pages[: 1 if len(results) < 2 else None] if results else ():
             outputs.append(_below(person.out, page))
             writers.append(partial(_write_page, dataclasses.replace(options, report=page, json=None), shown, band))
+        if person.skeleton and results:
+            moves = {path: person.out / SKELETONS / of_place[path].with_suffix(".bvh") for path, _ in results}
+            joints = person.out / SKELETONS / f"{file_name(own.name)}.csv"
+            written, said, draw = person_skeleton(moves, own.standing, joints, person.vertical)
+            outputs += [_below(person.out, one) for one in written]
+            writers.append(draw)
+            for finding in said:
+                batch.found(finding)
         analyses = dict(results)
         for place, path in labelled:
             if path in (own.standing, *own.others, *own.walks):

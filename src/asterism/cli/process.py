@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,6 +21,7 @@ from asterism.cli._process_places import SessionPlaces
 from asterism.errors import AsterismError
 from asterism.files.atomic import write_atomically
 from asterism.files.plain import as_json
+from asterism.files.stalls import unless_stalled
 from asterism.findings import Finding, Severity
 
 if TYPE_CHECKING:
@@ -65,6 +67,7 @@ class ProcessOptions:
         typer.Option("--band", metavar="FILE", help="A band of controls, which `asterism gait --save-band` wrote.", show_default=False),
     ] = None
     vertical: Vertical = None
+    skeleton: Annotated[bool, typer.Option("--skeleton", help="Write each walk's skeleton (BVH) and a table of joints, too.")] = False
     workers: Processes = 1
     dask: Dask = None
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False
@@ -79,7 +82,7 @@ def process(options: ProcessOptions) -> None:
     The recordings of one folder are one person's. Each is labelled as `asterism label` does it, with the person's standing trial. Then gaps
     are filled, and gait is analysed as `asterism gait` does it, with the measures and offsets of the standing trial. FOLDER gets the
     labelled recordings (labelled), a page for each person and each walk (reports), the parameters of each person (gait), a table of all
-    recordings (session.csv), one of all parameters (parameters.csv), and a page on all (index.html).
+    recordings (session.csv), one of all parameters (parameters.csv), and a page on all (index.html). With --skeleton, bones over time too.
 
     A run that was stopped goes on where it was. What was corrected since (`asterism review --serve`) stays, and what depends on it is made
     anew. A file session.toml in a folder says otherwise for it and those below: person, model, markers, static, vertical, fill, leave_out
@@ -132,7 +135,8 @@ def _check(given: _Given) -> None:
     _check_vertical(options.vertical)
     for path in given.sessions:
         given.places.show(path)
-        if not path.is_dir():
+        # a folder of a network that is gone would be waited for without end
+        if not unless_stalled(path, partial(_is_folder, path)):
             raise AsterismError(f"{path} is no folder; name the folder in which the recordings are.")
     for file in (given.model, given.band):
         if file is not None and not file.is_file():
@@ -172,6 +176,7 @@ def _persons(given: _Given, batch: _console.Batch) -> list[tuple[PlannedPerson, 
                     fill=settings.fill or options.fill,
                     band=given.band,
                     measures=tuple(sorted(settings.measures.items())),
+                    skeleton=options.skeleton,
                     overwrite=options.overwrite,
                 ),
             )
@@ -506,6 +511,10 @@ class _Run:
         if len(rows) > _MOST_PRINTED:
             _console.result(f"... and {len(rows) - _MOST_PRINTED} more; {self.out / TABLE} has all.")
         _console.result(f"{counted(walks, 'walk')} analysed; open {self.out / PAGE}")
+
+
+def _is_folder(path: Path, _: object) -> bool:
+    return path.is_dir()
 
 
 def _size(path: Path) -> int:

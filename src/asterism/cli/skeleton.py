@@ -30,7 +30,10 @@ class SkeletonOptions:
     model: Annotated[
         Path | None,
         typer.Option(
-            "--model", metavar="FILE", help="Move this model as it is: an .osim of OpenSim 4, or a body model (TOML).", show_default=False
+            "--model",
+            metavar="FILE",
+            help="Move this model as it is: an OpenSim model (.osim), or a body model (TOML, or gait15).",
+            show_default=False,
         ),
     ] = None
     markers: Markers = None
@@ -117,18 +120,23 @@ def skeleton(options: SkeletonOptions) -> None:
 def _tree(options: SkeletonOptions, moving: list[Recording], batch: _console.Batch) -> KinematicTree:
     """The model that is given, or the skeleton of the person."""
     from asterism.formats import read
+    from asterism.motion.clinical.gathered import static_of_another
     from asterism.motion.clinical.joint_centres import with_joint_centres
     from asterism.recording import MarkerSet
     from asterism.skeleton import fit_person, load_body, load_osim, tree_of
 
     if options.model is not None:
-        return load_osim(options.model) if options.model.suffix.casefold() == ".osim" else tree_of(load_body(options.model))
+        return load_osim(options.model) if options.model.suffix.casefold() == ".osim" else tree_of(load_body(str(options.model)))
     names = marker_names(options.markers)
     standing = [] if options.static is None else [read(options.static, markers=names, vertical=options.vertical)]
+    for one in moving:
+        for static in standing:
+            for finding in static_of_another(one, static):
+                batch.found(finding)
     if options.clinical:
-        static = standing[0] if standing else None
+        worn = standing[0] if standing else None
         standing = [with_joint_centres(one) for one in standing]
-        moving = [with_joint_centres(one, static=static) for one in moving]
+        moving = [with_joint_centres(one, static=worn) for one in moving]
     person = fit_person(standing, moving, markers=None if names is None else MarkerSet.load(names))
     for finding in person.findings:
         batch.found(finding)

@@ -203,6 +203,10 @@ def is_recording_file(path: str | Path) -> bool:
 
 def check_suffix(path: str | Path) -> None:
     """Raise AsterismError where points cannot be written in a format with this suffix."""
+    if Path(path).suffix.casefold() in (".bvh", ".glb", ".gltf"):
+        raise AsterismError(
+            f"{path}: this format holds bones and no markers; fit a skeleton to them, as `asterism convert` does, and write that."
+        )
     if not is_recording_file(path):
         raise AsterismError(f"{path}: no format has the suffix {Path(path).suffix or '(none)'}; write .c3d, {', '.join(_WRITERS)}.")
 

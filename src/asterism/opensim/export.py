@@ -310,11 +310,12 @@ def _targets(folder: Path, trials: Sequence[_Prepared], documents: bool, standin
     for number, trial in enumerate(trials):
         path = folder / f"{trial.name}.trc"
         files[f"{trial.name}: markers"] = path
-        if trial.plates:
+        # who stands is not moved by forces in OpenSim
+        if trial.plates and number >= standing:
             files[f"{trial.name}: forces"], files[f"{trial.name}: loads"] = companions(path)
         if documents and number >= standing:
             files[f"{trial.name}: kinematics"] = folder / f"{trial.name}_ik.xml"
-            if trial.plates and number >= standing:
+            if trial.plates:
                 files[f"{trial.name}: dynamics"] = folder / f"{trial.name}_id.xml"
                 files[f"{trial.name}: filtered forces"], files[f"{trial.name}: filtered loads"] = companions(_filtered(folder, trial))
     if documents:

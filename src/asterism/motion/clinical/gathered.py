@@ -75,7 +75,7 @@ def gathered_measures(
         if any(label in ("LTHI", "RTHI") for label in with_plug_in_gait_names(recording).labels):
             measures, differs = _with_offsets(static, measures, rules or StaticRules(), given)
             found += differs
-        found += _other_person(recording, static) + (_steps(static) or _lifted(recording, static))
+        found += static_of_another(recording, static) + (_steps(static) or _lifted(recording, static))
     return measures, (*found, *_implausible(recording, measures), *_other_length(recording, measures))
 
 
@@ -251,7 +251,8 @@ def other_person(recording: Recording, first: Recording) -> list[Finding]:
     return [Finding("clinical-other-person", Severity.WARNING, _file(recording), f"{told}: {said}", mend)] if told else []
 
 
-def _other_person(recording: Recording, static: Recording) -> list[Finding]:
+def static_of_another(recording: Recording, static: Recording) -> list[Finding]:
+    """Where a standing trial shows another body than a moving one."""
     told = _body_differs(recording, static)
     said, mend = "the standing trial is another person's, or markers were placed anew.", "Give the standing trial of this session."
     return [Finding("clinical-other-person", Severity.WARNING, _file(recording), f"{told}: {said}", mend)] if told else []
