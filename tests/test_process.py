@@ -660,6 +660,22 @@ def test_a_task_that_kills_its_process_costs_itself(how: str, tmp_path: Path) ->
     assert "SIGKILL" in found[3].problem
 
 
+class EndsItsProcess:
+    """A function that ends a process as soon as that learns of it."""
+
+    def __call__(self, task: int) -> int:
+        return task
+
+    def __reduce__(self) -> Any:
+        return os._exit, (3,)
+
+
+def test_a_process_that_ends_before_its_first_task_is_told() -> None:
+    found = list(in_order(spread(EndsItsProcess(), [1, 2], workers=2)))
+    assert [outcome.value for outcome in found] == [None, None]
+    assert all("ended twice, with status 3" in outcome.problem for outcome in found)
+
+
 def slowly(task: tuple[int, Path]) -> int:
     """A task of a tenth of a second that says that it was begun."""
     time.sleep(0.1)
