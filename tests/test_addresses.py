@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import sys
 import threading
+import warnings
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ from typing import Any
 import pytest
 
 from asterism import AsterismError
+from asterism.cli._process_places import SessionPlaces
 from asterism.files import addresses, stalls
 from asterism.files.addresses import RemoteFolder, below, is_address, local_path
 from asterism.files.stalls import digest, that_answer, unless_stalled
@@ -150,14 +153,41 @@ def test_a_file_of_this_disk_that_never_comes_is_left_out(some: Path, tmp_path: 
     [("nope://x/y", "no address that fsspec knows"), ("memory://none", "holds no file"), ("github://a:b@c/x", "")],
 )
 def test_an_address_that_fails_is_told(address: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    from asterism.cli._process_places import SessionPlaces
-
     if not said:
         monkeypatch.setitem(sys.modules, "fsspec.core", None)
         said = r"install it with `pip install 'asterism\[cluster\]'`"
     places = SessionPlaces()
     with pytest.raises(AsterismError, match=said):
         places.show(places.path(address))
+
+
+def _makes_a_scratch(pipe: Any) -> None:
+    places = SessionPlaces()
+    (places.scratch / "walk.c3d").touch()
+    pipe.send(places.scratch)
+    # as what labels the person of the last task
+    _KEPT.append(places)
+
+
+_KEPT = list[Any]()
+
+
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="processes are not forked here")
+def test_temporary_files_of_a_process_go_with_it() -> None:
+    context = multiprocessing.get_context("fork")
+    here, there = context.Pipe()
+    process = context.Process(target=_makes_a_scratch, args=(there,))
+    with warnings.catch_warnings():
+        # that threads are not forked: this child needs none
+        warnings.simplefilter("ignore", DeprecationWarning)
+        process.start()
+    scratch = here.recv()
+    process.join()
+    assert not scratch.exists()
+    places = SessionPlaces()
+    scratch = places.scratch
+    del places
+    assert not scratch.exists()
 
 
 def test_two_addresses_have_two_paths_below_the_folder() -> None:

@@ -766,3 +766,14 @@ def test_clouds_and_tables_are_described(tmp_path):
     assert (found["format"], found["frames"], found["points_per_frame"]["most"]) == ("NPZ clouds", 20, 8)
     write_table(tmp_path / "one.sto", TimeSeriesTable(("a",), np.zeros((1, 1)), np.zeros(1)))
     assert json.loads(json.dumps(describe(tmp_path / "one.sto"), allow_nan=False))["rate"] is None
+
+
+def test_a_sample_without_one_coordinate_is_missing_and_an_infinite_one_refused() -> None:
+    places = np.zeros((3, 2, 3))
+    places[1, 1, 2] = np.nan
+    recording = Recording(places, ("a", "b"), 100.0)
+    assert np.isnan(recording.positions).sum() == 3 and np.isnan(recording.positions[1, 1]).all()
+    assert np.isnan(places).sum() == 1, "what was given stays as it was"
+    places[2, 0, 1] = -np.inf
+    with pytest.raises(AsterismError, match=r"frame 2: a coordinate is infinite"):
+        Recording(places, ("a", "b"), 100.0)

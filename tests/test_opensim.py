@@ -208,6 +208,23 @@ def test_the_tools_read_each_other_s_files(session: Path, tmp_path: Path) -> Non
     assert not (out / "walk_id.xml").exists(), "no plates, no inverse dynamics"
 
 
+def test_a_coordinate_that_follows_another_is_left_to_the_model(session: Path, tmp_path: Path) -> None:
+    text = (session / "round.osim").read_text(encoding="utf-8")
+    line = "<coupled_coordinates_function><LinearFunction><coefficients>1 0</coefficients></LinearFunction></coupled_coordinates_function>"
+    names = "<independent_coordinate_names>knee_angle_r</independent_coordinate_names>"
+    names += "<dependent_coordinate_name>mtp_angle_r</dependent_coordinate_name>"
+    coupled = f'<CoordinateCouplerConstraint name="c"><isEnforced>true</isEnforced>{line}{names}</CoordinateCouplerConstraint>'
+    whole = text.replace("</Model>", f"<ConstraintSet><objects>{coupled}</objects></ConstraintSet></Model>")
+    (tmp_path / "round.osim").write_text(whole, encoding="utf-8")
+    [coupler] = read_osim(tmp_path / "round.osim").couplers
+    assert (coupler.dependent, coupler.independent) == ("mtp_angle_r", ("knee_angle_r",)) and coupler.function.y.tolist() == [1.0, 0.0]
+    words = [session / "walk.c3d", "--static", session / "stands.c3d", "-m", tmp_path / "round.osim", "-o", tmp_path / "out"]
+    assert main(["opensim", *(str(one) for one in words), "--measure", "BodyMass=70"]) == 0
+    # held at zero, it would hold the knee
+    tasks = ElementTree.parse(tmp_path / "out" / "walk_ik.xml").getroot().iter("IKCoordinateTask")
+    assert [task.get("name") for task in tasks] == ["mtp_angle_l"]
+
+
 def test_gaps_are_missing_samples_to_opensim(session: Path, tmp_path: Path) -> None:
     assert run(session, tmp_path / "out") == 0
     names, rows, _ = trc(tmp_path / "out" / "walk.trc")

@@ -12,6 +12,7 @@ import pytest
 
 from asterism import formats
 from asterism.cli import main
+from asterism.formats.opensim_forces import write_opensim_forces
 from asterism.recording import ForcePlate
 
 RATE, EACH, FRAMES = 100.0, 10, 60
@@ -86,6 +87,18 @@ def test_opensim_gets_forces_under_the_feet(tmp_path: Path, capsys: pytest.Captu
     target.unlink()
     assert main(["convert", str(source), str(target), "--for", "opensim"]) == 2
     assert "out_grf.mot" in capsys.readouterr().err, "an older table is not replaced"
+
+
+def test_each_contact_is_filtered_by_itself(tmp_path: Path) -> None:
+    recording = formats.read(two_steps(tmp_path), vertical="z")
+    plates, _ = formats.force_plates(recording)
+    assert write_opensim_forces(tmp_path / "a.trc", recording, plates, np.eye(3), cut_off=6.0) == []
+    table = formats.read_table(tmp_path / "a_grf.mot")
+    left = table.values[:, table.names.index("1_left_ground_force_vz")]
+    first = plates[0].load[: len(left) // 2]
+    # the second foot's load is none of the first one's, though both are on one plate, 0.1 s apart
+    assert left.sum() == pytest.approx(first.sum(), rel=0.03) and not left[len(left) * 3 // 4 :].any()
+    assert 500 < left.max() < 700, "without the edges, a short step is lower"
 
 
 def test_a_load_under_an_unknown_foot_is_in_the_table_and_on_no_body(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

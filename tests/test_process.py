@@ -14,6 +14,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -597,6 +598,26 @@ def test_each_walk_has_its_skeleton_where_it_is_asked_for(one_person: Path, done
     assert not (out / "skeleton" / "p2.csv").exists()
 
 
+def test_a_recording_whose_disk_stalls_costs_itself(
+    one_person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As in a folder of a network whose server has gone: opening a file never returns."""
+    (one_person / "p1" / "walk.c3d").rename(one_person / "p1" / "dead.c3d")
+    released, opens = threading.Event(), Path.open
+
+    def stalled(path: Path, *more: Any, **other: Any) -> Any:
+        if path.name == "dead.c3d" and "people" in path.parts:
+            released.wait(60.0)
+        return opens(path, *more, **other)
+
+    monkeypatch.setattr("asterism.files.stalls.STALLED", 0.2)
+    monkeypatch.setattr(Path, "open", stalled)
+    assert run(one_person, "-o", tmp_path / "out", "--markers", "helen-hayes") == 1
+    released.set()
+    assert f"{one_person / 'p1' / 'dead.c3d'}: its disk has not answered" in capsys.readouterr().err
+    assert (tmp_path / "out" / "labelled" / "p1" / "static.c3d").exists()
+
+
 def test_as_many_processes_work_as_the_memory_holds(
     one_person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -637,6 +658,22 @@ def test_a_task_that_kills_its_process_costs_itself(how: str, tmp_path: Path) ->
     assert [outcome.value for outcome in found] == [4, None, 25, None, 64]
     assert found[1].problem == "three is none."
     assert "SIGKILL" in found[3].problem
+
+
+class EndsItsProcess:
+    """A function that ends a process as soon as that learns of it."""
+
+    def __call__(self, task: int) -> int:
+        return task
+
+    def __reduce__(self) -> Any:
+        return os._exit, (3,)
+
+
+def test_a_process_that_ends_before_its_first_task_is_told() -> None:
+    found = list(in_order(spread(EndsItsProcess(), [1, 2], workers=2)))
+    assert [outcome.value for outcome in found] == [None, None]
+    assert all("ended twice, with status 3" in outcome.problem for outcome in found)
 
 
 def slowly(task: tuple[int, Path]) -> int:

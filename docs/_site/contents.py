@@ -31,6 +31,7 @@ GUIDE = {
         "garment",
         "motion",
         "characters",
+        "opensim",
         "thesis",
     ],
     "Look it up": ["reference", "findings", "formats", "marker-sets", "conventions", "glossary"],

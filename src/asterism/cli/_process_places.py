@@ -10,9 +10,9 @@ import json
 import os
 import shutil
 import tempfile
-import weakref
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,8 @@ class SessionPlaces:
         """A folder of temporary files, which goes with this object."""
         if self._scratch is None:
             self._scratch = Path(tempfile.mkdtemp(prefix="asterism-"))
-            weakref.finalize(self, shutil.rmtree, self._scratch, ignore_errors=True)
+            # processes of a pool end without what others do at their end
+            Finalize(self, shutil.rmtree, (self._scratch, True), exitpriority=1)
         return self._scratch
 
     def path(self, text: str) -> Path:

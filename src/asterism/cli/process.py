@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,6 +21,7 @@ from asterism.cli._process_places import SessionPlaces
 from asterism.errors import AsterismError
 from asterism.files.atomic import write_atomically
 from asterism.files.plain import as_json
+from asterism.files.stalls import unless_stalled
 from asterism.findings import Finding, Severity
 
 if TYPE_CHECKING:
@@ -133,7 +135,8 @@ def _check(given: _Given) -> None:
     _check_vertical(options.vertical)
     for path in given.sessions:
         given.places.show(path)
-        if not path.is_dir():
+        # a folder of a network that is gone would be waited for without end
+        if not unless_stalled(path, partial(_is_folder, path)):
             raise AsterismError(f"{path} is no folder; name the folder in which the recordings are.")
     for file in (given.model, given.band):
         if file is not None and not file.is_file():
@@ -508,6 +511,10 @@ class _Run:
         if len(rows) > _MOST_PRINTED:
             _console.result(f"... and {len(rows) - _MOST_PRINTED} more; {self.out / TABLE} has all.")
         _console.result(f"{counted(walks, 'walk')} analysed; open {self.out / PAGE}")
+
+
+def _is_folder(path: Path, _: object) -> bool:
+    return path.is_dir()
 
 
 def _size(path: Path) -> int:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from asterism.formats.c3d.plates import force_plates
     from asterism.formats.csv_blobs import read_blobs, write_blobs
     from asterism.formats.opensim_forces import companions
+    from asterism.formats.opensim_model import OsimModel, read_osim
     from asterism.formats.skeletons import check_skeleton_form, is_skeleton_file, read_skeleton, write_skeleton
     from asterism.formats.storage import TimeSeriesTable, read_table, write_table
 
@@ -41,6 +42,7 @@ __all__ = [
     "AnalysisValue",
     "LabelConfidence",
     "ModelPoint",
+    "OsimModel",
     "SkeletonFile",
     "TimeSeriesTable",
     "analog_channels",
@@ -61,6 +63,7 @@ __all__ = [
     "read_clouds",
     "read_confidence",
     "read_evidence",
+    "read_osim",
     "read_skeleton",
     "read_table",
     "unlike_a_person",
@@ -87,6 +90,7 @@ _MODULE_OF = {
     **dict.fromkeys(("computed_labels", "without_computed"), "_computed"),
     **dict.fromkeys(("PROGRAMS", "for_program", "write_for_program"), "_programs"),
     "companions": "opensim_forces",
+    **dict.fromkeys(("OsimModel", "read_osim"), "opensim_model"),
     **dict.fromkeys(("read_blobs", "write_blobs"), "csv_blobs"),
     **dict.fromkeys(("SkeletonFile", "fill_missing_bones"), "_bones"),
     **dict.fromkeys(("check_skeleton_form", "is_skeleton_file", "read_skeleton", "write_skeleton"), "skeletons"),

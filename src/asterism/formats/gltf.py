@@ -114,7 +114,9 @@ def write_gltf(path: Path, motion: SkeletonMotion, *, like: Path | None = None, 
             lost.append(axes)
     else:
         document, data = _with_animation(_opened(like), like, filled)
-        if not path.parent.samefile(like.parent) and any("uri" in one and not one["uri"].startswith("data:") for one in _links(document)):
+        if path.parent.resolve() != like.parent.resolve() and any(
+            "uri" in one and not one["uri"].startswith("data:") for one in _links(document)
+        ):
             lost.append(f"the files beside {like.name}, which it names: copy them to {path.parent}")
     if path.suffix.casefold() == ".glb":
         write_atomically(path, _as_glb(document, bytes(data)))

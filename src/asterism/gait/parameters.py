@@ -138,7 +138,10 @@ def _stood(feet: Feet, side: str, event: GaitEvent, belt: Floats) -> _Stood:
     toe = feet.toes[side][:, :2]
 
     def at(time: float) -> Floats:
-        return np.stack([np.interp(time, feet.times, toe[:, axis]) for axis in range(2)])
+        # Between two samples: the curve's times are even, and begin with 0.
+        place = min(max(time * RATE, 0.0), len(toe) - 1.0)
+        low = min(int(place), len(toe) - 2)
+        return np.asarray(toe[low] + (place - low) * (toe[low + 1] - toe[low]))
 
     # A foot that still moves when it strikes leaves its length as uncertain as the event is.
     velocity = (at(event.time + 1 / RATE) - at(event.time - 1 / RATE)) * RATE / 2 + belt
@@ -167,11 +170,12 @@ def summarise(parameters: Sequence[Parameter]) -> list[ParameterSummary]:
 
     Cycles of turns take no part where there are others (`without_turns`).
     """
-    found, parameters = [], without_turns(parameters)
+    found, groups = [], dict[tuple[str, str], list[Parameter]]()
+    for one in without_turns(parameters):
+        groups.setdefault((one.name, one.side), []).append(one)
     for name in PARAMETERS:
         for side in ("L", "R"):
-            own = [one for one in parameters if (one.name, one.side) == (name, side)]
-            if own:
+            if own := groups.get((name, side)):
                 values = np.array([one.value for one in own])
                 spread = float(values.std(ddof=1)) if len(own) > 1 else float("nan")
                 sigma = float(np.sqrt(np.mean([one.sigma**2 for one in own]) / len(own)))

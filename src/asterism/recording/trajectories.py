@@ -90,15 +90,18 @@ class Recording:
             raise AsterismError(f"positions have shape {positions.shape}, expected (frames, markers, 3).")
         if positions.shape[1] != len(self.labels):
             raise AsterismError(f"{len(self.labels)} labels for {positions.shape[1]} columns of positions; give one label per column.")
-        if np.isinf(positions).any():
-            frame = int(np.nonzero(np.isinf(positions).any(axis=(1, 2)))[0][0])
-            raise AsterismError(f"frame {frame}: a coordinate is infinite; write missing samples as NaN.")
-        missing = np.isnan(positions)
-        partly = missing.any(axis=2) & ~missing.all(axis=2)
-        # A sample with one coordinate missing has no place: it is missing as a whole.
-        if partly.any():
-            positions = positions.copy()
-            positions[partly] = np.nan
+        known = np.isfinite(positions)
+        # Each change of a recording makes a new one, so that what is whole is told at once.
+        if not known.all():
+            if np.isinf(positions).any():
+                frame = int(np.nonzero(np.isinf(positions).any(axis=(1, 2)))[0][0])
+                raise AsterismError(f"frame {frame}: a coordinate is infinite; write missing samples as NaN.")
+            x, y, z = np.moveaxis(known, 2, 0)
+            partly = (x | y | z) & ~(x & y & z)
+            # A sample with one coordinate missing has no place: it is missing as a whole.
+            if partly.any():
+                positions = positions.copy()
+                positions[partly] = np.nan
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "labels", tuple(self.labels))
         object.__setattr__(self, "rate", checked_rate(self.rate))

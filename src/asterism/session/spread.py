@@ -15,7 +15,7 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -127,7 +127,9 @@ class _Worker(Generic[Task]):
 
     def give(self, place: int, task: Task) -> None:
         self.place = place
-        self.pipe.send(task)
+        # a process that ended at its start is seen as one that ends later is
+        with suppress(BrokenPipeError, ConnectionResetError):
+            self.pipe.send(task)
 
     def end(self, *, idle: bool = False) -> None:
         """End the process; idle: it has no task, and ends by itself, with what it kept on the disk."""

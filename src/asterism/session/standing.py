@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -87,10 +88,9 @@ class StandingTrials:
         if not self.automatic or len(self.files) < 2:
             return None
         # names first: they cost no reading
-        named = [trial for trial in self.files if is_standing_name(trial)]
-        if path in named:
+        if path in self._named:
             return None
-        usable = [trial for trial in named if self._near(trial, path) and _same_person(trial, path)]
+        usable = [trial for trial in self._named if self._near(trial, path) and _same_person(trial, path)]
         if not usable:
             # no name says so: the files of the folder are read, each once
             usable = self._standing_beside(path)
@@ -101,8 +101,17 @@ class StandingTrials:
     def _near(self, trial: Path, path: Path) -> bool:
         """Whether two files lie in one folder, or in one below that which all files share."""
         # a trial above all files could be anybody's; one in a folder below belongs to that folder's person
-        shared = len(Path(os.path.commonpath([os.path.abspath(file.parent) for file in self.files])).parts)
-        return trial.parent == path.parent or _shared_depth(trial, path) > shared
+        return trial.parent == path.parent or _shared_depth(trial, path) > self._shared
+
+    @cached_property
+    def _named(self) -> list[Path]:
+        """The files whose names say that somebody stands."""
+        return [trial for trial in self.files if is_standing_name(trial)]
+
+    @cached_property
+    def _shared(self) -> int:
+        """How many folders deep the innermost folder lies that holds all files."""
+        return len(Path(os.path.commonpath({os.path.abspath(file.parent) for file in self.files})).parts)
 
     def _standing_beside(self, path: Path) -> list[Path]:
         """The files of the same folder in which a person stands; each is read once."""

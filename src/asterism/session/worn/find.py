@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -269,7 +270,7 @@ class SetFinder:
         from asterism import formats
 
         found = []
-        for file in [file for file in self.files if file != path and file.parent == path.parent][: self.rules.beside]:
+        for file in islice((file for file in self.files if file != path and file.parent == path.parent), self.rules.beside):
             try:
                 if file not in self._evidence:
                     self._evidence_of(file, formats.read(file, vertical=self.vertical))

@@ -174,6 +174,10 @@ def find_contacts(motion: SkeletonMotion, parts: BodyParts, events: Iterable[Eve
     for side, one in points.items():
         level[side] = _levels(standing[side], one[:, :, 2] - height_of(floor, one), near, rate)
         standing[side] &= np.isfinite(level[side])
+        # heel and ball that stand together stand on one thing
+        for a, b in stretches(np.asarray(standing[side].any(axis=1))):
+            if standing[side][a:b].all(axis=1).any():
+                level[side][a:b] = np.where(standing[side][a:b], np.nanmean(level[side][a:b]), np.nan)
     return FootContacts(standing, level, belt, floor, "events" if given else "movement")
 
 

@@ -17,15 +17,24 @@ _HELD = 1e3
 """Weight of standing feet. At half or double of it they stand as exactly to 0.1 mm."""
 _BACK = 1e-4
 """Weight of no correction, on the same scale."""
-_STRAIGHT = 0.998
-"""Of the length of a limb, how far it reaches without being stretched to a line: 7 degrees of flexion. Where the movement itself is
-straighter, that far. At half the remaining share knees lock visibly, at double hips come down where that can be spared."""
+STRAIGHT = 0.998
+"""Of the length of a leg, how far it reaches without being stretched to a line: 7 degrees of flexion. At half the remaining share knees
+jump when they lock, at double the hips come down by what can be seen."""
+_GIVES = (0.0004, 0.004)
+"""Of the length of a leg, over which a foot that stands, and one in the air, is slowed before its leg is straight: 0.3 and 3 mm of a
+person's. At half of the second knees of swinging legs jump, at double feet in the air are off by a centimetre."""
+_PASSES = 0.05
+"""Sine of the flexion, 3 degrees, over which a limb that passes through the straight keeps bending about its axis: at half of it the plane
+turns at once, at double knees of walkers lose their own plane."""
+_HYPER = 0.17
+"""Sine of the flexion, 10 degrees, up to which a limb that bends the wrong way is taken for one that is stretched too far."""
 _PROJECTIONS = 20
 """In turn on two spheres, whose common points are near: twenty leave 1e-4 of the way where legs are not at their widest."""
 ROUNDS = 4
 """Times that frames in which a foot goes below the floor, or is out of reach, are asked for more; each leaves a tenth or less."""
-_HINGE = 0.05
-"""Sine of the flexion, 3 degrees, below which a limb bends in the plane of its rest pose: noise would bend straight knees sideways."""
+_HINGE = 0.15
+"""Sine of the flexion, 9 degrees, below which a limb bends in the plane of its rest pose: noise turns the plane of a straight knee. At a
+third of it knees of straight legs that have to bend jump by 20 mm to the side, at double knees of walkers lose their own plane."""
 
 
 def smooth_offsets(wanted: Floats, weight: Floats, rate: float, groups: list[tuple[int, int, int]] | None = None) -> Floats:
@@ -97,7 +106,10 @@ def bend(root: Floats, middle: Floats, end: Floats, target: Floats, hinge: Float
     swing = shortest(before, after)
     cross = np.cross(upper, lower) / (a * b)[:, None]
     flexed = np.linalg.norm(cross, axis=1, keepdims=True)
-    axis = cross + _HINGE * np.exp(-((flexed / _HINGE) ** 2)) * hinge
+    # a knee that passes through the straight bends on about the same axis
+    about = (cross * hinge).sum(axis=1, keepdims=True)
+    sign = np.where((about > 0) | (flexed < _HYPER), about / np.hypot(about, _PASSES), 1.0)
+    axis = sign * cross + _HINGE * np.exp(-((flexed / _HINGE) ** 2)) * hinge
     axis -= (axis * before).sum(axis=1, keepdims=True) * before
     axis = _unit(axis, hinge)
     turned = np.einsum("tij,tj->ti", swing, axis)
@@ -109,16 +121,25 @@ def bend(root: Floats, middle: Floats, end: Floats, target: Floats, hinge: Float
     return _between(upper, axis, new_upper, turned), _between(lower, axis, new_lower, turned)
 
 
-def reach_of(length: float, now: Floats) -> Floats:
-    """(T,) m, how far a leg of this length may reach. now (T,) m: as far as it does in the movement, which may be straighter."""
-    found: Floats = np.maximum(_STRAIGHT * length, np.minimum(now, length * (1 - 1e-6)))
-    return found
+def within_reach(roots: Floats, targets: Floats, length: float, stands: NDArray[np.bool_], rate: float) -> Floats:
+    """(T, 3) m, the targets, drawn towards the roots (T, 3) of a limb of this length so that it bends and straightens smoothly.
+
+    A limb that comes straight at once makes its middle joint jump: it moves by ten times of what the end does. Ends that stand (T,) keep
+    their place to 0.3 mm, those in the air may give way by more.
+    """
+    away = targets - roots
+    distance = np.linalg.norm(away, axis=1)
+    firm = smooth_hull(stands.astype(np.float64), rate)
+    soft = length * (_GIVES[1] + (_GIVES[0] - _GIVES[1]) * firm)
+    limit = STRAIGHT * length
+    nearer = limit - soft * np.logaddexp(0.0, (limit - distance) / soft)
+    return roots + away * (nearer / np.maximum(distance, 1e-9))[:, None]
 
 
 def shift_to_reach(hips: Floats, ankles: Floats, reach: Floats, stands: NDArray[np.bool_], rate: float) -> Floats:
     """(T, 3) m, a smooth curve by which the body moves so that the legs that stand reach their feet.
 
-    hips, ankles (T, 2, 3) m; reach (T, 2) m; stands (T, 2) bool
+    hips, ankles (T, 2, 3) m; reach (2,) m; stands (T, 2) bool
 
     The shortest way there is along the legs, found by projecting on the spheres of both feet in turn. Feet further apart than two legs
     reach stay out of reach.
@@ -130,7 +151,7 @@ def shift_to_reach(hips: Floats, ankles: Floats, reach: Floats, stands: NDArray[
             for leg in range(2):
                 away = hips[:, leg] + shift - ankles[:, leg]
                 distance = np.linalg.norm(away, axis=1)
-                over = np.where(stands[:, leg], np.maximum(distance - reach[:, leg], 0.0), 0.0)
+                over = np.where(stands[:, leg], np.maximum(distance - reach[leg], 0.0), 0.0)
                 shift = shift - (over / np.maximum(distance, 1e-9))[:, None] * away
         return shift - start
 

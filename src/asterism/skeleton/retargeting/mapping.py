@@ -28,7 +28,17 @@ from asterism.skeleton.retargeting.contacts import (
     soles_of,
     stretches,
 )
-from asterism.skeleton.retargeting.legs import ROUNDS, bend, groups_of, reach_of, shift_to_reach, shortest, smooth_hull, smooth_offsets
+from asterism.skeleton.retargeting.legs import (
+    ROUNDS,
+    STRAIGHT,
+    bend,
+    groups_of,
+    shift_to_reach,
+    shortest,
+    smooth_hull,
+    smooth_offsets,
+    within_reach,
+)
 from asterism.skeleton.retargeting.measures import FeetErrors, feet_errors
 
 _UP, _AHEAD = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
@@ -385,7 +395,7 @@ def _with_feet_held(
         turned = world.get(sole.foot, copied.turned[:, sole.foot])
         world[sole.foot] = _level(turned, sole, np.asarray(contacts.standing[side].all(axis=1)), rate)
     lifted = _posed(figure, world, hips, rate)
-    targets, legs = dict[str, Floats](), list[tuple[Floats, Floats]]()
+    targets, legs = dict[str, Floats](), list[tuple[Floats, float]]()
     for side, sole in soles.items():
         points = sole_points(_toe_flat(lifted, sole, contacts, side), sole) - belt[:, None]
         move = _held(points, contacts, side, rate)
@@ -393,15 +403,17 @@ def _with_feet_held(
         thigh, knee = (lifted.joints[:, parts.bones[f"{side} {part}"]] for part in ("thigh", "shank"))
         ankle = lifted.joints[:, sole.foot]
         length = float(np.linalg.norm((knee - thigh)[0]) + np.linalg.norm((ankle - knee)[0]))
-        now = np.linalg.norm(ankle - thigh, axis=1)
-        legs.append((thigh, reach_of(length, now)))
+        legs.append((thigh, length))
     # who stands draws the hips along, a foot in the air does not
     stands = np.stack([contacts.standing[side].any(axis=1) for side in soles], axis=1)
-    thighs, reach = (np.stack(one, axis=1) for one in zip(*legs, strict=True))
+    thighs = np.stack([thigh for thigh, _ in legs], axis=1)
+    reach = STRAIGHT * np.array([length for _, length in legs])
     moved = shift_to_reach(thighs, np.stack([targets[side] for side in soles], axis=1), reach, stands, rate)
     posed = _posed(figure, world, hips + moved, rate)
-    for side in SIDES:
-        world |= _bent(posed, parts, side, ("thigh", "shank", "foot"), targets[side])
+    for k, side in enumerate(soles):
+        hip = posed.joints[:, parts.bones[f"{side} thigh"]]
+        near = within_reach(hip, targets[side], legs[k][1], stands[:, k], rate)
+        world |= _bent(posed, parts, side, ("thigh", "shank", "foot"), near)
     result = _posed(figure, world, hips + moved, rate)
     for side, sole in soles.items():
         result = _toe_flat(result, sole, contacts, side)
