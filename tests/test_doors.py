@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from characters import character
 from models import trained
 
 from asterism import formats, labelling
@@ -58,6 +59,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ),
         "few": nameless.frames(slice(0, 5)),
     }
+    formats.write_skeleton(place / "character.bvh", character())
     for name, recording in files.items():
         formats.write(place / "lab" / f"{name}.c3d", recording)
     for name, whole in (("cut", "raw"), ("torn", "named")):
@@ -191,6 +193,7 @@ READERS = {
     "gait": (),
     "skeleton": ("--model", "gait15"),
     "opensim": ("-o", "OUT"),
+    "retarget": ("-c", "CHARACTER", "-o", "OUT.bvh"),
     "events": ("--rules", "squat"),
     "train": ("-o", "OUT.model", "--markers", "helen-hayes", "--no-audit"),
     "learn": ("-o", "OUT.model"),
@@ -198,7 +201,7 @@ READERS = {
     "label": ("-m", "MODEL", "-o", "OUT"),
 }
 """Commands that read recordings, and what they need beside one."""
-OTHERS = {"demo", "warm-up", "detect", "reconstruct", "label-views", "capturability", "process", "live", "retarget"}
+OTHERS = {"demo", "warm-up", "detect", "reconstruct", "label-views", "capturability", "process", "live"}
 """Commands that read none, or bones; one that takes minutes and reads as `evaluate` does; one that takes folders, and labels as `label`
 does; and one that plays recordings."""
 
@@ -218,7 +221,9 @@ def test_what_the_reader_found_is_said_by_every_command(
     told, shown = tmp_path / "told.json", dict[tuple[str, str], Shown]()
     for name, way in (("named", "text"), ("torn", "text"), ("torn", "json")):
         # another output each time, so that nothing stands in the way
-        words = [word.replace("MODEL", str(doors.model)).replace("OUT", str(tmp_path / f"{name}-{way}")) for word in READERS[verb]]
+        words = list(READERS[verb])
+        for key, path in (("MODEL", doors.model), ("OUT", tmp_path / f"{name}-{way}"), ("CHARACTER", place / "character.bvh")):
+            words = [word.replace(key, str(path)) for word in words]
         words += ["--json", str(told)] if way == "json" else []
         file = place / "lab" / f"{name}.c3d"
         shown[name, way] = doors.run(verb, *([doors.model] if verb == "learn" else []), file, *words)

@@ -283,19 +283,20 @@ def swinging_arm(seed: int) -> Recording:
 
 def test_distances_to_mates_mend_fills() -> None:
     arms = [swinging_arm(seed) for seed in range(6)]
-    cut = [without(arm, ("RELB", slice(90, 150))) for arm in arms]
+    cut = [without(arm, ("RELB", slice(90, 130))) for arm in arms]
     told = [
         np.mean([off(fill_gaps(one, limit=9.0, rules=GapRules(lengths=many)), arm).mean() for one, arm in zip(cut, arms, strict=True)])
         for many in (0, 4)
     ]
-    assert told[1] < 0.97 * told[0], f"{1000 * told[0]:.1f} mm without, {1000 * told[1]:.1f} mm with distances"
+    assert told[1] < 0.92 * told[0], f"{1000 * told[0]:.1f} mm without, {1000 * told[1]:.1f} mm with distances"
 
 
 def test_a_segment_that_is_wholly_lost_is_left_and_said(walks: list[Recording]) -> None:
-    leg = ("LTHI", "LKNE", "LTIB", "LANK", "LHEE", "LTOE")
-    fill = fill_gaps(without(walks[0], *((label, slice(60, 180)) for label in leg)))
-    assert not fill.filled.any()
-    assert {finding.where for finding in fill.findings} == set(leg) and {finding.code for finding in fill.findings} == {"gap-not-filled"}
+    leg = ("LKNE", "LTIB", "LANK", "LHEE", "LTOE")
+    fill = fill_gaps(without(walks[0], *((label, slice(60, 180)) for label in (*leg, "LTHI"))))
+    # The pelvis shows the upper end of the thigh.
+    assert set(fill.by_marker()) <= {"LTHI"} and off(fill, walks[0]).max(initial=0.0) < 0.01
+    assert set(leg) <= {finding.where for finding in fill.findings} and {finding.code for finding in fill.findings} == {"gap-not-filled"}
 
 
 def test_mates_that_take_turns_to_be_missing_fill_a_gap_in_pieces(walks: list[Recording]) -> None:

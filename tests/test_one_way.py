@@ -509,7 +509,7 @@ def test_all_doors_fill_the_same_gaps_alike(tmp_path: Path) -> None:
     [processed] = [path for path in (out / "gait").rglob("*.c3d") if path.name == files[0].name]
     found = [tmp_path / "converted.c3d", processed, alone / files[0].name, together / files[0].name, page / files[0].name]
     fills = [{(label, frame): place for label, frame, place in _filled_places(formats.read(path))} for path in found]
-    assert len(fills[0]) >= 60
+    assert len(fills[0]) >= 50
     for other in fills[1:]:
         assert other.keys() == fills[0].keys()
         np.testing.assert_allclose([other[key] for key in fills[0]], list(fills[0].values()), atol=2e-6)

@@ -127,6 +127,7 @@ BESIDE_READY = {
     "train-few-people": "it is about training",
     "train-markers-absent": "it is about training",
     "format-rig-assumed": "it is about cameras",
+    "format-bones-rigid": "it is about skeletons",
 }
 """Findings beside which labels may be ready, and why."""
 

@@ -74,7 +74,7 @@ def fill_gaps(
 
     Only measured samples tell others. Columns without a name (*1, *2) are neither filled nor used. A gap at either end is filled where
     the other markers show it. Samples that were measured stay as they are.
-    A gap takes O(kernels x frames^3), about 20 ms. Method: `asterism.motion.gaps.predict`.
+    A gap takes O(kernels x frames^3), 10 to 20 ms. Method: `asterism.motion.gaps.predict`.
     Raises AsterismError where the limit is no positive number, or no marker has a name.
 
     >>> from asterism.simulation import simulate_walks

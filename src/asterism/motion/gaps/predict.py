@@ -51,11 +51,13 @@ class GapRules:
     brief     s, gaps up to which the next two count: at 0.3, errors at 0.25 s are 3 % more, at half nothing changes at 0.1 s
     brief_kernels, brief_times  the same, chosen on 480 gaps of 0.1 s: smoother, with less noise. On other gaps they err a quarter less
     pose      mates that make the axes in which the pose is seen; 3, 6 and 10 err 3, 6 and 10 % more at 1 s
-    lengths   mates whose distances mend a candidate for gaps that are not brief: without, one marker errs 3 to 4 % more, three at once 3
+    lengths   mates whose distances mend a candidate for gaps that are not brief: without, one marker errs 2 to 4 % more, three at once 4
               to 6 %; 6 err 1 % more
     local     power by which markers that move against the filled one count less in the pose; 1 errs 9 % more, 2 and 4 up to 8 %
     scores    principal components of the pose; 20 err 1 % more, 12 err 4 %
     frames    most frames that are learned from: time grows with the square to the cube, 200 and 160 change errors by 3 %
+    dense     1/s, how many frames are learned from of a recording that has more, for gaps that are not brief: at 33 errors are the same,
+              to 3 %; at 100 they are 4 to 15 % more, and at 200 Hz and more without it half as much again
     near      share of these that are next to the gap in time, the others next to it in pose; 0.4 and 0.7 change nothing
     shown     frames of each other trial that are looked at, evenly spaced; 60 err the same, 180 1 to 2 % more
     elsewhere most of these that are learned from, the nearest in pose; with 30 errors grow by 2 to 4 %
@@ -86,6 +88,7 @@ class GapRules:
     local: float = 3.0
     scores: int = 30
     frames: int = 180
+    dense: float = 50.0
     near: float = 0.55
     shown: int = 90
     elsewhere: int = 60
@@ -118,6 +121,8 @@ _FEW_STRAYS = 0.15
 """Share of the frames that may be strays, neighbours that foretell badly for their sake included: more of them are movement."""
 _JUDGED = 12
 """Rows of a block that judge it: 25 and 50 choose the same, to 0.1 %, and take a tenth and a fifth longer."""
+_EDGE = 3
+"""Frames on either side of a gap that are learned from in any case."""
 _LEAST = 0.01
 """mm, the least standard deviation that is stated: coordinates in files are no finer."""
 
@@ -184,14 +189,14 @@ class _Candidate:
     """What one choice of axes and kernel says.
 
     off        (blocks, some, 3) mm to these, in some rows of each; expected (blocks, some) mm2, the variance that it stated for them
-    length     rows of a block
+    apart      how many blocks there are that share no row, also with parts of blocks
     positions  (G, 3) mm in the gap; variance (G,) mm2 of a coordinate
     lengths    (G, K) mm, what it says of the distances to mates, and lengths_off (blocks, some, K) mm to those; K is 0 in the room's axes
     """
 
     off: Floats
     expected: Floats
-    length: int
+    apart: float
     positions: Floats
     variance: Floats
     lengths: Floats
@@ -231,7 +236,7 @@ def predict_gap(trials: Sequence[GapTrial], column: int, gap: Ints, rules: GapRu
     found = _candidates(frames, column, gap, mates, observed, rules)
     # One other trial cannot show how much trials differ: of that, the prior is all that is known.
     least = 1.0 if own == 0 and len(np.unique(frames.trial[observed])) == 1 else 0.0
-    return _blended(found, min(len(observed), rules.frames), rules, least) if found else None
+    return _blended(found, rules, least) if found else None
 
 
 def _candidates(
@@ -249,7 +254,7 @@ def _candidates(
         return []
     rows = _elsewhere(frames, gap, observed, pose, rules) if absent and pose is not None else _rows(frames, gap, observed, pose, rules)
     learned, every = len(rows), np.concatenate([rows, gap])
-    blocks = _whole_trials(frames, rows) if absent else _blocks(frames, rows, len(gap))
+    blocks = _whole_trials(frames, rows) if absent else _blocks(frames, rows, max(len(gap) // _step(frames, gap, rules), 1))
     apart = np.abs(frames.time[every][:, None] - frames.time[rows][None])
     apart[frames.trial[every][:, None] != frames.trial[rows][None]] = _OTHER
     points = frames.points[every, column]
@@ -371,8 +376,8 @@ class _Process:
         # In the room's axes nothing of the pose is known, on which the distances depend.
         sides = sides if axes is not None else filled.shape[1]
         shared = variance, filled[:, sides:], off[:, :, sides:]
-        length = self.blocks.shape[1]
-        return [_Candidate(error, expected, length, position, *shared) for error, position in zip(errors, positions, strict=True)]
+        apart = many / self.blocks.shape[1]
+        return [_Candidate(error, expected, apart, position, *shared) for error, position in zip(errors, positions, strict=True)]
 
     def mended(self, found: Sequence[_Candidate], rules: GapRules) -> list[_Candidate]:
         """Those of the candidates that count, each moved along the lines to the mates.
@@ -434,10 +439,10 @@ def _inverse_rows(matrix: Floats, rows: Ints) -> Floats:
     return np.asarray((np.linalg.pinv(matrix, hermitian=True)[:, rows] if problem else solved).T)
 
 
-def _blended(found: Sequence[_Candidate], learned: int, rules: GapRules, least: float = 0.0) -> tuple[Floats, Floats]:
+def _blended(found: Sequence[_Candidate], rules: GapRules, least: float = 0.0) -> tuple[Floats, Floats]:
     """The mean of the candidates, weighted by how they do on the blocks, and its deviation, scaled so that it holds the blocks' errors.
 
-    learned: frames that were learned from; least: of the scale
+    least: of the scale
     """
     each = _block_errors(found)
     weights = _weights(each, rules)
@@ -455,7 +460,7 @@ def _blended(found: Sequence[_Candidate], learned: int, rules: GapRules, least: 
     # By their mean square and by what holds 95 % of them: a few large errors speak as well as many small ones.
     scale = max(least, float(np.sqrt((off**2).mean() / expected.mean())), float(np.quantile(ratios, 0.95)) / 1.96)
     # Few blocks tell the scale badly: as in Student's t, with three coordinates for each block that shares no frame with another.
-    freedom = 3.0 * max(learned / found[0].length, 1.0)
+    freedom = 3.0 * max(found[0].apart, 1.0)
     deviation = np.sqrt(variance) * scale * float(stdtrit(freedom, 0.975)) / 1.96
     # A mate that takes another point's label in the gap moves all axes, those of few mates the most: the blocks do not know of it.
     apart = sum(
@@ -546,6 +551,8 @@ def _rows(frames: _Frames, gap: Ints, observed: Ints, pose: Floats | None, rules
     """The frames that are learned from: the nearest in time, and the nearest in pose among the others and of other trials."""
     own = frames.trial[observed] == 0
     here, elsewhere = observed[own], observed[~own]
+    # Frames of a fast recording say what those beside them do; what is next to the gap pins the fill.
+    here = here[(here % _step(frames, gap, rules) == 0) | (np.minimum(np.abs(here - gap[0]), np.abs(here - gap[-1])) <= _EDGE)]
     nearest = np.argsort(np.abs(here - (gap[0] + gap[-1]) / 2.0), kind="stable")
     near = here[nearest[: int(rules.frames * (1.0 if pose is None else rules.near))]]
     if pose is None:
@@ -558,6 +565,12 @@ def _rows(frames: _Frames, gap: Ints, observed: Ints, pose: Floats | None, rules
 
     far = likest(np.setdiff1d(here, near), rules.frames - len(near))
     return np.sort(np.concatenate([near, far, likest(elsewhere, rules.elsewhere)]))
+
+
+def _step(frames: _Frames, gap: Ints, rules: GapRules) -> int:
+    """Every so many frames are learned from: for brief gaps every one."""
+    lasts = frames.time[gap[-1]] - frames.time[gap[0]]
+    return 1 if lasts <= rules.brief else max(round((len(gap) - 1) / lasts / rules.dense), 1)
 
 
 def _elsewhere(frames: _Frames, gap: Ints, observed: Ints, pose: Floats, rules: GapRules) -> Ints:
