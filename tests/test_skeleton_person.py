@@ -195,6 +195,21 @@ def test_trials_of_several_people_are_told() -> None:
     assert [finding.code for finding in fit_person(trials[:1], trials[1:], rules=FEW).findings] == ["skeleton-several-people"]
 
 
+def exchanged(recording: Recording, names: tuple[str, ...]) -> Recording:
+    """The recording with these markers of both sides under each other's names."""
+    swap = {side + name: other + name for name in names for side, other in ("LR", "RL")}
+    return replace(recording, labels=tuple(swap.get(label, label) for label in recording.labels))
+
+
+def test_names_of_the_wrong_side_are_told_or_refused() -> None:
+    walk = moved(12, 25.0)
+    told = [f.where for f in fit_person([], [exchanged(walk, ("ASI",))], rules=FEW).findings if f.code == "skeleton-marker-displaced"]
+    assert sorted(told) == ["walk, LASI", "walk, RASI"]
+    everything = tuple(label[1:] for label in walk.labels if label[0] == "L" and "R" + label[1:] in walk.labels)
+    with pytest.raises(AsterismError, match="left and right are exchanged, the recording is mirrored"):
+        fit_person([], [exchanged(walk, everything)], rules=FEW)
+
+
 def test_one_frame_is_enough_for_a_pose_and_nothing_for_none(person) -> None:
     found = solve_kinematics(person.tree, moved(1, 60.0))
     assert found.coordinates.shape == (1, len(person.tree.coordinates))

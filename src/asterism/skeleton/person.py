@@ -18,7 +18,7 @@ from asterism.skeleton.joints import JOINTS, SegmentJoint, Turn, lengths_of, sca
 from asterism.skeleton.place_fit import RULES as PLACE_FIT
 from asterism.skeleton.place_fit import STARTS, PlacedBody
 from asterism.skeleton.place_learning import RULES as PLACES
-from asterism.skeleton.place_learning import guess_places, lay_skeleton, marker_set_of
+from asterism.skeleton.place_learning import guess_places, lay_skeleton, marker_set_of, metres_apart
 from asterism.skeleton.tree import Coordinate, JointMotion, KinematicTree, Point, TreeBone, TreeMarker
 
 _REVERSED = frozenset(
@@ -156,7 +156,7 @@ def fit_person(
     Plug-in-Gait. The usual skeleton is laid on some frames by the places of the set (`place_learning`). Joints, marker places and their
     spreads are then found together with the poses, as in a bundle adjustment: a joint is where both bones carry it alike, as far as the
     movement tells, and where the laying has it else. Deterministic; one to three seconds.
-    Raises AsterismError where fewer than six markers are known, or no trial is given.
+    Raises AsterismError where many markers are far from where their names say, fewer than six markers are known, or no trial is given.
     """
     recordings = [*standing, *moving]
     if not recordings:
@@ -166,10 +166,10 @@ def fit_person(
     shares = (rules.frames[0] if standing and moving else sum(rules.frames) if standing else 0, rules.frames[1] if moving else 0)
     frames = [_spread_frames(part, known, count) for part, count in ((standing, shares[0]), (moving, shares[1]))]
     points, joints = (np.concatenate([part[which] for part in frames if len(part[which])]) for which in (0, 1))
-    body, worn, segments = _laid(known, recordings[0], points)
+    body, worn, segments, displaced = _laid(known, recordings[0], points)
     tree = _tree(body, worn, segments, known.title or "skeleton", rules)
     columns = [known.names.index(name) for name in worn]
-    findings = [*([] if standing else [_no_standing(recordings[0])]), *_several_people(recordings)]
+    findings = [*([] if standing else [_no_standing(recordings[0])]), *_several_people(recordings), *displaced]
     told = [i for i, bone in enumerate(_JOINT_COLUMNS.values()) if bone in tree.bone_names and np.isfinite(joints[:, i]).any()]
     centres = [TreeMarker(list(_JOINT_COLUMNS)[i], list(_JOINT_COLUMNS.values())[i], (0.0, 0.0, 0.0), rules.centre) for i in told]
     measured = np.concatenate([points[:, columns], joints[:, told]], axis=1)
@@ -217,13 +217,35 @@ def _spread_frames(recordings: Sequence[Recording], known: MarkerSet, count: int
     return np.concatenate(parts), np.concatenate(joints)
 
 
-def _laid(known: MarkerSet, first: Recording, points: Floats) -> tuple[PlacedBody, list[str], list[str]]:
-    """The usual skeleton laid on frames: the body, the markers that it wears, and the segment of each."""
+def _laid(known: MarkerSet, first: Recording, points: Floats) -> tuple[PlacedBody, list[str], list[str], list[Finding]]:
+    """The usual skeleton laid on frames: the body, the markers that it wears, the segment of each, and findings of those that are far off.
+
+    Raises AsterismError where so many are not that the names are not of this body.
+    """
     guessed, doubts = guess_places(known, PLACES)
     whole = Recording(points, known.names, first.rate, metadata=first.metadata)
     body, worn, places = lay_skeleton(known, whole, guessed, doubts, PLACES, PLACE_FIT)
     at = [np.array(place.at) + shift for place, shift in zip(places, body.shifts, strict=True)]
-    return replace(body, shifts=np.array(at)), worn, [place.segment for place in places]
+    judged = {name: metres_apart(at[i], guessed[name]) for i, name in enumerate(worn) if name in guessed and not guessed[name].wand}
+    where = str(first.metadata.get("file", "the recording"))
+    far = [name for name, away in judged.items() if away > max(PLACES.far, 3.0 * guessed[name].spread)]
+    if len(far) > max(2.0, PLACES.astray * len(judged)):
+        raise AsterismError(
+            f"{where}: {len(far)} of {len(judged)} markers ({', '.join(far[:5])}, ...) are far from where their names say: left and right "
+            "are exchanged, the recording is mirrored, or the names are of another set; correct them, or give the set with --markers."
+        )
+    displaced = [
+        Finding(
+            "skeleton-marker-displaced",
+            Severity.WARNING,
+            f"{where}, {name}",
+            f"{name} sits {1000 * judged[name]:.0f} mm from where its name says.",
+            "Check its label, also against that of its other side; the skeleton took it for right.",
+        )
+        for name in far
+        if judged[name] > 2.0 * PLACES.far
+    ]
+    return replace(body, shifts=np.array(at)), worn, [place.segment for place in places], displaced
 
 
 def _tree(body: PlacedBody, worn: Sequence[str], segments: Sequence[str], title: str, rules: PersonRules) -> KinematicTree:

@@ -308,7 +308,7 @@ def _pooled(
         spread = _spread(at, segments[name], guess, rules)
         wand, plate = (guess.wand, guess.plate) if guess is not None else (False, "")
         ahead, aside, up = (round(float(value), 4) for value in at.mean(axis=0))
-        away = 0.0 if guess is None or guess.wand else _metres(np.subtract((ahead, aside, up), guess.at), guess)
+        away = 0.0 if guess is None or guess.wand else metres_apart((ahead, aside, up), guess)
         try:
             places[name] = Place(segments[name], (ahead, aside, up), spread, wand, plate)
         except AsterismError:
@@ -360,16 +360,16 @@ def _spread(at: Floats, segment: str, guess: Place | None, rules: PlaceRules) ->
     return round(float(np.clip(np.sqrt((varying**2).sum(axis=0).mean() / (len(at) - 1)), 0.004, 0.05)), 4)
 
 
-def _metres(difference: Floats, place: Place) -> float:
-    """m, the length of a difference of places."""
-    scaled = difference * np.array([1.0, 1.0, LENGTHS[place.plain_segment] if place.limb else 1.0])
+def metres_apart(at: Sequence[float] | Floats, place: Place) -> float:
+    """m, how far a place (3,) in the units of `place` is from it."""
+    scaled = np.subtract(at, place.at) * np.array([1.0, 1.0, LENGTHS[place.plain_segment] if place.limb else 1.0])
     return float(np.linalg.norm(scaled))
 
 
 def _join_sides(places: dict[str, Place], left: str, right: str, rules: PlaceRules) -> None:
     """Make the two sides mirror images where they nearly are."""
     one, other = places[left], places[right].mirrored()
-    if one.segment == other.segment and _metres(np.subtract(one.at, other.at), one) <= rules.alike:
+    if one.segment == other.segment and metres_apart(other.at, one) <= rules.alike:
         ahead, aside, up = (round(0.5 * (a + b), 4) for a, b in zip(one.at, other.at, strict=True))
         places[left] = replace(one, at=(ahead, aside, up), spread=max(one.spread, other.spread))
         places[right] = places[left].mirrored()
