@@ -9,12 +9,15 @@ from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
+from parsing import uncollected
+
 import asterism
 
 PACKAGE = Path(asterism.__file__).parent
 
 
 @cache
+@uncollected()
 def nodes() -> dict[str, list[ast.AST]]:
     """The imports, calls and classes of each file by its module's name: read by the first test, not by each process that collects tests."""
     found: dict[str, list[ast.AST]] = {}

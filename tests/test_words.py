@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from models import trained
+from parsing import uncollected
 from snapshot import SNAPSHOTS
 
 import asterism
@@ -43,14 +44,16 @@ class Survey:
 
 
 @cache
+@uncollected()
 def survey() -> Survey:
     """All sources, read once. Docstrings are left out: they say things to whoever writes Python."""
     classes, sentences, patterns = set[str](), list[tuple[str, str]](), list[tuple[str, str]]()
     for path in sorted(SOURCES.rglob("*.py")):
         nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
         notes = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+        file = path.relative_to(SOURCES).as_posix()
         for node in nodes:
-            at = f"{path.relative_to(SOURCES).as_posix()}:{getattr(node, 'lineno', 0)}"
+            at = f"{file}:{getattr(node, 'lineno', 0)}"
             if isinstance(node, ast.ClassDef) and re.search(r"[a-z][A-Z]", node.name):
                 classes.add(node.name)
             elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in notes and " " in node.value.strip():
