@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """No search for garbage meanwhile. The package's trees are a million nodes: looking through them again and again is most of the work."""
+    """No search for garbage meanwhile. The package's trees are a million nodes: looking through them again and again is most work."""
     enabled = gc.isenabled()
     gc.disable()
     try:
