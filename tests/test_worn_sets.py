@@ -152,7 +152,7 @@ def test_props_are_no_body() -> None:
 
 def test_label_needs_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The command says which set it took, and how sure it is; the labels are the truth's, and those of Python."""
-    truth = person("optitrack-rizzoli-lower")
+    truth = person("optitrack-rizzoli-lower").frames(slice(0, 60))
     asterism.write(tmp_path / "walk.c3d", anonymous(truth))
     status = main(["label", str(tmp_path / "walk.c3d"), "-o", str(tmp_path / "out"), "--json", str(tmp_path / "said.json")])
     said = capsys.readouterr()
@@ -197,7 +197,7 @@ def test_a_file_without_any_label_is_no_success(tmp_path: Path, capsys: pytest.C
 
 def test_files_of_a_folder_are_judged_together(tmp_path: Path) -> None:
     """A trial that shows less than another of its folder takes the set from it."""
-    whole = anonymous(person("helen-hayes").frames(slice(0, 60)))
+    whole = anonymous(person("helen-hayes").frames(slice(0, 20)))
     files = [tmp_path / "a.c3d", tmp_path / "b.c3d"]
     asterism.write(files[0], whole)
     asterism.write(files[1], replace(whole, positions=whole.positions[:, :11], labels=whole.labels[:11]))
@@ -242,7 +242,7 @@ def test_a_body_comes_after_a_prop() -> None:
 @pytest.mark.parametrize("up", [["--vertical", "z"], pytest.param([], marks=pytest.mark.slow)], ids=["z up", "any axis up"])
 def test_a_single_file_that_should_not_be_used_says_so(up: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A cloud of another kind of body under a set that is named: nothing may look as if all were well."""
-    whole = person("plug-in-gait").frames(slice(0, 12))
+    whole = person("plug-in-gait").frames(slice(0, 5))
     upper = [m for m, name in enumerate(whole.labels) if name[1:4] not in ("ASI", "PSI", "THI", "KNE", "TIB", "ANK", "HEE", "TOE")]
     asterism.write(tmp_path / "upper.c3d", anonymous(whole, upper))
     status = main(["label", str(tmp_path / "upper.c3d"), "--markers", "helen-hayes-medial", "-o", str(tmp_path / "out"), *up])
@@ -259,7 +259,7 @@ def run(*words: str | Path) -> int:
 @pytest.fixture
 def legs(tmp_path: Path) -> Path:
     """A walk with points without names."""
-    asterism.write(tmp_path / "walk, anonymous.c3d", anonymous(simulate_walks(1, frames=60, seed=5)[0]))
+    asterism.write(tmp_path / "walk, anonymous.c3d", anonymous(simulate_walks(1, frames=15, seed=5)[0]))
     return tmp_path / "walk, anonymous.c3d"
 
 
@@ -279,7 +279,7 @@ def test_points_that_coincide_are_told(apart: float, told: bool) -> None:
 
 
 def test_a_file_with_each_point_twice_says_why_it_has_no_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (walk,) = simulate_walks(1, frames=10, seed=5)
+    (walk,) = simulate_walks(1, frames=3, seed=5)
     twice = np.concatenate([walk.positions, walk.positions], axis=1)
     asterism.write(tmp_path / "twice.c3d", anonymous(replace(walk, positions=twice, labels=("",) * 30)))
     # what is up is given, so that not each axis is tried
