@@ -54,8 +54,8 @@ def drawn(picture: Path) -> bool:
 
 
 def test_a_walk_is_labelled_right(picture: Path) -> None:
-    # three people teach this model, so that it judges the fourth to be foreign, and gives fewer labels
-    assert script("label_a_walk").main(picture, subjects=4, frames=200) > 0.9
+    # the stream below is of the same model; three people teach it, so that it judges the fourth to be foreign, and gives fewer labels
+    assert script("label_a_walk").main(picture, subjects=4, frames=100) > 0.9
     assert drawn(picture)
 
 
@@ -73,7 +73,7 @@ def test_two_people_are_labelled_right(picture: Path) -> None:
 
 
 def test_a_stream_labels_most_markers_at_once_and_more_with_a_delay(picture: Path) -> None:
-    at_once, later = script("live_stream").main(picture, subjects=4, frames=150, delays=(0, 10))
+    at_once, later = script("live_stream").main(picture, subjects=4, frames=100, delays=(0, 10))
     assert 0.9 < at_once <= later
     assert drawn(picture)
 
