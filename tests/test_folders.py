@@ -295,3 +295,25 @@ def test_labelled_files_are_written_for_the_next_program(lab: Path, tmp_path: Pa
     capsys.readouterr()
     assert run(*words) == 0
     assert "labelled by an earlier run" in capsys.readouterr().out
+
+
+def test_a_batch_counts_a_file_once_and_as_failed_where_one_of_its_steps_failed(capsys: pytest.CaptureFixture[str]) -> None:
+    batch = _console.Batch("moved")
+    good, bad, unreadable = Path("good.c3d"), Path("bad.c3d"), Path("unreadable.c3d")
+    for path in (good, bad, unreadable):
+        with batch.file(path):
+            if path == unreadable:
+                raise AsterismError("unreadable.c3d is empty.")
+    for path in (good, bad):
+        with batch.file(path):
+            if path == bad:
+                raise AsterismError("bad.c3d shows nobody.")
+    assert batch.close() == 1
+    assert "3 files: 1 moved, 2 failed: unreadable.c3d, bad.c3d" in " ".join(capsys.readouterr().err.split())
+
+    alone = _console.Batch("moved")
+    with alone.file(bad):
+        pass
+    with alone.file(bad):
+        raise AsterismError("bad.c3d shows nobody.")
+    assert alone.close() == 2, "what was read and then failed is not done"

@@ -199,7 +199,8 @@ class Batch:
     def file(self, path: Path) -> Iterator[None]:
         """Work on one file; whatever it raises costs this file only and becomes one line on standard error.
 
-        A file that was found in a folder (`in_folders`) and holds no markers is passed over.
+        A file that was found in a folder (`in_folders`) and holds no markers is passed over. Work may come in several steps: a file is
+        counted once, and is done only where no step failed.
         """
         try:
             yield
@@ -216,10 +217,14 @@ class Batch:
                 return
             sentence = reason(problem)
             error(sentence if path.name in sentence else f"{path}: {sentence}")
-            self.failed.append(path)
+            # what an earlier step has done does not make the file done
+            self.done = [other for other in self.done if other != path]
+            if path not in self.failed:
+                self.failed.append(path)
             self.reasons[path] = sentence
         else:
-            self.done.append(path)
+            if path not in self.done and path not in self.failed:
+                self.done.append(path)
 
     def found(self, finding: Finding) -> None:
         """Print a finding on a file, and count it in the exit status."""
