@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from asterism.cli import _console
@@ -62,6 +61,8 @@ def retarget(options: RetargetOptions) -> None:
     after.
     A character in BVH keeps its hierarchy, channels and axes; one in glTF its meshes and all else, and the movement is its first animation.
     """
+    import numpy as np
+
     from asterism import formats
     from asterism.cli._skeletons import person_motion
     from asterism.skeleton.retargeting import retarget as map_to

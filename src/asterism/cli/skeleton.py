@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from asterism.cli import _console
@@ -151,6 +150,8 @@ def _lengths(tree: KinematicTree) -> dict[str, float]:
 
 def _summary(found: Kinematics) -> dict[str, object]:
     """What the JSON holds of a movement."""
+    import numpy as np
+
     coordinates = {}
     for i, coordinate in enumerate(found.tree.coordinates):
         factor = 1.0 if coordinate.slides else np.degrees(1.0)
@@ -170,6 +171,8 @@ def _summary(found: Kinematics) -> dict[str, object]:
 
 def _show(path: Path, found: Kinematics) -> None:
     """Print the lengths of the bones, and how far each coordinate goes."""
+    import numpy as np
+
     lengths = ", ".join(f"{name} {100 * length:.1f}" for name, length in _lengths(found.tree).items())
     _console.result(
         f"{path}: {found.tree.title}, markers {1000 * float(np.nanmedian(found.misses)):.1f} mm off (median). Bones, cm: {lengths}."
