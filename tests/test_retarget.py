@@ -251,7 +251,7 @@ def test_a_file_of_bones_decides(walker: SkeletonMotion, tmp_path: Path) -> None
     assert np.allclose(retarget(walker, misled, bones=given).motion.joints, retarget(walker, character(0.8)).motion.joints)
     with pytest.raises(AsterismError, match="not one leg"):
         retarget(walker, misled)
-    with pytest.raises(AsterismError, match="'Tail' that is given for left thigh is not there; the skeleton has Hips"):
+    with pytest.raises(AsterismError, match="'Tail' that is given for left thigh is not there; the character has Hips"):
         retarget(walker, character(), bones={"character": {"left thigh": "Tail"}})
 
 
@@ -467,3 +467,11 @@ def test_a_recording_of_markers_becomes_bones_in_both_formats(
     assert "holds bones and no markers; leave out --for, --fill and --filter" in " ".join(capsys.readouterr().err.split())
     assert main(["convert", "walk.bvh", "walk.trc"]) == 2
     assert main(["convert", "walk.c3d", "n.bvh", "--euler", "xxz"]) == 2
+
+
+def test_a_missing_leg_is_told_of_the_skeleton_that_lacks_it(walker: SkeletonMotion) -> None:
+    lame = {"left foot": ""}
+    with pytest.raises(AsterismError, match="the recording has no bone for left foot"):
+        retarget(walker, walker, bones={"person": lame})
+    with pytest.raises(AsterismError, match="the character has no bone for left foot"):
+        retarget(walker, walker, bones={"character": lame})

@@ -44,10 +44,11 @@ class BodyParts:
         return [self.bones[f"{side} {part}"] for part in parts if f"{side} {part}" in self.bones]
 
 
-def body_parts(motion: SkeletonMotion, given: Mapping[str, str] | None = None) -> BodyParts:
+def body_parts(motion: SkeletonMotion, given: Mapping[str, str] | None = None, who: str = "skeleton") -> BodyParts:
     """Which bone is which part of the body: as given, else by their names, else by where they hang and lie in the rest pose.
 
     given  part -> name of the bone, or "" for none
+    who    what messages call the skeleton
 
     Raises AsterismError where a bone that is given is not there, or a leg is not found.
     """
@@ -56,9 +57,7 @@ def body_parts(motion: SkeletonMotion, given: Mapping[str, str] | None = None) -
     how = dict.fromkeys(found, "name")
     for part, name in given.items():
         if name and name not in motion.names:
-            raise AsterismError(
-                f"the bone {name!r} that is given for {part} is not there; the skeleton has {', '.join(motion.names[:60])}."
-            )
+            raise AsterismError(f"the bone {name!r} that is given for {part} is not there; the {who} has {', '.join(motion.names[:60])}.")
         found.pop(part, None)
         how.pop(part, None)
         if name:
@@ -71,7 +70,7 @@ def body_parts(motion: SkeletonMotion, given: Mapping[str, str] | None = None) -
     missing = [f"{side} {part}" for side in SIDES for part in _NEEDED if f"{side} {part}" not in found]
     if missing:
         raise AsterismError(
-            f"the skeleton has no bone for {', '.join(missing)}: its bones are {', '.join(motion.names[:30])}; "
+            f"the {who} has no bone for {', '.join(missing)}: its bones are {', '.join(motion.names[:30])}; "
             "name them in a TOML file of bones."
         )
     lines = {bone: _line(motion, bone) for bone in range(len(motion.names))}

@@ -187,7 +187,7 @@ def _findings(person: _Standing, figure: _Standing, seen: FootContacts, scale: f
 
 
 def _standing(motion: SkeletonMotion, given: Mapping[str, str] | None, who: str) -> _Standing:
-    parts = body_parts(motion, given)
+    parts = body_parts(motion, given, who)
     upright = motion.in_axes(_UP, _AHEAD)
     onto = np.tile(np.eye(3), (len(motion.names), 1, 1))
     if _stands(upright, parts):
