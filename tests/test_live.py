@@ -231,6 +231,16 @@ def test_an_output_or_a_source_that_fails_ends_nothing_else() -> None:
     assert "cable out" in health.problem
 
 
+def test_a_session_ends_after_its_seconds_which_begin_when_it_can_label() -> None:
+    def slow(rate: float, up: object) -> Numbers:
+        time.sleep(0.3)
+        return Numbers(seconds=0.001)
+
+    endless = Given(frames(list(range(100_000))))
+    health = LiveSession(endless, slow, waits=True).run(0.2)
+    assert 0 < health.labelled < 1000 and health.frames == health.labelled
+
+
 def test_times_that_do_not_grow_need_a_rate() -> None:
     still = [LiveFrame(n, 0.0, 0.0, np.zeros((1, 3))) for n in range(40)]
     with pytest.raises(AsterismError, match="say its rate with --rate"):
@@ -393,14 +403,22 @@ def test_ctrl_c_ends_a_session_with_all_that_came(tmp_path: Path, walks: list[Re
     asterism.write(tmp_path / "walk.c3d", walks[5].frames(slice(60)))
     model.save(tmp_path / "walkers.model")
     words = ["--replay", "walk.c3d", "--loop", "--model", "walkers.model", "--lines", "-o", "out.c3d", "--json", "out.json"]
-    process = subprocess.Popen([sys.executable, "-m", "asterism.cli", "live", *words], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
-    assert process.stdout is not None
-    for line in process.stdout:
-        if '"frame":70' in line:
-            process.send_signal(signal.SIGINT)
-            break
-    process.communicate(timeout=60)
-    assert process.returncode == 0
+    # Where the tests themselves run in the background, their children would ignore Ctrl-C.
+    program = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from asterism.cli import main; sys.exit(main())"
+    )
+    process = subprocess.Popen([sys.executable, "-c", program, "live", *words], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
+    try:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if '"frame":70' in line:
+                process.send_signal(signal.SIGINT)
+                break
+        process.communicate(timeout=60)
+        assert process.returncode == 0
+    finally:
+        process.kill()
+        process.communicate()
     told = json.loads((tmp_path / "out.json").read_text())
     assert told["frames"] == told["labelled"] >= 71
     assert len(asterism.read(tmp_path / "out.c3d")) == told["frames"]

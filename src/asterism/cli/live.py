@@ -169,11 +169,6 @@ def _run(session: LiveSession, options: LiveOptions) -> Health:
     """Run until the source ends, the time is over, or Ctrl-C."""
     import sys
 
-    timer = None
-    if options.seconds is not None:
-        timer = threading.Timer(options.seconds, session.stop)
-        timer.daemon = True
-        timer.start()
     told, stop_page = threading.Event(), None
     if options.page:
         from asterism.web.live_page import ToPage, serve_live
@@ -185,13 +180,11 @@ def _run(session: LiveSession, options: LiveOptions) -> Health:
     if sys.stderr.isatty():
         threading.Thread(target=_tell, args=(session, told), daemon=True).start()
     try:
-        return session.run()
+        return session.run(math.inf if options.seconds is None else options.seconds)
     finally:
         told.set()
         if stop_page is not None:
             stop_page()
-        if timer is not None:
-            timer.cancel()
 
 
 def _tell(session: LiveSession, ended: threading.Event) -> None:

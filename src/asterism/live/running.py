@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -128,8 +129,11 @@ class LiveSession:
     _chain: LabelChain | None = None
     _failed: Exception | None = None
 
-    def run(self) -> Health:
-        """Read and label until the source ends. Raises AsterismError where the labelling cannot begin."""
+    def run(self, seconds: float = math.inf) -> Health:
+        """Read and label until the source ends, or so many seconds have passed since the first frame could come.
+
+        Raises AsterismError where the labelling cannot begin.
+        """
         self._rate = self.source.about.rate
         threads = [
             threading.Thread(target=self._read, name="live source", daemon=True),
@@ -140,10 +144,13 @@ class LiveSession:
             self._chain = self._made() if np.isfinite(self._rate) else None
             for thread in threads:
                 thread.start()
+            until = time.monotonic() + seconds
             # This thread only waits, so that Ctrl-C breaks no frame off: it ends the session with all that came.
             while threads[1].is_alive():
+                if time.monotonic() >= until:
+                    self.stop()
                 with suppress(KeyboardInterrupt):
-                    threads[1].join(_TIMEOUT)
+                    threads[1].join(min(_TIMEOUT, max(0.001, until - time.monotonic())))
                     continue
                 self.stop()
         finally:
@@ -221,7 +228,7 @@ class LiveSession:
             while self.waits and len(self._queue) >= most and not self._ended:
                 self._there.wait(_TIMEOUT)
             self._queue.append(frame)
-            while len(self._queue) > most:
+            while len(self._queue) > most and not self.waits:
                 self._queue.popleft()
                 self._health.dropped += 1
             self._there.notify_all()
