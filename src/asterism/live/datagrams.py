@@ -99,13 +99,18 @@ class JsonDatagrams:
         self._socket.close()
 
 
-def bound(place: HostPort, *, buffer: int = 1 << 20) -> socket.socket:
-    """A UDP socket that listens there; buffer: bytes that the system keeps while we are busy, 0.3 s of 59 markers at 200 Hz as JSON."""
+def socket_for(place: HostPort, example: str) -> tuple[socket.socket, Any]:
+    """A UDP socket of the family of an address, and the address as sockets take it; example: of one. Raises AsterismError."""
     try:
         family, kind, _, _, address = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
-        listening = socket.socket(family, kind)
+        return socket.socket(family, kind), address
     except (OSError, OverflowError) as problem:
-        raise AsterismError(f"{place.host}:{place.port} is no address; write for example udp://127.0.0.1:5000.") from problem
+        raise AsterismError(f"{place.host}:{place.port} is no address; write for example {example}.") from problem
+
+
+def bound(place: HostPort, *, buffer: int = 1 << 20) -> socket.socket:
+    """A UDP socket that listens there; buffer: bytes that the system keeps while we are busy, 0.3 s of 59 markers at 200 Hz as JSON."""
+    listening, address = socket_for(place, "udp://127.0.0.1:5000")
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer)
         listening.bind(address)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-import socket
 import sys
 from collections.abc import Sequence
 from typing import Any, TextIO
 
 import numpy as np
 
-from asterism.errors import AsterismError
 from asterism.live.chain import LabelledFrame
-from asterism.live.datagrams import LARGEST, HostPort
+from asterism.live.datagrams import LARGEST, HostPort, socket_for
 from asterism.live.feedback import Cue
 
 
@@ -55,12 +53,7 @@ class ToDatagrams:
     """Sends each frame as JSON to a UDP port. Raises AsterismError where the address is none."""
 
     def __init__(self, place: HostPort) -> None:
-        try:
-            family, kind, _, _, address = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
-        except (OSError, OverflowError) as problem:
-            raise AsterismError(f"{place.host}:{place.port} is no address; write for example udp://127.0.0.1:5001.") from problem
-        self._address = address
-        self._socket = socket.socket(family, kind)
+        self._socket, self._address = socket_for(place, "udp://127.0.0.1:5001")
         # A full buffer of the network must not hold the next frame back.
         self._socket.setblocking(False)
 

@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.skeleton.pose_kernels import turned
 
 ROOT = 6
 """Numbers of a step that belong to the root."""
@@ -279,15 +280,7 @@ def step_state(q, turn, place, step, new_q, new_turn, new_place):
         new_place[k] = place[k] + step[k]
     for j in range(len(q)):
         new_q[j] = q[j] + min(max(step[ROOT + j], -0.7), 0.7)
-    x, y, z = 0.5 * step[3], 0.5 * step[4], 0.5 * step[5]
-    length = math.sqrt(x * x + y * y + z * z)
-    sine = 1.0 if length < 1e-9 else math.sin(length) / length
-    w, x, y, z = math.cos(length), sine * x, sine * y, sine * z
-    for k in range(3):
-        a, b, c = turn[0, k], turn[1, k], turn[2, k]
-        new_turn[0, k] = (1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c
-        new_turn[1, k] = 2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z - w * x) * c
-        new_turn[2, k] = 2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c
+    turned(turn, step[3], step[4], step[5], new_turn)
 
 
 @kernel

@@ -200,6 +200,25 @@ def add_priors(pose, rotation, vertical, usual, precision, scale_usual, scale_pr
 
 
 @kernel
+def turned(rotation, x, y, z, out):
+    """Turn a body by a rotation vector in the room's axes.
+
+    IN  rotation (3, 3); x, y, z rad. OUT out (3, 3), another array. O(1), no allocation, as the loops of fits need it; where an array more
+    does not matter, `asterism.geometry.shared_kernels.rotate_by` turns in place.
+    """
+    x, y, z = 0.5 * x, 0.5 * y, 0.5 * z
+    length = math.sqrt(x * x + y * y + z * z)
+    # The limit of sin x / x at 0.
+    sine = 1.0 if length < 1e-9 else math.sin(length) / length
+    w, x, y, z = math.cos(length), sine * x, sine * y, sine * z
+    for k in range(3):
+        a, b, c = rotation[0, k], rotation[1, k], rotation[2, k]
+        out[0, k] = (1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c
+        out[1, k] = 2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z - w * x) * c
+        out[2, k] = 2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c
+
+
+@kernel
 def take_step(pose, rotation, step, smallest, low, high, new_pose, new_rotation):
     """The pose after a step: scales and angles within their ranges, the rotation turned by a unit quaternion.
 
@@ -215,16 +234,7 @@ def take_step(pose, rotation, step, smallest, low, high, new_pose, new_rotation)
         new_pose[TURN + k] = 0.0
     for j in range(len(low)):
         new_pose[HINGES + j] = min(max(new_pose[HINGES + j], low[j]), high[j])
-    x, y, z = 0.5 * step[TURN], 0.5 * step[TURN + 1], 0.5 * step[TURN + 2]
-    length = math.sqrt(x * x + y * y + z * z)
-    # The limit of sin x / x at 0.
-    sine = 1.0 if length < 1e-9 else math.sin(length) / length
-    w, x, y, z = math.cos(length), sine * x, sine * y, sine * z
-    for k in range(3):
-        a, b, c = rotation[0, k], rotation[1, k], rotation[2, k]
-        new_rotation[0, k] = (1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c
-        new_rotation[1, k] = 2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z - w * x) * c
-        new_rotation[2, k] = 2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c
+    turned(rotation, step[TURN], step[TURN + 1], step[TURN + 2], new_rotation)
 
 
 @kernel
