@@ -23,6 +23,7 @@ import asterism
 from asterism import AsterismError
 from asterism.cli import main
 from asterism.live import (
+    AnalysedFrame,
     FrameCount,
     HostPort,
     JsonDatagrams,
@@ -92,8 +93,8 @@ class Kept:
     def __init__(self) -> None:
         self.frames: list[LabelledFrame] = []
 
-    def send(self, frame: LabelledFrame, cues: object) -> None:
-        self.frames.append(frame)
+    def send(self, frame: AnalysedFrame) -> None:
+        self.frames.append(frame.labelled)
 
     def close(self) -> None:
         pass
@@ -215,7 +216,7 @@ def test_a_labeller_that_is_too_slow_leaves_old_frames_out_and_tells() -> None:
 
 def test_an_output_or_a_source_that_fails_ends_nothing_else() -> None:
     class Full(Kept):
-        def send(self, frame: LabelledFrame, cues: object) -> None:
+        def send(self, frame: AnalysedFrame) -> None:
             raise OSError("buffer full")
 
     class Broken(Given):

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from test_live import Given, Kept, Numbers, frames
 
 from asterism import AsterismError
-from asterism.live import Cue, Feedback, FeedbackRule, LabelledFrame, LiveFrame, LiveSession, labels_as_json, load_feedback
+from asterism.live import AnalysedFrame, Cue, Feedback, FeedbackRule, LabelledFrame, LiveFrame, LiveSession, labels_as_json, load_feedback
 from asterism.recording import Floats
 
 NAMES = ("LTHI", "LKNE", "LANK", "RANK")
@@ -122,14 +122,13 @@ def test_what_is_told_goes_out_with_the_labels() -> None:
             super().__init__()
             self.cues: list[Cue] = []
 
-        def send(self, frame: LabelledFrame, cues: object) -> None:
-            assert isinstance(cues, tuple)
-            self.cues.extend(cues)
+        def send(self, frame: AnalysedFrame) -> None:
+            self.cues.extend(frame.cues)
 
     heard, rule = Heard(), FeedbackRule("apart", "distance", ("A", "B"), above=5.0)
     LiveSession(Given(frames([0, 1])), lambda rate, up: Numbers(), [heard], waits=True, feedback=Feedback((rule,))).run()
     assert [(cue.on, cue.began) for cue in heard.cues] == [(True, True), (True, False)]
-    told = json.loads(labels_as_json(labelled(leg(90)), Feedback((KNEE,)).judge(labelled(leg(90)))))
+    told = json.loads(labels_as_json(AnalysedFrame(labelled(leg(90)), cues=Feedback((KNEE,)).judge(labelled(leg(90))))))
     assert told["feedback"][0]["value"] == 90.0 and told["feedback"][0]["began"] is True
 
 
@@ -140,7 +139,7 @@ def test_a_slow_page_gets_the_newest_frame_and_every_beep() -> None:
     page, feedback = ToPage(), Feedback((KNEE,))
     for number, degrees in enumerate((160, 140, 160, 140, 170)):
         frame = labelled(leg(degrees), number=number)
-        page.send(frame, feedback.judge(frame))
+        page.send(AnalysedFrame(frame, cues=feedback.judge(frame)))
     found = page.after(0)
     assert found is not None
     count, content = found
@@ -148,7 +147,7 @@ def test_a_slow_page_gets_the_newest_frame_and_every_beep() -> None:
     assert page.after(count) is None
     assert page.body() is None, "lines are chosen when enough frames were seen"
     for number in range(60):
-        page.send(labelled(leg(140 + number % 7), number=number), ())
+        page.send(AnalysedFrame(labelled(leg(140 + number % 7), number=number)))
     body = page.body()
     assert body is not None and body["sides"] == ["left", "left", "left", "right"] and [0, 1] in [sorted(bone) for bone in body["bones"]]
 

@@ -11,17 +11,16 @@ import tempfile
 import threading
 import time
 import tracemalloc
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 import asterism
 from asterism.live import (
-    Cue,
+    AnalysedFrame,
     HostPort,
     JsonDatagrams,
-    LabelledFrame,
     LiveFrame,
     LiveSession,
     SourceAbout,
@@ -149,13 +148,13 @@ class _Times:
         self.spent = np.zeros(keep, dtype=np.float32)
         self._count = 0
 
-    def send(self, frame: LabelledFrame, cues: Sequence[Cue]) -> None:
+    def send(self, frame: AnalysedFrame) -> None:
         if len(self.spent):
             now = time.perf_counter()
             self.spent[min(self._count, len(self.spent) - 1)] = now - self._last
             self._last, self._count = now, self._count + 1
         else:
-            self.seconds.append(frame.done - frame.frame.arrived)
+            self.seconds.append(frame.labelled.done - frame.labelled.frame.arrived)
 
     def close(self) -> None:
         pass

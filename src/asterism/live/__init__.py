@@ -1,9 +1,11 @@
 """Frames from cameras and streams while they come in; labels, and what follows from them, at once, out."""
 
+from asterism.live.analysis import AnalysedFrame, FrameAnalysis, LiveAnalysis, LiveEvent
 from asterism.live.chain import LabelChain, LabelledFrame, OfModel, make_labeller
 from asterism.live.clock import FrameCount, SourceClock
+from asterism.live.cues import Cue, FeedbackRule
 from asterism.live.datagrams import HostPort, JsonDatagrams, frame_as_json, frame_of_json
-from asterism.live.feedback import Cue, Feedback, FeedbackRule, load_feedback
+from asterism.live.feedback import Feedback, load_feedback
 from asterism.live.found import session_findings
 from asterism.live.frames import LiveFrame, LiveSource, SourceAbout, SourceEnded
 from asterism.live.outputs import ToDatagrams, ToLines, labels_as_json
@@ -13,9 +15,11 @@ from asterism.live.running import Health, LiveOutput, LiveSession
 from asterism.live.sources import host_port, open_source
 
 __all__ = [
+    "AnalysedFrame",
     "Cue",
     "Feedback",
     "FeedbackRule",
+    "FrameAnalysis",
     "FrameCount",
     "Health",
     "HostPort",
@@ -23,6 +27,8 @@ __all__ = [
     "KeptSession",
     "LabelChain",
     "LabelledFrame",
+    "LiveAnalysis",
+    "LiveEvent",
     "LiveFrame",
     "LiveOutput",
     "LiveRecorder",

@@ -12,61 +12,16 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.files.toml import read_toml
+from asterism.live.analysis import NOTHING, FrameAnalysis
 from asterism.live.chain import LabelledFrame
+from asterism.live.cues import Cue, FeedbackRule
 from asterism.recording import Floats, canonical
 
 _MARKERS = {"angle": 3, "distance": 2, "height": 1}
 """What can be told, and of how many markers it is."""
-_UNITS = {"angle": "degrees", "distance": "m", "height": "m"}
 _SOUNDS = ("", "beep", "tone")
 _COLOURS = ("", "green", "amber", "red", "blue")
 _KEYS = {"name", "angle", "distance", "height", "above", "below", "hysteresis", "text", "colour", "sound", "low", "high"}
-
-
-@dataclass(frozen=True)
-class FeedbackRule:
-    """One value of the body, and when the person is told of it.
-
-    kind, markers  the angle at the second of three markers (degrees), the distance of two, or the height of one over the floor (m)
-    above, below   told while the value is above, or below; NaN for no bound
-    hysteresis     by how much the value must go back before it is not told any more, in its unit
-    text, colour   shown while it is told
-    sound          "beep" when it begins, "tone" all the time, higher with the value from `low` to `high`; "" for none
-    """
-
-    name: str
-    kind: str
-    markers: tuple[str, ...]
-    above: float = math.nan
-    below: float = math.nan
-    hysteresis: float = 0.0
-    text: str = ""
-    colour: str = ""
-    sound: str = ""
-    low: float = math.nan
-    high: float = math.nan
-
-    @property
-    def unit(self) -> str:
-        """Of its value."""
-        return _UNITS[self.kind]
-
-
-@dataclass(frozen=True)
-class Cue:
-    """What a rule says of one frame.
-
-    value  NaN where a marker has no label
-    on     whether the person is told
-    began  whether that begins with this frame
-    tone   in [0, 1], how high the tone is; NaN for none
-    """
-
-    rule: FeedbackRule
-    value: float
-    on: bool
-    began: bool
-    tone: float
 
 
 def load_feedback(path: Path) -> tuple[FeedbackRule, ...]:
@@ -126,8 +81,8 @@ class Feedback:
     _on: dict[int, bool] = field(default_factory=dict)
     _columns: dict[tuple[str, ...], dict[str, int]] = field(default_factory=dict)
 
-    def judge(self, frame: LabelledFrame) -> tuple[Cue, ...]:
-        """What each rule says of a frame."""
+    def judge(self, frame: LabelledFrame, analysis: FrameAnalysis = NOTHING) -> tuple[Cue, ...]:
+        """What each rule says of a frame and of what follows from it."""
         return tuple(self._cue(number, rule, self._value(rule, frame)) for number, rule in enumerate(self.rules))
 
     def missing(self, markers: Sequence[str]) -> list[str]:

@@ -5,18 +5,18 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Sequence
 from typing import Any, TextIO
 
 import numpy as np
 
-from asterism.live.chain import LabelledFrame
+from asterism.live.analysis import AnalysedFrame, LiveEvent
+from asterism.live.cues import Cue
 from asterism.live.datagrams import LARGEST, HostPort, socket_for
-from asterism.live.feedback import Cue
 
 
-def labels_as_json(frame: LabelledFrame, cues: Sequence[Cue] = ()) -> bytes:
-    """A labelled frame as `frame_of_json` reads frames, with the confidence of each label, the latency in ms, and what is told."""
+def labels_as_json(analysed: AnalysedFrame) -> bytes:
+    """A labelled frame as `frame_of_json` reads frames, with the confidence of each label, the latency in ms, angles, events and cues."""
+    frame = analysed.labelled
     confidence = np.zeros(len(frame.frame.points))
     given = frame.indices >= 0
     confidence[frame.indices[given]] = frame.confidence[given]
@@ -29,9 +29,24 @@ def labels_as_json(frame: LabelledFrame, cues: Sequence[Cue] = ()) -> bytes:
         "confidence": np.round(confidence, 4).tolist(),
         "latency_ms": round(1000 * (frame.done - frame.frame.arrived), 2),
     }
-    if cues:
-        content["feedback"] = [cue_as_json(cue) for cue in cues]
+    if analysed.analysis.values:
+        content["values"] = {name: None if math.isnan(value) else round(value, 4) for name, value in analysed.analysis.values.items()}
+    if analysed.analysis.events:
+        content["events"] = [event_as_json(event) for event in analysed.analysis.events]
+    if analysed.cues:
+        content["feedback"] = [cue_as_json(cue) for cue in analysed.cues]
     return json.dumps(content, separators=(",", ":")).encode()
+
+
+def event_as_json(event: LiveEvent) -> dict[str, Any]:
+    """An event as plain values; a standard deviation that is not known is null."""
+    return {
+        "kind": event.kind,
+        "side": event.side,
+        "time": round(event.time, 5),
+        "delay_ms": round(1000 * event.delay, 2),
+        "sd_ms": None if math.isnan(event.sd) else round(1000 * event.sd, 2),
+    }
 
 
 def cue_as_json(cue: Cue) -> dict[str, Any]:
@@ -57,11 +72,11 @@ class ToDatagrams:
         # A full buffer of the network must not hold the next frame back.
         self._socket.setblocking(False)
 
-    def send(self, frame: LabelledFrame, cues: Sequence[Cue]) -> None:
+    def send(self, frame: AnalysedFrame) -> None:
         """Send a frame; a datagram that is too large raises OSError, as one that the network does not take."""
-        data = labels_as_json(frame, cues)
+        data = labels_as_json(frame)
         if len(data) > LARGEST:
-            raise OSError(f"frame {frame.frame.number} has {len(data)} bytes, more than a datagram holds")
+            raise OSError(f"frame {frame.labelled.frame.number} has {len(data)} bytes, more than a datagram holds")
         self._socket.sendto(data, self._address)
 
     def close(self) -> None:
@@ -75,9 +90,9 @@ class ToLines:
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = stream or sys.stdout
 
-    def send(self, frame: LabelledFrame, cues: Sequence[Cue]) -> None:
+    def send(self, frame: AnalysedFrame) -> None:
         """Write a line."""
-        self._stream.write(labels_as_json(frame, cues).decode() + "\n")
+        self._stream.write(labels_as_json(frame).decode() + "\n")
         self._stream.flush()
 
     def close(self) -> None:

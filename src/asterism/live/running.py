@@ -14,9 +14,10 @@ from typing import Protocol
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.live.analysis import NOTHING, AnalysedFrame, LiveAnalysis
 from asterism.live.chain import LabelChain, LabelledFrame, MakeLabeller
 from asterism.live.clock import FrameCount, SourceClock
-from asterism.live.feedback import Cue, Feedback
+from asterism.live.feedback import Feedback
 from asterism.live.frames import LiveFrame, LiveSource, SourceEnded
 from asterism.recording import Floats
 
@@ -36,8 +37,8 @@ _LATENCIES = 4096
 class LiveOutput(Protocol):
     """Where labelled frames go; must not wait, since the next frame does."""
 
-    def send(self, frame: LabelledFrame, cues: Sequence[Cue]) -> None:
-        """Pass a frame on, and what the rules of feedback say of it. Raises OSError where that fails; it is then counted as not sent."""
+    def send(self, frame: AnalysedFrame) -> None:
+        """Pass a frame on with what follows from it. Raises OSError where that fails; it is then counted as not sent."""
 
     def close(self) -> None:
         """Finish."""
@@ -100,6 +101,7 @@ class LiveSession:
     outputs     get each labelled frame, in the order of the frames
     delay       frames that the labels wait for
     keeper      records all frames, those too that are not labelled since newer ones waited
+    analysis    finds angles and events; None for none
     feedback    what the person is told
     vertical    (3,) what points up; None for what the source says
     waits       whether the source waits until there is room for its next frame: a file can, a camera cannot
@@ -114,6 +116,7 @@ class LiveSession:
     delay: int = 0
     keeper: Keeper | None = None
     waits: bool = False
+    analysis: LiveAnalysis | None = None
     feedback: Feedback | None = None
     vertical: Floats | None = None
     _queue: deque[LiveFrame] = field(default_factory=deque)
@@ -286,9 +289,10 @@ class LiveSession:
         self._latencies.append(found.done - found.frame.arrived)
         if self.keeper is not None:
             self.keeper.labelled(found)
-        cues = () if self.feedback is None else self.feedback.judge(found)
+        analysis = NOTHING if self.analysis is None else self.analysis.push(found)
+        analysed = AnalysedFrame(found, analysis, () if self.feedback is None else self.feedback.judge(found, analysis))
         for output in self.outputs:
             try:
-                output.send(found, cues)
+                output.send(analysed)
             except OSError:
                 self._health.unsent += 1

@@ -7,14 +7,14 @@ import json
 import secrets
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.live import Cue, LabelledFrame, LiveSession
-from asterism.live.outputs import cue_as_json
+from asterism.live import AnalysedFrame, LabelledFrame, LiveSession
+from asterism.live.outputs import cue_as_json, event_as_json
 from asterism.recording.sides import marker_sides
 from asterism.report.skeleton import marker_bones
 from asterism.web.serving import PageAddress, address_of, bound
@@ -32,39 +32,45 @@ class ToPage:
 
     def __init__(self) -> None:
         self._guard = threading.Lock()
-        self._newest: tuple[int, LabelledFrame, tuple[Cue, ...]] | None = None
+        self._newest: tuple[int, AnalysedFrame] | None = None
         self._count = 0
         self._shown: deque[LabelledFrame] = deque(maxlen=_TO_BONES)
         self._bones: list[list[int]] | None = None
         self._begun: deque[tuple[int, dict[str, Any]]] = deque(maxlen=100)
+        self._events: deque[tuple[int, dict[str, Any]]] = deque(maxlen=100)
 
-    def send(self, frame: LabelledFrame, cues: Sequence[Cue]) -> None:
+    def send(self, frame: AnalysedFrame) -> None:
         """Keep a frame as the newest one."""
         with self._guard:
             self._count += 1
-            self._newest = (self._count, frame, tuple(cues))
-            self._begun.extend((self._count, cue_as_json(cue)) for cue in cues if cue.began)
-            if self._bones is None and frame.markers:
-                self._shown.append(frame)
+            self._newest = (self._count, frame)
+            self._begun.extend((self._count, cue_as_json(cue)) for cue in frame.cues if cue.began)
+            self._events.extend((self._count, event_as_json(event)) for event in frame.analysis.events)
+            if self._bones is None and frame.labelled.markers:
+                self._shown.append(frame.labelled)
 
     def close(self) -> None:
         """The session has ended; what was shown last stays."""
 
     def after(self, count: int) -> tuple[int, dict[str, Any]] | None:
-        """The newest frame as plain values, where it is newer than the count of an earlier answer, with all cues that began since."""
+        """The newest frame as plain values, where it is newer than the count of an earlier answer, with the cues that began and the events since."""
         with self._guard:
             if self._newest is None or self._newest[0] <= count:
                 return None
-            now, frame, cues = self._newest
+            now, analysed = self._newest
             began = [cue for at, cue in self._begun if at > count]
+            events = [event for at, event in self._events if at > count]
+        frame = analysed.labelled
         content: dict[str, Any] = {
             "frame": frame.frame.number,
             "points": np.round(1000 * frame.frame.points).astype(int).tolist(),
             "indices": frame.indices.tolist(),
             "confidence": np.round(frame.confidence, 3).tolist(),
             "latency": round(1000 * (frame.done - frame.frame.arrived), 2),
-            "cues": [cue_as_json(cue) for cue in cues],
+            "cues": [cue_as_json(cue) for cue in analysed.cues],
             "began": began,
+            "events": events,
+            "values": {name: None if np.isnan(value) else round(value, 3) for name, value in analysed.analysis.values.items()},
         }
         return now, content
 
