@@ -53,7 +53,7 @@ class ToPage:
         """The session has ended; what was shown last stays."""
 
     def after(self, count: int) -> tuple[int, dict[str, Any]] | None:
-        """The newest frame as plain values, where it is newer than the count of an earlier answer, with the cues that began and the events since."""
+        """The newest frame as plain values, where it is newer than an earlier answer, with the cues that began and the events since."""
         with self._guard:
             if self._newest is None or self._newest[0] <= count:
                 return None
