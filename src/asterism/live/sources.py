@@ -8,9 +8,10 @@ from asterism.errors import AsterismError
 from asterism.live.datagrams import HostPort, JsonDatagrams
 from asterism.live.frames import LiveSource
 from asterism.live.natnet import COMMANDS, NatNet
+from asterism.live.packages import package_for
 
-ADDRESSES = ("udp", "natnet")
-"""What can be a source, by the first word of its address: frames as JSON, one a datagram; OptiTrack Motive."""
+ADDRESSES = ("udp", "natnet", "qtm")
+"""What can be a source, by the first word of its address: frames as JSON, one a datagram; OptiTrack Motive; Qualisys Track Manager."""
 
 
 def host_port(address: str, example: str, port_else: int | None = None) -> HostPort:
@@ -41,4 +42,9 @@ def open_source(address: str, rate: float = float("nan")) -> LiveSource:
         parts = urlsplit(address)
         local = dict(parse_qsl(parts.query)).get("local", "")
         return NatNet(host_port(address, "natnet://192.168.1.5", COMMANDS), local, rate)
+    if scheme == "qtm":
+        package_for("qtm://", "qtm_rt")
+        from asterism.live.qtm import PORT, Qtm
+
+        return Qtm(host_port(address, "qtm://192.168.1.5", PORT), rate)
     return JsonDatagrams(host_port(address, "udp://127.0.0.1:5000"), rate)
