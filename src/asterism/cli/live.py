@@ -29,7 +29,9 @@ class LiveOptions:
     source: Annotated[
         str | None,
         typer.Argument(
-            metavar="[SOURCE]", help="Where frames come from: natnet://HOST for Motive, udp://HOST:PORT for JSON.", show_default=False
+            metavar="[SOURCE]",
+            help="Where frames come from: natnet://HOST (Motive), qtm://HOST (Qualisys), udp://HOST:PORT (JSON).",
+            show_default=False,
         ),
     ] = None
     replay: Annotated[

@@ -108,10 +108,10 @@ class FrameCount:
 
 
 @dataclass
-class FrameTimes:
+class StreamTimes:
     """The times of frames, also of a sender whose timestamps do not move: by number and rate, or by arrival where there is no rate.
 
-    >>> times = FrameTimes(rate=100.0)
+    >>> times = StreamTimes(rate=100.0)
     >>> [times.of(number, 0.0, 5.0 + 0.01 * number) for number in (7, 8, 10)], times.made
     ([0.0, 0.01, 0.03], True)
     """

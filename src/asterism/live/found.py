@@ -76,7 +76,7 @@ def axis_unknown(where: str, believed: str) -> Finding:
 def labels_given(where: str) -> Finding:
     """A source whose points have labels already."""
     return Finding(
-        "live-labels-given", _NOTE, where, f"{where}: it gives labels itself; they are passed over.", "Nothing needs to be done."
+        "live-labels-given", _NOTE, where, f"{where}: it gives labels itself, which are passed over.", "Nothing needs to be done."
     )
 
 

@@ -17,8 +17,8 @@ FARTHEST = 1000.0
 """m from the origin beyond which a coordinate is no laboratory's, but a damaged number. Half and double do as well: halls are smaller, and
 what is meant is what overflows when it is squared."""
 _SAME = 1e-5
-"""m within which points of two lists of one frame are one point: both are the same float, in mm or in m. Half and double do as well: markers
-are a millimetre apart at least."""
+"""m within which points of two lists of one frame are one point: both are the same float. Half and double do as well, since markers are a
+millimetre apart at least."""
 
 
 def believable(points: Floats) -> Floats:

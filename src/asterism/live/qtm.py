@@ -15,13 +15,13 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
-from qtm_rt import QRTCommandException, QRTConnection
-from qtm_rt.protocol import QTMProtocol
+from qtm_rt import QRTCommandException, QRTConnection  # type: ignore[import-untyped]
+from qtm_rt.protocol import QTMProtocol  # type: ignore[import-untyped]
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.camera_frames import LiveBlobs
-from asterism.live.clock import FrameTimes
+from asterism.live.clock import StreamTimes
 from asterism.live.datagrams import HostPort
 from asterism.live.found import axis_unknown, labels_given, times_made
 from asterism.live.frames import LiveFrame, SourceAbout
@@ -45,7 +45,7 @@ _TO_STEP = 10
 """Frames by which it is seen whether QTM sends each frame or, as its real-time rate says, each second or third one."""
 
 
-class _Packets(QTMProtocol):  # type: ignore[misc]
+class _Packets(QTMProtocol):
     """Cuts the stream into packets; answers go to the package, data to `take`."""
 
     def __init__(self, take: Callable[[bytes, float], None], gone: Callable[[], None]) -> None:
@@ -168,16 +168,17 @@ class QtmLink:
         host, port = self._place.host, self._place.port
         try:
             made = self._loop.create_connection(lambda: _Packets(self._take, gone.set), host, port)
-            _, self._protocol = await asyncio.wait_for(made, _PATIENCE)
+            _, protocol = await asyncio.wait_for(made, _PATIENCE)
         except (OSError, OverflowError) as problem:
             return (
-                f"QTM does not answer at {host}, port {port} ({problem or 'no answer'}); start QTM there, look at Project Options, Input/Output, "
-                "Real-Time Output, for its base port (the one to give is 1 higher), and let a firewall pass it (TCP)."
+                f"QTM does not answer at {host}, port {port} ({problem or 'no answer'}); start QTM there, look at Project Options, "
+                "Input/Output, Real-Time Output, for its base port (the one to give is 1 higher), and let a firewall pass it (TCP)."
             )
+        self._protocol = protocol
         try:
-            await self._begun(self._protocol)
+            await self._begun(protocol)
         except (QRTCommandException, OSError) as problem:
-            said = self._protocol.refused or str(problem) or "no answer"
+            said = protocol.refused or str(problem) or "no answer"
             self._abort()
             return (
                 f"what answers at {host}, port {port}, is not QTM's real-time protocol with little-endian numbers ({said}); "
@@ -252,7 +253,7 @@ class Qtm:
         self.about = SourceAbout(
             f"QTM {self._link.version} at {place.host}", rate if rate > 0 else settings.rate / self._step, settings.vertical
         )
-        self._times = FrameTimes(self.about.rate)
+        self._times = StreamTimes(self.about.rate)
 
     def _seen_begin(self) -> None:
         """Look at the first frames, where some come: which step their numbers have."""
@@ -326,7 +327,7 @@ class QtmBlobs:
         self._link = QtmLink(place, "2D")
         self._bad, self._waiting = 0, deque[LiveBlobs]()
         self.name = f"QTM {self._link.version} at {place.host}"
-        self._times = FrameTimes(self.rate)
+        self._times = StreamTimes(self.rate)
 
     @property
     def cameras(self) -> tuple[str, ...]:

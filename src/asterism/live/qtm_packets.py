@@ -1,4 +1,4 @@
-"""Packets of Qualisys Track Manager's real-time protocol (versions 1.8 and later) in; points, blobs and settings out. Nothing here raises."""
+"""Packets of Qualisys Track Manager's real-time protocol (1.8 and later) in; points, blobs and settings out. Nothing here raises."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def blobs_of_packet(data: bytes, arrived: float, cameras: tuple[str, ...]) -> li
     """The blobs of each camera in a data packet; None where it is damaged, or has no 2D data.
 
     cameras  names; one that has none is called by its place, from 1
-    Coordinates and diameters are sub-pixels, 64 a pixel, in the axes of the sensor; they become pixels. A size is the mean of both diameters.
+    Coordinates and diameters are sub-pixels, 64 a pixel, in the sensor's axes; they become pixels. A size is the mean of both diameters.
     """
     try:
         stamp, number, _ = struct.unpack_from("<qII", data)

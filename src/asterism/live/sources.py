@@ -8,7 +8,7 @@ from asterism.errors import AsterismError
 from asterism.live.datagrams import HostPort, JsonDatagrams
 from asterism.live.frames import LiveSource
 from asterism.live.natnet import COMMANDS, NatNet
-from asterism.live.packages import package_for
+from asterism.live.packages import packages_for
 
 ADDRESSES = ("udp", "natnet", "qtm")
 """What can be a source, by the first word of its address: frames as JSON, one a datagram; OptiTrack Motive; Qualisys Track Manager."""
@@ -43,8 +43,7 @@ def open_source(address: str, rate: float = float("nan")) -> LiveSource:
         local = dict(parse_qsl(parts.query)).get("local", "")
         return NatNet(host_port(address, "natnet://192.168.1.5", COMMANDS), local, rate)
     if scheme == "qtm":
-        package_for("qtm://", "qtm_rt")
-        from asterism.live.qtm import PORT, Qtm
-
+        with packages_for("qtm://"):
+            from asterism.live.qtm import PORT, Qtm
         return Qtm(host_port(address, "qtm://192.168.1.5", PORT), rate)
     return JsonDatagrams(host_port(address, "udp://127.0.0.1:5000"), rate)
