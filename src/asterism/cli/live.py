@@ -30,7 +30,7 @@ class LiveOptions:
         str | None,
         typer.Argument(
             metavar="[SOURCE]",
-            help="Where frames come from: natnet://HOST (Motive), qtm://HOST (Qualisys), udp://HOST:PORT (JSON).",
+            help="Where frames come from: natnet://HOST (Motive), qtm://HOST (Qualisys); udp:// or ws://HOST:PORT (JSON).",
             show_default=False,
         ),
     ] = None
@@ -55,7 +55,11 @@ class LiveOptions:
     vertical: Vertical = None
     to: Annotated[
         list[str],
-        typer.Option("--to", metavar="ADDRESS", help="Pass labelled frames on: udp://HOST:PORT (JSON) or osc://HOST:PORT. Several times."),
+        typer.Option(
+            "--to",
+            metavar="ADDRESS",
+            help="Pass labelled frames on: udp://HOST:PORT or ws-listen://HOST:PORT (JSON), osc://HOST:PORT. Several times.",
+        ),
     ] = field(default_factory=list)
     feedback: Annotated[
         Path | None,

@@ -225,7 +225,7 @@ class QtmLink:
         if self._protocol is not None and self._protocol.refused:
             sentence = f"{name}: QTM refuses {self._components} ({self._protocol.refused})."
             mend = "Switch it on in Project Options, Processing, Real-time actions."
-            found.append(Finding("live-refused", Severity.WARNING, name, sentence, mend))
+            found.append(Finding("live-not-streamed", Severity.WARNING, name, sentence, mend))
         if self.reconnected:
             sentence = f"{name}: the connection broke and was made again ({self.reconnected} times)."
             found.append(Finding("live-reconnected", Severity.WARNING, name, sentence, "Look at the cable, and whether QTM was closed."))
