@@ -15,8 +15,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
-from qtm_rt import QRTCommandException, QRTConnection  # type: ignore[import-untyped]
-from qtm_rt.protocol import QTMProtocol  # type: ignore[import-untyped]
+from qtm_rt import QRTCommandException, QRTConnection
+from qtm_rt.protocol import QTMProtocol
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity

@@ -11,8 +11,7 @@ from asterism.live.natnet import COMMANDS, NatNet
 from asterism.live.packages import packages_for
 
 ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet", "qtm")
-"""What can be a source, by the first word of its address: frames as JSON, one a datagram, or over WebSocket; OptiTrack Motive; Qualisys Track
-Manager."""
+"""What can be a source, by the first word of its address: frames as JSON, one a datagram, or over WebSocket; Motive; QTM."""
 
 
 def host_port(address: str, example: str, port_else: int | None = None) -> HostPort:
