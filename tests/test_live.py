@@ -228,7 +228,7 @@ def test_an_output_or_a_source_that_fails_ends_nothing_else() -> None:
 
     kept = Kept()
     health = LiveSession(Broken(frames([0, 1, 2])), lambda rate, up: Numbers(), [Full(), kept], waits=True).run()
-    assert len(kept.frames) == 3 and health.unsent == 3
+    assert len(kept.frames) == 3 and health.unsent == {"Full": 3}
     assert "cable out" in health.problem
 
 

@@ -19,7 +19,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Severity
 
 if TYPE_CHECKING:
-    from asterism.live import Health, LiveOutput, LiveRecorder, LiveSession, LiveSource
+    from asterism.live import Health, LiveRecorder, LiveSession, LiveSource
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,9 @@ class LiveOptions:
     source: Annotated[
         str | None,
         typer.Argument(
-            metavar="[SOURCE]", help="Where frames come from: natnet://HOST for Motive, udp://HOST:PORT for JSON.", show_default=False
+            metavar="[SOURCE]",
+            help="Where frames come from: natnet://HOST (Motive), qtm://HOST (Qualisys); udp:// or ws://HOST:PORT (JSON).",
+            show_default=False,
         ),
     ] = None
     replay: Annotated[
@@ -53,7 +55,11 @@ class LiveOptions:
     vertical: Vertical = None
     to: Annotated[
         list[str],
-        typer.Option("--to", metavar="ADDRESS", help="Pass labelled frames on: udp://HOST:PORT, as JSON. Several times."),
+        typer.Option(
+            "--to",
+            metavar="ADDRESS",
+            help="Pass labelled frames on: udp://HOST:PORT or ws-listen://HOST:PORT (JSON), osc://HOST:PORT. Several times.",
+        ),
     ] = field(default_factory=list)
     feedback: Annotated[
         Path | None,
@@ -115,7 +121,7 @@ def live(options: LiveOptions) -> None:
         source.close()
         if recorder is not None:
             recorder.close()
-    findings = session_findings(health, source.about.name, recorder)
+    findings = session_findings(health, source.about.name, recorder, [source, *session.outputs])
     if recorder is not None and unfinished is not None and options.output is not None and recorder.kept:
         _written(unfinished, options.output, options.rate)
         unfinished.unlink()
@@ -150,17 +156,20 @@ def _source(options: LiveOptions) -> LiveSource:
 def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
     from asterism.cli._options import vertical_axis
     from asterism.labelling.marker_model import MarkerModel
-    from asterism.live import Feedback, LiveSession, ToDatagrams, ToLines, host_port, load_feedback, make_labeller
+    from asterism.live import Feedback, LiveSession, ToLines, load_feedback, make_labeller, open_outputs, own_findings
     from asterism.recording import as_vertical
 
     model = None if options.model is None else MarkerModel.load(options.model)
     given = vertical_axis(options.vertical)
     up = source.about.vertical if given is None else as_vertical(given)
     rules = None if options.feedback is None else Feedback(load_feedback(options.feedback), as_vertical("z") if up is None else up)
-    outputs: list[LiveOutput] = [ToDatagrams(host_port(address, "udp://127.0.0.1:5001")) for address in options.to]
+    make = make_labeller(model, options.markers, options.delay)
+    # Outputs are opened last, so that nothing else can fail while they are open.
+    outputs = open_outputs(options.to, source.about)
+    for finding in own_findings([source, *outputs]):
+        _console.notice(str(finding))
     if options.lines:
         outputs.append(ToLines())
-    make = make_labeller(model, options.markers, options.delay)
     # A file can wait until its frames are labelled.
     return LiveSession(source, make, outputs, options.delay, waits=options.replay is not None, feedback=rules, vertical=up)
 

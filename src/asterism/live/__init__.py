@@ -6,12 +6,13 @@ from asterism.live.clock import FrameCount, SourceClock
 from asterism.live.cues import Cue, FeedbackRule
 from asterism.live.datagrams import HostPort, JsonDatagrams, frame_as_json, frame_of_json
 from asterism.live.feedback import Feedback, load_feedback
-from asterism.live.found import session_findings
+from asterism.live.found import WithFindings, own_findings, session_findings
 from asterism.live.frames import LiveFrame, LiveSource, SourceAbout, SourceEnded
 from asterism.live.outputs import ToDatagrams, ToLines, labels_as_json
 from asterism.live.recording import KeptSession, LiveRecorder, recording_of
 from asterism.live.replay import Replay
 from asterism.live.running import Health, LiveOutput, LiveSession
+from asterism.live.sending import open_output, open_outputs
 from asterism.live.sources import host_port, open_source
 
 __all__ = [
@@ -41,13 +42,17 @@ __all__ = [
     "SourceEnded",
     "ToDatagrams",
     "ToLines",
+    "WithFindings",
     "frame_as_json",
     "frame_of_json",
     "host_port",
     "labels_as_json",
     "load_feedback",
     "make_labeller",
+    "open_output",
+    "open_outputs",
     "open_source",
+    "own_findings",
     "recording_of",
     "session_findings",
 ]

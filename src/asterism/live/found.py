@@ -2,17 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Protocol, runtime_checkable
+
 from asterism.findings import Finding, Severity
 from asterism.live.recording import LiveRecorder
 from asterism.live.running import Health
 from asterism.recording.display import significant
 
+
+@runtime_checkable
+class WithFindings(Protocol):
+    """A source or an output that has something to say: as it is opened, and with what it counted as it ends."""
+
+    def findings(self) -> list[Finding]:
+        """What a person should know of it so far."""
+
+
 _NOTE, _WARNING, _ERROR = Severity.NOTE, Severity.WARNING, Severity.ERROR
 
 
-def session_findings(health: Health, where: str, recorder: LiveRecorder | None = None) -> list[Finding]:
-    """The findings of a session that has ended. where: the source's name; recorder: None where nothing was recorded."""
-    found = list[Finding]()
+def own_findings(parts: Iterable[object]) -> list[Finding]:
+    """What sources and outputs say themselves."""
+    return [finding for part in parts if isinstance(part, WithFindings) for finding in part.findings()]
+
+
+def session_findings(health: Health, where: str, recorder: LiveRecorder | None = None, parts: Iterable[object] = ()) -> list[Finding]:
+    """The findings of a session that has ended.
+
+    where     the source's name
+    recorder  None where nothing was recorded
+    parts     the source and the outputs, for what they say themselves
+    """
+    found = own_findings(parts)
     if health.problem:
         found.append(Finding("live-ended", _ERROR, where, f"{where}: the session ended early.", health.problem))
     if not health.frames:
@@ -36,10 +58,29 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
     if health.jumps or health.restarts:
         sentence = f"{where}: its clock or its frame numbers began anew ({max(health.jumps, health.restarts)} times)."
         found.append(Finding("live-restarted", _WARNING, where, sentence, "Times go on from there; nothing needs to be done."))
-    if health.unsent:
-        sentence = f"{where}: {health.unsent} frames could not be passed on."
-        found.append(Finding("live-unsent", _WARNING, where, sentence, "Look at the addresses of --to."))
+    for output, count in health.unsent.items():
+        sentence = f"{output}: {count} frames could not be passed on."
+        found.append(Finding("live-unsent", _WARNING, output, sentence, "Look whether who receives them runs, and keeps up."))
     if recorder is not None and (recorder.problem or recorder.lost):
         sentence = recorder.problem or f"{recorder.path}: {recorder.lost} frames were not recorded, since the disk was busy."
         found.append(Finding("live-not-recorded", _ERROR, where, sentence, "Make space, or record to another disk."))
     return found
+
+
+def axis_unknown(where: str, believed: str) -> Finding:
+    """A source that does not say what is up."""
+    sentence = f"{where}: it does not say which axis points up; {believed} is believed to."
+    return Finding("live-axis-unknown", _NOTE, where, sentence, "Say it with --vertical where it is another one.")
+
+
+def labels_given(where: str) -> Finding:
+    """A source whose points have labels already."""
+    return Finding(
+        "live-labels-given", _NOTE, where, f"{where}: it gives labels itself, which are passed over.", "Nothing needs to be done."
+    )
+
+
+def times_made(where: str) -> Finding:
+    """A source without times."""
+    sentence = f"{where}: its frames have no times; they are taken from the frame numbers and the rate, or from their arrival."
+    return Finding("live-no-times", _NOTE, where, sentence, "Give the rate with --rate where it is not told.")

@@ -35,7 +35,10 @@ _LATENCIES = 4096
 
 
 class LiveOutput(Protocol):
-    """Where labelled frames go; must not wait, since the next frame does."""
+    """Where labelled frames go; must not wait, since the next frame does.
+
+    One that sends in a thread of its own may have `dropped`, how many frames it left out; `name` is what a person calls it.
+    """
 
     def send(self, frame: AnalysedFrame) -> None:
         """Pass a frame on with what follows from it. Raises OSError where that fails; it is then counted as not sent."""
@@ -62,7 +65,7 @@ class Health:
     damaged    packets that could not be read
     dropped    frames that were taken and not labelled, since newer ones waited
     labelled   frames with their labels
-    unsent     frames that an output did not take
+    unsent     frames that an output did not take, by the output's name
     jumps      times that the source's clock was set
     rate       frames per second, of the last second
     latency    (p50, p99.9) s from a frame's arrival to its labels, of the last thousands
@@ -78,7 +81,7 @@ class Health:
     damaged: int = 0
     dropped: int = 0
     labelled: int = 0
-    unsent: int = 0
+    unsent: dict[str, int] = field(default_factory=dict)
     jumps: int = 0
     rate: float = 0.0
     latency: tuple[float, float] = (float("nan"), float("nan"))
@@ -126,6 +129,7 @@ class LiveSession:
     _count: FrameCount = field(default_factory=FrameCount)
     _clock: SourceClock = field(default_factory=SourceClock)
     _health: Health = field(default_factory=Health)
+    _refused: dict[int, int] = field(default_factory=dict)
     _arrivals: deque[float] = field(default_factory=lambda: deque(maxlen=1000))
     _latencies: deque[float] = field(default_factory=lambda: deque(maxlen=_LATENCIES))
     _rate: float = float("nan")
@@ -193,6 +197,12 @@ class LiveSession:
             self._count.restarts,
         )
         health.damaged, health.jumps = self.source.damaged, self._clock.jumps
+        health.unsent = {}
+        for output in self.outputs:
+            count = self._refused.get(id(output), 0) + int(getattr(output, "dropped", 0))
+            if count:
+                name = str(getattr(output, "name", type(output).__name__))
+                health.unsent[name] = health.unsent.get(name, 0) + count
         arrivals = np.array(self._arrivals)
         health.silent = float(now - arrivals[-1]) if len(arrivals) else 0.0
         recent = arrivals[arrivals > now - 1.0]
@@ -295,4 +305,4 @@ class LiveSession:
             try:
                 output.send(analysed)
             except OSError:
-                self._health.unsent += 1
+                self._refused[id(output)] = self._refused.get(id(output), 0) + 1
