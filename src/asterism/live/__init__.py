@@ -1,6 +1,7 @@
 """Frames from cameras and streams while they come in; labels, and what follows from them, at once, out."""
 
 from asterism.live.analysis import AnalysedFrame, FrameAnalysis, LiveAnalysis, LiveEvent
+from asterism.live.blobs import RigSource
 from asterism.live.chain import LabelChain, LabelledFrame, OfModel, make_labeller
 from asterism.live.clock import FrameCount, SourceClock
 from asterism.live.cues import Cue, FeedbackRule
@@ -37,6 +38,7 @@ __all__ = [
     "LiveSource",
     "OfModel",
     "Replay",
+    "RigSource",
     "SourceAbout",
     "SourceClock",
     "SourceEnded",

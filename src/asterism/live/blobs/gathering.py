@@ -22,6 +22,9 @@ behind a slow radio link; with twice as much what is shown is a fifth of a secon
 _MARGIN = 1.5
 """Times as late as it was at most in the last ten seconds, a camera is waited for. Without a margin each new latest image would miss its frame;
 twice as much makes each lost image hold its frame back for as much longer."""
+_LEAST_WAIT = 0.002
+"""s that a camera is waited for at least: cameras whose images come in one packet are taken one after the other. Half of it is a pause of a
+busy machine, which would cost a frame its cameras; twice as much is what each lost image would hold its frame back for."""
 _AWAY = 2
 """Frames in a row that a camera misses, after which it is not waited for until it is back. One image is lost now and then; each more holds
 all frames back by that camera's wait."""
@@ -74,7 +77,7 @@ class CameraState:
     late: int = 0
     without: int = 0
     unlinked: int = 0
-    away: bool = True
+    away: bool = False
     times_away: int = 0
     seen: float = math.nan
     missed: int = 0
@@ -83,7 +86,7 @@ class CameraState:
     @property
     def wait(self) -> float:
         """s that it is waited for beyond the moment at which it could have come: by how late it has been."""
-        return LONGEST_WAIT if self.count.received < _FEWEST else min(LONGEST_WAIT, _MARGIN * self.lag.most)
+        return LONGEST_WAIT if self.count.received < _FEWEST else min(LONGEST_WAIT, max(_LEAST_WAIT, _MARGIN * self.lag.most))
 
     def takes(self, blobs: LiveBlobs) -> bool:
         """Whether an image that came is a new one."""
@@ -94,8 +97,7 @@ class CameraState:
         return True
 
     def missing(self) -> None:
-        """A frame went on without it."""
-        self.without += 1
+        """A frame waited for it long enough."""
         self.missed += 1
         if self.missed >= _AWAY and not self.away:
             self.away, self.times_away = True, self.times_away + 1
@@ -183,6 +185,8 @@ class ByNumber:
         time = float(np.median([blobs.time for blobs in taken.values()]))
         arrived = max(blobs.arrived for blobs in taken.values())
         without = tuple(c for c in range(len(self.cameras)) if c not in taken)
+        for c in without:
+            self.cameras[c].without += 1
         return RigFrame(number, time, arrived, tuple(xy), tuple(sizes), without)
 
 
@@ -207,7 +211,7 @@ class ByTime:
         self._instants: deque[float] = deque(maxlen=_REMEMBERED)
         self._last: tuple[int, float] | None = None
         self._newest = -math.inf
-        self._chosen = -math.inf
+        self._chosen, self._first = -math.inf, math.inf
         self._period = 1 / rate
 
     def push(self, camera: int, blobs: LiveBlobs) -> None:
@@ -322,6 +326,11 @@ class ByTime:
 
     def _choose(self, now: float) -> None:
         """The reference: anew where it is away, and each second where another one spares a quarter of a period."""
+        self._first = min(self._first, now)
+        joined = sum(track.joined for track in self._tracks)
+        if self._last is None and joined < len(self._tracks) and now < self._first + LONGEST_WAIT:
+            # The first frame waits for cameras that begin a little later.
+            return
         there = [c for c in self._there() if self._tracks[c].images]
         gone = self._reference is None or self._reference not in there
         if not there or not (gone or now - self._chosen > 1.0):
@@ -367,6 +376,7 @@ class ByTime:
             at = track.at(instant)
             if at is None:
                 without.append(c)
+                self.cameras[c].without += 1
                 continue
             xy[c], sizes[c], unlinked, last = at
             self.cameras[c].unlinked += unlinked

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import threading
 import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -156,9 +158,17 @@ class RigSource:
         fits = self._fits or [CameraFit(0, math.nan, math.nan)] * len(self.rig)
         return [_health(name, state, fit) for name, state, fit in zip(self.rig.names, self._gather.cameras, fits, strict=True)]
 
+    def camera_numbers(self) -> list[dict[str, Any]]:
+        """The same as plain values; what is not known is None."""
+        rows = [dataclasses.asdict(camera) for camera in self.cameras()]
+        return [
+            {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in row.items()} for row in rows
+        ]
+
     def findings(self) -> list[Finding]:
         """What a person should know of the cameras and their rig."""
-        return [*self._names(), *self._counts(), *(finding for finding, times in self._found.values() if times > 1)]
+        counts = self._counts() if self._frames else []
+        return [*self._names(), *counts, *(finding for finding, times in self._found.values() if times > 1)]
 
     def _take(self) -> None:
         """The thread that gathers."""
@@ -168,7 +178,7 @@ class RigSource:
                 blobs = self._source.read(max(1e-4, wait))
                 if blobs is not None:
                     self._push(blobs)
-                # A file that is played as fast as it can be has its own time.
+                # A file that waits has its own time.
                 self._put(time.monotonic() if blobs is None or not self._waits else blobs.arrived)
         except SourceEnded:
             self._put(math.inf)
@@ -210,7 +220,7 @@ class RigSource:
         self._frames += 1
         self.no_points += not len(points)
         self._watch()
-        return LiveFrame(frame.number, frame.time, frame.arrived, points[:MOST_POINTS])
+        return LiveFrame(frame.number, frame.time, min(frame.arrived, time.monotonic()), points[:MOST_POINTS])
 
     def _bounded(self, frame: RigFrame) -> Sequence[Floats]:
         """The blobs of a frame, no more of each camera than there is time for."""
@@ -281,10 +291,16 @@ class RigSource:
             total = camera.received + camera.lost
             if camera.lost:
                 sentence = f"camera {where}: {camera.lost} images never arrived ({significant(100 * camera.lost / total, 2)} %)."
-                found.append(Finding("live-camera-lost", warning, where, sentence, "Look at its cable and at the network, or lower the rate."))
+                found.append(
+                    Finding("live-camera-lost", warning, where, sentence, "Look at its cable and at the network, or lower the rate.")
+                )
             if camera.late:
-                sentence = f"camera {where}: {camera.late} images came too late for their frame ({significant(100 * camera.late / total, 2)} %)."
-                found.append(Finding("live-camera-late", warning, where, sentence, "Look at its cable and at the network, or lower the rate."))
+                sentence = (
+                    f"camera {where}: {camera.late} images came too late for their frame ({significant(100 * camera.late / total, 2)} %)."
+                )
+                found.append(
+                    Finding("live-camera-late", warning, where, sentence, "Look at its cable and at the network, or lower the rate.")
+                )
             if camera.times_away:
                 sentence = f"camera {where} fell silent {camera.times_away} times{', and is silent now' if camera.away else ''}."
                 found.append(Finding("live-camera-away", warning, where, sentence, "Look at its cable; frames went on without it."))
@@ -297,7 +313,9 @@ class RigSource:
             found.append(Finding("live-not-reconstructed", warning, where, sentence, "Close other programs, or lower the rate."))
         if self.cut:
             sentence = f"{where}: {self.cut} blobs were left out, since frames had more than there was time for."
-            found.append(Finding("live-many-blobs", warning, where, sentence, "Cover reflections and lamps, or raise the cameras' threshold."))
+            found.append(
+                Finding("live-many-blobs", warning, where, sentence, "Cover reflections and lamps, or raise the cameras' threshold.")
+            )
         unlinked = sum(camera.unlinked for camera in self.cameras())
         if unlinked:
             sentence = f"{where}: cameras are not triggered together, and {unlinked} blobs could not be followed to the instant of a frame."

@@ -86,7 +86,8 @@ class ReplayBlobs:
         cell = frame * len(blobs.cameras) + camera
         place = slice(blobs.offsets[cell], blobs.offsets[cell + 1])
         number = turn * len(blobs) + frame
-        arrived = time.monotonic() if math.isfinite(self._speed) else self._begin + at
+        # When it was due: however long it had to wait to be taken, the cameras keep their places beside each other.
+        arrived = self._begin + (at / self._speed if math.isfinite(self._speed) else at)
         return LiveBlobs(blobs.cameras[camera], number, at, arrived, blobs.xy[place], blobs.sizes[place])
 
     def close(self) -> None:
