@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import math
-import socket
-import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from asterism import AsterismError
 from asterism.cameras import Camera, Rig
-from asterism.cameras.files import write_rig
-from asterism.cli import main
 from asterism.formats.csv_blobs import write_blobs
-from asterism.live import HostPort, LiveFrame, RigSource, SourceEnded
-from asterism.live.blobs import JsonBlobs, ReplayBlobs, blobs_as_json, blobs_of_json
-from asterism.live.blobs.camera_clock import CameraClock
-from asterism.live.blobs.gathering import ByNumber, ByTime, RigFrame
-from asterism.live.camera_frames import LiveBlobs
+from asterism.live import LiveFrame, RigSource, SourceEnded
+from asterism.live.blobs import ReplayBlobs
 from asterism.reconstruction import ReconstructionSettings, Reconstructor, reconstruct
 from asterism.recording import Blobs
-from asterism.simulation import simulate_walks
 
 RATE = 100.0
 

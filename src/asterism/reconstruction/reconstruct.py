@@ -223,11 +223,13 @@ def _run_all(arrays: RigArrays, rays: BlobRays, method: str, progress: Progress 
 
 
 def points_and_residuals(rays: BlobRays, arrays: RigArrays, begin: int, end: int) -> tuple[Ints, Floats, Floats]:
+    """Rays (P, C), points (P, 3) m and residuals (P,) px of frames from begin to end, as `estimate_observation_model` asks for them."""
     points = run_global(arrays, rays, begin, end).points
     return points.rays, points.points, points.residual
 
 
 def run_global(arrays: RigArrays, rays: BlobRays, begin: int, end: int) -> FramesPart:
+    """The likeliest points of frames from begin to end, each frame by itself."""
     offsets, cameras = rays.blobs.offsets, len(rays.blobs.cameras)
     # A point takes two blobs at least, so half of them bound the number of points.
     out = _empty_points(int(offsets[end * cameras] - offsets[begin * cameras]) // 2, cameras)
@@ -276,6 +278,7 @@ def assemble(
     findings: tuple[Finding, ...],
     noise_known: bool,
 ) -> Reconstruction:
+    """The reconstruction of all frames, whose parts follow each other."""
     cameras, rig = len(blobs.cameras), problem.rig
     points = _joined([part.points for part in parts], cameras)
     notes = np.concatenate([np.empty((0, 2), dtype=np.int64), *(part.notes for part in parts)])

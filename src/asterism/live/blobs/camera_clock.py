@@ -8,11 +8,11 @@ from collections import deque
 import numpy as np
 
 _BUCKET = 0.5
-"""s of images that share their fastest one. Half of it leaves a slow camera's buckets with few images, twice as long doubles the time until a
-drift is known."""
+"""s of images that share their fastest one. Half of it leaves a slow camera's buckets with few images, twice as long doubles the time
+until a drift is known."""
 _KEPT = 120
-"""Buckets by which offset and drift are told: a minute, in which quartz warms up by less than it scatters. Half of them tell drift a third as
-well; twice as many lag behind a clock that is being slewed."""
+"""Buckets by which offset and drift are told: a minute, in which quartz warms up by less than it scatters. Half of them tell drift a
+third as well; twice as many lag behind a clock that is being slewed."""
 _LATE_FOR = 10.0
 """s whose latest image tells how late one may be: as long as `SourceClock` calls a way the usual one."""
 _QUARTZ = 1e-4
@@ -20,11 +20,11 @@ _QUARTZ = 1e-4
 _JUMP = 1.0
 """s by which a clock that was set differs from what is expected at once, as in `SourceClock`."""
 _STEP = 0.01
-"""s, besides ten times the scatter, by which images come too early, or in two half seconds all too late, where the clock was set by less. Half
-of it is what a busy machine makes; with twice as much cameras are moved by up to two frames at 100 Hz for a minute."""
+"""s, besides ten times the scatter, by which images come too early, or in two half seconds all too late, where the clock was set by less.
+Half of it is what a busy machine makes; with twice as much cameras are moved by up to two frames at 100 Hz for a minute."""
 _SCATTER = 1e-3
-"""s by which the fastest images scatter, as believed before any came: what a network or USB does. It counts as one half second; a tenth of it
-calls the offset of the first second too exact, ten times as much doubts it for a minute."""
+"""s by which the fastest images scatter, as believed before any came: what a network or USB does. It counts as one half second; a tenth
+of it calls the offset of the first second too exact, ten times as much doubts it for a minute."""
 
 
 class Latest:
@@ -146,12 +146,12 @@ class CameraClock:
         self._offset, self._drift, self._spread = offset, drift, spread
 
 
-def same_clock(one: CameraClock, other: CameraClock, time: float, other_time: float, most: float) -> bool:
+def same_clock(one: CameraClock, other: CameraClock, most: float) -> bool:
     """Whether two cameras' times are of one clock: zeros less apart than images may be on their way, and no drift that shows.
 
     most: s that an image is on its way at most. Two clocks that were started by hand or by a switch are as near to each other once in
     hundreds of times; where they are not one, their drift tells it after some time.
     """
-    apart = abs(one.offset(time) - other.offset(other_time))
+    apart = abs(one.offset(one.last_time) - other.offset(other.last_time))
     drift, sd = abs(one.drift_ppm - other.drift_ppm), math.hypot(one.drift_sd_ppm, other.drift_sd_ppm)
     return apart <= most and drift <= 5 * sd

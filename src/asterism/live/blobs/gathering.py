@@ -17,11 +17,11 @@ from asterism.recording import Floats
 from asterism.synchronization.common_clock import RULES
 
 LONGEST_WAIT = 0.1
-"""s that a frame waits for a camera at most, however late that has been: as long as frames wait for their labels. Half of it gives up a camera
-behind a slow radio link; with twice as much what is shown is a fifth of a second old."""
+"""s that a frame waits for a camera at most, however late that has been: as long as frames wait for their labels. Half of it gives up a
+camera behind a slow radio link; with twice as much what is shown is a fifth of a second old."""
 _MARGIN = 1.5
-"""Times as late as it was at most in the last ten seconds, a camera is waited for. Without a margin each new latest image would miss its frame;
-twice as much makes each lost image hold its frame back for as much longer."""
+"""Times as late as it was at most in the last ten seconds, a camera is waited for. Without a margin each new latest image would miss its
+frame; twice as much makes each lost image hold its frame back for as much longer."""
 _LEAST_WAIT = 0.002
 """s that a camera is waited for at least: cameras whose images come in one packet are taken one after the other. Half of it is a pause of a
 busy machine, which would cost a frame its cameras; twice as much is what each lost image would hold its frame back for."""
@@ -31,7 +31,8 @@ all frames back by that camera's wait."""
 _FEWEST = 20
 """Images of a camera whose times tell its rate."""
 _ONE_RATE = 0.05
-"""Share by which periods of cameras of one rate differ: free-running ones do by a thousandth, rates that are set to others by a tenth or more."""
+"""Share by which periods of cameras of one rate differ: free-running ones do by a thousandth, rates that are set to others by a tenth or
+more."""
 _REMEMBERED = 256
 """Frames that are remembered after they went on, so that a camera that comes later is known to be so."""
 
@@ -205,7 +206,7 @@ class ByTime:
     def __init__(self, cameras: int, rate: float = math.nan) -> None:
         self.cameras = [CameraState() for _ in range(cameras)]
         self.delay = 0.0
-        self._tracks = [_Track() for _ in range(cameras)]
+        self._tracks = [_RecentImages() for _ in range(cameras)]
         self._leader = list(range(cameras))
         self._reference: int | None = None
         self._instants: deque[float] = deque(maxlen=_REMEMBERED)
@@ -294,13 +295,10 @@ class ByTime:
         track.period = float(np.median(np.diff(times) / np.maximum(1, np.diff(numbers))))
         track.joined = True
         clocks = [state.clock for state in self.cameras]
-        time = track.stamps[-1][1]
         for other in self._there():
-            if other != camera and self._leader[other] == other:
-                there = self._tracks[other].stamps[-1][1]
-                if same_clock(clocks[other], clocks[camera], there, time, LONGEST_WAIT):
-                    self._leader[camera] = other
-                    break
+            if other != camera and self._leader[other] == other and same_clock(clocks[other], clocks[camera], LONGEST_WAIT):
+                self._leader[camera] = other
+                break
         else:
             self._leader[camera] = camera
         if was_one != self.one_clock:
@@ -313,7 +311,7 @@ class ByTime:
         others = [c for c, leader in enumerate(self._leader) if leader == camera and c != camera]
         for c in (*others, camera):
             self._leader[c] = others[0] if others and c != camera else camera
-        self._tracks[camera] = _Track()
+        self._tracks[camera] = _RecentImages()
         if was_one != self.one_clock or not self._there():
             self._anew()
 
@@ -351,8 +349,7 @@ class ByTime:
         was_one = self.one_clock
         for c in cameras:
             leader = self._leader[c]
-            times = [self._tracks[each].stamps[-1][1] if self._tracks[each].stamps else 0.0 for each in (leader, c)]
-            if leader != c and not same_clock(self.cameras[leader].clock, self.cameras[c].clock, *times, LONGEST_WAIT):
+            if leader != c and not same_clock(self.cameras[leader].clock, self.cameras[c].clock, LONGEST_WAIT):
                 self._leader[c] = c
         if was_one != self.one_clock:
             self._anew()
@@ -389,7 +386,7 @@ class ByTime:
         return RigFrame(number, instant, arrived, tuple(xy), tuple(sizes), tuple(without))
 
 
-class _Track:
+class _RecentImages:
     """The last images of a camera, on the common clock."""
 
     def __init__(self) -> None:

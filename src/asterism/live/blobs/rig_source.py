@@ -30,15 +30,15 @@ _TIMEOUT = 0.1
 _FIRST = 24
 """Frames after which the noise is first told: as many as `reconstruct` looks at."""
 _EVERY = 10.0
-"""s between two judgements of how the cameras fit, at most: they take a thirtieth of one core then. Half of it takes twice as much, and with
-twice as much a bumped camera is told twenty seconds later."""
+"""s between two judgements of how the cameras fit, at most: they take a thirtieth of one core then. Half of it takes twice as much, and
+with twice as much a bumped camera is told twenty seconds later."""
 _SHARE = 0.8
-"""Share of a frame's period that making its points may take, before blobs are left out. With all of it a frame that takes longer delays those
-after it; half of it leaves blobs out that there was time for."""
+"""Share of a frame's period that making its points may take, before blobs are left out. With all of it a frame that takes longer delays
+those after it; half of it leaves blobs out that there was time for."""
 
 
 @dataclass(frozen=True)
-class CameraHealth:
+class RigCameraHealth:
     """How one camera does.
 
     name                  in the rig
@@ -78,13 +78,14 @@ class RigSource:
     source    the blobs; closed with this
     rig       its cameras are found by the names that the source gives; cameras without a pose, or not of the source, are left out
     settings  of the reconstruction
-    waits     whether the source waits until its frames are taken: a file can, a camera cannot. Then noise and cameras are judged in line, so
+    waits     whether the source waits until its frames are taken: a file can, a camera cannot. Then noise and cameras are judged in line,
+              so
               that the same file gives the same points
 
     One thread takes blobs and gathers them to frames (see `gathering`), the caller's reconstructs, a third judges noise and cameras every
-    ten seconds. Where frames come faster than their points are made, the oldest that waits is dropped and counted. Where a frame has so many
-    blobs that making its points would take longer than a frame, blobs are left out, those first that are far from where points were just
-    now, then the smallest, and counted.
+    ten seconds. Where frames come faster than their points are made, the oldest that waits is dropped and counted. Where a frame has so
+    many blobs that making its points would take longer than a frame, blobs are left out, those first that are far from where points were
+    just now, then the smallest, and counted.
 
     Raises AsterismError where the rig has fewer than two posed cameras of the source.
     """
@@ -104,14 +105,13 @@ class RigSource:
         self.dropped, self.cut, self.no_points = 0, 0, 0
         self._queue: deque[RigFrame] = deque()
         self._there = threading.Condition()
-        self._ended, self._failed = False, None
+        self._ended = False
+        self._failed: Exception | None = None
         self._fits: tuple[CameraFit, ...] = ()
         self._found: dict[tuple[str, str], tuple[Finding, int]] = {}
-        self._judged, self._next = 0, _FIRST
-        self._frames = 0
+        self._next, self._frames = _FIRST, 0
         self._points: Floats = np.empty((0, 3))
         self._cost = 0.0
-        self._failed: Exception | None
         self._judge: threading.Thread | None = None
         self._thread = threading.Thread(target=self._take, name="live blobs", daemon=True)
         self._thread.start()
@@ -153,7 +153,7 @@ class RigSource:
             if thread is not None and thread is not threading.current_thread():
                 thread.join(timeout=5.0)
 
-    def cameras(self) -> list[CameraHealth]:
+    def cameras(self) -> list[RigCameraHealth]:
         """How each camera does, in the rig's order."""
         fits = self._fits or [CameraFit(0, math.nan, math.nan)] * len(self.rig)
         return [_health(name, state, fit) for name, state, fit in zip(self.rig.names, self._gather.cameras, fits, strict=True)]
@@ -323,10 +323,10 @@ class RigSource:
         return found
 
 
-def _health(name: str, state: CameraState, fit: CameraFit) -> CameraHealth:
+def _health(name: str, state: CameraState, fit: CameraFit) -> RigCameraHealth:
     count, clock = state.count, state.clock
     last = clock.last_time
-    return CameraHealth(
+    return RigCameraHealth(
         name,
         count.received,
         count.lost,

@@ -20,8 +20,8 @@ from asterism.live.frames import SourceEnded
 from asterism.recording import Floats
 
 MOST_BLOBS = 2000
-"""Blobs of an image that are read: a camera that looks at lamps or the sun has hundreds. Half of them cuts a dense suit in a near view; with
-twice as many a datagram would not hold them."""
+"""Blobs of an image that are read: a camera that looks at lamps or the sun has hundreds. Half of them cuts a dense suit in a near view;
+with twice as many a datagram would not hold them."""
 _FARTHEST = 1e5
 """px from the image's corner: no image is that large, see `cameras.camera.LARGEST_IMAGE`."""
 _LARGEST_NUMBER = 2**53
@@ -107,8 +107,8 @@ def blobs_as_json(blobs: LiveBlobs) -> bytes:
 def blobs_of_json(data: bytes, arrived: float) -> LiveBlobs | None:
     """The blobs in a datagram; None where it is damaged, or holds none. Never raises.
 
-    {"camera": "c1", "frame": 12, "time": 0.12, "blobs": [[x, y], [x, y, size], ...]}: pixels, the centre of the top left one is (0, 0); size is a
-    diameter in px, and may be left out. Blobs that are not finite are left out.
+    {"camera": "c1", "frame": 12, "time": 0.12, "blobs": [[x, y], [x, y, size], ...]}: pixels, the centre of the top left one is (0, 0);
+    size is a diameter in px, and may be left out. Blobs that are not finite are left out.
     """
     try:
         content = json.loads(data.decode("utf-8"))
