@@ -32,8 +32,10 @@ _SATURATED = 0.02
 """Share of saturated pixels from which an exposure is too long: fifty markers of 12 px cover as much of 640 x 480 px. Half of it is reached
 by markers that are near; twice as much leaves out a window of 200 x 60 px."""
 _SLOW = 0.9
-"""Share of its rate below which a camera is slow. Half as far from 1 is reached by a timer's scatter; with twice as far a camera of 60 Hz that
-gives 50 is not told."""
+"""Share of its rate below which a camera is slow. Half as far from 1 is reached by a timer's scatter.
+
+Twice as far leaves out a camera of 60 Hz that gives 50.
+"""
 _SECOND = 1.0
 """s over which rates and means are taken, and after which images that are black or do not change are told. Half of it tells a hand before
 the lens; twice as much comes a second later."""
