@@ -30,7 +30,7 @@ class LiveOptions:
         str | None,
         typer.Argument(
             metavar="[SOURCE]",
-            help="Where frames come from: natnet://HOST (Motive), qtm://HOST (Qualisys); udp:// or ws://HOST:PORT (JSON).",
+            help="Where frames come from: natnet://HOST (Motive), qtm://HOST (Qualisys), vicon://HOST; udp:// or ws://HOST:PORT (JSON).",
             show_default=False,
         ),
     ] = None
