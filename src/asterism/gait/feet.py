@@ -131,13 +131,11 @@ def feet_of(recording: Recording) -> Feet:
     positions = rotate_z_up(recording.positions, recording.vertical)
     columns = foot_columns(recording.labels, np.isfinite(positions[:, :, 0]).sum(axis=0) > _SEEN)
     hidden = columns.hidden
-    feet = {side: tuple(positions[:, part[side]].mean(axis=1) for part in (columns.heels, columns.toes)) for side in columns.heels}
+    feet = {side: (positions[:, columns.heels[side]].mean(axis=1), positions[:, columns.toes[side]].mean(axis=1)) for side in columns.heels}
     hips = [positions[:, column] for column in columns.pelvis]
     file = recording.metadata.get("file", "the recording")
     if hidden and not (feet and hips):
-        raise NoGait(
-            f"{file} shows {', '.join(hidden)} in ten frames or fewer; gait events need a longer recording of them."
-        )
+        raise NoGait(f"{file} shows {', '.join(hidden)} in ten frames or fewer; gait events need a longer recording of them.")
     if not feet:
         raise NoGait(
             f"{file} has no foot with a marker of heel or ankle and one of the toes (such as LHEE and LTOE); gait events need them."

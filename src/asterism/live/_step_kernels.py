@@ -1,4 +1,4 @@
-"""A point's curves as they come in; how they go on, and how certain that is, out. Twin: tests/test_live_events.py."""
+"""A point's curves as they come in; how they go on, and how certain that is, out. Twin: tests/test_live_movement.py."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Labelled frames in, one after the other; the angles of the person's joints at once, out.
 
-The models are those of recordings: Plug-in-Gait and landmarks of `motion.clinical` where the set has their markers, a skeleton of the person
-by inverse kinematics else. Nothing is filtered, so nothing is late: a frame's angles are those that its own labels give.
+The models are those of recordings: Plug-in-Gait and landmarks of `motion.clinical` where the set has their markers, a skeleton of the
+person by inverse kinematics else. Nothing is filtered, so nothing is late: a frame's angles are those that its own labels give.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ NAMES: Mapping[str, tuple[str, ...]] = {
 _MIDDLE_ONES = ("Pelvis", "Thorax", "Spine", "Head", "Neck")
 """There is one of them: the left side's signs count."""
 _BEGIN = (1.0, 3.0, 9.0)
-"""s of frames that show the person, after which the angles' model is made, and made again where more of them can be known by then. With half
-of it a person who comes in is half seen; with twice as much the first angles wait for nothing."""
+"""s of frames that show the person, after which the angles' model is made, and made again where more of them can be known by then. With
+half of it a person who comes in is half seen; with twice as much the first angles wait for nothing."""
 _SKELETON_BEGIN = 3.0
 """s, the same for a skeleton, which is told by how joints move. At half, joints of people who begin to walk lie where they are usual."""
 _MOST_FRAMES = 600
-"""Frames that a model is made of, evenly spread: 9 s of them say nothing else than all. At half the same; at double the skeleton's fit takes
-as long again to read them."""
+"""Frames that a model is made of at least, evenly spread, and twice as many at most: a skeleton takes 35 of them, the pelvis' size is a
+median. At half the same; at double memory for nothing."""
 _TURNED = np.radians(60.0)
 """By which a pelvis turns out of the room's axis along which its rotation counts, until that is the next one: 45 degrees lie between two.
 At 45 a person who walks along a diagonal makes it jump with each step; at 90 a turn around is a rotation of a right angle for ever."""
@@ -93,8 +93,8 @@ class _FrameAngles(Protocol):
 class LiveAngles:
     """Angles of a person, frame by frame: about half a millisecond for a whole body.
 
-    The model is made of the first seconds of frames that show the person, as off-line of a recording, and kept: its measures do not follow
-    the person. Until then no angle is known. Bounded memory.
+    The model is made of the first second of frames that show the person, as off-line of a recording, and the pelvis measured anew of nine.
+    Until the first second is over no angle is known. Bounded memory.
     """
 
     def __init__(self, options: AngleOptions | None = None) -> None:
@@ -152,7 +152,7 @@ class LiveAngles:
         positions = np.array(self._first)
         rate = max(len(positions) / self._seconds, 1.0)
         vertical = np.array([0.0, 0.0, 1.0]) if self._options.vertical is None else self._options.vertical
-        recording = Recording(positions, self._markers, rate, vertical=vertical, metadata={"file": "the first seconds"})
+        recording = Recording(positions, self._markers, rate, vertical=vertical, metadata={"file": "the session"})
         if self._options.waits:
             self._make(recording)
         else:
@@ -162,13 +162,15 @@ class LiveAngles:
             self._first = []
 
     def _make(self, recording: Recording) -> None:
-        """Take a model where it knows more than the one before: what is shown must not jump for nothing."""
+        """Take a model that knows as much as the one before: a clinical one, whose sizes more frames tell better; a skeleton stays."""
         try:
             made = _frame_angles(recording, self._options, self._seconds)
         except AsterismError as problem:
             self._refusal = str(problem)
             return
-        if recording.labels == self._markers and len(made.names) > len(self.names):
+        # A skeleton that is fitted anew would turn all angles by some degrees.
+        least = len(self.names) + isinstance(self._made, _SkeletonFrames)
+        if recording.labels == self._markers and len(made.names) >= least:
             self._made = made
 
 
@@ -212,15 +214,12 @@ class _ClinicalFrames:
         self._pelvis = self._outputs.index("LPelvisAngles") if "LPelvisAngles" in self._outputs else -1
         self._middle = np.array([_middle_turn(name, self._model.name) for name in self._outputs])
         self._last = np.full((len(self._outputs), 3), np.nan)
-        note = "measures that nobody gave are those that the first seconds show, or an adult's"
-        self.findings = (
-            *(one for one in found.findings if one.code != "clinical-left-out"),
-            *(
-                [Finding("live-angles-estimated", Severity.NOTE, "angles", f"No standing trial: {note}.", "Give one with --static.")]
-                if estimated
-                else []
-            ),
-        )
+        left_out = {"clinical-left-out", "clinical-measures"} if estimated else {"clinical-left-out"}
+        self.findings = [one for one in found.findings if one.code not in left_out]
+        if estimated:
+            sentence = "No standing trial: the pelvis is as wide as the first seconds show it, knees, ankles and arms are an adult's."
+            mend = "Give the person's standing trial with --static, or measures with --measure."
+            self.findings.append(Finding("live-angles-estimated", Severity.NOTE, "angles", sentence, mend))
 
     def push(self, points: Floats) -> Floats:
         """See `_FrameAngles.push`."""

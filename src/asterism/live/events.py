@@ -1,8 +1,8 @@
 """Markers of feet and pelvis in, frame by frame; heel strikes and toe offs, told a few hundredths of a second after they happened, out.
 
 A recording's rules (`gait.events`) look at both sides of an instant. Here only the past is known: a heel that was farthest ahead of the
-pelvis, and has fallen back since by more than a foot in the air does, has struck. When exactly is told by the person's own last steps, whose
-strikes and offs the recording's rules find half a second later.
+pelvis, and has fallen back since by more than a foot in the air does, has struck. When exactly is told by the person's own last steps,
+whose strikes and offs the recording's rules find half a second later.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class LiveEventRules:
     """How events are told while they happen; chosen on walks and runs of `movement` and simulated people.
 
     noise        m, of a marker's place
-    jerk         m2/s5, how fast accelerations of a foot change: the filter then follows 12 Hz. At half and at double strikes are as many and as late
+    jerk         m2/s5, how fast accelerations of a foot change
     jump         m, and jump_acceleration m/s2: a point farther from where it was expected is another marker, for these frames
     jumped       frames of such in a row after which the point is where it is seen now
     strike_later, off_later  s, from the turning of heel and toe to the event, before the person's own steps tell it
@@ -63,7 +63,7 @@ class LiveEventRules:
     backwards_in: float = 1.5
 
 
-class _Place:
+class _CarriedPoint:
     """A point of the body by its markers; while they are hidden, moved as the others of that part move."""
 
     def __init__(self, columns: list[int], others: list[int]) -> None:
@@ -86,7 +86,7 @@ class _Place:
         return self.place
 
 
-class _Curve:
+class _TurningCurve:
     """How far a point is ahead of the pelvis, and how high: filtered, with the turning of `sign` times the former."""
 
     def __init__(self, sign: float, rules: LiveEventRules) -> None:
@@ -168,13 +168,13 @@ class _Curve:
         return self.top - self.value
 
 
-class _Foot:
+class _LiveFoot:
     """One foot: what turns, what was told, and what its last steps say of the time."""
 
     def __init__(self, side: str, columns: FootColumns, helpers: list[int], rules: LiveEventRules) -> None:
         self.side, self._rules = side, rules
-        self.places = {STRIKE: _Place(columns.heels[side], helpers), OFF: _Place(columns.toes[side], helpers)}
-        self.curves = {STRIKE: _Curve(1.0, rules), OFF: _Curve(-1.0, rules)}
+        self.places = {STRIKE: _CarriedPoint(columns.heels[side], helpers), OFF: _CarriedPoint(columns.toes[side], helpers)}
+        self.curves = {STRIKE: _TurningCurve(1.0, rules), OFF: _TurningCurve(-1.0, rules)}
         self.later = {kind: deque[float](maxlen=rules.steps) for kind in KINDS}
         self.swings = {kind: deque[float](maxlen=rules.steps) for kind in KINDS}
         self.last: tuple[str, float] | None = None
@@ -188,8 +188,8 @@ class _Foot:
 
 
 @dataclass
-class _Told:
-    foot: _Foot
+class _ToldStep:
+    foot: _LiveFoot
     kind: str
     turned: float
     time: float
@@ -200,8 +200,7 @@ class _Told:
 class LiveEvents:
     """Strikes and offs of both feet, frame by frame.
 
-    vertical  (3,) what points up; O(1) a frame and bounded memory, beside a millisecond or two each step in which the recording's rules look
-    at the last one.
+    O(1) a frame and bounded memory, beside a millisecond or two each step in which the recording's rules look at the last one.
     """
 
     rules: LiveEventRules = field(default_factory=LiveEventRules)
@@ -211,8 +210,8 @@ class LiveEvents:
         self._markers: tuple[str, ...] = ()
         self._shown = np.zeros(0, dtype=np.int64)
         self._columns: FootColumns | None = None
-        self.feet: dict[str, _Foot] = {}
-        self._pelvis = _Place([], [])
+        self.feet: dict[str, _LiveFoot] = {}
+        self._pelvis = _CarriedPoint([], [])
         self._begin()
 
     def _begin(self) -> None:
@@ -220,9 +219,35 @@ class LiveEvents:
         self._time = math.nan
         self._ahead = np.full((2, 2), np.nan)
         self._kept: deque[tuple[float, Floats]] = deque()
-        self._waiting: deque[_Told] = deque()
+        self._waiting: deque[_ToldStep] = deque()
         self._floor, self.leg_length = math.nan, math.nan
         self._slid: deque[float] = deque(maxlen=self.rules.steps)
+        self._floors: deque[Floats] = deque(maxlen=self.rules.steps)
+
+    @property
+    def on_treadmill(self) -> bool:
+        """Whether the floor moves, as far as the last steps show."""
+        return bool(self._slid) and float(np.median(self._slid)) > 0.0
+
+    @property
+    def belt(self) -> Floats:
+        """(2,) m/s with which the floor moves, as feet that stood on it show; 0 beside a treadmill."""
+        return np.median(self._floors, axis=0) if self.on_treadmill else np.zeros(2)
+
+    def toe_at(self, side: str, time: float) -> Floats:
+        """(2,) m, where the toe of "left" or "right" was at a time of the last second; NaN where it is not known."""
+        return self._at(1 if side == "left" else 3, time)
+
+    def _at(self, place: int, time: float) -> Floats:
+        later = None
+        for at, row in reversed(self._kept):
+            if at <= time:
+                if later is None or later[0] <= at:
+                    return row[place, :2]
+                share = (time - at) / (later[0] - at)
+                return np.asarray(row[place, :2] + share * (later[1][place, :2] - row[place, :2]))
+            later = (at, row)
+        return np.full(2, np.nan)
 
     def push(self, time: float, markers: tuple[str, ...], points: Floats) -> list[LiveEvent]:
         """Events that are told with this frame of markers (M, 3) m, z up, at `time` s."""
@@ -252,8 +277,8 @@ class LiveEvents:
         if columns is None or not columns.pelvis:
             return
         helpers = markers_of_feet(self._markers)
-        self.feet = {side: _Foot(side, columns, helpers[side], self.rules) for side in SIDES if side in columns.heels}
-        self._pelvis = _Place(columns.pelvis, [])
+        self.feet = {side: _LiveFoot(side, columns, helpers[side], self.rules) for side in SIDES if side in columns.heels}
+        self._pelvis = _CarriedPoint(columns.pelvis, [])
 
     def _frame(self, time: float, step: float, points: Floats) -> list[LiveEvent]:
         pelvis = self._pelvis.push(points)
@@ -310,7 +335,7 @@ class LiveEvents:
             self._floor = lowest if not math.isfinite(self._floor) else min(lowest, self._floor + 0.01 * step)
         if math.isfinite(row[4, 2]) and math.isfinite(self._floor):
             height = float(row[4, 2] - self._floor)
-            self.leg_length = height if not math.isfinite(self.leg_length) else self.leg_length + min(step / 0.5, 1.0) * (height - self.leg_length)
+            self.leg_length = height if math.isnan(self.leg_length) else self.leg_length + min(2.0 * step, 1.0) * (height - self.leg_length)
 
     def _goes_backwards(self, time: float, pelvis: Floats) -> bool:
         first = next((row[4] for at, row in self._kept if at >= time - self.rules.backwards_in and math.isfinite(row[4, 0])), None)
@@ -319,7 +344,7 @@ class LiveEvents:
         way = (pelvis - first)[:2] @ self._ahead[0]
         return bool(way < -self.rules.backwards * self.leg_length)
 
-    def _told(self, foot: _Foot, kind: str, time: float) -> LiveEvent | None:
+    def _told(self, foot: _LiveFoot, kind: str, time: float) -> LiveEvent | None:
         rules, curve = self.rules, foot.curves[kind]
         if not curve.known or not math.isfinite(self.leg_length):
             return None
@@ -332,16 +357,27 @@ class LiveEvents:
         at = curve.top_time + foot.offset(kind)
         if time < at:
             return None
-        rise = curve.rise
+        rise, at = curve.rise, float(at)
         curve.anew()
         if foot.last is not None and foot.last[0] == kind and at - foot.last[1] < 2.0:
             return None
+        if kind == OFF and foot.last is not None:
+            self._stood(foot, foot.last[1], at)
         foot.last = (kind, at)
         foot.swings[kind].append(rise)
-        self._waiting.append(_Told(foot, kind, curve.top_time, at, at + rules.behind[1]))
-        return LiveEvent(KINDS[kind], _SIDE[foot.side], at, time - at, rules.sigma)
+        self._waiting.append(_ToldStep(foot, kind, curve.top_time, at, at + rules.behind[1]))
+        return LiveEvent(KINDS[kind], _SIDE[foot.side], at, float(time - at), rules.sigma)
 
-    def _learn(self, told: _Told) -> None:
+    def _stood(self, foot: _LiveFoot, strike: float, off: float) -> None:
+        """What a foot that stood says of the floor: the middle of a stance, in which neither heel nor toe turns."""
+        begins, ends = (strike + share * (off - strike) for share in (0.3, 0.6))
+        heel = 0 if foot.side == "L" else 2
+        moved = [self._at(place, ends) - self._at(place, begins) for place in (heel, 4)]
+        if ends > begins and math.isfinite(moved[0][0] + moved[1][0]):
+            self._slid.append(float(np.hypot(*moved[0]) - np.hypot(*moved[1])))
+            self._floors.append(moved[0] / (ends - begins))
+
+    def _learn(self, told: _ToldStep) -> None:
         """What the recording's rules say of an event, from the curves on both sides of it."""
         before, after = self.rules.behind
         kept = [(at, row) for at, row in self._kept if told.time - before <= at <= told.time + after]
@@ -358,8 +394,8 @@ class LiveEvents:
             return
         if told.foot.side not in feet.sides:
             return
-        belt = bool(self._slid) and float(np.median(self._slid)) > 0.0
-        events = [event for event in events_by_markers(feet, told.foot.side, self.offline, belt) if event.label == told.kind]
+        found = events_by_markers(feet, told.foot.side, self.offline, self.on_treadmill)
+        events = [event for event in found if event.label == told.kind]
         if not events:
             return
         nearest = min(events, key=lambda event: abs(times[0] + event.time - told.time))

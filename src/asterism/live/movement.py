@@ -16,7 +16,7 @@ from asterism.live.steps import LiveSteps
 class MovementAnalysis:
     """Of a frame all angles that the set of markers allows, the strikes and offs told with it, and the steps up to it.
 
-    A label that is not sure is a missing marker. What is not known is NaN, so that the names are the same in all frames once they are known.
+    A label that is not sure is a missing marker. What is not known is NaN, so that names stay the same once they are known.
     """
 
     def __init__(self, options: AngleOptions | None = None) -> None:

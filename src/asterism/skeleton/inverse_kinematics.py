@@ -609,9 +609,9 @@ class FollowedTree:
         if not self._found and self._wait == 0:
             _begin(tree, solving, given, self._weights, 0, self._state, None, self._work)
             self._found, self._wait = not self._is_lost(), self.again
+        told = self._work[2][0, ROOT:] <= _HIDDEN * self._usual[ROOT:]
         # A pose that leaves its markers far off tells no angle.
-        told = self._found and self._work[2][0] <= _HIDDEN * self._usual
-        return np.where(told[ROOT:], self._state[0][0], np.nan) if self._found else np.full(len(tree.coordinates), np.nan)
+        return np.where(told & self._found, self._state[0][0], np.nan)
 
     def _is_lost(self) -> bool:
         squares = _squares(self._weights, self._work[1])[0]

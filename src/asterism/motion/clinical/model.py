@@ -69,7 +69,7 @@ class ClinicalModel:
     def outputs(self, recording: Recording, *, upper: bool = True, room: Floats | None = None) -> dict[str, Floats]:
         """Angles (T, 3) rad by Plug-in-Gait's names, see `ClinicalAngles.outputs`; without those that are known in no frame.
 
-        upper  also those of head and arms; room  (3, 3), in whose axes pelvis, feet, thorax and head turn; `walking_axes` where none is given
+        upper  also those of head and arms; room  (3, 3), in whose axes pelvis, feet, thorax and head turn; by default `walking_axes`
         """
         if self.name == "plug-in-gait":
             body = self.body(recording)
