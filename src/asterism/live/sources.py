@@ -10,8 +10,8 @@ from asterism.live.frames import LiveSource
 from asterism.live.natnet import COMMANDS, NatNet
 from asterism.live.packages import packages_for
 
-ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet", "qtm")
-"""What can be a source, by the first word of its address: frames as JSON, one a datagram, or over WebSocket; Motive; QTM."""
+ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet", "qtm", "vicon")
+"""What can be a source, by the first word of its address: frames as JSON, one a datagram, or over WebSocket; Motive; QTM; Vicon."""
 
 
 def host_port(address: str, example: str, port_else: int | None = None) -> HostPort:
@@ -46,6 +46,11 @@ def open_source(address: str, rate: float = float("nan")) -> LiveSource:
         with packages_for("qtm://"):
             from asterism.live.qtm import PORT, Qtm
         return Qtm(host_port(address, "qtm://192.168.1.5", PORT), rate)
+    if scheme == "vicon":
+        from asterism.live.vicon import PORT as DATASTREAM
+        from asterism.live.vicon import Vicon
+
+        return Vicon(host_port(address, "vicon://192.168.1.5", DATASTREAM), rate)
     if scheme in ("ws", "wss", "ws-listen"):
         from asterism.live.websocket import FromWebSocket, websocket_place
 
