@@ -100,6 +100,8 @@ class RigSource:
         self._source, self.rig, self._waits = source, rig.select(used or rig.names), waits
         self._of = {name: c for c, name in enumerate(self.rig.names)}
         self._reconstructor = Reconstructor(self.rig, settings)
+        # Compiled and loaded before the first frame, which must not wait for it.
+        Reconstructor(self.rig, settings).push([np.array([[0.0, 0.0], [9.0, 9.0]])] * len(self.rig))
         self._gather: ByNumber | ByTime = (ByNumber if source.numbered_together else ByTime)(len(self.rig), source.rate)
         self.about = SourceAbout(name or source.name, source.rate, rig.vertical)
         self.dropped, self.cut, self.no_points = 0, 0, 0
@@ -160,10 +162,7 @@ class RigSource:
 
     def camera_numbers(self) -> list[dict[str, Any]]:
         """The same as plain values; what is not known is None."""
-        rows = [dataclasses.asdict(camera) for camera in self.cameras()]
-        return [
-            {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in row.items()} for row in rows
-        ]
+        return as_plain(self.cameras())
 
     def findings(self) -> list[Finding]:
         """What a person should know of the cameras and their rig."""
@@ -321,6 +320,12 @@ class RigSource:
             sentence = f"{where}: cameras are not triggered together, and {unlinked} blobs could not be followed to the instant of a frame."
             found.append(Finding("live-not-followed", Severity.NOTE, where, sentence, "Trigger the cameras together, or raise their rate."))
         return found
+
+
+def as_plain(cameras: Sequence[RigCameraHealth]) -> list[dict[str, Any]]:
+    """How cameras do, as plain values; None for what is not known."""
+    rows = [dataclasses.asdict(camera) for camera in cameras]
+    return [{key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in row.items()} for row in rows]
 
 
 def _health(name: str, state: CameraState, fit: CameraFit) -> RigCameraHealth:
