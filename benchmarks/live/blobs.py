@@ -58,10 +58,9 @@ def blobs(benchmark: BenchmarkRun) -> Iterator[Figure]:
         yield Figure(f"{row}, last byte of a frame to its angles: p50", "none", 1000 * float(np.quantile(spent, 0.5)), "ms", len(spent))
         asked = "< 15" if together else "none"
         yield Figure(f"{row}, last byte of a frame to its angles: p99.9", asked, 1000 * float(np.quantile(spent, 0.999)), "ms", len(spent))
-        told = health.dropped + health.lost + health.late
-        yield Figure(
-            f"{row}: frames lost and not told", "== 0", count - health.labelled - told - (0 if together else sink.first), "frames", count
-        )
+        if together:
+            unsaid = count - health.labelled - health.dropped - health.lost - health.late
+            yield Figure(f"{row}: frames lost and not told", "== 0", unsaid, "frames", count)
         yield Figure(f"{row}: frames left out, and told", "none", health.dropped + health.lost, "frames", count)
         yield Figure(f"{row}: images late or lost, and told", "none", sum(c.late + c.lost for c in cameras), "images", count * CAMERAS)
         apart = np.concatenate([np.empty(0), *sink.apart])
@@ -127,12 +126,11 @@ class _Sink:
 
     def __init__(self, path: _Path) -> None:
         self._path, self.done, self.apart = path, dict[int, float](), list[Floats]()
-        self.right, self.wrong, self.possible, self.first = 0, 0, 0, -1
+        self.right, self.wrong, self.possible = 0, 0, 0
 
     def send(self, frame: AnalysedFrame) -> None:
         done, labelled = time.monotonic(), frame.labelled
         number = math.floor(labelled.frame.time * RATE + 1e-3)
-        self.first = number if self.first < 0 else self.first
         self.done[number] = done
         # Looked at now and then, so that looking costs the next frame nothing.
         if number % 25 == 0 and number > RATE:

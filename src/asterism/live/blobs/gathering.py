@@ -381,7 +381,8 @@ class ByTime:
         self.delay = waited
         number = 0
         if self._last is not None:
-            number = self._last[0] + max(1, round((instant - self._last[1]) / self._period))
+            # Where another camera became the reference, up to three quarters of a period more are no lost frame.
+            number = self._last[0] + max(1, math.floor((instant - self._last[1]) / self._period + 0.25))
         self._last = (number, instant)
         return RigFrame(number, instant, arrived, tuple(xy), tuple(sizes), tuple(without))
 

@@ -29,8 +29,13 @@ OpenBlobs = Callable[[], BlobSource]
 
 _HEAD = struct.Struct("<qdd")
 """Of each frame: number, time, arrived."""
+_TAKEN, _STOP = b"T", b"S"
+"""What is said to the process: a frame was taken; nobody wants more."""
 _REPORT = 0.5
 """s between two reports of the process. Half of it costs twice the messages; at twice as much a page shows what was a second ago."""
+_ON_THE_WAY = 0.05
+"""s of frames that may be on their way between the processes. Half of it drops frames at each pause of the system; with twice as much,
+what is shown by a machine that is too slow is a fifth of a second old."""
 _TIMEOUT = 0.1
 """s after which the process looks whether it shall stop."""
 _ENDING = 5.0
@@ -55,12 +60,13 @@ class RigProcess:
     open_blobs  opens the source of blobs there
     rig, settings, name  as of `RigSource`
 
-    Frames come through a pipe, each a few kilobytes. Raises AsterismError where the source cannot be opened.
+    Frames come through a pipe, each a few kilobytes. What is taken is said, so that where this process is too slow frames are dropped
+    there, and counted, and what comes through is never old. Raises AsterismError where the source cannot be opened.
     """
 
     def __init__(self, open_blobs: OpenBlobs, rig: Rig, settings: ReconstructionSettings | None = None, *, name: str = "") -> None:
         servers = "forkserver" in multiprocessing.get_all_start_methods()
-        context = multiprocessing.get_context("forkserver" if servers else "spawn")
+        context: Any = multiprocessing.get_context("forkserver" if servers else "spawn")
         self._pipe, there = context.Pipe()
         self._process = context.Process(target=_serve, args=(there, open_blobs, rig, settings, name), name="live rig")
         self._process.start()
@@ -113,7 +119,7 @@ class RigProcess:
             return
         self._closed = True
         with suppress(OSError, EOFError):
-            self._pipe.send_bytes(b"")
+            self._pipe.send_bytes(_STOP)
             until = time.monotonic() + _ENDING
             while not (self._report is not None and self._report.ended) and self._pipe.poll(max(0.0, until - time.monotonic())):
                 self._received(self._pipe.recv_bytes())
@@ -138,6 +144,7 @@ class RigProcess:
     def _received(self, data: bytes) -> LiveFrame | None:
         """The frame in a message; None for a report, which is kept."""
         if data[:1] == b"F":
+            self._pipe.send_bytes(_TAKEN)
             number, at, arrived = _HEAD.unpack_from(data, 1)
             return LiveFrame(number, at, arrived, np.frombuffer(data, dtype=np.float64, offset=1 + _HEAD.size).reshape(-1, 3))
         self._report = pickle.loads(data[1:])
@@ -167,21 +174,27 @@ def _serve(pipe: Connection[Any, Any], open_blobs: OpenBlobs, rig: Rig, settings
 
 def _frames(pipe: Connection[Any, Any], source: RigSource) -> str:
     """Send frames until the end. Returns what went wrong."""
-    told = -math.inf
-    while not pipe.poll(0):
+    told, on_the_way = -math.inf, 0
+    most = max(3, round(_ON_THE_WAY * source.about.rate)) if math.isfinite(source.about.rate) else 3
+    while True:
+        while pipe.poll(0):
+            if pipe.recv_bytes() == _STOP:
+                return ""
+            on_the_way -= 1
         try:
             frame = source.read(_TIMEOUT)
         except SourceEnded:
             return ""
         except Exception as problem:
             return str(problem) if isinstance(problem, AsterismError) else f"{type(problem).__name__}: {problem}"
-        if frame is not None:
-            points = np.ascontiguousarray(frame.points)
-            pipe.send_bytes(b"F" + _HEAD.pack(frame.number, frame.time, frame.arrived) + points.tobytes())
+        if frame is not None and on_the_way < most:
+            pipe.send_bytes(b"F" + _HEAD.pack(frame.number, frame.time, frame.arrived) + np.ascontiguousarray(frame.points).tobytes())
+            on_the_way += 1
+        elif frame is not None:
+            source.dropped += 1
         if time.monotonic() - told > _REPORT:
             told = time.monotonic()
             _tell(pipe, source)
-    return ""
 
 
 def _tell(pipe: Connection[Any, Any], source: RigSource, *, ended: bool = False, problem: str = "") -> None:

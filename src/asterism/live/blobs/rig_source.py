@@ -20,6 +20,7 @@ from asterism.live.camera_frames import BlobSource, LiveBlobs
 from asterism.live.frames import MOST_POINTS, LiveFrame, SourceAbout, SourceEnded
 from asterism.reconstruction import ReconstructionSettings, Reconstructor
 from asterism.reconstruction.camera_fit import CameraFit
+from asterism.reconstruction.streaming import WINDOW
 from asterism.recording import Floats
 from asterism.recording.display import listed, significant
 
@@ -244,11 +245,11 @@ class RigSource:
         return kept
 
     def _watch(self) -> None:
-        """Judge noise and cameras: after the first frames, then at twice as many, and every ten seconds."""
+        """Judge noise and cameras: after the first frames, when the window is full, and every ten seconds."""
         if self._frames < self._next:
             return
         rate = self.about.rate if math.isfinite(self.about.rate) else 100.0
-        self._next = self._frames + max(_FIRST, min(self._frames, round(_EVERY * rate)))
+        self._next = WINDOW if self._frames < WINDOW else self._frames + round(_EVERY * rate)
         if self._waits:
             self._learn(rate)
         elif self._judge is None or not self._judge.is_alive():
@@ -280,26 +281,20 @@ class RigSource:
         return found
 
     def _counts(self) -> list[Finding]:
-        found, warning = [], Severity.WARNING
-        for camera in self.cameras():
+        found, warning, cameras = list[Finding](), Severity.WARNING, self.cameras()
+        cable = "Look at cables and at the network, or lower the rate."
+        silent = [camera.name for camera in cameras if not camera.received]
+        if silent:
+            mend = "Look whether it is switched on, and whether it has this name in the rig."
+            found.append(Finding("live-camera-silent", warning, listed(silent), f"camera {listed(silent)} sent nothing.", mend))
+        if lost := _shares([(camera.name, camera.lost, camera.received + camera.lost) for camera in cameras]):
+            where, said = lost
+            found.append(Finding("live-camera-lost", warning, where, f"images never arrived: {said}.", cable))
+        if late := _shares([(camera.name, camera.late, camera.received + camera.lost) for camera in cameras]):
+            where, said = late
+            found.append(Finding("live-camera-late", warning, where, f"images came too late for their frame: {said}.", cable))
+        for camera in cameras:
             where = camera.name
-            if not camera.received:
-                mend = "Look whether it is switched on, and whether it has this name in the rig."
-                found.append(Finding("live-camera-silent", warning, where, f"camera {where} sent nothing.", mend))
-                continue
-            total = camera.received + camera.lost
-            if camera.lost:
-                sentence = f"camera {where}: {camera.lost} images never arrived ({significant(100 * camera.lost / total, 2)} %)."
-                found.append(
-                    Finding("live-camera-lost", warning, where, sentence, "Look at its cable and at the network, or lower the rate.")
-                )
-            if camera.late:
-                sentence = (
-                    f"camera {where}: {camera.late} images came too late for their frame ({significant(100 * camera.late / total, 2)} %)."
-                )
-                found.append(
-                    Finding("live-camera-late", warning, where, sentence, "Look at its cable and at the network, or lower the rate.")
-                )
             if camera.times_away:
                 sentence = f"camera {where} fell silent {camera.times_away} times{', and is silent now' if camera.away else ''}."
                 found.append(Finding("live-camera-away", warning, where, sentence, "Look at its cable; frames went on without it."))
@@ -315,11 +310,20 @@ class RigSource:
             found.append(
                 Finding("live-many-blobs", warning, where, sentence, "Cover reflections and lamps, or raise the cameras' threshold.")
             )
-        unlinked = sum(camera.unlinked for camera in self.cameras())
+        unlinked = sum(camera.unlinked for camera in cameras)
         if unlinked:
             sentence = f"{where}: cameras are not triggered together, and {unlinked} blobs could not be followed to the instant of a frame."
             found.append(Finding("live-not-followed", Severity.NOTE, where, sentence, "Trigger the cameras together, or raise their rate."))
         return found
+
+
+def _shares(counts: Sequence[tuple[str, int, int]]) -> tuple[str, str] | None:
+    """The cameras (name, how many, of how many) that have some, and what is said of them; None where none has."""
+    some = [(name, count, total) for name, count, total in counts if count]
+    if not some:
+        return None
+    names = listed([name for name, _, _ in some])
+    return names, listed([f"{count} of camera {name} ({significant(100 * count / total, 2)} %)" for name, count, total in some])
 
 
 def as_plain(cameras: Sequence[RigCameraHealth]) -> list[dict[str, Any]]:
