@@ -218,6 +218,29 @@ def test_a_clock_that_is_set_back_gives_no_gap_and_real_gaps_are_seen_through_ba
     numbers = NumbersByTime(100.0)
     said = [numbers.next(at, at) for at in np.repeat(np.arange(2000) * 0.04, 4)]
     assert said[-1] + 1 - len(said) < 0.01 * len(said)
+    # A sender that is slower than it says is told.
+    numbers = NumbersByTime(100.0)
+    said = [numbers.next(at, at) for at in np.arange(1000) / 60]
+    assert numbers.is_off and numbers.measured_rate == pytest.approx(60) and said[-1] == pytest.approx(1665, abs=5)
+
+
+def test_a_clock_that_was_really_set_back_is_played_through_an_outlet(name: str) -> None:
+    xdf = pytest.importorskip("pyxdf", reason="pyxdf is not installed")
+    path = Path(os.environ.get("ASTERISM_DATA", "")) / "live" / "xdf" / "clock_resets.xdf"
+    if "ASTERISM_DATA" not in os.environ or not path.exists():
+        pytest.skip("ASTERISM_DATA with live/xdf is needed")
+    (played,), _ = xdf.load_xdf(str(path), select_streams=[{"type": "EEG"}], synchronize_clocks=False, dejitter_timestamps=False)
+    at = int(np.argmin(np.diff(played["time_stamps"])))
+    times, values = played["time_stamps"][at - 60 : at + 60], played["time_series"][at - 60 : at + 60, :6]
+    assert np.diff(times).min() < -600_000
+    sender = outlet(name, points_of(["A", "B"], "m"), float(played["info"]["nominal_srate"][0]))
+    source = opened(f"lsl://{name}")
+    for sample, stamp in zip(values.tolist(), times.tolist(), strict=True):
+        sender.push_sample(sample, stamp)
+    numbers = [frame.number for frame in taken(source, 120)]
+    source.close()
+    assert source._numbers.jumps == 1 and numbers[60] == numbers[59] + 1
+    assert np.all(np.diff(numbers) > 0) and numbers[-1] < 140, "the device has 92 samples/s and says 100"
 
 
 def test_labels_values_and_events_go_out_and_can_be_read_again(name: str) -> None:

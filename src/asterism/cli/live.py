@@ -30,7 +30,7 @@ class LiveOptions:
         str | None,
         typer.Argument(
             metavar="[SOURCE]",
-            help="Where frames come from: natnet://HOST for Motive; udp://HOST:PORT or ws://HOST:PORT for JSON.",
+            help="Where frames come from: natnet://HOST for Motive; udp:// or ws://HOST:PORT for JSON; lsl://NAME for LSL.",
             show_default=False,
         ),
     ] = None
@@ -58,7 +58,7 @@ class LiveOptions:
         typer.Option(
             "--to",
             metavar="ADDRESS",
-            help="Pass labelled frames on: udp://HOST:PORT or ws-listen://HOST:PORT (JSON), osc://HOST:PORT. Several times.",
+            help="Pass labelled frames on: udp://, ws:// or ws-listen://HOST:PORT (JSON), osc://HOST:PORT, lsl://NAME. Several times.",
         ),
     ] = field(default_factory=list)
     feedback: Annotated[

@@ -157,6 +157,11 @@ class NumbersByTime:
         middle = float(np.median(self._steps)) if len(self._steps) == _STEPS else float("nan")
         return 1.0 / middle if middle > 0 else float("nan")
 
+    @property
+    def is_off(self) -> bool:
+        """Whether the source sends at another rate than it says, which makes gaps where nothing was lost."""
+        return abs(self.measured_rate / self.rate - 1.0) > _TIMING
+
     def next(self, time: float, arrived: float) -> int:
         """The number of the next frame. time: its stamp, s; arrived: s on this machine's clock."""
         if self._last is None:

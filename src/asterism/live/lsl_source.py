@@ -389,8 +389,10 @@ class FromLsl:
         if not math.isfinite(self._rate):
             mend = "Give its rate with --rate where it has one."
             tell("live-irregular", Severity.NOTE, "it has no rate, so that samples which are lost are not noticed.", mend)
-        elif abs(self._numbers.measured_rate / self._rate - 1.0) > 0.1:
-            sentence = f"it says {self._rate:g} samples/s, and sends {self._numbers.measured_rate:.3g}."
+        elif self._numbers.is_off and (layout is None or layout.counter is None):
+            sentence = (
+                f"it is to have {self._rate:g} samples/s, and sends {self._numbers.measured_rate:.4g}; the difference counts as lost."
+            )
             tell("live-rate", Severity.WARNING, sentence, "Give the true rate with --rate.")
         if self._clock_unknown:
             sentence = "its clock could not be compared with this machine's; its own times are used."
