@@ -221,7 +221,7 @@ def test_a_clock_that_is_set_back_gives_no_gap_and_real_gaps_are_seen_through_ba
     # A sender that is slower than it says is told.
     numbers = NumbersByTime(100.0)
     said = [numbers.next(at, at) for at in np.arange(1000) / 60]
-    assert numbers.is_off and numbers.measured_rate == pytest.approx(60) and said[-1] == pytest.approx(1665, abs=5)
+    assert numbers.is_off and numbers.measured_rate == pytest.approx(60) and said[-1] == pytest.approx(1665, abs=20)
 
 
 def test_a_clock_that_was_really_set_back_is_played_through_an_outlet(name: str) -> None:

@@ -390,9 +390,7 @@ class FromLsl:
             mend = "Give its rate with --rate where it has one."
             tell("live-irregular", Severity.NOTE, "it has no rate, so that samples which are lost are not noticed.", mend)
         elif self._numbers.is_off and (layout is None or layout.counter is None):
-            sentence = (
-                f"it is to have {self._rate:g} samples/s, and sends {self._numbers.measured_rate:.4g}; the difference counts as lost."
-            )
+            sentence = f"it has not {self._rate:g} samples/s but {self._numbers.measured_rate:.4g}; the difference counts as lost."
             tell("live-rate", Severity.WARNING, sentence, "Give the true rate with --rate.")
         if self._clock_unknown:
             sentence = "its clock could not be compared with this machine's; its own times are used."

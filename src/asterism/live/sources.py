@@ -8,9 +8,10 @@ from asterism.errors import AsterismError
 from asterism.live.datagrams import HostPort, JsonDatagrams
 from asterism.live.frames import LiveSource
 from asterism.live.natnet import COMMANDS, NatNet
+from asterism.live.packages import packages_for
 
-ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet", "lsl")
-"""What can be a source, by the first word of its address: frames as JSON in datagrams or over WebSocket; Motive; LSL."""
+ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet", "qtm", "vicon", "lsl")
+"""What can be a source, by the first word of its address: frames as JSON in datagrams or over WebSocket; Motive; QTM; Vicon; LSL."""
 
 
 def host_port(address: str, example: str, port_else: int | None = None) -> HostPort:
@@ -45,6 +46,15 @@ def open_source(address: str, rate: float = float("nan")) -> LiveSource:
         from asterism.live.lsl_source import FromLsl
 
         return FromLsl(address, rate)
+    if scheme == "qtm":
+        with packages_for("qtm://"):
+            from asterism.live.qtm import PORT, Qtm
+        return Qtm(host_port(address, "qtm://192.168.1.5", PORT), rate)
+    if scheme == "vicon":
+        from asterism.live.vicon import PORT as DATASTREAM
+        from asterism.live.vicon import Vicon
+
+        return Vicon(host_port(address, "vicon://192.168.1.5", DATASTREAM), rate)
     if scheme in ("ws", "wss", "ws-listen"):
         from asterism.live.websocket import FromWebSocket, websocket_place
 
