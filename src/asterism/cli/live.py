@@ -12,14 +12,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asterism.cli import _console
+from asterism.cli import _clinical, _console
 from asterism.cli._command import takes
-from asterism.cli._options import Json, Overwrite, Vertical
+from asterism.cli._options import Hip, Json, LowerBodyChoice, Measure, Overwrite, Static, Vertical
 from asterism.errors import AsterismError
 from asterism.findings import Severity
 
 if TYPE_CHECKING:
-    from asterism.live import Health, LiveRecorder, LiveSession, LiveSource
+    from asterism.findings import Finding
+    from asterism.live import Health, LiveAnalysis, LiveRecorder, LiveSession, LiveSource
+    from asterism.motion.clinical import SubjectMeasures
+    from asterism.recording import Floats, Recording
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,13 @@ class LiveOptions:
     ] = None
     delay: Annotated[int, typer.Option("--delay", metavar="FRAMES", min=0, help="Frames to wait for, which make labels surer.")] = 0
     vertical: Vertical = None
+    analysis: Annotated[
+        bool, typer.Option("--analysis/--no-analysis", help="Angles of joints, heel strikes and toe offs, and what steps are like.")
+    ] = True
+    static: Static = None
+    measure: Measure = field(default_factory=list)
+    lower_body: LowerBodyChoice = None
+    hip: Hip = None
     to: Annotated[
         list[str],
         typer.Option(
@@ -93,8 +103,10 @@ def live(options: LiveOptions) -> None:
 
     A frame gets its labels a few milliseconds after its points arrive, or as many frames later as --delay says. Where frames come faster
     than they are labelled, the oldest that waits is left out and counted: what is passed on is never old. Frames that were lost on the way,
-    came late or could not be read are counted and told at the end. Stop with Ctrl-C. A recording holds all frames that came. Until the end
-    they are in a file beside the output, so that a session that is killed loses half a second at most.
+    came late or could not be read are counted and told at the end. Labels give angles of the joints, by the same models as `asterism gait`,
+    heel strikes and toe offs a few hundredths of a second after they happened, and what the last steps were like. Stop with Ctrl-C. A
+    recording holds all frames that came. Until the end they are in a file beside the output, so that a session that is killed loses half a
+    second at most.
     """
     from asterism.formats import check_suffix
     from asterism.live import LiveRecorder, session_findings
@@ -109,7 +121,9 @@ def live(options: LiveOptions) -> None:
         raise AsterismError("a model has its own marker set; give either --model or --markers.")
     if options.output is not None:
         check_suffix(options.output)
-    _console.check_outputs([options.output, options.json], [options.replay, options.model], options.overwrite)
+    _clinical.given_measures(options.measure)
+    inputs = [options.replay, options.model, options.static, *_clinical.measure_files(options.measure)]
+    _console.check_outputs([options.output, options.json], inputs, options.overwrite)
     if unfinished is not None and unfinished.exists():
         raise AsterismError(
             f"{unfinished} is there from a session that was not finished; write it with --finish {unfinished} -o FILE.c3d, or remove it."
@@ -126,7 +140,8 @@ def live(options: LiveOptions) -> None:
         source.close()
         if recorder is not None:
             recorder.close()
-    findings = session_findings(health, source.about.name, recorder, [source, *session.outputs, session.feedback])
+    parts = [source, *session.outputs, session.analysis, session.feedback]
+    findings = session_findings(health, source.about.name, recorder, parts)
     if recorder is not None and unfinished is not None and options.output is not None and recorder.kept:
         _written(unfinished, options.output, options.rate)
         unfinished.unlink()
@@ -175,6 +190,7 @@ def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
         if worn is not None:
             rules.look_at(worn.names)
     make = make_labeller(model, options.markers, options.delay)
+    analysis = _analysis(options, up)
     # Outputs are opened last, so that nothing else can fail while they are open.
     outputs = open_outputs(options.to, source.about)
     for finding in own_findings([source, *outputs]):
@@ -182,7 +198,23 @@ def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
     if options.lines:
         outputs.append(ToLines())
     # A file can wait until its frames are labelled.
-    return LiveSession(source, make, outputs, options.delay, waits=options.replay is not None, feedback=rules, vertical=up)
+    waits = options.replay is not None
+    return LiveSession(source, make, outputs, options.delay, waits=waits, feedback=rules, vertical=up, analysis=analysis)
+
+
+def _analysis(options: LiveOptions, up: Floats | None) -> LiveAnalysis | None:
+    from asterism.formats import read
+    from asterism.live import AngleOptions, MovementAnalysis
+
+    if not options.analysis:
+        return None
+    static = None if options.static is None else read(options.static)
+    model = None if options.lower_body is None else str(options.lower_body)
+
+    def measures(recording: Recording) -> tuple[SubjectMeasures | None, tuple[Finding, ...]]:
+        return _clinical.measures_of(recording, static, options.measure, options.hip)
+
+    return MovementAnalysis(AngleOptions(static, model, measures, up, waits=options.replay is not None))
 
 
 def _run(session: LiveSession, options: LiveOptions) -> Health:

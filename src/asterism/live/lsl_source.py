@@ -374,32 +374,30 @@ class FromLsl:
 
     def findings(self) -> list[Finding]:
         """What was believed, and what happened to the stream."""
-        name, found = self.about.name, list[Finding]()
-
-        def tell(code: str, severity: Severity, sentence: str, mend: str) -> None:
-            found.append(Finding(code, severity, name, f"{name}: {sentence}", mend))
-
-        found += self._unit_findings
-        layout = self._layout
+        name, found, layout = self.about.name, list(self._unit_findings), self._layout
         if layout is not None and layout.guessed:
-            sentence = f"nothing says what its channels are; they are read as x, y, z of {len(layout.columns)} points."
-            tell("live-channels-assumed", Severity.NOTE, sentence, "Look whether a body is seen; have the sender describe its channels.")
+            sentence = f"{name}: nothing says what its channels are; they are read as x, y, z of {len(layout.columns)} points."
+            mend = "Look whether a body is seen; have the sender describe its channels."
+            found.append(Finding("live-channels-assumed", Severity.NOTE, name, sentence, mend))
         if layout is not None and layout.bodies:
-            tell("live-bodies", Severity.NOTE, f"{layout.bodies} rigid bodies are passed over; markers alone are read.", "")
+            sentence = f"{name}: {layout.bodies} rigid bodies are passed over; markers alone are read."
+            found.append(Finding("live-bodies", Severity.NOTE, name, sentence))
         if not math.isfinite(self._rate):
-            mend = "Give its rate with --rate where it has one."
-            tell("live-irregular", Severity.NOTE, "it has no rate, so that samples which are lost are not noticed.", mend)
+            sentence = f"{name} has no rate, so that samples which are lost are not noticed."
+            found.append(Finding("live-irregular", Severity.NOTE, name, sentence, "Give its rate with --rate where it has one."))
         elif self._numbers.is_off and (layout is None or layout.counter is None):
-            sentence = f"it has not {self._rate:g} samples/s but {self._numbers.measured_rate:.4g}; the difference counts as lost."
-            tell("live-rate", Severity.WARNING, sentence, "Give the true rate with --rate.")
+            said, true = self._rate, self._numbers.measured_rate
+            sentence = f"{name} has not {said:g} samples/s but {true:.4g}; the difference counts as lost."
+            found.append(Finding("live-rate", Severity.WARNING, name, sentence, "Give the true rate with --rate."))
         if self._clock_unknown:
-            sentence = "its clock could not be compared with this machine's; its own times are used."
-            tell("live-clock", Severity.NOTE, sentence, "Let a firewall pass the UDP ports 16571 to 16604.")
+            sentence = f"{name}: its clock could not be compared with this machine's; its own times are used."
+            found.append(Finding("live-clock", Severity.NOTE, name, sentence, "Let a firewall pass the UDP ports 16571 to 16604."))
         if self._counter_broken:
-            tell("live-counter", Severity.WARNING, "its channel that counts stands still; samples are numbered as they come.", "")
+            sentence = f"{name}: its channel that counts stands still; samples are numbered as they come."
+            found.append(Finding("live-counter", Severity.WARNING, name, sentence, "Have the sender mend it."))
         if self._lost:
-            sentence = f"the stream was lost {self._lost} times" + (" and is not back." if self._away else ", and found again.")
-            tell("live-reconnected", Severity.WARNING, sentence, "Look at the network and the sender.")
+            sentence = f"{name}: the stream was lost ({self._lost} times)" + (" and is not back." if self._away else ", and found again.")
+            found.append(Finding("live-reconnected", Severity.WARNING, name, sentence, "Look at the network and the sender."))
         return found
 
     def close(self) -> None:
