@@ -27,7 +27,7 @@ from asterism.live import (
     open_output,
     open_source,
 )
-from asterism.live.clock import NumbersByTime
+from asterism.live.clock import SampleNumbers
 from asterism.live.lsl_source import FromLsl, StreamChoice, layout_of_channels
 
 # Read by the library as it is loaded: nothing leaves this machine, and no other process of the tests is heard.
@@ -202,24 +202,24 @@ def test_a_counter_numbers_the_frames_until_it_stands_still(name: str) -> None:
 
 
 def test_a_clock_that_is_set_back_gives_no_gap_and_real_gaps_are_seen_through_bad_stamps() -> None:
-    numbers = NumbersByTime(100.0)
+    numbers = SampleNumbers(100.0)
     times = np.concatenate([np.arange(500) / 100, np.arange(500) / 100 - 3600])
     assert [numbers.next(at, n / 100) for n, at in enumerate(times)] == list(range(1000)) and numbers.jumps == 1
     rng = np.random.default_rng(1)
     kept = rng.random(20_000) > 0.01
     kept[0] = True
     for rate, noise in ((100.0, 0.0), (99.9, 0.02), (100.0, 0.1)):
-        numbers = NumbersByTime(100.0)
+        numbers = SampleNumbers(100.0)
         stamps = np.arange(20_000)[kept] / rate + rng.normal(0, noise / rate, kept.sum())
         said = [numbers.next(at, at) for at in stamps]
         assert np.all(np.diff(said) > 0)
         assert said[-1] + 1 - len(said) == pytest.approx((~kept).sum(), abs=0.2 * (~kept).sum() if noise > 0.05 else 4)
     # Stamps of a busy sender, four at a time, are no losses.
-    numbers = NumbersByTime(100.0)
+    numbers = SampleNumbers(100.0)
     said = [numbers.next(at, at) for at in np.repeat(np.arange(2000) * 0.04, 4)]
     assert said[-1] + 1 - len(said) < 0.01 * len(said)
     # A sender that is slower than it says is told.
-    numbers = NumbersByTime(100.0)
+    numbers = SampleNumbers(100.0)
     said = [numbers.next(at, at) for at in np.arange(1000) / 60]
     assert numbers.is_off and numbers.measured_rate == pytest.approx(60) and said[-1] == pytest.approx(1665, abs=20)
 

@@ -120,8 +120,8 @@ twentieth of one. With half of it to a tenth; with twice as much two losses in a
 
 
 @dataclass
-class NumbersByTime:
-    """Numbers for the frames of a source that has time stamps and none, so that lost frames leave a gap.
+class SampleNumbers:
+    """Numbers for the samples of a source that has time stamps and no numbers, so that lost ones leave a gap.
 
     rate    frames per second that the source says it has
     jumps   times that its clock was set
@@ -129,7 +129,7 @@ class NumbersByTime:
     A frame has the next number, unless its time stamp is later than the spread of the time stamps explains. So a sender that stamps badly
     has few gaps, and one that stamps well has one for each frame that is lost. O(1) a frame, bounded memory.
 
-    >>> numbers = NumbersByTime(100.0)
+    >>> numbers = SampleNumbers(100.0)
     >>> [numbers.next(time, time) for time in (5.0, 5.01, 5.021, 5.05, 5.06)]
     [0, 1, 2, 5, 6]
     """

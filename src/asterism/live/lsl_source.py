@@ -18,7 +18,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.formats import metres_per_unit
-from asterism.live.clock import NumbersByTime
+from asterism.live.clock import SampleNumbers
 from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
 from asterism.live.packages import packages_for
 from asterism.recording import Floats, Ints
@@ -160,7 +160,7 @@ def _properties(info: Any) -> dict[str, str]:
 
 
 @dataclass(eq=False)
-class _Stream:
+class _OpenStream:
     """One that is open."""
 
     inlet: Any
@@ -181,7 +181,7 @@ class FromLsl:
     rate     frames per second; NaN for what the stream says
 
     Times are those of the samples, on this machine's clock by the library's own comparison. Numbers are those of a channel that counts,
-    else by `NumbersByTime`; without a rate they are one after the other. A point is missing where a coordinate is NaN, or where all three
+    else by `SampleNumbers`; without a rate they are one after the other. A point is missing where a coordinate is NaN, or where all three
     are 0, as some systems write it. A stream that is lost is sought and opened again; it is never another one than what was chosen.
     Raises AsterismError where pylsl is missing, no stream or more than one fits, or what fits are no points.
     """
@@ -197,7 +197,7 @@ class FromLsl:
         self._resolver: Any = None
         self._kept: deque[LiveFrame] = deque()
         self._number, self._by_time = -1, -1
-        self._stream: _Stream | None = None
+        self._stream: _OpenStream | None = None
         self._away = False
         self._layout: ChannelLayout | None = None
         self._unit_findings = list[Finding]()
@@ -205,7 +205,7 @@ class FromLsl:
         nominal = info.nominal_srate()
         self._rate = rate if math.isfinite(rate) else nominal if 0 < nominal < 1e5 else math.nan
         self.about = SourceAbout(f"{info.name()} ({info.type() or 'no type'}) at {info.hostname()}", self._rate)
-        self._numbers = NumbersByTime(self._rate)
+        self._numbers = SampleNumbers(self._rate)
         self._stream = self._opened(info)
         self._found_first = _properties(info)
 
@@ -243,7 +243,7 @@ class FromLsl:
             "firewall lets the ports 16571 to 16604 pass (UDP and TCP)."
         )
 
-    def _opened(self, info: Any) -> _Stream:
+    def _opened(self, info: Any) -> _OpenStream:
         """The stream, open, its layout and its unit known. Raises AsterismError where it does not open, or has no points."""
         name = self.about.name
         inlet = self._lsl.StreamInlet(info, max_buflen=_KEPT, recover=False)
@@ -258,7 +258,7 @@ class FromLsl:
                 f"{name} has {whole.channel_count()} channels, and they are no places of markers; have its sender describe them by the "
                 "types PositionX, PositionY and PositionZ, as in XDF's convention for motion capture."
             )
-        stream = _Stream(inlet, whole, layout)
+        stream = _OpenStream(inlet, whole, layout)
         self._layout = layout
         try:
             stream.correction = inlet.time_correction(_OPEN)
@@ -268,7 +268,7 @@ class FromLsl:
         self._settle_unit(stream)
         return stream
 
-    def _settle_unit(self, stream: _Stream) -> None:
+    def _settle_unit(self, stream: _OpenStream) -> None:
         """Metres per unit: as written, else by the size of what comes first."""
         samples = list[tuple[Floats, float, float]]()
         until = time.monotonic() + _OPEN
@@ -306,7 +306,7 @@ class FromLsl:
                     break
             return self._kept.popleft() if self._kept else None
 
-    def _pull(self, stream: _Stream, timeout: float) -> None:
+    def _pull(self, stream: _OpenStream, timeout: float) -> None:
         try:
             values, stamp = stream.inlet.pull_sample(timeout)
         except RuntimeError:
@@ -347,7 +347,7 @@ class FromLsl:
             # It is gone again, or somebody else's; it is sought on.
             self._stream = None
 
-    def _keep(self, stream: _Stream, sample: Floats, stamp: float, arrived: float) -> None:
+    def _keep(self, stream: _OpenStream, sample: Floats, stamp: float, arrived: float) -> None:
         layout, at = stream.layout, stamp + stream.correction
         if not math.isfinite(at):
             self.damaged += 1
@@ -359,7 +359,7 @@ class FromLsl:
         self._number = self._next_number(stream, sample, at, arrived)
         self._kept.append(LiveFrame(self._number, at, arrived, points[there], names))
 
-    def _next_number(self, stream: _Stream, sample: Floats, at: float, arrived: float) -> int:
+    def _next_number(self, stream: _OpenStream, sample: Floats, at: float, arrived: float) -> int:
         """What the stream counts itself; where it does not, or stands still, as many more than the last as time says."""
         before, self._by_time = self._by_time, self._numbers.next(at, arrived) if math.isfinite(self._rate) else self._by_time + 1
         if stream.layout.counter is not None and not self._counter_broken:
