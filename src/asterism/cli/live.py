@@ -29,7 +29,9 @@ class LiveOptions:
     source: Annotated[
         str | None,
         typer.Argument(
-            metavar="[SOURCE]", help="Where frames come from: natnet://HOST for Motive, udp://HOST:PORT for JSON.", show_default=False
+            metavar="[SOURCE]",
+            help="Where frames come from: natnet://HOST for Motive; udp://HOST:PORT or ws://HOST:PORT for JSON.",
+            show_default=False,
         ),
     ] = None
     replay: Annotated[
@@ -53,7 +55,11 @@ class LiveOptions:
     vertical: Vertical = None
     to: Annotated[
         list[str],
-        typer.Option("--to", metavar="ADDRESS", help="Pass labelled frames on: udp://HOST:PORT (JSON) or osc://HOST:PORT. Several times."),
+        typer.Option(
+            "--to",
+            metavar="ADDRESS",
+            help="Pass labelled frames on: udp://HOST:PORT or ws-listen://HOST:PORT (JSON), osc://HOST:PORT. Several times.",
+        ),
     ] = field(default_factory=list)
     feedback: Annotated[
         Path | None,

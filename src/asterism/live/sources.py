@@ -9,8 +9,8 @@ from asterism.live.datagrams import HostPort, JsonDatagrams
 from asterism.live.frames import LiveSource
 from asterism.live.natnet import COMMANDS, NatNet
 
-ADDRESSES = ("udp", "natnet")
-"""What can be a source, by the first word of its address: frames as JSON, one a datagram; OptiTrack Motive."""
+ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet")
+"""What can be a source, by the first word of its address: frames as JSON, one a datagram, or over WebSocket; OptiTrack Motive."""
 
 
 def host_port(address: str, example: str, port_else: int | None = None) -> HostPort:
@@ -41,4 +41,8 @@ def open_source(address: str, rate: float = float("nan")) -> LiveSource:
         parts = urlsplit(address)
         local = dict(parse_qsl(parts.query)).get("local", "")
         return NatNet(host_port(address, "natnet://192.168.1.5", COMMANDS), local, rate)
+    if scheme in ("ws", "wss", "ws-listen"):
+        from asterism.live.websocket import FromWebSocket, websocket_place
+
+        return FromWebSocket(websocket_place(address), rate)
     return JsonDatagrams(host_port(address, "udp://127.0.0.1:5000"), rate)
