@@ -147,4 +147,3 @@ class RunningDetection:
         if self._mask is None or self.settings.mask is None:
             return self.settings.mask if self._mask is None else self._mask
         return self._mask | np.asarray(self.settings.mask, dtype=np.bool_)
-
