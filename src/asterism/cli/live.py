@@ -30,7 +30,7 @@ class LiveOptions:
         str | None,
         typer.Argument(
             metavar="[SOURCE]",
-            help="Where frames come from: natnet://HOST for Motive; udp://HOST:PORT or ws://HOST:PORT for JSON.",
+            help="Where frames come from: natnet://HOST (Motive), qtm://HOST (Qualisys); udp:// or ws://HOST:PORT (JSON).",
             show_default=False,
         ),
     ] = None
@@ -62,8 +62,13 @@ class LiveOptions:
         ),
     ] = field(default_factory=list)
     feedback: Annotated[
-        Path | None,
-        typer.Option("--feedback", metavar="FILE", help="Rules in TOML: what the person is told, and when.", show_default=False),
+        str | None,
+        typer.Option(
+            "--feedback",
+            metavar="FILE|NAME",
+            help="What the person is told, and when: rules in TOML, or gait-symmetry, squat-depth, bike-knee, golf-tempo.",
+            show_default=False,
+        ),
     ] = None
     page: Annotated[bool, typer.Option("--page", help="Show the body and the counts in a browser, with sounds.")] = False
     host: Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Where the page is served; this machine only.")] = "127.0.0.1"
@@ -121,7 +126,7 @@ def live(options: LiveOptions) -> None:
         source.close()
         if recorder is not None:
             recorder.close()
-    findings = session_findings(health, source.about.name, recorder, [source, *session.outputs])
+    findings = session_findings(health, source.about.name, recorder, [source, *session.outputs, session.feedback])
     if recorder is not None and unfinished is not None and options.output is not None and recorder.kept:
         _written(unfinished, options.output, options.rate)
         unfinished.unlink()
@@ -157,12 +162,18 @@ def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
     from asterism.cli._options import vertical_axis
     from asterism.labelling.marker_model import MarkerModel
     from asterism.live import Feedback, LiveSession, ToLines, load_feedback, make_labeller, open_outputs, own_findings
-    from asterism.recording import as_vertical
+    from asterism.recording import MarkerSet, as_vertical
 
     model = None if options.model is None else MarkerModel.load(options.model)
     given = vertical_axis(options.vertical)
     up = source.about.vertical if given is None else as_vertical(given)
-    rules = None if options.feedback is None else Feedback(load_feedback(options.feedback), as_vertical("z") if up is None else up)
+    rules = None
+    if options.feedback is not None:
+        rules = Feedback(load_feedback(options.feedback), as_vertical("z") if up is None else up, _console.notice)
+        # Where the names are known before the first frame, so is what lacks.
+        worn = MarkerSet.load(options.markers) if options.markers is not None else None if model is None else model.marker_set
+        if worn is not None:
+            rules.look_at(worn.names)
     make = make_labeller(model, options.markers, options.delay)
     # Outputs are opened last, so that nothing else can fail while they are open.
     outputs = open_outputs(options.to, source.about)

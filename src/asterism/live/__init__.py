@@ -5,7 +5,7 @@ from asterism.live.chain import LabelChain, LabelledFrame, OfModel, make_labelle
 from asterism.live.clock import FrameCount, SourceClock
 from asterism.live.cues import Cue, FeedbackRule
 from asterism.live.datagrams import HostPort, JsonDatagrams, frame_as_json, frame_of_json
-from asterism.live.feedback import Feedback, load_feedback
+from asterism.live.feedback import Feedback, example_names, load_feedback
 from asterism.live.found import WithFindings, own_findings, session_findings
 from asterism.live.frames import LiveFrame, LiveSource, SourceAbout, SourceEnded
 from asterism.live.outputs import ToDatagrams, ToLines, labels_as_json
@@ -43,6 +43,7 @@ __all__ = [
     "ToDatagrams",
     "ToLines",
     "WithFindings",
+    "example_names",
     "frame_as_json",
     "frame_of_json",
     "host_port",

@@ -105,3 +105,30 @@ class FrameCount:
         self._last = number
         self.received += 1
         return True
+
+
+@dataclass
+class StreamTimes:
+    """The times of frames, also of a sender whose timestamps do not move: by number and rate, or by arrival where there is no rate.
+
+    >>> times = StreamTimes(rate=100.0)
+    >>> [times.of(number, 0.0, 5.0 + 0.01 * number) for number in (7, 8, 10)], times.made
+    ([0.0, 0.01, 0.03], True)
+    """
+
+    rate: float
+    made: bool = False
+    """Whether times had to be made."""
+    _first: tuple[int, float, float] | None = None
+    _moves: bool = False
+
+    def of(self, number: int, time: float, arrived: float) -> float:
+        """s of the frame, of which the sender said `time`."""
+        if self._first is None:
+            self._first = (number, time, arrived)
+        first_number, first_time, first_arrived = self._first
+        if number == first_number or self._moves or time != first_time:
+            self._moves = self._moves or time != first_time
+            return time
+        self.made = True
+        return first_time + ((number - first_number) / self.rate if self.rate > 0 else arrived - first_arrived)

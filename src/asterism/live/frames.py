@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+from scipy.spatial import cKDTree
+
 from asterism.recording import Floats
 
 MOST_POINTS = 2000
@@ -13,6 +16,23 @@ as many would hold the next frames back."""
 FARTHEST = 1000.0
 """m from the origin beyond which a coordinate is no laboratory's, but a damaged number. Half and double do as well: halls are smaller, and
 what is meant is what overflows when it is squared."""
+_SAME = 1e-5
+"""m within which points of two lists of one frame are one point: both are the same float. Half and double do as well, since markers are a
+millimetre apart at least."""
+
+
+def believable(points: Floats) -> Floats:
+    """(n, 3) m, those that are finite and in the hall."""
+    with np.errstate(invalid="ignore"):
+        return points[(np.abs(points) < FARTHEST).all(axis=1)]
+
+
+def joined(first: Floats, second: Floats) -> Floats:
+    """(n, 3) m, points of two lists that may tell the same ones twice, each once. All are finite."""
+    if not len(first) or not len(second):
+        return second if len(second) else first
+    apart, _ = cKDTree(first).query(second, p=np.inf)
+    return np.concatenate([first, second[apart > _SAME]])
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.live.datagrams import LARGEST, HostPort
-from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
-from asterism.recording import Floats
+from asterism.live.frames import MOST_POINTS, LiveFrame, SourceAbout, believable, joined
 
 COMMANDS = 1510
 """The port at which Motive takes commands unless its settings say otherwise."""
@@ -25,8 +24,6 @@ _PATIENCE = 3.0
 """s until a server that does not answer is given up: three questions. Half of it loses to a busy Windows; twice as much is a wait."""
 _ALIVE = 1.0
 """s between two signs of life; a server that sends to one client alone stops after some seconds without."""
-_SAME = 1e-5
-"""m within which a labelled marker and one of the older list are the same: both are the same float."""
 _LATEST = (4, 4)
 """A newer version is read as this one, since newer ones say how long their parts are."""
 
@@ -145,7 +142,7 @@ def _frame(packet: _Packet, version: tuple[int, int], arrived: float) -> LiveFra
     at = float(packet.take("<d" if version >= (2, 7) else "<f")[0])
     # Numbers of a damaged packet may be none, and to convert them is then told as a warning.
     with np.errstate(invalid="ignore"):
-        points = _together(seen.astype(np.float64), others.astype(np.float64))
+        points = joined(believable(seen.astype(np.float64)), believable(others.astype(np.float64)))
     return LiveFrame(number, at, arrived, points) if np.isfinite(at) and len(points) <= MOST_POINTS else None
 
 
@@ -191,14 +188,6 @@ def _rigid_body(packet: _Packet, version: tuple[int, int]) -> None:
         # Its markers: places, numbers and sizes.
         packet.records(packet.count(20), 20)
     packet.skip(4 + (2 if version >= (2, 6) else 0))
-
-
-def _together(seen: Floats, others: Floats) -> Floats:
-    """Points of both lists, each once: versions since 3 tell in one what earlier ones told in two."""
-    known = np.isfinite(others).all(axis=1) & (np.abs(others) < FARTHEST).all(axis=1)
-    seen, others = seen[(np.isfinite(seen) & (np.abs(seen) < FARTHEST)).all(axis=1)], others[known]
-    new = np.array([not len(seen) or np.abs(seen - other).max(axis=1).min() > _SAME for other in others], dtype=bool)
-    return np.concatenate([seen, others[new]]) if len(others) else seen
 
 
 class NatNet:

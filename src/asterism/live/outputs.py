@@ -54,10 +54,10 @@ def cue_as_json(cue: Cue) -> dict[str, Any]:
     return {
         "name": cue.rule.name,
         "value": None if math.isnan(cue.value) else round(cue.value, 4),
-        "unit": cue.rule.unit,
+        "unit": cue.unit,
         "on": cue.on,
         "began": cue.began,
-        "text": cue.rule.text,
+        "text": cue.text,
         "colour": cue.rule.colour,
         "sound": cue.rule.sound,
         "tone": None if math.isnan(cue.tone) else round(cue.tone, 3),

@@ -8,9 +8,10 @@ from asterism.errors import AsterismError
 from asterism.live.datagrams import HostPort, JsonDatagrams
 from asterism.live.frames import LiveSource
 from asterism.live.natnet import COMMANDS, NatNet
+from asterism.live.packages import packages_for
 
-ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet")
-"""What can be a source, by the first word of its address: frames as JSON, one a datagram, or over WebSocket; OptiTrack Motive."""
+ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet", "qtm")
+"""What can be a source, by the first word of its address: frames as JSON, one a datagram, or over WebSocket; Motive; QTM."""
 
 
 def host_port(address: str, example: str, port_else: int | None = None) -> HostPort:
@@ -41,6 +42,10 @@ def open_source(address: str, rate: float = float("nan")) -> LiveSource:
         parts = urlsplit(address)
         local = dict(parse_qsl(parts.query)).get("local", "")
         return NatNet(host_port(address, "natnet://192.168.1.5", COMMANDS), local, rate)
+    if scheme == "qtm":
+        with packages_for("qtm://"):
+            from asterism.live.qtm import PORT, Qtm
+        return Qtm(host_port(address, "qtm://192.168.1.5", PORT), rate)
     if scheme in ("ws", "wss", "ws-listen"):
         from asterism.live.websocket import FromWebSocket, websocket_place
 

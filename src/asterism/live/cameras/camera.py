@@ -52,10 +52,13 @@ class LiveCamera(ABC):
     address  where it was opened
     damaged  images that could not be read
     dropped  images that were not fetched in time, since newer ones came
+    reopened times that it disappeared and came back
+    problem  why it is gone now, "" while it is there
     """
 
     def __init__(self, name: str, address: str) -> None:
         self.name, self.address, self.damaged, self.dropped = name, address, 0, 0
+        self.reopened, self.problem = 0, ""
         self.outcomes: tuple[SettingOutcome, ...] = ()
         """What became of the settings with which it was opened."""
         self._threshold: SettingValue | None = None

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 from asterism.errors import AsterismError
 from asterism.live.cameras.camera import LiveCamera
+from asterism.live.cameras.reopening import ReopeningCamera
 from asterism.live.cameras.settings import SettingValue
 
 SCHEMES = ("camera", "simulated", "http", "https", "rtsp")
@@ -26,9 +28,13 @@ class CameraSpec:
     address: str
     settings: Mapping[str, SettingValue] = field(default_factory=dict)
 
+    def ready(self) -> LiveCamera:
+        """The camera, open and set; one that disappears is opened again. Raises AsterismError where that fails the first time."""
+        return ReopeningCamera(partial(open_camera, self)) if "://" in self.address else open_camera(self)
+
     def open(self, at: float | None = None) -> LiveCamera:
-        """The camera, open, set and started; at: see `LiveCamera.start`. Raises AsterismError where that fails."""
-        camera = open_camera(self)
+        """The camera, ready and started; at: see `LiveCamera.start`. Raises AsterismError where that fails."""
+        camera = self.ready()
         try:
             camera.start(at)
         except BaseException:
