@@ -26,10 +26,10 @@ class LearningRules:
     first_s   s between the first ones, so that all are there after 2.4 s; at half they show one posture, at double the first thresholds of
               an uneven room hold for 5 s
     every_s   s between them at last: 24 are two minutes. A cloud before the sun takes half a minute; learnt from half of it, a person who
-              stands still becomes part of the background; at double, the light of an evening falls by more than noise between the first and
-              the last
-    jump      grey values by which the mean of an image leaves that of all images learnt from, after which it is learnt from at once: six times
-              the least noise, as for a blob. At half a person in white who comes near does it, at double a gain of 3 dB in a dark image does not
+              stands still becomes part of the background; at double, the light of an evening falls by more than noise in between
+    jump      grey values by which the mean of an image leaves that of all images learnt from, after which it is learnt from at once: six
+              times the least noise, as for a blob. At half a person in white who comes near does it, at double a gain of 3 dB in a dark
+              image does not
     """
 
     first_s: float = 0.1

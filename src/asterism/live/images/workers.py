@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
@@ -19,25 +19,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.detection.running import MOST_BLOBS
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.camera_frames import LiveBlobs
+from asterism.live.cameras import CameraHealth, camera_findings
 from asterism.live.frames import SourceEnded
-from asterism.live.images.worker import CameraCounts, CameraPlace, CameraReport, WorkerReady, WorkerSettings, work
-from asterism.recording.display import significant
+from asterism.live.images.worker import CameraPlace, CameraReport, SearchCounts, WorkerReady, WorkerSettings, work
 
 _SLICE = 0.1
 """s after which a reader looks whether it shall stop."""
 _LEAD = 1.0
-"""s from when all processes are there to when files begin to play, in which they are opened. At half a long video is late; at double one waits."""
+"""s from when all processes are there to when files begin to play, in which they are opened. At half a long video is late; at double a
+person waits."""
 _OPENING = 60.0
-"""s in which a camera must open or say why not. Cameras in a network take 10 s; at half one that starts up is given up, at double a driver that
-hangs is waited for in vain for two minutes."""
+"""s in which a camera must open or say why not. Cameras in a network take 10 s; at half one that starts up is given up, at double a driver
+that hangs is waited for in vain for two minutes."""
 _AGAIN = 1.0
 """s between two starts of a process that dies, so that one that cannot live takes no processor: starting takes about as long."""
 _HANGS = 10.0
-"""s without a word, four of which each process says a second, after which it is ended and begun anew. Half of it is a machine that swaps; at
-double the cameras are blind for as long again."""
+"""s without a word, four of which each process says a second, after which it is ended and begun anew. Half of it is a machine that swaps;
+at double the cameras are blind for as long again."""
 _ENDING = 3.0
 """s in which a process ends by itself: its camera's driver closes in one."""
 _WAITING = 1000
@@ -90,14 +92,26 @@ class _CameraProcess:
 
 @dataclass
 class _CameraState:
-    """What was told of a camera: its counts, those of processes that died added; its rate and its newest picture."""
+    """What was reported of a camera by the process that reads it, and what by those before it, which died."""
 
-    counts: CameraCounts = field(default_factory=CameraCounts)
-    before: CameraCounts = field(default_factory=CameraCounts)
-    rate: float = math.nan
+    report: CameraReport | None = None
+    health: CameraHealth | None = None
+    """Counts of the processes before."""
+    search: SearchCounts = field(default_factory=SearchCounts)
     picture: NDArray[Any] | None = None
     restarts: int = 0
     problem: str = ""
+    """Why no process reads it."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it has opened, or failed to."""
+        return self.report is not None and (self.report.health is not None or bool(self.report.problem) or self.report.ended)
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether it was played to its end."""
+        return self.report is not None and self.report.ended
 
 
 class CameraWorkers:
@@ -107,9 +121,9 @@ class CameraWorkers:
     settings  how their images are searched
     workers   processes; None: as many as there are cores, at most one for each camera
 
-    What crosses a pipe is blobs, not images. A process that cannot keep up searches the newest image of each camera, and counts the others as
-    dropped. One that dies or hangs is begun anew, and counted; a camera that is gone is opened again each second. All processes end with this
-    one, however it ends. In a script that is run, the line `if __name__ == "__main__":` must guard what makes this.
+    What crosses a pipe is blobs, not images. A process that cannot keep up searches the newest image of each camera, and counts the others
+    as dropped. One that dies or hangs is begun anew, and counted; a camera that is gone is opened again each second. All processes end with
+    this one, however it ends. In a script that is run, the line `if __name__ == "__main__":` must guard what makes this.
     Raises AsterismError where a camera cannot be opened in the first place.
     """
 
@@ -145,22 +159,27 @@ class CameraWorkers:
     @property
     def rate(self) -> float:
         """Images per second that the cameras say, in the median; NaN where none does."""
-        rates = [state.rate for state in self._states.values() if math.isfinite(state.rate)]
+        rates = [state.report.rate for state in self._states.values() if state.report is not None and state.report.rate > 0]
         return float(np.median(rates)) if rates else math.nan
 
     @property
     def damaged(self) -> int:
         """Images of all cameras that could not be read."""
-        return sum(counts.damaged for counts in self.counts().values())
+        refused = sum(counts.refused for counts in self.searches().values())
+        return refused + sum(health.damaged for health in self.healths())
 
     @property
     def processes(self) -> tuple[int | None, ...]:
         """The ids of the processes."""
         return tuple(worker.process.pid for worker in self._workers)
 
-    def counts(self) -> dict[str, CameraCounts]:
-        """What is counted of each camera, by name."""
-        return {name: _added(state.before, state.counts, state.problem) for name, state in self._states.items()}
+    def healths(self) -> list[CameraHealth]:
+        """How each camera that was opened does. Images that were not searched, since newer ones waited, count as dropped."""
+        return [health for state in self._states.values() if (health := _health(state)) is not None]
+
+    def searches(self) -> dict[str, SearchCounts]:
+        """What is counted of the search, by the camera's name."""
+        return {name: _search(state) for name, state in self._states.items()}
 
     def pictures(self) -> dict[str, NDArray[Any]]:
         """The newest image of each camera, where they are shown: see `WorkerSettings.pictures`."""
@@ -195,7 +214,11 @@ class CameraWorkers:
 
     def findings(self) -> list[Finding]:
         """What went wrong with cameras and processes, and how often."""
-        return [finding for name, state in self._states.items() for finding in _camera_findings(name, state, self.counts()[name])]
+        outcomes = [outcome for state in self._states.values() if state.report is not None for outcome in state.report.outcomes]
+        found = list(camera_findings(self.healths(), outcomes))
+        for name, state in self._states.items():
+            found += _search_findings(name, _search(state), state)
+        return found
 
     def _open(self) -> None:
         """Wait until all processes are there and all cameras open, or say which is not."""
@@ -211,13 +234,13 @@ class CameraWorkers:
         for worker in self._workers:
             worker.orders.send(self._at)
         begin = time.monotonic()
-        while silent := [name for name, state in self._states.items() if not _is_known(state)]:
+        while silent := [name for name, state in self._states.items() if not state.is_known]:
             if time.monotonic() > begin + _OPENING:
                 raise AsterismError(f"camera {', '.join(silent)} does not answer; look at its cable and its power.")
             self._take(_SLICE)
         for name, state in self._states.items():
-            if state.counts.problem and not state.counts.images:
-                raise AsterismError(f"camera {name}: {state.counts.problem}")
+            if state.report is not None and state.report.health is None and state.report.problem:
+                raise AsterismError(f"camera {name}: {state.report.problem}")
 
     def _take(self, timeout: float) -> bool:
         """Take what the processes have sent; False where all have ended with their cameras."""
@@ -255,7 +278,7 @@ class CameraWorkers:
             self._waiting.append(message)
         elif isinstance(message, CameraReport):
             state = self._states[message.camera]
-            state.counts, state.rate, state.problem = message.counts, message.rate, ""
+            state.report, state.problem = message, ""
             state.picture = state.picture if message.picture is None else message.picture
         elif isinstance(message, WorkerReady):
             worker.ready = True
@@ -267,13 +290,13 @@ class CameraWorkers:
         worker.end(0.5)
         for place in worker.places:
             state = self._states[place.name]
-            if self._at is not None and not state.counts.ended:
+            if self._at is not None and not state.has_ended:
+                state.health, state.search, state.report = _health(state), _search(state), None
                 state.restarts += 1
                 state.problem = f"the process that reads it ended {_how(worker.process)} and is begun anew."
-                state.before, state.counts = _added(state.before, state.counts, ""), CameraCounts()
 
     def _has_ended(self, worker: _CameraProcess) -> bool:
-        return worker.dead and all(self._states[place.name].counts.ended for place in worker.places)
+        return worker.dead and all(self._states[place.name].has_ended for place in worker.places)
 
 
 def _cores() -> int:
@@ -299,45 +322,40 @@ def _how(process: BaseProcess) -> str:
     return f"by signal {-code}"
 
 
-def _is_known(state: _CameraState) -> bool:
-    """Whether a camera has opened, or failed to."""
-    return state.counts.opened > 0 or bool(state.counts.problem) or state.counts.ended
+def _health(state: _CameraState) -> CameraHealth | None:
+    """How a camera does, what was counted before its process died added."""
+    now, before = None if state.report is None else state.report.health, state.health
+    if now is None:
+        return before if before is None else replace(before, problem=state.problem or before.problem)
+    dropped = 0 if state.report is None else state.report.search.dropped
+    now = replace(now, dropped=now.dropped + dropped, problem=state.problem or now.problem)
+    if before is None:
+        return now
+    counts = {name: getattr(before, name) + getattr(now, name) for name in ("images", "lost", "late", "dropped", "damaged", "reopened")}
+    return replace(now, **counts, seconds={trouble: before.seconds[trouble] + spent for trouble, spent in now.seconds.items()})
 
 
-_SUMS = ("images", "searched", "dropped", "missed", "damaged", "opened", "crowded")
+def _search(state: _CameraState) -> SearchCounts:
+    """What is counted of the search, what was counted before the process died added."""
+    if state.report is None:
+        return state.search
+    now, before = state.report.search, state.search
+    return replace(now, **{name: getattr(before, name) + getattr(now, name) for name in ("searched", "dropped", "refused", "crowded")})
 
 
-def _added(before: CameraCounts, now: CameraCounts, problem: str) -> CameraCounts:
-    """What is counted now, and what was before its process died."""
-    sums = {name: getattr(before, name) + getattr(now, name) for name in _SUMS}
-    return CameraCounts(**{**vars(now), **sums, "problem": problem or now.problem})
-
-
-def _camera_findings(name: str, state: _CameraState, counts: CameraCounts) -> list[Finding]:
+def _search_findings(name: str, counts: SearchCounts, state: _CameraState) -> list[Finding]:
     found = list[Finding]()
-
-    def add(code: str, severity: Severity, sentence: str, mend: str) -> None:
-        found.append(Finding(code, severity, name, f"camera {name}: {sentence}", mend))
-
-    if not counts.searched:
-        add("live-camera-silent", Severity.ERROR, "no image came.", counts.problem or "Look at its cable, its power and its trigger.")
-    elif counts.problem:
-        add("live-camera-problem", Severity.WARNING, "it gave no blobs at the end.", counts.problem)
-    if counts.opened > 1 + state.restarts:
-        times = counts.opened - 1 - state.restarts
-        add("live-camera-reopened", Severity.WARNING, f"it was gone and opened again {times} times.", "Look at its cable and its power.")
     if state.restarts:
-        sentence = f"the process that reads it ended {state.restarts} times and was begun anew."
-        add("live-camera-restarted", Severity.WARNING, sentence, "Look at the memory of this machine, and at the camera's driver.")
-    left_out = counts.dropped + counts.missed
-    if left_out:
-        share = significant(100 * left_out / (left_out + counts.searched), 2)
-        sentence = f"{left_out} images were not searched, since newer ones came ({share} %)."
-        add("live-camera-dropped", Severity.WARNING, sentence, "Lower the rate or the size of its images, or close other programs.")
-    if counts.damaged:
-        sentence = f"{counts.damaged} images could not be read, or were of another size or depth than the first."
-        add("live-camera-damaged", Severity.WARNING, sentence, "Look at its cable, and leave its size alone while it runs.")
+        times = "once" if state.restarts == 1 else f"{state.restarts} times"
+        sentence = f"camera {name}: the process that reads it ended {times} and was begun anew."
+        mend = "Look at the memory of this machine, and at the camera's driver."
+        found.append(Finding("live-camera-process", Severity.WARNING, name, sentence, mend))
+    if counts.refused:
+        sentence = f"camera {name}: {counts.refused} images were of another size or depth and were not searched."
+        mend = counts.problem or "Leave its size alone while it runs."
+        found.append(Finding("live-camera-size", Severity.ERROR if counts.problem else Severity.WARNING, name, sentence, mend))
     if counts.crowded:
-        sentence = f"{counts.crowded} images showed more blobs than are searched for points."
-        add("live-camera-crowded", Severity.WARNING, sentence, "Darken the room, lower the exposure, or give --threshold.")
+        sentence = f"camera {name}: {counts.crowded} images showed more than {MOST_BLOBS} blobs, of which the largest are used."
+        mend = "Darken the room, lower its exposure, or set its threshold."
+        found.append(Finding("live-camera-crowded", Severity.WARNING, name, sentence, mend))
     return found
