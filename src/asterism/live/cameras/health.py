@@ -51,7 +51,8 @@ _TROUBLES = ("black", "frozen", "saturated", "slow")
 class CameraHealth:
     """How a camera does.
 
-    images, lost, late  see `FrameCount`; by the camera's numbers
+    images, late  see `FrameCount`; by the camera's numbers
+    lost        images whose numbers are missing, but for those that were not fetched
     dropped     images that were not fetched in time
     damaged     images that could not be read
     reopened    times that it disappeared and came back
@@ -145,7 +146,8 @@ class CameraWatch:
         return CameraHealth(
             camera.name,
             self._count.received,
-            self._count.lost,
+            # An image that was not fetched leaves its number out, too, and is counted once.
+            max(0, self._count.lost - camera.dropped),
             self._count.late,
             camera.dropped,
             camera.damaged,
