@@ -33,7 +33,7 @@ class LiveOptions:
         str | None,
         typer.Argument(
             metavar="[SOURCE]",
-            help="Where frames come from: natnet://HOST (Motive), qtm://HOST (Qualisys), vicon://HOST; udp:// or ws://HOST:PORT (JSON).",
+            help="Where frames come from: natnet://HOST (Motive), qtm://HOST, vicon://HOST, lsl://NAME; udp:// or ws://HOST:PORT (JSON).",
             show_default=False,
         ),
     ] = None
@@ -42,6 +42,10 @@ class LiveOptions:
     ] = None
     speed: Annotated[float, typer.Option("--speed", metavar="N", help="Play N times as fast.")] = 1.0
     loop: Annotated[bool, typer.Option("--loop", help="Play it again and again.")] = False
+    rig: Annotated[
+        Path | None,
+        typer.Option("--rig", metavar="FILE", help="The calibrated rig, where blobs of cameras come and not points.", show_default=False),
+    ] = None
     model: Annotated[
         Path | None, typer.Option("--model", "-m", metavar="FILE", help="A trained model; else virtual people.", show_default=False)
     ] = None
@@ -68,7 +72,7 @@ class LiveOptions:
         typer.Option(
             "--to",
             metavar="ADDRESS",
-            help="Pass labelled frames on: udp://HOST:PORT or ws-listen://HOST:PORT (JSON), osc://HOST:PORT. Several times.",
+            help="Pass labelled frames on: udp://, ws:// or ws-listen://HOST:PORT (JSON), osc://HOST:PORT, lsl://NAME. Several times.",
         ),
     ] = field(default_factory=list)
     feedback: Annotated[
@@ -109,7 +113,7 @@ def live(options: LiveOptions) -> None:
     second at most.
     """
     from asterism.formats import check_suffix
-    from asterism.live import LiveRecorder, session_findings
+    from asterism.live import LiveRecorder, RigSource, session_findings
 
     if options.finish is not None:
         _finish(options)
@@ -122,7 +126,7 @@ def live(options: LiveOptions) -> None:
     if options.output is not None:
         check_suffix(options.output)
     _clinical.given_measures(options.measure)
-    inputs = [options.replay, options.model, options.static, *_clinical.measure_files(options.measure)]
+    inputs = [options.replay, options.model, options.static, options.rig, *_clinical.measure_files(options.measure)]
     _console.check_outputs([options.output, options.json], inputs, options.overwrite)
     if unfinished is not None and unfinished.exists():
         raise AsterismError(
@@ -156,6 +160,7 @@ def live(options: LiveOptions) -> None:
         "source": source.about.name,
         "output": options.output,
         **dataclasses.asdict(health),
+        **({"cameras": source.camera_numbers()} if isinstance(source, RigSource) else {}),
         "findings": [finding.to_dict() for finding in findings],
     }
     _console.write_json(options.json, content)
@@ -168,9 +173,23 @@ def _source(options: LiveOptions) -> LiveSource:
 
     if (options.source is None) == (options.replay is None):
         raise AsterismError("give one source: an address such as udp://127.0.0.1:5000, or a recording with --replay FILE.")
+    if options.rig is not None:
+        return _of_cameras(options, options.rig)
     if options.replay is not None:
         return Replay(options.replay, speed=options.speed, loop=options.loop)
     return open_source(str(options.source), math.nan if options.rate is None else options.rate)
+
+
+def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
+    from asterism.cameras.files import read_rig
+    from asterism.live.blobs import ReplayBlobs, RigSource
+    from asterism.live.sources import open_blobs
+
+    rig = read_rig(rig_file)
+    if options.replay is not None:
+        played = ReplayBlobs(options.replay, rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
+        return RigSource(played, rig, waits=True)
+    return RigSource(open_blobs(str(options.source), rig.names, math.nan if options.rate is None else options.rate), rig)
 
 
 def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
