@@ -42,7 +42,7 @@ class WatchCamerasOptions:
 
     cameras: Cameras = None
     addresses: Addresses = field(default_factory=lambda: [])
-    blobs: Annotated[bool, typer.Option("--blobs/--no-blobs", help="Count the blobs in four images a second.")] = True
+    no_blobs: Annotated[bool, typer.Option("--no-blobs", help="Count no blobs; else in four images a second.")] = False
     seconds: Annotated[float | None, typer.Option("--seconds", metavar="S", min=0.0, help="Stop after so long.", show_default=False)] = None
     lines: Annotated[bool, typer.Option("--lines", help="Print a line of JSON for each camera and second.")] = False
     json: Json = None
@@ -61,14 +61,14 @@ def watch(options: WatchCamerasOptions) -> None:
         raise AsterismError("--lines and --json - both print to standard output; give --json a file.")
     _console.check_outputs([options.json], [options.cameras], overwrite=True)
     specs = cameras_of(options.cameras, options.addresses)
-    if options.blobs:
+    if not options.no_blobs:
         # What compiles the first time would keep the first images waiting.
         _blobs_of(np.zeros((8, 8), np.uint8), None)
     group = CameraGroup(specs)
     watched: list[_Watched] = []
     try:
         group.start()
-        watched += [_Watched(camera, options.blobs) for camera in group.cameras]
+        watched += [_Watched(camera, not options.no_blobs) for camera in group.cameras]
         until = math.inf if options.seconds is None else time.monotonic() + options.seconds
         with suppress(KeyboardInterrupt):
             _show(watched, until, _shown_by(options))
@@ -159,7 +159,7 @@ def _shown_by(options: WatchCamerasOptions) -> Shown:
         return _as_json
     if options.json == "-":
         return lambda healths: None
-    return _Table() if sys.stdout.isatty() else _as_lines
+    return _LiveTable() if sys.stdout.isatty() else _as_lines
 
 
 def _as_lines(healths: list[CameraHealth]) -> None:
@@ -200,7 +200,7 @@ def _cells(health: CameraHealth) -> tuple[str, ...]:
     )
 
 
-class _Table:
+class _LiveTable:
     """A table on the terminal that is drawn anew each second."""
 
     def __init__(self) -> None:
