@@ -1,16 +1,19 @@
 """Cameras: what is asked of them by name, images of simulated, played and streamed ones, and what is found of them while they run."""
 
+import json
 import math
 import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.files.toml import read_toml
 from asterism.findings import Severity
@@ -30,8 +33,11 @@ from asterism.live.cameras import (
     reopening,
     save_cameras,
 )
+from asterism.live.cameras.features import Features
 from asterism.live.cameras.found_webcams import found_webcams
+from asterism.live.cameras.machine_vision import found_genicam
 from asterism.live.cameras.numbering import NumbersByTime
+from asterism.live.cameras.pixels import grey_of
 from asterism.live.cameras.reopening import ReopeningCamera
 from asterism.live.cameras.simulated import SimulatedCamera
 
@@ -409,3 +415,192 @@ def test_webcams_of_linux_are_found_without_opening_them(tmp_path):
     found = found_webcams(system, by_id)
     assert [about.address for about in found] == ["camera:///dev/video0", f"camera://{by_id}/usb-HD_webcam-index0"]
     assert (found[0].model, found[0].serial) == ("HD webcam", "A1B2")
+
+
+@pytest.mark.parametrize(
+    ("pixel_format", "pixels", "grey"),
+    [
+        ("Mono8", np.full((4, 6), 77, np.uint8), 77),
+        ("Mono12p", np.full((4, 6), 77 << 4, np.uint16), 77),
+        ("Mono16", np.full((4, 6), 77 << 8, np.uint16), 77),
+        ("BayerRG10", np.full((4, 6), 77 << 2, np.uint16), 77),
+        ("BGRa8", np.full((4, 6 * 4), 77, np.uint8), 77),
+        ("YUV422_8", np.tile(np.array([77, 128], np.uint8), (4, 6)), 77),
+        ("YCbCr422_8_CbYCrY", np.tile(np.array([128, 77], np.uint8), (4, 6)), 77),
+    ],
+)
+def test_pixels_of_machine_vision_cameras_become_grey(pixel_format, pixels, grey):
+    found = grey_of(pixel_format, pixels)
+    assert found.shape == (4, 6) and found.dtype == np.uint8 and (found == grey).all()
+
+
+def test_red_of_a_mosaic_weighs_as_red_and_other_formats_are_refused():
+    mosaic = np.zeros((8, 8), np.uint8)
+    mosaic[0::2, 0::2] = 200
+    # In RGGB the first pixel is a red one: red weighs 0.3, blue 0.1.
+    assert grey_of("BayerRG8", mosaic)[3:5, 3:5].mean() == pytest.approx(0.299 * 200, abs=3)
+    assert grey_of("BayerBG8", mosaic)[3:5, 3:5].mean() == pytest.approx(0.114 * 200, abs=3)
+    with pytest.raises(AsterismError, match=r"Coord3D_ABC32f.*Mono8"):
+        grey_of("Coord3D_ABC32f", mosaic)
+
+
+NODES = """<?xml version="1.0" encoding="utf-8"?>
+<RegisterDescription ModelName="Test" VendorName="Asterism" ToolTip="" StandardNameSpace="None" SchemaMajorVersion="1"
+ SchemaMinorVersion="1"
+ SchemaSubMinorVersion="0" MajorVersion="1" MinorVersion="0" SubMinorVersion="0" ProductGuid="00000000-0000-0000-0000-000000000000"
+ VersionGuid="00000000-0000-0000-0000-000000000000" xmlns="http://www.genicam.org/GenApi/Version_1_1">
+ <Float Name="ExposureTime"><Value>5000</Value><Min>20</Min><Max>30000</Max><Unit>us</Unit></Float>
+ <Enumeration Name="ExposureAuto"><EnumEntry Name="Off"><Value>0</Value></EnumEntry>
+  <EnumEntry Name="Continuous"><Value>1</Value></EnumEntry><Value>1</Value></Enumeration>
+ <Integer Name="GainRaw"><Value>4</Value><Min>4</Min><Max>36</Max><Inc>8</Inc></Integer>
+ <Boolean Name="AcquisitionFrameRateEnable"><Value>0</Value><OnValue>1</OnValue><OffValue>0</OffValue></Boolean>
+ <Float Name="AcquisitionFrameRate"><Value>30</Value><Min>1</Min><Max>100</Max></Float>
+ <Float Name="ResultingFrameRate"><ImposedAccessMode>RO</ImposedAccessMode><Value>28.5</Value></Float>
+ <Enumeration Name="TriggerMode"><EnumEntry Name="Off"><Value>0</Value></EnumEntry>
+  <EnumEntry Name="On"><Value>1</Value></EnumEntry><Value>0</Value></Enumeration>
+ <Enumeration Name="TriggerSource"><EnumEntry Name="Software"><Value>0</Value></EnumEntry>
+  <EnumEntry Name="Line1"><Value>1</Value></EnumEntry><Value>0</Value></Enumeration>
+ <Float Name="DeviceTemperature"><ImposedAccessMode>RO</ImposedAccessMode><Value>41.5</Value></Float>
+ <Boolean Name="ReverseX"><Value>0</Value><OnValue>1</OnValue><OffValue>0</OffValue></Boolean>
+</RegisterDescription>
+"""
+
+
+def test_settings_of_a_machine_vision_camera_have_the_names_of_all_cameras():
+    genapi = pytest.importorskip("genicam.genapi", reason="the binding of GenICam is not installed")
+    nodes = genapi.NodeMap()
+    nodes.load_xml_from_string(NODES)
+    features = Features(nodes)
+    assert features.names() == ("exposure", "gain", "rate", "trigger")
+    assert features.get("exposure") == "auto" and features.get("trigger") == "off"
+    for name, value, has in (
+        ("exposure", 4.0, 4.0),  # ms, with the automatic one switched off
+        ("exposure", 400.0, 30.0),
+        ("exposure", "auto", "auto"),
+        ("gain", 21.0, 20.0),  # steps of 8 from 4
+        ("gain", 99.0, 36.0),
+        ("rate", 80.0, 80.0),
+        ("trigger", "line1", "line1"),
+        ("trigger", "off", "off"),
+        ("ReverseX", True, True),
+    ):
+        features.set(name, value)
+        assert features.get(name) == has, name
+    assert nodes.AcquisitionFrameRateEnable.value is True and features.rate == 28.5 and features.temperature == 41.5
+    for name, value, said in (
+        ("trigger", "line7", "choose from Software, Line1"),
+        ("gain", "auto", "cannot be automatic"),
+        ("DeviceTemperature", 20.0, "does not take it"),
+        ("size", "640x480", "no feature Width"),
+        ("ReverseX", "sideways", "ReverseX"),
+    ):
+        with pytest.raises(AsterismError, match=said):
+            features.set(name, value)
+
+
+def test_a_machine_vision_camera_is_set_and_read_through_a_producer():
+    """The producer is a real one, a game that comes with the binding: its camera is played by nobody."""
+    genicam = pytest.importorskip("genicam", reason="the binding of GenICam is not installed")
+    pytest.importorskip("harvesters", reason="harvesters is not installed")
+    producer = Path(genicam.__file__).with_name("viky.cti")
+    if not producer.exists():
+        pytest.skip("this release of the binding comes without a producer")
+    asked = {"rate": 500.0, "format": "mono8", "size": "200x104", "exposure": 4.0, "BouncingBallSize": 30.0}
+    spec = CameraSpec("game", f"genicam://1?cti={producer}", asked)
+    camera, second = spec.open(), CameraSpec("other", f"genicam://2?cti={producer}", {"format": "RGBa8"}).open()
+    told = {outcome.setting: outcome for outcome in camera.outcomes}
+    assert told["rate"].has == 200 and not told["rate"].as_asked and "no such setting" in told["exposure"].problem
+    assert all(told[name].as_asked for name in ("format", "size", "BouncingBallSize"))
+    taken = images_of(camera, 4)
+    assert taken[0].image.shape == (104, 200) and camera.about.model == "Viky" and camera.about.serial == "1"
+    assert (np.diff([image.number for image in taken]) > 0).all()
+    # The ball is black on white.
+    assert taken[-1].image.min() < 50 and np.median(taken[-1].image) > 200
+    assert images_of(second, 1)[0].image.shape == (400, 400)
+    with pytest.raises(AsterismError, match="already in use"):
+        open_camera(spec)
+    with pytest.raises(AsterismError, match=r"no camera 9; there are: 0 \(Viky\)"):
+        open_camera(CameraSpec("none", f"genicam://9?cti={producer}"))
+    camera.close()
+    second.close()
+    # What was let go of can be had again.
+    assert [about.serial for about in found_genicam(str(producer))] == ["0", "1", "2"]
+    again = spec.open()
+    assert images_of(again, 1)
+    again.close()
+
+
+def test_without_a_producer_it_is_said_what_to_install(monkeypatch):
+    pytest.importorskip("harvesters", reason="harvesters is not installed")
+    monkeypatch.setenv("GENICAM_GENTL64_PATH", "/nowhere")
+    with pytest.raises(AsterismError, match="driver of the camera's maker"):
+        open_camera(CameraSpec("left", "genicam://1"))
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+    status = main(["live", "cameras", *map(str, words)])
+    shown = capsys.readouterr()
+    return status, shown.out, shown.err
+
+
+@pytest.fixture
+def rig_file(tmp_path: Path) -> Path:
+    path = tmp_path / "cameras.toml"
+    path.write_text(
+        '[all]\nrate = 200\n[[camera]]\nname = "left"\naddress = "simulated://?size=64x48&seed=1"\n'
+        '[[camera]]\nname = "right"\naddress = "simulated://?size=64x48&seed=2"\n'
+    )
+    return path
+
+
+def test_cameras_are_set_by_name_and_kept_in_a_file(capsys, tmp_path, rig_file):
+    kept = tmp_path / "dark.toml"
+    status, out, err = run(capsys, "set", "exposure=2ms", "gain=6.04", "--cameras", rig_file, "--only", "right", "-o", kept)
+    assert status == 0 and "right: gain: asked 6.04 dB, has 6 dB." in out and "left" not in out and not err
+    assert [spec.settings for spec in load_cameras(kept)] == [{"rate": 200.0}, {"rate": 200.0, "exposure": 2.0, "gain": 6.04}]
+    status, out, err = run(capsys, "set", "focus=3", "--cameras", kept, "--json", "-")
+    told = json.loads(out)
+    assert status == 1 and [row["camera"] for row in told["settings"] if row["setting"] == "focus"] == ["left", "right"]
+    assert {row["has"] for row in told["settings"] if row["setting"] == "exposure"} <= {2.0} and "[live-camera-setting]" in err
+    for words, said in (
+        (("set", "shutter=1"), "there is no setting"),
+        (("set", "gain=1", "--cameras", kept, "--only", "middle"), "no camera middle"),
+        (("set", "gain=1", "--cameras", kept, "-o", kept), "--overwrite"),
+        (("set", "gain=1", "--cameras", kept, "--address", "camera://0"), "once"),
+        (("watch", "--address", "camera://97"), "no such camera"),
+    ):
+        status, out, err = run(capsys, *words)
+        assert status == 2 and said in err and not out
+
+
+def test_cameras_are_listed_with_what_can_be_set(capsys, rig_file):
+    status, out, _ = run(capsys, "list", "--cameras", rig_file, "--settings")
+    assert status == 0 and "rate 200 Hz" in out and "64 x 48" in out
+    status, out, _ = run(capsys, "list", "--cameras", rig_file, "--settings", "--json", "-")
+    assert [camera["has"]["exposure"] for camera in json.loads(out)["cameras"]] == [4.0, 4.0]
+
+
+def test_cameras_are_watched_to_their_end_and_one_that_is_gone_costs_itself(capsys, monkeypatch, tmp_path, film):
+    monkeypatch.setattr(import_module("asterism.cli.live_cameras.watch"), "_EVERY", 0.05)
+    rig = tmp_path / "cameras.toml"
+    rig.write_text(
+        "".join(
+            f'[[camera]]\nname = "{name}"\naddress = "{address}"\nthreshold = 100\n'
+            for name, address in (("left", f"{film}?wait=1"), ("right", f"{film}?speed=0"), ("gone", "camera://97"))
+        )
+    )
+    status, out, err = run(capsys, "watch", "--cameras", rig, "--lines", "--json", tmp_path / "told.json")
+    assert {json.loads(line)["camera"] for line in out.splitlines()} == {"left", "right"}
+    told = json.loads((tmp_path / "told.json").read_text())
+    assert status == 1 and told["findings"][0]["code"] == "live-camera-not-opened" and "gone" in err
+    assert [camera["images"] for camera in told["cameras"]] == [12, 12] and all(camera["blobs"] == 1 for camera in told["cameras"])
+    assert not any(thread.name.startswith("watch") for thread in threading.enumerate())
+    status, out, err = run(capsys, "watch", "--address", f"{film}?wait=1")
+    assert status == 0 and "camera1: " in out and " brightness, " in out and not err
+
+
+@pytest.mark.parametrize("words", [["--help"], ["list", "--help"], ["set", "--help"], ["watch", "--help"]], ids=" ".join)
+def test_commands_of_cameras_have_help(capsys, words):
+    status, out, _ = run(capsys, *words)
+    assert status == 0 and "cameras" in out and "..." not in out.partition("[ARGS]...")[2]
+    assert main(["live", "--help"]) == 0 and "live cameras" in capsys.readouterr().out

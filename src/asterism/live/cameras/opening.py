@@ -11,7 +11,7 @@ from asterism.live.cameras.camera import LiveCamera
 from asterism.live.cameras.reopening import ReopeningCamera
 from asterism.live.cameras.settings import SettingValue
 
-SCHEMES = ("camera", "simulated", "http", "https", "rtsp")
+SCHEMES = ("camera", "genicam", "simulated", "http", "https", "rtsp")
 """What a camera's address can begin with; else it is the path of a video or a folder of images."""
 
 
@@ -20,7 +20,7 @@ class CameraSpec:
     """Which camera, and what is to be set on it: plain values, so that a camera can be opened in another process.
 
     name      in the rig
-    address   such as camera://0, simulated://, http://HOST/video, or the path of a video or a folder of images
+    address   such as camera://0, genicam://SERIAL, simulated://, http://HOST/video, or the path of a video or a folder of images
     settings  by name, in the units of `SETTINGS`
     """
 
@@ -66,6 +66,10 @@ def _opened(spec: CameraSpec) -> LiveCamera:
         return PlayedCamera(spec.name, spec.address)
     if scheme.lower() not in SCHEMES:
         raise AsterismError(f"{spec.address} is no camera; give one of {', '.join(SCHEMES)}, or the path of a video or a folder.")
+    if scheme.lower() == "genicam":
+        from asterism.live.cameras.machine_vision import GenicamCamera
+
+        return GenicamCamera(spec.name, spec.address)
     if scheme.lower() == "simulated":
         from asterism.live.cameras.simulated import SimulatedCamera
 
