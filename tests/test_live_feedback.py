@@ -352,15 +352,28 @@ def test_a_slow_page_gets_the_newest_frame_and_every_beep() -> None:
     pytest.importorskip("starlette")
     from asterism.web.live_page import ToPage
 
-    page, feedback = ToPage(), Feedback((KNEE,))
+    page, feedback, woken = ToPage(), Feedback((KNEE,)), list[int]()
+    end = page.follow(lambda: woken.append(page.last_moment))
+    strike = LiveEvent("heel strike", "left", 0.02, 0.01)
     for number, degrees in enumerate((160, 140, 160, 140, 170)):
-        frame = labelled(leg(degrees), number=number)
-        page.send(AnalysedFrame(frame, cues=feedback.judge(frame)))
-    found = page.after(0)
+        frame = replace(labelled(leg(degrees), number=number), done=time.monotonic())
+        page.send(AnalysedFrame(frame, FrameAnalysis({"x": math.nan}, events=(strike,) if number == 2 else ()), feedback.judge(frame)))
+    assert woken == [1, 2, 3], "what begins does not wait for the next picture"
+    found = page.picture(0)
     assert found is not None
-    count, content = found
-    assert content["frame"] == 4 and len(content["began"]) == 2
-    assert page.after(count) is None
+    count, content = found[0], json.loads(found[1])
+    assert content["frame"] == 4 and content["values"] == [None] and content["cues"] == [[170.0, "170°", 0, None, ""]]
+    assert page.picture(count) is None
+    last, moments = page.moments(0)
+    assert last == 3 and [next(iter(moment)) for moment in moments] == ["cue", "event", "cue"] and page.moments(2)[1] == moments[2:]
+    page.send(AnalysedFrame(replace(labelled(leg(140)), done=time.monotonic() - 1.0), cues=feedback.judge(labelled(leg(140), number=9))))
+    assert page.moments(3) == (4, []) and page.late == 1, "a sound of a second ago is none, and it is counted"
+    end()
+    page.close()
+    assert len(woken) == 4
+    page.sounded([3.0, -1.0, math.nan, "x", None, 1e9, 5.0])
+    page.sounded({"a": 1})
+    assert page.tone_latency() == (4.0, pytest.approx(4.98), 2)
     assert page.body() is None, "lines are chosen when enough frames were seen"
     for number in range(60):
         page.send(AnalysedFrame(labelled(leg(140 + number % 7), number=number)))
