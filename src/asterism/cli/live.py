@@ -12,14 +12,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asterism.cli import _console
+from asterism.cli import _clinical, _console
 from asterism.cli._command import takes
-from asterism.cli._options import Json, Overwrite, Vertical
+from asterism.cli._options import Hip, Json, LowerBodyChoice, Measure, Overwrite, Static, Vertical
 from asterism.errors import AsterismError
 from asterism.findings import Severity
 
 if TYPE_CHECKING:
-    from asterism.live import Health, LiveRecorder, LiveSession, LiveSource
+    from asterism.findings import Finding
+    from asterism.live import Health, LiveAnalysis, LiveRecorder, LiveSession, LiveSource
+    from asterism.motion.clinical import SubjectMeasures
+    from asterism.recording import Floats, Recording
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,7 @@ class LiveOptions:
         str | None,
         typer.Argument(
             metavar="[SOURCE]",
-            help="Where frames come from: natnet://HOST (Motive), qtm://HOST (Qualisys); udp:// or ws://HOST:PORT (JSON).",
+            help="Where frames come from: natnet://HOST (Motive), qtm://HOST, vicon://HOST, lsl://NAME; udp:// or ws://HOST:PORT (JSON).",
             show_default=False,
         ),
     ] = None
@@ -39,6 +42,10 @@ class LiveOptions:
     ] = None
     speed: Annotated[float, typer.Option("--speed", metavar="N", help="Play N times as fast.")] = 1.0
     loop: Annotated[bool, typer.Option("--loop", help="Play it again and again.")] = False
+    rig: Annotated[
+        Path | None,
+        typer.Option("--rig", metavar="FILE", help="The calibrated rig, where blobs of cameras come and not points.", show_default=False),
+    ] = None
     model: Annotated[
         Path | None, typer.Option("--model", "-m", metavar="FILE", help="A trained model; else virtual people.", show_default=False)
     ] = None
@@ -53,12 +60,19 @@ class LiveOptions:
     ] = None
     delay: Annotated[int, typer.Option("--delay", metavar="FRAMES", min=0, help="Frames to wait for, which make labels surer.")] = 0
     vertical: Vertical = None
+    analysis: Annotated[
+        bool, typer.Option("--analysis/--no-analysis", help="Angles of joints, heel strikes and toe offs, and what steps are like.")
+    ] = True
+    static: Static = None
+    measure: Measure = field(default_factory=list)
+    lower_body: LowerBodyChoice = None
+    hip: Hip = None
     to: Annotated[
         list[str],
         typer.Option(
             "--to",
             metavar="ADDRESS",
-            help="Pass labelled frames on: udp://HOST:PORT or ws-listen://HOST:PORT (JSON), osc://HOST:PORT. Several times.",
+            help="Pass labelled frames on: udp://, ws:// or ws-listen://HOST:PORT (JSON), osc://HOST:PORT, lsl://NAME. Several times.",
         ),
     ] = field(default_factory=list)
     feedback: Annotated[
@@ -93,11 +107,13 @@ def live(options: LiveOptions) -> None:
 
     A frame gets its labels a few milliseconds after its points arrive, or as many frames later as --delay says. Where frames come faster
     than they are labelled, the oldest that waits is left out and counted: what is passed on is never old. Frames that were lost on the way,
-    came late or could not be read are counted and told at the end. Stop with Ctrl-C. A recording holds all frames that came. Until the end
-    they are in a file beside the output, so that a session that is killed loses half a second at most.
+    came late or could not be read are counted and told at the end. Labels give angles of the joints, by the same models as `asterism gait`,
+    heel strikes and toe offs a few hundredths of a second after they happened, and what the last steps were like. Stop with Ctrl-C. A
+    recording holds all frames that came. Until the end they are in a file beside the output, so that a session that is killed loses half a
+    second at most.
     """
     from asterism.formats import check_suffix
-    from asterism.live import LiveRecorder, session_findings
+    from asterism.live import LiveRecorder, RigSource, session_findings
 
     if options.finish is not None:
         _finish(options)
@@ -109,7 +125,9 @@ def live(options: LiveOptions) -> None:
         raise AsterismError("a model has its own marker set; give either --model or --markers.")
     if options.output is not None:
         check_suffix(options.output)
-    _console.check_outputs([options.output, options.json], [options.replay, options.model], options.overwrite)
+    _clinical.given_measures(options.measure)
+    inputs = [options.replay, options.model, options.static, options.rig, *_clinical.measure_files(options.measure)]
+    _console.check_outputs([options.output, options.json], inputs, options.overwrite)
     if unfinished is not None and unfinished.exists():
         raise AsterismError(
             f"{unfinished} is there from a session that was not finished; write it with --finish {unfinished} -o FILE.c3d, or remove it."
@@ -126,7 +144,8 @@ def live(options: LiveOptions) -> None:
         source.close()
         if recorder is not None:
             recorder.close()
-    findings = session_findings(health, source.about.name, recorder, [source, *session.outputs, session.feedback])
+    parts = [source, *session.outputs, session.analysis, session.feedback]
+    findings = session_findings(health, source.about.name, recorder, parts)
     if recorder is not None and unfinished is not None and options.output is not None and recorder.kept:
         _written(unfinished, options.output, options.rate)
         unfinished.unlink()
@@ -141,6 +160,7 @@ def live(options: LiveOptions) -> None:
         "source": source.about.name,
         "output": options.output,
         **dataclasses.asdict(health),
+        **({"cameras": source.camera_numbers()} if isinstance(source, RigSource) else {}),
         "findings": [finding.to_dict() for finding in findings],
     }
     _console.write_json(options.json, content)
@@ -153,9 +173,23 @@ def _source(options: LiveOptions) -> LiveSource:
 
     if (options.source is None) == (options.replay is None):
         raise AsterismError("give one source: an address such as udp://127.0.0.1:5000, or a recording with --replay FILE.")
+    if options.rig is not None:
+        return _of_cameras(options, options.rig)
     if options.replay is not None:
         return Replay(options.replay, speed=options.speed, loop=options.loop)
     return open_source(str(options.source), math.nan if options.rate is None else options.rate)
+
+
+def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
+    from asterism.cameras.files import read_rig
+    from asterism.live.blobs import ReplayBlobs, RigSource
+    from asterism.live.sources import open_blobs
+
+    rig = read_rig(rig_file)
+    if options.replay is not None:
+        played = ReplayBlobs(options.replay, rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
+        return RigSource(played, rig, waits=True)
+    return RigSource(open_blobs(str(options.source), rig.names, math.nan if options.rate is None else options.rate), rig)
 
 
 def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
@@ -175,6 +209,7 @@ def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
         if worn is not None:
             rules.look_at(worn.names)
     make = make_labeller(model, options.markers, options.delay)
+    analysis = _analysis(options, up)
     # Outputs are opened last, so that nothing else can fail while they are open.
     outputs = open_outputs(options.to, source.about)
     for finding in own_findings([source, *outputs]):
@@ -182,7 +217,23 @@ def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
     if options.lines:
         outputs.append(ToLines())
     # A file can wait until its frames are labelled.
-    return LiveSession(source, make, outputs, options.delay, waits=options.replay is not None, feedback=rules, vertical=up)
+    waits = options.replay is not None
+    return LiveSession(source, make, outputs, options.delay, waits=waits, feedback=rules, vertical=up, analysis=analysis)
+
+
+def _analysis(options: LiveOptions, up: Floats | None) -> LiveAnalysis | None:
+    from asterism.formats import read
+    from asterism.live import AngleOptions, MovementAnalysis
+
+    if not options.analysis:
+        return None
+    static = None if options.static is None else read(options.static)
+    model = None if options.lower_body is None else str(options.lower_body)
+
+    def measures(recording: Recording) -> tuple[SubjectMeasures | None, tuple[Finding, ...]]:
+        return _clinical.measures_of(recording, static, options.measure, options.hip)
+
+    return MovementAnalysis(AngleOptions(static, model, measures, up, waits=options.replay is not None))
 
 
 def _run(session: LiveSession, options: LiveOptions) -> Health:

@@ -1,6 +1,8 @@
 """Frames from cameras and streams while they come in; labels, and what follows from them, at once, out."""
 
 from asterism.live.analysis import AnalysedFrame, FrameAnalysis, LiveAnalysis, LiveEvent
+from asterism.live.angles import AngleOptions
+from asterism.live.blobs import RigSource
 from asterism.live.chain import LabelChain, LabelledFrame, OfModel, make_labeller
 from asterism.live.clock import FrameCount, SourceClock
 from asterism.live.cues import Cue, FeedbackRule
@@ -8,6 +10,7 @@ from asterism.live.datagrams import HostPort, JsonDatagrams, frame_as_json, fram
 from asterism.live.feedback import Feedback, example_names, load_feedback
 from asterism.live.found import WithFindings, own_findings, session_findings
 from asterism.live.frames import LiveFrame, LiveSource, SourceAbout, SourceEnded
+from asterism.live.movement import MovementAnalysis
 from asterism.live.outputs import ToDatagrams, ToLines, labels_as_json
 from asterism.live.recording import KeptSession, LiveRecorder, recording_of
 from asterism.live.replay import Replay
@@ -17,6 +20,7 @@ from asterism.live.sources import host_port, open_source
 
 __all__ = [
     "AnalysedFrame",
+    "AngleOptions",
     "Cue",
     "Feedback",
     "FeedbackRule",
@@ -35,8 +39,10 @@ __all__ = [
     "LiveRecorder",
     "LiveSession",
     "LiveSource",
+    "MovementAnalysis",
     "OfModel",
     "Replay",
+    "RigSource",
     "SourceAbout",
     "SourceClock",
     "SourceEnded",

@@ -166,7 +166,7 @@ class SettingOutcome:
             return False
         if isinstance(self.asked, float) and isinstance(self.has, float):
             return math.isclose(self.asked, self.has, rel_tol=_EXACT, abs_tol=1e-6)
-        return self.asked == self.has
+        return str(self.asked).casefold() == str(self.has).casefold()
 
     def __str__(self) -> str:
         asked = setting_text(self.setting, self.asked)
