@@ -58,7 +58,7 @@ class ToPage:
         self._bones: list[list[int]] | None = None
         self._moments: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_MOMENTS)
         self._moment_count = 0
-        self._wakers: list[Callable[[], None]] = []
+        self._wakers: list[Callable[[], object]] = []
         self._sounded: deque[float] = deque(maxlen=_SOUNDED)
         self.late = 0
 
@@ -82,7 +82,7 @@ class ToPage:
         """The session has ended; what was shown last stays."""
         self._wake()
 
-    def follow(self, wake: Callable[[], None]) -> Callable[[], None]:
+    def follow(self, wake: Callable[[], object]) -> Callable[[], None]:
         """Have a function called, from any thread, when something is to be sent at once; gives what ends that."""
         with self._guard:
             self._wakers.append(wake)
@@ -149,7 +149,16 @@ class ToPage:
         return {
             "values": list(values),
             "units": [newest.analysis.units.get(name, "") for name in values],
-            "rules": [{"name": cue.rule.name, "colour": cue.rule.colour, "sound": cue.rule.sound, "unit": cue.unit} for cue in newest.cues],
+            "rules": [
+                {
+                    "name": cue.rule.name,
+                    "colour": cue.rule.colour,
+                    "sound": cue.rule.sound,
+                    "unit": cue.unit,
+                    "bounds": [bound for bound in (cue.rule.above, cue.rule.below) if not math.isnan(bound)],
+                }
+                for cue in newest.cues
+            ],
         }
 
     def body(self) -> dict[str, Any] | None:

@@ -30,13 +30,13 @@
 
     // Other values, or other rules: what was kept of the old ones means nothing now.
     named({ values, units, rules }) {
-      const names = [...values.map((name, n) => [name, units[n]]), ...rules.map(rule => [`rule: ${rule.name}`, rule.unit])];
+      const names = [...values.map((name, n) => [name, units[n], []]), ...rules.map(rule => [`rule: ${rule.name}`, rule.unit, rule.bounds])];
       this.rows = names.map(() => new Float32Array(SAMPLES).fill(NaN));
       this.count = 0;
       this.groups = new Map();
-      names.forEach(([name, unit], row) => {
+      names.forEach(([name, unit, bounds], row) => {
         const [group, side] = parted(name);
-        if (!this.groups.has(group)) this.groups.set(group, { unit, lines: [] });
+        if (!this.groups.has(group)) this.groups.set(group, { unit, bounds, lines: [] });
         this.groups.get(group).lines.push({ row, side });
       });
       $("curves-room").hidden = !names.length;
@@ -69,7 +69,7 @@
     lay() {
       this.charts = new Map(this.names.map(name => {
         const [figure, caption, title, canvas] = ["figure", "figcaption", "span", "canvas"].map(kind => document.createElement(kind));
-        const { unit, lines } = this.groups.get(name);
+        const { unit, lines, bounds } = this.groups.get(name);
         figure.className = "curve";
         title.className = "name";
         title.textContent = name;
@@ -78,7 +78,7 @@
         const values = lines.map(line => Object.assign(document.createElement("span"), { className: line.side, title: line.side }));
         caption.append(title, ...values);
         figure.append(caption, canvas);
-        return [name, { figure, canvas, values, unit, lines, low: NaN, high: NaN }];
+        return [name, { figure, canvas, values, unit, lines, bounds }];
       }));
       $("curves").replaceChildren(...[...this.charts.values()].map(chart => chart.figure));
     }
@@ -103,7 +103,7 @@
     }
 
     chart(chart, first, end) {
-      const { canvas, lines, unit } = chart, [pen, width, height] = Asterism.penOf(canvas);
+      const { canvas, lines, unit, bounds } = chart, [pen, width, height] = Asterism.penOf(canvas);
       if (!width) return;
       let low = Infinity, high = -Infinity;
       for (const { row } of lines) for (let n = first; n < this.count; n++) {
@@ -118,6 +118,7 @@
       const top = 4, bottom = height - 4, left = 40, x = time => left + (width - left) * (1 - (end - time) / SECONDS);
       this.drawTicks(pen, x, end, bottom);
       if (low > high) return;
+      for (const bound of bounds) [low, high] = [Math.min(low, bound), Math.max(high, bound)];
       // A value that stands still is a line in the middle, not its noise over the whole height.
       const least = { degrees: 10, m: 0.02, s: 0.05, "%": 5 }[unit] || 0.1, lacks = Math.max(0, least - (high - low)) / 2;
       [low, high] = [low - lacks, high + lacks];
@@ -125,6 +126,12 @@
       pen.fillStyle = this.colour("--soft");
       pen.fillText(shown(high, unit), 0, top + 8);
       pen.fillText(shown(low, unit), 0, bottom);
+      pen.strokeStyle = this.colour("--soft");
+      pen.setLineDash([1, 3]);
+      pen.lineWidth = 1;
+      pen.beginPath();
+      for (const bound of bounds) { pen.moveTo(left, y(bound)); pen.lineTo(width, y(bound)); }
+      pen.stroke();
       for (const { row, side } of lines) {
         pen.strokeStyle = this.colour(side ? `--${side}` : "--accent");
         pen.setLineDash(side === "right" ? [6, 4] : []);
