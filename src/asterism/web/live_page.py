@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 from asterism.live import AnalysedFrame, LabelledFrame, LiveSession
 from asterism.live.outputs import cue_as_json, event_as_json
 from asterism.recording.sides import marker_sides
@@ -181,6 +182,13 @@ class ToPage:
         """Take what a page tells of its sounds: ms from the arrival of the frame to the beginning of the sound, each."""
         if isinstance(latencies, list):
             self._sounded.extend(float(ms) for ms in latencies[:100] if isinstance(ms, int | float) and 0 <= ms < _LONGEST)
+
+    def findings(self) -> list[Finding]:
+        """Whether sounds or events did not reach a page in time."""
+        if not self.late:
+            return []
+        sentence = f"the page: {self.late} sounds or events were too late for a page that was slow or asleep, and were left out."
+        return [Finding("live-page-late", Severity.NOTE, "the page", sentence, "Keep the page in front, on a network that is not busy.")]
 
     def tone_latency(self) -> tuple[float, float, int]:
         """(p50, p99) ms from the arrival of a frame to the beginning of its sound in the page, and of how many; NaN without any."""
