@@ -72,7 +72,7 @@ class LiveOptions:
         typer.Option(
             "--to",
             metavar="ADDRESS",
-            help="Pass labelled frames on: udp://, ws:// or ws-listen://HOST:PORT (JSON), osc://HOST:PORT, lsl://NAME. Several times.",
+            help="Pass labelled frames on: udp://, ws:// or ws-listen://HOST:PORT (JSON), osc://HOST:PORT, lsl://NAME, natnet://HOST.",
         ),
     ] = field(default_factory=list)
     feedback: Annotated[
@@ -111,6 +111,8 @@ def live(options: LiveOptions) -> None:
     heel strikes and toe offs a few hundredths of a second after they happened, and what the last steps were like. Stop with Ctrl-C. A
     recording holds all frames that came. Until the end they are in a file beside the output, so that a session that is killed loses half a
     second at most.
+
+    Cameras are listed, set and watched by `asterism live cameras`.
     """
     from asterism.formats import check_suffix
     from asterism.live import LiveRecorder, RigSource, session_findings
