@@ -253,7 +253,7 @@ def test_labels_values_and_events_go_out_and_can_be_read_again(name: str) -> Non
         labelled = LabelledFrame(LiveFrame(n, 5.0 + n / 100, now, points), markers, np.array([1, -1, 0]), np.array([0.9, 0.1, 0.8]), now)
         events = (LiveEvent("heel strike", "left", 5.0, 0.03),) if n == 3 else ()
         analysis = FrameAnalysis({"left knee flexion": 60.0 + n, "right knee flexion": np.nan}, {"left knee flexion": "degrees"}, events)
-        return AnalysedFrame(labelled, analysis, (Cue(rule, 0.3, on, on, np.nan),))
+        return AnalysedFrame(labelled, analysis, (Cue(rule, 0.3, on, on and n == 2, np.nan),))
 
     output.send(frame(0, False))
     source = opened(f"lsl://{name}?type=MoCap")

@@ -77,7 +77,8 @@ class ToLsl:
         for event in analysis.events:
             self._texts.push_sample([f"{event.side} {event.kind}".strip()], event.time + ahead)
         for cue in frame.cues:
-            if cue.on != (cue.rule.name in self._on):
+            # What speaks of instants may begin again before it has ended.
+            if cue.began or cue.on != (cue.rule.name in self._on):
                 (self._on.add if cue.on else self._on.discard)(cue.rule.name)
                 self._texts.push_sample([f"{cue.rule.name} {'on' if cue.on else 'off'}"], at)
 
