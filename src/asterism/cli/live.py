@@ -153,8 +153,9 @@ def live(options: LiveOptions) -> None:
         unfinished.unlink()
     elif unfinished is not None:
         unfinished.unlink(missing_ok=True)
+    tone = _tone(session) if options.page else (math.nan, math.nan, 0)
     if options.json != "-" and not options.lines:
-        _show(source.about.name, health)
+        _show(source.about.name, health, tone)
     for finding in findings:
         _console.report(finding)
     content = {
@@ -274,7 +275,14 @@ def _tell(session: LiveSession, ended: threading.Event) -> None:
             )
 
 
-def _show(name: str, health: Health) -> None:
+def _tone(session: LiveSession) -> tuple[float, float, int]:
+    """(p50, p99) ms from a frame's arrival to its sound in the page, and of how many."""
+    from asterism.web.live_page import ToPage
+
+    return next(output.tone_latency() for output in session.outputs if isinstance(output, ToPage))
+
+
+def _show(name: str, health: Health, tone: tuple[float, float, int]) -> None:
     rows = [
         ("frames", _console.count(health.frames)),
         ("labelled", _console.count(health.labelled)),
@@ -282,7 +290,11 @@ def _show(name: str, health: Health) -> None:
         ("left out", _console.count(health.dropped)),
         ("labels after", f"{1000 * health.latency[0]:.1f} ms, one in a thousand after {1000 * health.latency[1]:.1f} ms"),
     ]
-    _console.facts(name, rows if health.labelled else rows[:-1])
+    rows = rows if health.labelled else rows[:-1]
+    if tone[2]:
+        # The page's own clock ends at its sound card.
+        rows.append(("sounds after", f"{tone[0]:.0f} ms, one in a hundred after {tone[1]:.0f} ms; sound card and loudspeaker add to it"))
+    _console.facts(name, rows)
 
 
 def _finish(options: LiveOptions) -> None:
