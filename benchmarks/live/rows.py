@@ -30,7 +30,7 @@ from asterism.live import (
     make_labeller,
     recording_of,
 )
-from asterism.live.natnet import frame_of_packet
+from asterism.live.natnet_packets import frame_of_packet
 from asterism.recording import Clouds
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import GAIT_BODY

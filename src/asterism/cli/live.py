@@ -33,7 +33,7 @@ class LiveOptions:
         str | None,
         typer.Argument(
             metavar="[SOURCE]",
-            help="Where frames come from: natnet://HOST (Motive), qtm://HOST (Qualisys), vicon://HOST; udp:// or ws://HOST:PORT (JSON).",
+            help="Where frames come from: natnet://HOST (Motive), qtm://HOST, vicon://HOST, lsl://NAME; udp:// or ws://HOST:PORT (JSON).",
             show_default=False,
         ),
     ] = None
@@ -42,6 +42,10 @@ class LiveOptions:
     ] = None
     speed: Annotated[float, typer.Option("--speed", metavar="N", help="Play N times as fast.")] = 1.0
     loop: Annotated[bool, typer.Option("--loop", help="Play it again and again.")] = False
+    rig: Annotated[
+        Path | None,
+        typer.Option("--rig", metavar="FILE", help="The calibrated rig, where blobs of cameras come and not points.", show_default=False),
+    ] = None
     model: Annotated[
         Path | None, typer.Option("--model", "-m", metavar="FILE", help="A trained model; else virtual people.", show_default=False)
     ] = None
@@ -68,7 +72,7 @@ class LiveOptions:
         typer.Option(
             "--to",
             metavar="ADDRESS",
-            help="Pass labelled frames on: udp://HOST:PORT or ws-listen://HOST:PORT (JSON), osc://HOST:PORT. Several times.",
+            help="Pass labelled frames on: udp://, ws:// or ws-listen://HOST:PORT (JSON), osc://HOST:PORT, lsl://NAME, natnet://HOST.",
         ),
     ] = field(default_factory=list)
     feedback: Annotated[
@@ -107,9 +111,11 @@ def live(options: LiveOptions) -> None:
     heel strikes and toe offs a few hundredths of a second after they happened, and what the last steps were like. Stop with Ctrl-C. A
     recording holds all frames that came. Until the end they are in a file beside the output, so that a session that is killed loses half a
     second at most.
+
+    Cameras are listed, set and watched by `asterism live cameras`.
     """
     from asterism.formats import check_suffix
-    from asterism.live import LiveRecorder, session_findings
+    from asterism.live import LiveRecorder, RigSource, session_findings
 
     if options.finish is not None:
         _finish(options)
@@ -122,7 +128,7 @@ def live(options: LiveOptions) -> None:
     if options.output is not None:
         check_suffix(options.output)
     _clinical.given_measures(options.measure)
-    inputs = [options.replay, options.model, options.static, *_clinical.measure_files(options.measure)]
+    inputs = [options.replay, options.model, options.static, options.rig, *_clinical.measure_files(options.measure)]
     _console.check_outputs([options.output, options.json], inputs, options.overwrite)
     if unfinished is not None and unfinished.exists():
         raise AsterismError(
@@ -147,8 +153,9 @@ def live(options: LiveOptions) -> None:
         unfinished.unlink()
     elif unfinished is not None:
         unfinished.unlink(missing_ok=True)
+    tone = _tone(session) if options.page else (math.nan, math.nan, 0)
     if options.json != "-" and not options.lines:
-        _show(source.about.name, health)
+        _show(source.about.name, health, tone)
     for finding in findings:
         _console.report(finding)
     content = {
@@ -156,6 +163,7 @@ def live(options: LiveOptions) -> None:
         "source": source.about.name,
         "output": options.output,
         **dataclasses.asdict(health),
+        **({"cameras": source.camera_numbers()} if isinstance(source, RigSource) else {}),
         "findings": [finding.to_dict() for finding in findings],
     }
     _console.write_json(options.json, content)
@@ -168,9 +176,23 @@ def _source(options: LiveOptions) -> LiveSource:
 
     if (options.source is None) == (options.replay is None):
         raise AsterismError("give one source: an address such as udp://127.0.0.1:5000, or a recording with --replay FILE.")
+    if options.rig is not None:
+        return _of_cameras(options, options.rig)
     if options.replay is not None:
         return Replay(options.replay, speed=options.speed, loop=options.loop)
     return open_source(str(options.source), math.nan if options.rate is None else options.rate)
+
+
+def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
+    from asterism.cameras.files import read_rig
+    from asterism.live.blobs import ReplayBlobs, RigSource
+    from asterism.live.sources import open_blobs
+
+    rig = read_rig(rig_file)
+    if options.replay is not None:
+        played = ReplayBlobs(options.replay, rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
+        return RigSource(played, rig, waits=True)
+    return RigSource(open_blobs(str(options.source), rig.names, math.nan if options.rate is None else options.rate), rig)
 
 
 def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
@@ -253,7 +275,14 @@ def _tell(session: LiveSession, ended: threading.Event) -> None:
             )
 
 
-def _show(name: str, health: Health) -> None:
+def _tone(session: LiveSession) -> tuple[float, float, int]:
+    """(p50, p99) ms from a frame's arrival to its sound in the page, and of how many."""
+    from asterism.web.live_page import ToPage
+
+    return next(output.tone_latency() for output in session.outputs if isinstance(output, ToPage))
+
+
+def _show(name: str, health: Health, tone: tuple[float, float, int]) -> None:
     rows = [
         ("frames", _console.count(health.frames)),
         ("labelled", _console.count(health.labelled)),
@@ -261,7 +290,11 @@ def _show(name: str, health: Health) -> None:
         ("left out", _console.count(health.dropped)),
         ("labels after", f"{1000 * health.latency[0]:.1f} ms, one in a thousand after {1000 * health.latency[1]:.1f} ms"),
     ]
-    _console.facts(name, rows if health.labelled else rows[:-1])
+    rows = rows if health.labelled else rows[:-1]
+    if tone[2]:
+        # The page's own clock ends at its sound card.
+        rows.append(("sounds after", f"{tone[0]:.0f} ms, one in a hundred after {tone[1]:.0f} ms; sound card and loudspeaker add to it"))
+    _console.facts(name, rows)
 
 
 def _finish(options: LiveOptions) -> None:

@@ -51,7 +51,8 @@ _TROUBLES = ("black", "frozen", "saturated", "slow")
 class CameraHealth:
     """How a camera does.
 
-    images, lost, late  see `FrameCount`; by the camera's numbers
+    images, late  see `FrameCount`; by the camera's numbers
+    lost        images whose numbers are missing, but for those that were not fetched
     dropped     images that were not fetched in time
     damaged     images that could not be read
     reopened    times that it disappeared and came back
@@ -145,7 +146,8 @@ class CameraWatch:
         return CameraHealth(
             camera.name,
             self._count.received,
-            self._count.lost,
+            # An image that was not fetched leaves its number out, too, and is counted once.
+            max(0, self._count.lost - camera.dropped),
             self._count.late,
             camera.dropped,
             camera.damaged,
@@ -201,19 +203,6 @@ _SENTENCES = {
     "saturated": "{white:.0f} % of its pixels are saturated.",
     "slow": "it gives {rate:.1f} images/s of {of:.1f}.",
 }
-_MENDS = {
-    "black": ("images were black", "Look at its lens cap, its light and its exposure."),
-    "frozen": ("the same image came again and again", "Take its cable out and in; a driver that hangs needs this machine started again."),
-    "saturated": (
-        "more than a fiftieth of its pixels were saturated",
-        "Lower its exposure or its gain, and turn it away from lamps and windows.",
-    ),
-    "slow": (
-        "it gave fewer images than its rate",
-        "Switch its automatic exposure off, use the format MJPG, and give it a USB socket that it shares with no other camera.",
-    ),
-}
-"""For each trouble what a finding says of the seconds in which it was there, and the mend."""
 
 
 def camera_findings(healths: Iterable[CameraHealth], outcomes: Iterable[SettingOutcome] = ()) -> Iterator[Finding]:
@@ -227,29 +216,38 @@ def camera_findings(healths: Iterable[CameraHealth], outcomes: Iterable[SettingO
 
 
 def _of_one(health: CameraHealth) -> Iterator[Finding]:
-    def finding(code: str, severity: Severity, what: str, mend: str) -> Finding:
-        return Finding(f"live-camera-{code}", severity, health.camera, f"camera {health.camera}: {what}", mend)
-
-    if not health.images:
-        why = health.problem or "no image came."
-        yield finding("silent", Severity.ERROR, why, "Look at its cable and its power, and whether another program has it.")
-        return
+    name, who, seconds = health.camera, f"camera {health.camera}:", health.seconds
+    if not health.images or (health.problem and health.last_seen > _SECOND):
+        sentence = f"{who} {health.problem or 'no image came.'}"
+        mend = "Look at its cable and its power, and whether another program has it."
+        yield Finding("live-camera-silent", Severity.ERROR, name, sentence, mend)
     if health.reopened:
         times = "once" if health.reopened == 1 else f"{health.reopened} times"
-        yield finding("reopened", Severity.WARNING, f"it disappeared {times} and came back.", "Look at its cable and its power.")
-    if health.last_seen > _SECOND and health.problem:
-        yield finding("silent", Severity.ERROR, health.problem, "Look at its cable and its power.")
+        sentence = f"{who} it disappeared {times} and came back."
+        yield Finding("live-camera-reopened", Severity.WARNING, name, sentence, "Look at its cable and its power.")
     if health.lost:
         share = significant(100 * health.lost / (health.lost + health.images), 2)
-        mend = "Lower its rate or its size, use the format MJPG, and give it a USB socket that it shares with no other camera."
-        yield finding("lost", Severity.WARNING, f"{health.lost} images never arrived ({share} %).", mend)
+        sentence = f"{who} {health.lost} images never arrived ({share} %)."
+        yield Finding("live-camera-lost", Severity.WARNING, name, sentence, f"{_USB}, or lower its rate or its size.")
     if health.dropped:
-        yield finding(
-            "dropped", Severity.WARNING, f"{health.dropped} images were not fetched in time.", "Close other programs, or lower its rate."
-        )
+        sentence = f"{who} {health.dropped} images were not fetched in time."
+        yield Finding("live-camera-dropped", Severity.WARNING, name, sentence, "Close other programs, or lower its rate.")
     if health.damaged:
-        mend = "Look at its cable; try another pixel format."
-        yield finding("damaged", Severity.WARNING, f"{health.damaged} images could not be read.", mend)
-    for trouble, (what, mend) in _MENDS.items():
-        if health.seconds[trouble] > _SECOND:
-            yield finding(trouble, Severity.WARNING, f"for {health.seconds[trouble]:.0f} s {what}.", mend)
+        sentence = f"{who} {health.damaged} images could not be read."
+        yield Finding("live-camera-damaged", Severity.WARNING, name, sentence, "Look at its cable, or try another format.")
+    if seconds["slow"] > _SECOND:
+        sentence = f"{who} for {seconds['slow']:.0f} s it gave fewer images than its rate."
+        yield Finding("live-camera-slow", Severity.WARNING, name, sentence, f"Switch its automatic exposure off. {_USB}.")
+    if seconds["black"] > _SECOND:
+        sentence = f"{who} for {seconds['black']:.0f} s its images were black."
+        yield Finding("live-camera-black", Severity.WARNING, name, sentence, "Look at its lens cap, its light and its exposure.")
+    if seconds["frozen"] > _SECOND:
+        sentence = f"{who} for {seconds['frozen']:.0f} s the same image came again and again."
+        yield Finding("live-camera-frozen", Severity.WARNING, name, sentence, "Take its cable out and in.")
+    if seconds["saturated"] > _SECOND:
+        sentence = f"{who} for {seconds['saturated']:.0f} s more than a fiftieth of its pixels were saturated."
+        mend = "Lower its exposure or its gain, and turn it away from lamps and windows."
+        yield Finding("live-camera-saturated", Severity.WARNING, name, sentence, mend)
+
+
+_USB = "Use the format MJPG, and give it a USB socket that it shares with no other camera"
