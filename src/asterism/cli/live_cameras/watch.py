@@ -194,7 +194,7 @@ def _cells(health: CameraHealth) -> tuple[str, ...]:
         number(100 * health.saturated, 1),
         number(health.blobs, 1),
         number(health.temperature, 0),
-        number(health.drift, 0),
+        f"{health.drift:.0f} ± {health.drift_sd:.0f}" if math.isfinite(health.drift) else "–",
         number(health.last_seen, 1),
         health.problem,
     )

@@ -14,10 +14,11 @@ from itertools import pairwise
 import numpy as np
 
 from asterism.findings import Finding, Severity
+from asterism.live.blobs.camera_clock import CameraClock
 from asterism.live.camera_frames import LiveImage
 from asterism.live.cameras.camera import LiveCamera
 from asterism.live.cameras.settings import SettingOutcome
-from asterism.live.clock import FrameCount, SourceClock
+from asterism.live.clock import FrameCount
 from asterism.recording.display import significant
 
 _EVERY = 4
@@ -41,9 +42,11 @@ _SECOND = 1.0
 the lens; twice as much comes a second later."""
 _LEAST = 6
 """Images by which a rate is told at least, where a second has fewer. Half of them scatter more; twice as many follow a change later."""
-_DRIFT_AFTER = 10.0
-"""s between two looks at the clocks from which a drift is told: half a millisecond of scatter is 50 millionths. Half of it tells twice as
-much scatter; with twice as much it comes later."""
+_DRIFT_KNOWN = 50.0
+"""Millionths that a drift's standard deviation falls below before it is told: half of what is believed of any quartz.
+
+At half of it the drift is told some seconds later; at twice as much it tells nothing.
+"""
 _TROUBLES = ("black", "frozen", "saturated", "slow")
 
 
@@ -61,7 +64,8 @@ class CameraHealth:
     saturated   share of saturated pixels, of the last second
     blobs       blobs per image, of the last second; NaN where none are sought
     temperature degrees Celsius, NaN where it does not say
-    drift       millionths by which its clock is faster than this machine's; NaN where it has none, or before it is known
+    drift, drift_sd  millionths by which its clock is faster than this machine's, with its standard deviation; NaN where it has no clock, or
+                before it is known
     last_seen   s since its last image, infinite before the first
     seconds     s of its images that were "black", "frozen" (the same again and again), "saturated" or "slow"
     problem     what is wrong now, "" where nothing is
@@ -80,6 +84,7 @@ class CameraHealth:
     blobs: float
     temperature: float
     drift: float
+    drift_sd: float
     last_seen: float
     seconds: dict[str, float]
     problem: str = ""
@@ -91,7 +96,7 @@ class CameraWatch:
 
     camera: LiveCamera
     _count: FrameCount = field(default_factory=FrameCount)
-    _clock: SourceClock = field(default_factory=SourceClock)
+    _clock: CameraClock = field(default_factory=CameraClock)
     _recent: deque[tuple[float, float, float]] = field(default_factory=lambda: deque(maxlen=1000))
     """(arrived s, mean grey value, share saturated)"""
     _blobs: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=1000))
@@ -101,8 +106,6 @@ class CameraWatch:
     _since: dict[str, float] = field(default_factory=dict)
     """When a trouble began that goes on, s."""
     _seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_TROUBLES, 0.0))
-    _early: tuple[float, float] | None = None
-    """(arrived s, offset s) of the clock when it was first known well."""
 
     def image(self, image: LiveImage) -> None:
         """Look at an image."""
@@ -128,9 +131,7 @@ class CameraWatch:
             self._since.setdefault(trouble, image.arrived)
             if not math.isnan(before):
                 self._seconds[trouble] += min(image.arrived - before, _SECOND)
-        self._clock.delay(image.time, image.arrived)
-        if self._early is None and image.arrived - self._began > _DRIFT_AFTER:
-            self._early = (image.arrived, self._clock.offset)
+        self._clock.observe(image.time, image.arrived)
 
     def blobs(self, count: int) -> None:
         """Say how many blobs the last image has."""
@@ -157,7 +158,7 @@ class CameraWatch:
             white,
             float(np.mean(counts)) if counts else math.nan,
             camera.temperature,
-            self._drift(),
+            *self._drift(),
             now - self._arrived if self._count.received else math.inf,
             dict(self._seconds),
             self._problem(now),
@@ -177,10 +178,9 @@ class CameraWatch:
         until = now if now - last > 2 * (last - first) / steps else last
         return 0.0 if now - last > max(_SECOND, last - first) else steps / max(until - first, 1e-6)
 
-    def _drift(self) -> float:
-        if self.camera.about.clock != "camera" or self._early is None or self._arrived - self._early[0] < _DRIFT_AFTER:
-            return math.nan
-        return -1e6 * (self._clock.offset - self._early[1]) / (self._arrived - self._early[0])
+    def _drift(self) -> tuple[float, float]:
+        known = self.camera.about.clock == "camera" and self._clock.drift_sd_ppm < _DRIFT_KNOWN
+        return (-self._clock.drift_ppm, self._clock.drift_sd_ppm) if known else (math.nan, math.nan)
 
     def _problem(self, now: float) -> str:
         """What is wrong now."""
