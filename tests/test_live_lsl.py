@@ -189,6 +189,21 @@ def test_a_stream_without_a_word_is_read_in_triples_in_the_unit_of_a_body(name: 
     assert any("read as mm" in str(finding) for finding in source.findings())
 
 
+def test_a_unit_that_cannot_be_and_a_name_that_is_taken_are_told(name: str) -> None:
+    body = 1000 * np.random.default_rng(0).normal((0.5, 1.0, 0.9), (0.2, 0.2, 0.45), (12, 3))
+    sender = outlet(name, points_of([f"M{n}" for n in range(12)], "meters"))
+    source = opened(f"lsl://{name}")
+    sender.push_sample(body.ravel().tolist())
+    taken(source, 1)
+    source.close()
+    (finding,) = source.findings()
+    assert finding.code == "live-unit-doubtful" and "probably mm" in finding.sentence
+    first = open_output(f"lsl://{name}", SourceAbout("given", 100.0))
+    with pytest.raises(AsterismError, match="another session on this machine"):
+        open_output(f"lsl://{name}", SourceAbout("given", 100.0))
+    first.close()
+
+
 def test_a_counter_numbers_the_frames_until_it_stands_still(name: str) -> None:
     sender = outlet(name, [{"label": "FrameNumber"}, *points_of(["A"], "m")])
     source = opened(f"lsl://{name}")

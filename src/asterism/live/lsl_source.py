@@ -40,6 +40,8 @@ _TO_UNIT = 20
 """Samples by whose size a unit is chosen that is not given. One would do; some show nobody."""
 _STILL = 5
 """Samples in a row after which a channel that should count does not. Half of them may be sent twice; twice as many are wasted."""
+_WHOLE = 8
+"""Points by which the size of a body is judged. Half of them may be a hand; twice as many are never seen of a sparse set."""
 _KEYS = ("name", "type", "host", "source_id", "uid")
 
 _AXIS = re.compile(r"^(?:position|pos)?[ _.:-]?([xyz])$", re.IGNORECASE)
@@ -201,6 +203,7 @@ class FromLsl:
         self._away = False
         self._layout: ChannelLayout | None = None
         self._unit_findings = list[Finding]()
+        self._size: str | None = None
         info = self._found(_FIND)
         nominal = info.nominal_srate()
         self._rate = rate if math.isfinite(rate) else nominal if 0 < nominal < 1e5 else math.nan
@@ -352,12 +355,25 @@ class FromLsl:
         if not math.isfinite(at):
             self.damaged += 1
             return
+        if self._size is None:
+            self._judge_size(layout, sample)
         with np.errstate(over="ignore", invalid="ignore"):
             points = stream.scale * sample[layout.columns]
         there = ((np.abs(points) < FARTHEST).all(axis=1) & (points != 0).any(axis=1)).nonzero()[0]
         names = tuple(layout.names[row] for row in there.tolist()) if any(layout.names) else ()
         self._number = self._next_number(stream, sample, at, arrived)
         self._kept.append(LiveFrame(self._number, at, arrived, points[there], names))
+
+    def _judge_size(self, layout: ChannelLayout, sample: Floats) -> None:
+        """Whether what is written of the unit can be, by the first sample that shows a whole body."""
+        raw = sample[layout.columns]
+        if layout.unit is None or (np.isfinite(raw) & (raw != 0)).all(axis=1).sum() < _WHOLE:
+            return
+        self._size = ""
+        try:
+            metres_per_unit(self.about.name, layout.unit, raw[None])
+        except AsterismError as problem:
+            self._size = str(problem)
 
     def _next_number(self, stream: _OpenStream, sample: Floats, at: float, arrived: float) -> int:
         """What the stream counts itself; where it does not, or stands still, as many more than the last as time says."""
@@ -375,6 +391,9 @@ class FromLsl:
     def findings(self) -> list[Finding]:
         """What was believed, and what happened to the stream."""
         name, found, layout = self.about.name, list(self._unit_findings), self._layout
+        if self._size:
+            mend = "Have its sender write the unit in which it sends."
+            found.append(Finding("live-unit-doubtful", Severity.WARNING, name, self._size, mend))
         if layout is not None and layout.guessed:
             sentence = f"{name}: nothing says what its channels are; they are read as x, y, z of {len(layout.columns)} points."
             mend = "Look whether a body is seen; have the sender describe its channels."

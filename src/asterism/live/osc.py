@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import socket
 import struct
 from collections.abc import Iterator
 
@@ -45,6 +46,8 @@ class ToOsc:
         self._build = OscMessageBuilder
         self._socket, self._address = socket_for(place, "osc://127.0.0.1:9000")
         self._socket.setblocking(False)
+        # All machines of a stage may be meant, as by osc://192.168.1.255:9000.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         self._begin: float | None = None
         self._heads: dict[tuple[str, ...], bytes] = {}
         self._words: dict[str, str] = {}
