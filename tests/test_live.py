@@ -116,7 +116,7 @@ def test_frames_that_came_while_the_labelling_was_made_are_told_and_not_labelled
     health = LiveSession(Given(frames(list(range(5000)))), slowly, [Kept()]).run()
     # as many as can have come in this time, and twice as many at most
     assert health.before >= 2 * 0.2 * RATE and health.before + health.frames == 5000 and health.lost == 0
-    assert [finding.code for finding in session_findings(health, "given")][0] == "live-before"
+    assert "live-before" in {finding.code for finding in session_findings(health, "given")}
 
 
 def test_a_clock_that_drifts_is_followed_and_one_that_is_set_is_begun_anew() -> None:

@@ -29,8 +29,8 @@ _TIMEOUT = 0.1
 _SILENT = 1.0
 """s without a frame after which the source counts as silent: ten frames of the slowest camera."""
 _AT_ONCE = 0.002
-"""s within which a frame that was there already is read; a tenth of a millisecond is usual. Twice as long takes one new frame more for an old
-one at 500 Hz; with half of it a busy machine takes an old one for new."""
+"""s within which a frame that was there already is read; a tenth of a millisecond is usual. Twice as long takes a new frame for an old one
+at 500 Hz; with half of it a busy machine takes an old one for new."""
 _TO_RATE = 30
 """Frames by whose times the rate is found where a source does not say it: an irregular sender's to within 1 %."""
 _LATENCIES = 4096
