@@ -8,6 +8,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +16,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism import AsterismError
-from asterism.live import HostPort, LiveFrame, open_source
+from asterism.cameras.files.qualisys import read_qualisys, write_qualisys
+from asterism.live import HostPort, LiveFrame, RigSource, open_source
 from asterism.live.qtm_packets import blobs_of_packet, points_of_packet, settings_of_xml
+from asterism.live.sources import open_blobs
+from asterism.simulation.cameras.rigs import ring_rig
 
 qtm_rt = pytest.importorskip("qtm_rt", reason="the vendor's package qtm-rt is the judge of these packets")
 
@@ -163,8 +167,17 @@ class QtmServer(threading.Thread):
                 self.serve(client)
 
     def serve(self, client: socket.socket) -> None:
+        guard = threading.Lock()
+
         def say(kind: int, content: bytes) -> None:
-            client.sendall(struct.pack("<II", 8 + len(content), kind) + content)
+            with guard:
+                client.sendall(struct.pack("<II", 8 + len(content), kind) + content)
+
+        def stream(components: str) -> None:
+            with contextlib.suppress(OSError):
+                for each in self.frames(components):
+                    say(*each)
+                client.shutdown(socket.SHUT_RDWR)
 
         say(1, b"QTM RT Interface connected\0")
         while head := client.recv(8, socket.MSG_WAITALL):
@@ -180,9 +193,7 @@ class QtmServer(threading.Thread):
             elif words[0] == "getparameters":
                 say(2, self.xml.encode("latin-1") + b"\0")
             elif words[0] == "streamframes":
-                for each in self.frames(" ".join(words[2:])):
-                    say(*each)
-                return
+                threading.Thread(target=stream, args=(" ".join(words[2:]),), daemon=True).start()
             else:
                 say(0, b"Parse error\0")
 
@@ -239,6 +250,8 @@ def test_a_qtm_without_a_measurement_is_told_what_to_press_and_read_when_it_begi
     def frames(components: str) -> Iterator[tuple[int, bytes]]:
         yield 4, b""
         pressed.wait(20)
+        # Settings are there with the measurement, and asked for again.
+        server.xml = XML.format(rate=50, up="-Z")
         # Nor timestamps, which some recordings lack.
         for number in range(1, 5):
             yield 3, data_packet(number, points_component(2, OTHERS), stamp=0)
@@ -249,13 +262,17 @@ def test_a_qtm_without_a_measurement_is_told_what_to_press_and_read_when_it_begi
     source = open_source(f"qtm://127.0.0.1:{server.port}", 50.0)
     try:
         told = {finding.code: finding for finding in source.findings()}  # type: ignore[attr-defined]
-        assert "Ctrl+N" in told["live-idle"].mend and "live-axis-unknown" in told
+        assert set(told) == {"live-idle"} and "Ctrl+N" in told["live-idle"].mend
         assert source.about.vertical is None and source.about.rate == 50.0
         pressed.set()
         got = taken(source, 4)
         np.testing.assert_allclose([frame.time for frame in got], [0.0, 0.02, 0.04, 0.06])
         codes = {finding.code for finding in source.findings()}  # type: ignore[attr-defined]
         assert "live-no-times" in codes and "live-idle" not in codes
+        until = time.monotonic() + 20
+        while source.about.vertical is None and time.monotonic() < until:
+            time.sleep(0.01)
+        assert source.about.vertical is not None and source.about.vertical.tolist() == [0, 0, -1]
     finally:
         source.close()
         server.socket.close()
@@ -316,3 +333,27 @@ def test_nobody_there_is_told_with_what_to_look_at() -> None:
     free.close()
     with pytest.raises(AsterismError, match=r"does not answer.*Real-Time Output"):
         open_source(f"qtm://127.0.0.1:{port}")
+
+
+def test_qtms_blobs_and_its_calibration_give_points_in_metres(tmp_path: Path) -> None:
+    """The rig that QTM exports and the blobs that it streams fit together: the same names, pixels and lens."""
+    written, marker = ring_rig(4), np.array([[0.1, -0.2, 1.1], [-0.3, 0.2, 0.8]])
+    write_qualisys(tmp_path / "rig.qca.txt", written)
+    rig = read_qualisys(tmp_path / "rig.qca.txt")
+    serials = "".join(f"<Camera><ID>{n + 1}</ID><Serial>{name}</Serial></Camera>" for n, name in enumerate(rig.names))
+    xml = f"<QTM_Parameters_Ver_1.20><General><Frequency>100</Frequency>{serials}</General></QTM_Parameters_Ver_1.20>"
+    seen = [[(*(64 * blob).round().astype(int).tolist(), 256, 256) for blob in camera.project(marker)] for camera in written]
+
+    def frames(components: str) -> Iterator[tuple[int, bytes]]:
+        for number in range(1, 40):
+            yield 3, data_packet(number, blobs_component(7, seen))
+            time.sleep(0.01)
+
+    server = QtmServer(frames, xml)
+    source = RigSource(open_blobs(f"qtm://127.0.0.1:{server.port}", rig.names), rig)
+    try:
+        frame = next(frame for frame in taken(source, 20) if len(frame.points) == 2)
+        np.testing.assert_allclose(frame.points[np.argsort(-frame.points[:, 0])], marker, atol=5e-4)
+    finally:
+        source.close()
+        server.socket.close()

@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from urllib.parse import parse_qsl, urlsplit
 
 from asterism.errors import AsterismError
-from asterism.live.blobs.sources import JsonBlobs
 from asterism.live.camera_frames import BlobSource
 from asterism.live.datagrams import HostPort, JsonDatagrams
 from asterism.live.frames import LiveSource
 from asterism.live.natnet import COMMANDS, NatNet
 from asterism.live.packages import packages_for
 
-ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet", "qtm", "vicon")
-"""What can be a source, by the first word of its address: frames as JSON, one a datagram, or over WebSocket; Motive; QTM; Vicon."""
+ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet", "qtm", "vicon", "lsl")
+"""What can be a source, by the first word of its address: frames as JSON in datagrams or over WebSocket; Motive; QTM; Vicon; LSL."""
 
 
 def host_port(address: str, example: str, port_else: int | None = None) -> HostPort:
@@ -45,6 +44,10 @@ def open_source(address: str, rate: float = float("nan")) -> LiveSource:
         parts = urlsplit(address)
         local = dict(parse_qsl(parts.query)).get("local", "")
         return NatNet(host_port(address, "natnet://192.168.1.5", COMMANDS), local, rate)
+    if scheme == "lsl":
+        from asterism.live.lsl_source import FromLsl
+
+        return FromLsl(address, rate)
     if scheme == "qtm":
         with packages_for("qtm://"):
             from asterism.live.qtm import PORT, Qtm
@@ -75,5 +78,7 @@ def open_blobs(address: str, cameras: Sequence[str], rate: float = float("nan"))
         raise AsterismError(
             f"{address} is no source of blobs: an address begins with udp:// or qtm://, and a file is played with --replay FILE."
         )
+    from asterism.live.blobs.sources import JsonBlobs
+
     together = dict(parse_qsl(urlsplit(address).query)).get("together", "")
     return JsonBlobs(host_port(address, "udp://127.0.0.1:5000"), cameras, rate, numbered_together=together in ("1", "true", "yes"))

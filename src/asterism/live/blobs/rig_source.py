@@ -15,7 +15,7 @@ import numpy as np
 
 from asterism.cameras import Rig
 from asterism.findings import Finding, Severity
-from asterism.live.blobs.gathering import ByNumber, ByTime, CameraState, RigFrame
+from asterism.live.blobs.gathering import ByNumber, ByTime, CameraArrivals, RigFrame
 from asterism.live.camera_frames import BlobSource, LiveBlobs
 from asterism.live.frames import MOST_POINTS, LiveFrame, SourceAbout, SourceEnded
 from asterism.reconstruction import ReconstructionSettings, Reconstructor
@@ -332,7 +332,7 @@ def as_plain(cameras: Sequence[RigCameraHealth]) -> list[dict[str, Any]]:
     return [{key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in row.items()} for row in rows]
 
 
-def _health(name: str, state: CameraState, fit: CameraFit) -> RigCameraHealth:
+def _health(name: str, state: CameraArrivals, fit: CameraFit) -> RigCameraHealth:
     count, clock = state.count, state.clock
     last = clock.last_time
     return RigCameraHealth(

@@ -110,6 +110,11 @@ class LiveCamera(ABC):
         """Let go of the camera or the file, from any thread. Again it does nothing."""
 
     @property
+    def waits(self) -> bool:
+        """Whether it waits until its images are taken, as a file can; of others the oldest is left out."""
+        return False
+
+    @property
     def temperature(self) -> float:
         """Degrees Celsius within the camera, NaN where it does not say."""
         return math.nan

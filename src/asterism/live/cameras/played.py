@@ -62,6 +62,11 @@ class PlayedCamera(LiveCamera):
         return CameraAbout(self.name, self.address, self._source.path.name, "", self._size, self._rate * self._factor, "file")
 
     @property
+    def waits(self) -> bool:
+        """As its address says."""
+        return self._waits
+
+    @property
     def own_settings(self) -> tuple[str, ...]:
         """A file can be asked for its rate, and a folder can be given one."""
         return ("rate",)

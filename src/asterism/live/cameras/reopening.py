@@ -12,6 +12,7 @@ from asterism.errors import AsterismError
 from asterism.live.camera_frames import LiveImage
 from asterism.live.cameras.camera import CameraAbout, CameraGone, LiveCamera
 from asterism.live.cameras.settings import SettingOutcome, SettingValue
+from asterism.live.frames import SourceEnded
 
 _EVERY = 1.0
 """s from one try to open the camera again to the next. Half of it asks a system twice for nothing; with twice as much a camera that is
@@ -109,8 +110,11 @@ class ReopeningCamera(LiveCamera):
         assert inner is not None
         try:
             image = inner.read(timeout)
-        except CameraGone as problem:
-            self._lose(str(problem))
+        except SourceEnded:
+            raise
+        # A driver may raise anything: the camera is as good as gone.
+        except Exception as problem:
+            self._lose(str(problem) if isinstance(problem, AsterismError) else f"{type(problem).__name__}: {problem}")
             return None
         self.dropped, self.damaged = self._dropped_before + inner.dropped, self._damaged_before + inner.damaged
         if image is not None:
@@ -142,14 +146,14 @@ class ReopeningCamera(LiveCamera):
             return False
         try:
             camera = self._open()
-        except AsterismError:
+        except Exception:
             self._next_try = time.monotonic() + _EVERY
             return False
         try:
             camera.set_all(self._set)
             if self._started:
                 camera.start(self._at)
-        except AsterismError:
+        except Exception:
             camera.close()
             self._next_try = time.monotonic() + _EVERY
             return False
