@@ -198,7 +198,7 @@ def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
 def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
     from asterism.cli._options import vertical_axis
     from asterism.labelling.marker_model import MarkerModel
-    from asterism.live import Feedback, LiveSession, ToLines, load_feedback, make_labeller, open_outputs, own_findings
+    from asterism.live import Feedback, InOwnThread, LiveSession, ToLines, load_feedback, make_labeller, open_outputs, own_findings
     from asterism.recording import MarkerSet, as_vertical
 
     model = None if options.model is None else MarkerModel.load(options.model)
@@ -218,7 +218,8 @@ def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
     for finding in own_findings([source, *outputs]):
         _console.notice(str(finding))
     if options.lines:
-        outputs.append(ToLines())
+        # A file waits for who reads the lines, a camera system does not.
+        outputs.append(ToLines() if options.replay is not None else InOwnThread(ToLines()))
     # A file can wait until its frames are labelled.
     waits = options.replay is not None
     return LiveSession(source, make, outputs, options.delay, waits=waits, feedback=rules, vertical=up, analysis=analysis)
