@@ -378,7 +378,8 @@ class ByTime:
             xy[c], sizes[c], unlinked, last = at
             self.cameras[c].unlinked += unlinked
             arrived, waited = max(arrived, last.arrived), max(waited, last.time - instant)
-        self.delay = waited
+        # The mean of some ten frames.
+        self.delay += (waited - self.delay) * (0.1 if self._last is not None else 1.0)
         number = 0
         if self._last is not None:
             # Where another camera became the reference, up to three quarters of a period more are no lost frame.
