@@ -194,7 +194,20 @@ def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
     if options.replay is not None:
         played = ReplayBlobs(options.replay, rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
         return RigSource(played, rig, waits=True)
-    return RigProcess(partial(open_blobs, str(options.source), rig.names, math.nan if options.rate is None else options.rate), rig)
+    opened = partial(open_blobs, str(options.source), rig.names, math.nan if options.rate is None else options.rate)
+    return RigProcess(opened, rig, keep=_kept_blobs(options))
+
+
+def _kept_blobs(options: LiveOptions) -> Path | None:
+    """Where blobs are kept beside what is recorded; a file that is there is overwritten only where that was asked for."""
+    if options.output is None:
+        return None
+    from asterism.formats.kept_blobs import KEPT_SUFFIX
+
+    kept = options.output.with_suffix(KEPT_SUFFIX)
+    _console.check_new(kept, options.overwrite)
+    kept.unlink(missing_ok=True)
+    return kept
 
 
 def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
