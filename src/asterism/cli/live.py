@@ -115,7 +115,7 @@ def live(options: LiveOptions) -> None:
     Cameras are listed, set and watched by `asterism live cameras`.
     """
     from asterism.formats import check_suffix
-    from asterism.live import LiveRecorder, RigSource, session_findings
+    from asterism.live import LiveRecorder, OfCameras, session_findings
 
     if options.finish is not None:
         _finish(options)
@@ -164,7 +164,7 @@ def live(options: LiveOptions) -> None:
         "source": source.about.name,
         "output": options.output,
         **dataclasses.asdict(health),
-        **({"cameras": source.camera_numbers()} if isinstance(source, RigSource) else {}),
+        **({"cameras": source.camera_numbers()} if isinstance(source, OfCameras) else {}),
         "findings": [finding.to_dict() for finding in findings],
     }
     _console.write_json(options.json, content)
@@ -185,15 +185,17 @@ def _source(options: LiveOptions) -> LiveSource:
 
 
 def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
+    from functools import partial
+
     from asterism.cameras.files import read_rig
-    from asterism.live.blobs import ReplayBlobs, RigSource
+    from asterism.live.blobs import ReplayBlobs, RigProcess, RigSource
     from asterism.live.sources import open_blobs
 
     rig = read_rig(rig_file)
     if options.replay is not None:
         played = ReplayBlobs(options.replay, rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
         return RigSource(played, rig, waits=True)
-    return RigSource(open_blobs(str(options.source), rig.names, math.nan if options.rate is None else options.rate), rig)
+    return RigProcess(partial(open_blobs, str(options.source), rig.names, math.nan if options.rate is None else options.rate), rig)
 
 
 def _session(options: LiveOptions, source: LiveSource) -> LiveSession:

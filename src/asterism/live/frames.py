@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -94,3 +94,11 @@ class LiveSource(Protocol):
 
     def close(self) -> None:
         """Let go of the network or the file."""
+
+
+@runtime_checkable
+class OfCameras(Protocol):
+    """A source of frames that are made of what several cameras see."""
+
+    def camera_numbers(self) -> list[dict[str, Any]]:
+        """How each camera does, as plain values; None for what is not known."""
