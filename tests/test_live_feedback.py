@@ -423,6 +423,31 @@ MOMENT = """globalThis.hear = (name, age) => {
 }"""
 
 
+@needs_chromium
+def test_a_tablet_reads_the_address_with_its_camera(tmp_path: Path) -> None:
+    pytest.importorskip("segno", reason="QR codes need segno")
+    pytest.importorskip("uvicorn")
+    cv2 = pytest.importorskip("cv2")
+    from asterism.web.live_page import ToPage, serve_live
+    from asterism.web.serving import PageAddress
+
+    page, said = ToPage(), list[str]()
+    session = LiveSession(Given([]), lambda rate, up: Numbers(), [page])
+    stop = serve_live(session, page, PageAddress("0.0.0.0"), said.append)
+    address = said[0].rpartition(" ")[2]
+    try:
+        with Tab(address, 1400, 1400) as tab:
+            tab.wait("document.getElementById('code').complete && document.getElementById('code').src")
+            tab.value("document.documentElement.dataset.theme = 'dark', document.getElementById('tablet').open = true")
+            tab.wait("document.getElementById('state').textContent === 'no frames come'")
+            tab.picture(tmp_path / "page.png")
+            assert tab.value("document.getElementById('address').textContent") == address
+    finally:
+        stop()
+    assert "nothing is encrypted" in said[1]
+    assert cv2.QRCodeDetector().detectAndDecode(cv2.imread(str(tmp_path / "page.png")))[0] == address
+
+
 class Listener:
     """A page without a browser, which says what it has seen, or does not."""
 
