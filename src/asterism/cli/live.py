@@ -115,7 +115,7 @@ def live(options: LiveOptions) -> None:
     Cameras are listed, set and watched by `asterism live cameras`.
     """
     from asterism.formats import check_suffix
-    from asterism.live import LiveRecorder, RigSource, session_findings
+    from asterism.live import LiveRecorder, OfCameras, session_findings
 
     if options.finish is not None:
         _finish(options)
@@ -129,7 +129,8 @@ def live(options: LiveOptions) -> None:
         check_suffix(options.output)
     _clinical.given_measures(options.measure)
     inputs = [options.replay, options.model, options.static, options.rig, *_clinical.measure_files(options.measure)]
-    _console.check_outputs([options.output, options.json], inputs, options.overwrite)
+    analog = None if options.output is None else _analog_beside(options.output)
+    _console.check_outputs([options.output, analog, options.json], inputs, options.overwrite)
     if unfinished is not None and unfinished.exists():
         raise AsterismError(
             f"{unfinished} is there from a session that was not finished; write it with --finish {unfinished} -o FILE.c3d, or remove it."
@@ -163,7 +164,7 @@ def live(options: LiveOptions) -> None:
         "source": source.about.name,
         "output": options.output,
         **dataclasses.asdict(health),
-        **({"cameras": source.camera_numbers()} if isinstance(source, RigSource) else {}),
+        **({"cameras": source.camera_numbers()} if isinstance(source, OfCameras) else {}),
         "findings": [finding.to_dict() for finding in findings],
     }
     _console.write_json(options.json, content)
@@ -184,15 +185,17 @@ def _source(options: LiveOptions) -> LiveSource:
 
 
 def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
+    from functools import partial
+
     from asterism.cameras.files import read_rig
-    from asterism.live.blobs import ReplayBlobs, RigSource
+    from asterism.live.blobs import ReplayBlobs, RigProcess, RigSource
     from asterism.live.sources import open_blobs
 
     rig = read_rig(rig_file)
     if options.replay is not None:
         played = ReplayBlobs(options.replay, rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
         return RigSource(played, rig, waits=True)
-    return RigSource(open_blobs(str(options.source), rig.names, math.nan if options.rate is None else options.rate), rig)
+    return RigProcess(partial(open_blobs, str(options.source), rig.names, math.nan if options.rate is None else options.rate), rig)
 
 
 def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
@@ -302,13 +305,22 @@ def _finish(options: LiveOptions) -> None:
     """Write a session that was not finished."""
     if options.output is None or options.finish is None:
         raise AsterismError("--finish needs the recording to write; add -o FILE.c3d.")
-    _console.check_outputs([options.output], [options.finish], options.overwrite)
+    _console.check_outputs([options.output, _analog_beside(options.output)], [options.finish], options.overwrite)
     _written(options.finish, options.output, options.rate)
 
 
 def _written(kept: Path, output: Path, rate: float | None) -> None:
     from asterism.formats import write
     from asterism.live import recording_of
+    from asterism.live.analog import write_analog
 
-    for lost in write(output, recording_of(kept, rate).recording()):
+    session = recording_of(kept, rate)
+    for lost in write(output, session.recording()):
         _console.notice(f"{output} does not hold {lost}.")
+    if session.analog:
+        write_analog(_analog_beside(output), session.analog, session.times)
+
+
+def _analog_beside(output: Path) -> Path:
+    """Where analog samples are written."""
+    return output.with_suffix(".analog.npz")
