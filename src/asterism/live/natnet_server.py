@@ -108,7 +108,7 @@ class ToNatNet:
         self._changed = False
         self._last = b""
         self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._answer, name=self.name, daemon=True)
+        self._thread = threading.Thread(target=self._serve, name=self.name, daemon=True)
         self._thread.start()
 
     @property
@@ -168,7 +168,7 @@ class ToNatNet:
         ]
         return _message(_FRAME, b"".join(parts))
 
-    def _answer(self) -> None:
+    def _serve(self) -> None:
         """The thread that answers clients."""
         while not self._closed.is_set():
             if not select.select([self._commands], [], [], _TURN)[0]:
@@ -178,12 +178,12 @@ class ToNatNet:
             except OSError:
                 # Windows says here that a client is gone.
                 continue
-            answer = self._answer_to(data, client)
+            answer = self.answer(data, client)
             if answer:
                 with suppress(OSError):
                     self._commands.sendto(answer, client)
 
-    def _answer_to(self, data: bytes, client: Any) -> bytes:
+    def answer(self, data: bytes, client: Any) -> bytes:
         """What is answered to a client's message; nothing to one that is none. Never raises."""
         if len(data) < 4:
             return b""
