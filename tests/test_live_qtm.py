@@ -18,8 +18,9 @@ from hypothesis import strategies as st
 
 from asterism import AsterismError
 from asterism.cameras.files.qualisys import read_qualisys, write_qualisys
-from asterism.live import HostPort, LiveFrame, LiveRecorder, RigSource, open_source, recording_of
+from asterism.live import HostPort, LiveFrame, LiveRecorder, open_source, recording_of
 from asterism.live.analog import write_analog
+from asterism.live.blobs import RigSource
 from asterism.live.qtm_packets import QtmSettings, blobs_of_packet, points_of_packet, settings_of_xml
 from asterism.live.sources import open_blobs
 from asterism.simulation.cameras.rigs import ring_rig

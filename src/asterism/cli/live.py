@@ -164,6 +164,7 @@ def live(options: LiveOptions) -> None:
         "source": source.about.name,
         "output": options.output,
         **dataclasses.asdict(health),
+        **({"tone_ms": {"p50": tone[0], "p99": tone[1], "sounds": tone[2]}} if tone[2] else {}),
         **({"cameras": source.camera_numbers()} if isinstance(source, OfCameras) else {}),
         "findings": [finding.to_dict() for finding in findings],
     }
