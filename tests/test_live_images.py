@@ -144,7 +144,7 @@ def test_lights_of_the_empty_room_are_masked() -> None:
 
 
 def test_other_sizes_are_refused_and_a_lit_room_is_cut() -> None:
-    running = RunningDetection(BlobSettings(threshold=60.0, min_size=1.0))
+    running = RunningDetection(BlobSettings(threshold=60.0, min_size=1.0, max_size=64.0))
     crowd = np.full((480, 640), 20, np.uint8)
     crowd[4:-4:8, 4:-4:8] = 200
     crowd[240:243, 320:323] = 250

@@ -17,6 +17,7 @@ from asterism.cameras import Rig
 from asterism.findings import Finding, Severity
 from asterism.live.blobs.gathering import ByNumber, ByTime, CameraState, RigFrame
 from asterism.live.camera_frames import BlobSource, LiveBlobs
+from asterism.live.found import own_findings
 from asterism.live.frames import MOST_POINTS, LiveFrame, SourceAbout, SourceEnded
 from asterism.reconstruction import ReconstructionSettings, Reconstructor
 from asterism.reconstruction.camera_fit import CameraFit
@@ -168,7 +169,7 @@ class RigSource:
     def findings(self) -> list[Finding]:
         """What a person should know of the cameras and their rig."""
         counts = self._counts() if self._frames else []
-        return [*self._names(), *counts, *(finding for finding, times in self._found.values() if times > 1)]
+        return [*own_findings([self._source]), *self._names(), *counts, *(finding for finding, times in self._found.values() if times > 1)]
 
     def _take(self) -> None:
         """The thread that gathers."""

@@ -120,6 +120,7 @@ class CameraWorkers:
     places    the cameras, such as `CameraSpec`s; names must differ
     settings  how their images are searched
     workers   processes; None: as many as there are cores, at most one for each camera
+    numbered_together  whether equal numbers are one exposure of all cameras, as of videos that were taken together
 
     What crosses a pipe is blobs, not images. A process that cannot keep up searches the newest image of each camera, and counts the others
     as dropped. One that dies or hangs is begun anew, and counted; a camera that is gone is opened again each second. All processes end with
@@ -127,9 +128,15 @@ class CameraWorkers:
     Raises AsterismError where a camera cannot be opened in the first place.
     """
 
-    numbered_together = False
-
-    def __init__(self, places: Sequence[CameraPlace], settings: WorkerSettings | None = None, *, workers: int | None = None) -> None:
+    def __init__(
+        self,
+        places: Sequence[CameraPlace],
+        settings: WorkerSettings | None = None,
+        *,
+        workers: int | None = None,
+        numbered_together: bool = False,
+    ) -> None:
+        self.numbered_together = numbered_together
         self.cameras = tuple(place.name for place in places)
         if not self.cameras or len(set(self.cameras)) < len(self.cameras):
             raise AsterismError(f"cameras are named {', '.join(self.cameras) or '(none)'}; give each camera another name.")
@@ -167,6 +174,11 @@ class CameraWorkers:
         """Images of all cameras that could not be read."""
         refused = sum(counts.refused for counts in self.searches().values())
         return refused + sum(health.damaged for health in self.healths())
+
+    @property
+    def begins(self) -> float:
+        """s on `time.monotonic` when files begin to play: see `LiveCamera.start`."""
+        return math.nan if self._at is None else self._at
 
     @property
     def processes(self) -> tuple[int | None, ...]:
