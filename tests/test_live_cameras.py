@@ -1,16 +1,19 @@
 """Cameras: what is asked of them by name, images of simulated, played and streamed ones, and what is found of them while they run."""
 
+import json
 import math
 import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.files.toml import read_toml
 from asterism.findings import Severity
@@ -322,7 +325,7 @@ def test_the_drift_of_a_camera_s_clock_and_its_lost_images_are_told():
     kept = [n for n in range(400) if n % 50 != 7]
     shown = [image(n, 0.1 * n * (1 + 80e-6), now - 40 + 0.1 * n + rng.exponential(1e-3)) for n in kept]
     health = watched(shown)
-    assert health.drift == pytest.approx(80, abs=15) and health.lost == 8
+    assert abs(health.drift - 80) < 3 * health.drift_sd < 45 and health.lost == 8
     assert [found.code for found in camera_findings([health])] == ["live-camera-lost"]
 
 
@@ -532,3 +535,72 @@ def test_without_a_producer_it_is_said_what_to_install(monkeypatch):
     monkeypatch.setenv("GENICAM_GENTL64_PATH", "/nowhere")
     with pytest.raises(AsterismError, match="driver of the camera's maker"):
         open_camera(CameraSpec("left", "genicam://1"))
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+    status = main(["live", "cameras", *map(str, words)])
+    shown = capsys.readouterr()
+    return status, shown.out, shown.err
+
+
+@pytest.fixture
+def rig_file(tmp_path: Path) -> Path:
+    path = tmp_path / "cameras.toml"
+    path.write_text(
+        '[all]\nrate = 200\n[[camera]]\nname = "left"\naddress = "simulated://?size=64x48&seed=1"\n'
+        '[[camera]]\nname = "right"\naddress = "simulated://?size=64x48&seed=2"\n'
+    )
+    return path
+
+
+def test_cameras_are_set_by_name_and_kept_in_a_file(capsys, tmp_path, rig_file):
+    kept = tmp_path / "dark.toml"
+    status, out, err = run(capsys, "set", "exposure=2ms", "gain=6.04", "--cameras", rig_file, "--only", "right", "-o", kept)
+    assert status == 0 and "right: gain: asked 6.04 dB, has 6 dB." in out and "left" not in out and not err
+    assert [spec.settings for spec in load_cameras(kept)] == [{"rate": 200.0}, {"rate": 200.0, "exposure": 2.0, "gain": 6.04}]
+    status, out, err = run(capsys, "set", "focus=3", "--cameras", kept, "--json", "-")
+    told = json.loads(out)
+    assert status == 1 and [row["camera"] for row in told["settings"] if row["setting"] == "focus"] == ["left", "right"]
+    assert {row["has"] for row in told["settings"] if row["setting"] == "exposure"} <= {2.0} and "[live-camera-setting]" in err
+    for words, said in (
+        (("set", "shutter=1"), "there is no setting"),
+        (("set", "gain=1", "--cameras", kept, "--only", "middle"), "no camera middle"),
+        (("set", "gain=1", "--cameras", kept, "-o", kept), "--overwrite"),
+        (("set", "gain=1", "--cameras", kept, "--address", "camera://0"), "once"),
+        (("watch", "--address", "camera://97"), "no such camera"),
+    ):
+        status, out, err = run(capsys, *words)
+        assert status == 2 and said in err and not out
+
+
+def test_cameras_are_listed_with_what_can_be_set(capsys, rig_file):
+    status, out, _ = run(capsys, "list", "--cameras", rig_file, "--settings")
+    assert status == 0 and "rate 200 Hz" in out and "64 x 48" in out
+    status, out, _ = run(capsys, "list", "--cameras", rig_file, "--settings", "--json", "-")
+    assert [camera["has"]["exposure"] for camera in json.loads(out)["cameras"]] == [4.0, 4.0]
+
+
+def test_cameras_are_watched_to_their_end_and_one_that_is_gone_costs_itself(capsys, monkeypatch, tmp_path, film):
+    monkeypatch.setattr(import_module("asterism.cli.live_cameras.watch"), "_EVERY", 0.05)
+    rig = tmp_path / "cameras.toml"
+    rig.write_text(
+        "".join(
+            f'[[camera]]\nname = "{name}"\naddress = "{address}"\nthreshold = 100\n'
+            for name, address in (("left", f"{film}?wait=1"), ("right", f"{film}?speed=0"), ("gone", "camera://97"))
+        )
+    )
+    status, out, err = run(capsys, "watch", "--cameras", rig, "--lines", "--json", tmp_path / "told.json")
+    assert {json.loads(line)["camera"] for line in out.splitlines()} == {"left", "right"}
+    told = json.loads((tmp_path / "told.json").read_text())
+    assert status == 1 and told["findings"][0]["code"] == "live-camera-not-opened" and "gone" in err
+    assert [camera["images"] for camera in told["cameras"]] == [12, 12] and all(camera["blobs"] == 1 for camera in told["cameras"])
+    assert not any(thread.name.startswith("watch") for thread in threading.enumerate())
+    status, out, err = run(capsys, "watch", "--address", f"{film}?wait=1")
+    assert status == 0 and "camera1: " in out and " brightness, " in out and not err
+
+
+@pytest.mark.parametrize("words", [["--help"], ["list", "--help"], ["set", "--help"], ["watch", "--help"]], ids=" ".join)
+def test_commands_of_cameras_have_help(capsys, words):
+    status, out, _ = run(capsys, *words)
+    assert status == 0 and "cameras" in out and "..." not in out.partition("[ARGS]...")[2]
+    assert main(["live", "--help"]) == 0 and "live cameras" in capsys.readouterr().out

@@ -161,11 +161,13 @@ def test_processes_find_what_is_found_off_line(tmp_path: Path) -> None:
     folders = [saved(tmp_path / name, [scene(number, seed=seed) for number in range(30)]) for seed, name in enumerate(("left", "right"))]
     off_line = detect(folders, DetectionSettings(BlobSettings(threshold=40.0))).blobs
     specs = [CameraSpec(folder.name, f"{folder}?wait=1", {"rate": 300.0}) for folder in folders]
-    workers = CameraWorkers(specs, WorkerSettings(BlobSettings(threshold=40.0), pictures=4.0), workers=1)
+    workers = CameraWorkers(specs, WorkerSettings(BlobSettings(threshold=40.0), pictures=4.0, in_order="number"), workers=2)
     try:
         assert (workers.cameras, workers.rate, workers.name) == (("left", "right"), 300.0, "2 cameras")
         came = read_all(workers)
-        assert [sum(blobs.camera == name for blobs in came) for name in workers.cameras] == [30, 30]
+        # In the order of their numbers, whichever process was faster.
+        assert sorted((blobs.number, blobs.camera) for blobs in came) == [(n, name) for n in range(30) for name in workers.cameras]
+        assert [blobs.number for blobs in came] == sorted(blobs.number for blobs in came)
         for blobs in came:
             expected = off_line.of(blobs.number, workers.cameras.index(blobs.camera))
             np.testing.assert_allclose(blobs.xy, expected, atol=1e-9)

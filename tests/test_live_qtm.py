@@ -8,6 +8,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +16,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism import AsterismError
-from asterism.live import HostPort, LiveFrame, open_source
+from asterism.cameras.files.qualisys import read_qualisys, write_qualisys
+from asterism.live import HostPort, LiveFrame, RigSource, open_source
 from asterism.live.qtm_packets import blobs_of_packet, points_of_packet, settings_of_xml
+from asterism.live.sources import open_blobs
+from asterism.simulation.cameras.rigs import ring_rig
 
 qtm_rt = pytest.importorskip("qtm_rt", reason="the vendor's package qtm-rt is the judge of these packets")
 
@@ -316,3 +320,27 @@ def test_nobody_there_is_told_with_what_to_look_at() -> None:
     free.close()
     with pytest.raises(AsterismError, match=r"does not answer.*Real-Time Output"):
         open_source(f"qtm://127.0.0.1:{port}")
+
+
+def test_qtms_blobs_and_its_calibration_give_points_in_metres(tmp_path: Path) -> None:
+    """The rig that QTM exports and the blobs that it streams fit together: the same names, pixels and lens."""
+    written, marker = ring_rig(4), np.array([[0.1, -0.2, 1.1], [-0.3, 0.2, 0.8]])
+    write_qualisys(tmp_path / "rig.qca.txt", written)
+    rig = read_qualisys(tmp_path / "rig.qca.txt")
+    serials = "".join(f"<Camera><ID>{n + 1}</ID><Serial>{name}</Serial></Camera>" for n, name in enumerate(rig.names))
+    xml = f"<QTM_Parameters_Ver_1.20><General><Frequency>100</Frequency>{serials}</General></QTM_Parameters_Ver_1.20>"
+    seen = [[(*(64 * blob).round().astype(int).tolist(), 256, 256) for blob in camera.project(marker)] for camera in written]
+
+    def frames(components: str) -> Iterator[tuple[int, bytes]]:
+        for number in range(1, 40):
+            yield 3, data_packet(number, blobs_component(7, seen))
+            time.sleep(0.01)
+
+    server = QtmServer(frames, xml)
+    source = RigSource(open_blobs(f"qtm://127.0.0.1:{server.port}", rig.names), rig)
+    try:
+        frame = next(frame for frame in taken(source, 20) if len(frame.points) == 2)
+        np.testing.assert_allclose(frame.points[np.argsort(-frame.points[:, 0])], marker, atol=5e-4)
+    finally:
+        source.close()
+        server.socket.close()

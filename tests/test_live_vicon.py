@@ -19,7 +19,8 @@ from hypothesis import strategies as st
 
 from asterism import AsterismError
 from asterism.live import LiveFrame, LiveSource, open_source
-from asterism.live.vicon import ViconState, _Damaged
+from asterism.live.frames import DamagedPacket
+from asterism.live.vicon import ViconState
 
 Place = tuple[float, float, float]
 CONTENTS, SUBJECT, SEGMENTS, STREAM, FRAME, LABELLED, UNLABELLED, APPLICATION = 100004, 2, 9, 1, 5, 6, 7, 37
@@ -246,6 +247,6 @@ def test_damaged_packets_give_a_frame_or_are_refused_at_once(data: st.DataObject
             damaged[at : at + 1] = bytes([data.draw(st.integers(0, 255))])
         else:
             damaged[at : at + 4] = struct.pack("<I", 0 if kind == "zero" else 2**32 - 1)
-    with contextlib.suppress(_Damaged):
+    with contextlib.suppress(DamagedPacket):
         found = state.frame(bytes(damaged), 0.0)
         assert found is None or np.isfinite(found[0].points).all()

@@ -12,7 +12,17 @@ import numpy as np
 import pytest
 
 from asterism import AsterismError
-from asterism.live import AnalysedFrame, LabelledFrame, LiveFrame, SourceAbout, frame_as_json, frame_of_json, open_output, open_source
+from asterism.live import (
+    AnalysedFrame,
+    InOwnThread,
+    LabelledFrame,
+    LiveFrame,
+    SourceAbout,
+    frame_as_json,
+    frame_of_json,
+    open_output,
+    open_source,
+)
 from asterism.live.websocket import FromWebSocket, ToWebSocket
 
 client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
@@ -135,6 +145,35 @@ def test_a_receiver_that_sleeps_loses_frames_and_holds_nobody_back() -> None:
         assert got == list(range(len(got))), "who keeps up gets each frame"
         assert output.dropped > 0 and len(output._receivers[0].waiting) <= 32
     output.close()
+
+
+def test_an_output_that_waits_for_ever_loses_frames_and_holds_nobody_back() -> None:
+    begun, free = threading.Event(), threading.Event()
+
+    class Stuck:
+        name = "stuck"
+
+        def __init__(self) -> None:
+            self.got: list[int] = []
+
+        def send(self, given: AnalysedFrame) -> None:
+            begun.set()
+            free.wait(LONG)
+            self.got.append(given.labelled.frame.number)
+
+        def close(self) -> None:
+            self.got.append(-1)
+
+    stuck = Stuck()
+    output = InOwnThread(stuck)
+    output.send(analysed(0))
+    assert begun.wait(LONG)
+    for number in range(1, 100):
+        output.send(analysed(number))
+    assert output.name == "stuck" and output.dropped == 67
+    free.set()
+    output.close()
+    assert stuck.got == [0, *range(68, 100), -1] and output.dropped == 67
 
 
 def test_frames_go_from_one_session_to_another() -> None:

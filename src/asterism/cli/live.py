@@ -34,7 +34,7 @@ class LiveOptions:
         list[str] | None,
         typer.Argument(
             metavar="[SOURCE]",
-            help="Where frames come from: natnet://HOST (Motive), qtm://HOST (Qualisys), vicon://HOST; udp:// or ws://HOST:PORT (JSON).",
+            help="Where frames come from: natnet://HOST (Motive), qtm://HOST, vicon://HOST, lsl://NAME; udp:// or ws://HOST:PORT (JSON).",
             show_default=False,
         ),
     ] = None
@@ -87,7 +87,7 @@ class LiveOptions:
         typer.Option(
             "--to",
             metavar="ADDRESS",
-            help="Pass labelled frames on: udp://HOST:PORT or ws-listen://HOST:PORT (JSON), osc://HOST:PORT. Several times.",
+            help="Pass labelled frames on: udp://, ws:// or ws-listen://HOST:PORT (JSON), osc://HOST:PORT, lsl://NAME, natnet://HOST.",
         ),
     ] = field(default_factory=list)
     feedback: Annotated[
@@ -126,6 +126,8 @@ def live(options: LiveOptions) -> None:
     heel strikes and toe offs a few hundredths of a second after they happened, and what the last steps were like. Stop with Ctrl-C. A
     recording holds all frames that came. Until the end they are in a file beside the output, so that a session that is killed loses half a
     second at most.
+
+    Cameras are listed, set and watched by `asterism live cameras`.
     """
     from asterism.formats import check_suffix
     from asterism.live import LiveRecorder, RigSource, session_findings
@@ -166,8 +168,9 @@ def live(options: LiveOptions) -> None:
         unfinished.unlink()
     elif unfinished is not None:
         unfinished.unlink(missing_ok=True)
+    tone = _tone(session) if options.page else (math.nan, math.nan, 0)
     if options.json != "-" and not options.lines:
-        _show(source.about.name, health)
+        _show(source.about.name, health, tone)
     for finding in findings:
         _console.report(finding)
     content = {
@@ -241,7 +244,8 @@ def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource
     if options.rate is not None:
         specs = with_settings(specs, {"rate": options.rate})
     sizes = {camera.name: camera.size for camera in rig if camera.size is not None}
-    workers = CameraWorkers(specs, WorkerSettings(empty=options.empty, sizes=sizes), numbered_together=bool(played))
+    settings = WorkerSettings(empty=options.empty, sizes=sizes, in_order="number" if played else "")
+    workers = CameraWorkers(specs, settings, numbered_together=bool(played))
     try:
         return RigSource(workers, rig, waits=bool(played))
     except BaseException:
@@ -252,7 +256,7 @@ def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource
 def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
     from asterism.cli._options import vertical_axis
     from asterism.labelling.marker_model import MarkerModel
-    from asterism.live import Feedback, LiveSession, ToLines, load_feedback, make_labeller, open_outputs, own_findings
+    from asterism.live import Feedback, InOwnThread, LiveSession, ToLines, load_feedback, make_labeller, open_outputs, own_findings
     from asterism.recording import MarkerSet, as_vertical
 
     model = None if options.model is None else MarkerModel.load(options.model)
@@ -272,7 +276,8 @@ def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
     for finding in own_findings([source, *outputs]):
         _console.notice(str(finding))
     if options.lines:
-        outputs.append(ToLines())
+        # A file waits for who reads the lines, a camera system does not.
+        outputs.append(ToLines() if options.replay is not None else InOwnThread(ToLines()))
     # A file can wait until its frames are labelled.
     waits = options.replay is not None
     return LiveSession(source, make, outputs, options.delay, waits=waits, feedback=rules, vertical=up, analysis=analysis)
@@ -329,7 +334,14 @@ def _tell(session: LiveSession, ended: threading.Event) -> None:
             )
 
 
-def _show(name: str, health: Health) -> None:
+def _tone(session: LiveSession) -> tuple[float, float, int]:
+    """(p50, p99) ms from a frame's arrival to its sound in the page, and of how many."""
+    from asterism.web.live_page import ToPage
+
+    return next(output.tone_latency() for output in session.outputs if isinstance(output, ToPage))
+
+
+def _show(name: str, health: Health, tone: tuple[float, float, int]) -> None:
     rows = [
         ("frames", _console.count(health.frames)),
         ("labelled", _console.count(health.labelled)),
@@ -337,7 +349,11 @@ def _show(name: str, health: Health) -> None:
         ("left out", _console.count(health.dropped)),
         ("labels after", f"{1000 * health.latency[0]:.1f} ms, one in a thousand after {1000 * health.latency[1]:.1f} ms"),
     ]
-    _console.facts(name, rows if health.labelled else rows[:-1])
+    rows = rows if health.labelled else rows[:-1]
+    if tone[2]:
+        # The page's own clock ends at its sound card.
+        rows.append(("sounds after", f"{tone[0]:.0f} ms, one in a hundred after {tone[1]:.0f} ms; sound card and loudspeaker add to it"))
+    _console.facts(name, rows)
 
 
 def _finish(options: LiveOptions) -> None:

@@ -11,7 +11,7 @@ from asterism.live.feedback import Feedback, example_names, load_feedback
 from asterism.live.found import WithFindings, own_findings, session_findings
 from asterism.live.frames import LiveFrame, LiveSource, SourceAbout, SourceEnded
 from asterism.live.movement import MovementAnalysis
-from asterism.live.outputs import ToDatagrams, ToLines, labels_as_json
+from asterism.live.outputs import InOwnThread, ToDatagrams, ToLines, labels_as_json
 from asterism.live.recording import KeptSession, LiveRecorder, recording_of
 from asterism.live.replay import Replay
 from asterism.live.running import Health, LiveOutput, LiveSession
@@ -28,6 +28,7 @@ __all__ = [
     "FrameCount",
     "Health",
     "HostPort",
+    "InOwnThread",
     "JsonDatagrams",
     "KeptSession",
     "LabelChain",

@@ -55,6 +55,20 @@ _SHOWN = 0.5
 """Of the markers that were ever seen, in a frame that tells the model something. At half, people who step in count; at double, one hidden
 marker spoils the second."""
 
+
+def name_of(output: str, column: int) -> str:
+    """What an angle of Plug-in-Gait's names is called while it comes; "" for one that is not given.
+
+    >>> name_of("LKneeAngles", 0), name_of("RPelvisAngles", 0)
+    ('left knee flexion', '')
+    """
+    part = output[1:].removesuffix("Angles")
+    name = NAMES.get(part, ("", "", ""))[column]
+    if part in _MIDDLE_ONES:
+        return name if output[0] == "L" else ""
+    return f"{'left' if output[0] == 'L' else 'right'} {name}" if name else ""
+
+
 MeasuresOf = Callable[[Recording], tuple[SubjectMeasures | None, Sequence[Finding]]]
 """The measures of the person whose first frames these are; None for those that the frames show."""
 
@@ -204,11 +218,8 @@ class _ClinicalFrames:
         self._worn = np.asarray(nan_median(first.positions, axis=0))
         self._model = _fixed(found.model, first)
         self._room = np.eye(3)
-        kept = [name for name in found.outputs if name[1:].removesuffix("Angles") in NAMES]
-        self._outputs = tuple(name for name in kept if name[0] == "L" or name[1:].removesuffix("Angles") not in _MIDDLE_ONES)
-        parts = [NAMES[name[1:].removesuffix("Angles")] for name in self._outputs]
-        sides = ["" if name[1:].removesuffix("Angles") in _MIDDLE_ONES else ("left ", "right ")[name[0] == "R"] for name in self._outputs]
-        named = [side + part if part else "" for side, own in zip(sides, parts, strict=True) for part in own]
+        self._outputs = tuple(name for name in found.outputs if any(name_of(name, column) for column in range(3)))
+        named = [name_of(name, column) for name in self._outputs for column in range(3)]
         self._told = np.array([bool(name) for name in named], dtype=np.bool_)
         self.names = tuple(name for name in named if name)
         self._pelvis = self._outputs.index("LPelvisAngles") if "LPelvisAngles" in self._outputs else -1

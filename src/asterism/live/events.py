@@ -34,11 +34,14 @@ class LiveEventRules:
     jump         m, and jump_acceleration m/s2: a point farther from where it was expected is another marker, for these frames
     jumped       frames of such in a row after which the point is where it is seen now
     strike_later, off_later  s, from the turning of heel and toe to the event, before the person's own steps tell it
-    strike_fall, off_fall    of the usual swing that heel and toe go back after they turned, until the event counts as told
-    least_fall   m, the least of that
+    fall         of the usual swing, and least_fall m, that a heel goes back after it turned, until it has struck; a toe comes forward
+    off_soon     s, within which a toe turns, as its speed and acceleration foretell, when it has left the floor
+    whole        of the usual swing, which tells a second strike (off) in a row, whose off (strike) between was not seen
+    sure         standard deviations of the foretold speed by which it must be past the turning
     prior        steps as which `strike_later` and `off_later` count
     steps        last steps of the person that count
     sigma        s, standard deviation of an event about what the person's steps tell
+    every        s, at least, from one such judgement to the next
     behind       s of curves before and after an event by which the recording's rules judge it
     pause        s without a frame after which everything begins anew
     backwards    of the leg that the pelvis goes back in `backwards_in` s when the person walks backwards, and no event is told
@@ -51,12 +54,15 @@ class LiveEventRules:
     jumped: int = 5
     strike_later: float = 0.040
     off_later: float = -0.010
-    strike_fall: float = 0.05
-    off_fall: float = 0.05
+    fall: float = 0.04
     least_fall: float = 0.01
+    whole: float = 0.5
+    off_soon: float = 0.03
+    sure: float = 2.0
     prior: float = 2.0
     steps: int = 6
     sigma: float = 0.02
+    every: float = 1.0
     behind: tuple[float, float] = (1.0, 0.4)
     pause: float = 0.3
     backwards: float = 0.4
@@ -157,6 +163,18 @@ class _TurningCurve:
         if before > 0.0 >= speed and now >= self.top - 0.002:
             self.top_time = time - step * speed / (speed - before)
 
+    def turns_within(self, soon: float, sure: float) -> bool:
+        """Whether it has turned, or will within so many s, by so many standard deviations of its speed then."""
+        cov, jerk = self._cov, self._rules.jerk
+        variance = cov[1, 1] + 2.0 * soon * cov[1, 2] + soon**2 * cov[2, 2] + jerk * soon**3 / 3.0
+        speed = self._sign * (self.state[0, 1] + soon * self.state[0, 2])
+        return bool(speed < -sure * math.sqrt(variance))
+
+    def turned(self, time: float) -> float:
+        """s, when it turned, or will."""
+        speed, change = self.velocity, self._sign * float(self.state[0, 2])
+        return time - speed / change if speed > 0.0 > change else self.top_time
+
     @property
     def rise(self) -> float:
         """m, from the lowest to the highest."""
@@ -177,7 +195,24 @@ class _LiveFoot:
         self.curves = {STRIKE: _TurningCurve(1.0, rules), OFF: _TurningCurve(-1.0, rules)}
         self.later = {kind: deque[float](maxlen=rules.steps) for kind in KINDS}
         self.swings = {kind: deque[float](maxlen=rules.steps) for kind in KINDS}
+        self._squares = {kind: deque[float](maxlen=rules.steps) for kind in KINDS}
+        self.usual = dict.fromkeys(KINDS, 0.0)
         self.last: tuple[str, float] | None = None
+
+    def swung(self, kind: str, rise: float) -> None:
+        """Keep how far a heel or toe went."""
+        self.swings[kind].append(rise)
+        self.usual[kind] = float(np.median(self.swings[kind]))
+
+    def judged(self, told: _ToldStep, at: float, sigma: float) -> None:
+        """Keep what the recording's rules say of an event: its time s, and standard deviation."""
+        self.later[told.kind].append(at - told.turned)
+        self._squares[told.kind].append((at - told.time) ** 2 + sigma**2)
+
+    def sd(self, kind: str) -> float:
+        """s, standard deviation of an event: how certain those of recordings are, and how well they were met."""
+        own, prior = self._squares[kind], self._rules.prior
+        return math.sqrt((prior * self._rules.sigma**2 + sum(own)) / (prior + len(own)))
 
     def offset(self, kind: str) -> float:
         """s, from the turning to the event."""
@@ -193,7 +228,6 @@ class _ToldStep:
     kind: str
     turned: float
     time: float
-    due: float
 
 
 @dataclass
@@ -220,6 +254,7 @@ class LiveEvents:
         self._ahead = np.full((2, 2), np.nan)
         self._kept: deque[tuple[float, Floats]] = deque()
         self._waiting: deque[_ToldStep] = deque()
+        self._learned = -math.inf
         self._floor, self.leg_length = math.nan, math.nan
         self._slid: deque[float] = deque(maxlen=self.rules.steps)
         self._floors: deque[Floats] = deque(maxlen=self.rules.steps)
@@ -293,7 +328,7 @@ class LiveEvents:
                 pointing += way
         self._heading(pointing, step)
         self._kept.append((time, row))
-        while self._kept[0][0] < time - sum(self.rules.behind) - 0.5:
+        while self._kept[0][0] < time - sum(self.rules.behind) - self.rules.every - 0.5:
             self._kept.popleft()
         if not math.isfinite(step):
             return []
@@ -311,8 +346,8 @@ class LiveEvents:
                 event = None if backwards else self._told(foot, kind, time)
                 if event is not None:
                     found.append(event)
-        while self._waiting and self._waiting[0].due <= time:
-            self._learn(self._waiting.popleft())
+        if self._waiting and time >= max(self._learned + self.rules.every, self._waiting[0].time + self.rules.behind[1]):
+            self._learn(time)
         return found
 
     def _heading(self, pointing: Floats, step: float) -> None:
@@ -348,25 +383,28 @@ class LiveEvents:
         rules, curve = self.rules, foot.curves[kind]
         if not curve.known or not math.isfinite(self.leg_length):
             return None
-        usual = float(np.median(foot.swings[kind])) if foot.swings[kind] else 0.0
+        usual = foot.usual[kind]
         least = max(self.offline.least_step * usual, self.offline.least_swing * self.leg_length)
-        fall = max((rules.strike_fall if kind == STRIKE else rules.off_fall) * max(usual, 4.0 * least / 1.0 * 0.25), rules.least_fall)
         # A stream that begins in mid-swing shows less of it before than after.
-        if max(curve.rise, curve.fall) < least or curve.fall < fall or curve.rise < 0.001:
+        if max(curve.rise, curve.fall) < least or curve.rise < 0.001:
             return None
-        at = curve.top_time + foot.offset(kind)
+        back = curve.fall >= max(rules.fall * usual, rules.least_fall)
+        if not back and (kind == STRIKE or not curve.turns_within(rules.off_soon, rules.sure)):
+            return None
+        turned = curve.turned(time)
+        at = turned + foot.offset(kind)
         if time < at:
             return None
-        rise, at = curve.rise, float(at)
+        rise = curve.rise
         curve.anew()
-        if foot.last is not None and foot.last[0] == kind and at - foot.last[1] < 2.0:
+        if foot.last is not None and foot.last[0] == kind and rise < rules.whole * usual:
             return None
         if kind == OFF and foot.last is not None:
             self._stood(foot, foot.last[1], at)
         foot.last = (kind, at)
-        foot.swings[kind].append(rise)
-        self._waiting.append(_ToldStep(foot, kind, curve.top_time, at, at + rules.behind[1]))
-        return LiveEvent(KINDS[kind], _SIDE[foot.side], at, float(time - at), rules.sigma)
+        foot.swung(kind, rise)
+        self._waiting.append(_ToldStep(foot, kind, turned, at))
+        return LiveEvent(KINDS[kind], _SIDE[foot.side], at, time - at, foot.sd(kind))
 
     def _stood(self, foot: _LiveFoot, strike: float, off: float) -> None:
         """What a foot that stood says of the floor: the middle of a stance, in which neither heel nor toe turns."""
@@ -377,13 +415,13 @@ class LiveEvents:
             self._slid.append(float(np.hypot(*moved[0]) - np.hypot(*moved[1])))
             self._floors.append(moved[0] / (ends - begins))
 
-    def _learn(self, told: _ToldStep) -> None:
-        """What the recording's rules say of an event, from the curves on both sides of it."""
-        before, after = self.rules.behind
-        kept = [(at, row) for at, row in self._kept if told.time - before <= at <= told.time + after]
+    def _learn(self, time: float) -> None:
+        """What the recording's rules say of events that are over, from the curves on both sides of them."""
+        due = [told for told in self._waiting if told.time + self.rules.behind[1] <= time]
+        self._waiting = deque(told for told in self._waiting if told.time + self.rules.behind[1] > time)
+        self._learned = time
+        kept = [(at, row) for at, row in self._kept if at >= due[0].time - self.rules.behind[0]]
         times = np.array([at for at, _ in kept])
-        if len(times) < 30:
-            return
         rate = 1.0 / float(np.median(np.diff(times)))
         rows = np.round((times - times[0]) * rate).astype(int)
         positions = np.full((rows[-1] + 1, 5, 3), np.nan)
@@ -392,13 +430,10 @@ class LiveEvents:
             feet = feet_of(Recording(positions, ("LHEE", "LTOE", "RHEE", "RTOE", "SACR"), rate))
         except AsterismError:
             return
-        if told.foot.side not in feet.sides:
-            return
-        found = events_by_markers(feet, told.foot.side, self.offline, self.on_treadmill)
-        events = [event for event in found if event.label == told.kind]
-        if not events:
-            return
-        nearest = min(events, key=lambda event: abs(times[0] + event.time - told.time))
-        apart = times[0] + nearest.time - told.time
-        if abs(apart) < self.offline.near:
-            told.foot.later[told.kind].append(times[0] + nearest.time - told.turned)
+        for side in {told.foot.side for told in due} & set(feet.sides):
+            events = events_by_markers(feet, side, self.offline, self.on_treadmill)
+            for told in due:
+                own = [(times[0] + event.time, event.sigma) for event in events if event.label == told.kind and told.foot.side == side]
+                at, sigma = min(own, key=lambda one: abs(one[0] - told.time), default=(math.inf, 0.0))
+                if abs(at - told.time) < self.offline.near:
+                    told.foot.judged(told, float(at), sigma)

@@ -18,7 +18,7 @@ from asterism.findings import Finding, Severity
 from asterism.live.analysis import EVENTS, NOTHING, FrameAnalysis
 from asterism.live.chain import LabelledFrame
 from asterism.live.cues import Cue, FeedbackRule
-from asterism.live.measures import TIMES, Change, LiveSymmetry, Repetitions, StepTimes
+from asterism.live.measures import Change, LiveSymmetry, Repetitions
 from asterism.recording import Floats, canonical
 
 _MARKERS = {"angle": 3, "distance": 2, "height": 1}
@@ -51,6 +51,9 @@ turns. With half of it each lost marker breaks a slow repetition; with twice as 
 _BLINK = 0.25
 """s without the value after which a rule that is told begins anew. A marker that loses its label for some frames does not beep twice; with
 half of it, it does; with twice as much a person hears nothing of a bound that they passed again."""
+_SETTLED = 5.0
+"""s after the first labels at which all values are there: angles are found from one to three seconds that show the person. Half of it calls
+values of a fitted skeleton unknown that are about to come; with twice as much a person waits ten seconds for a word that is misspelt."""
 _RULES_NEED = "with what it tells of: " + ", ".join(_KINDS[:-1]) + f" or {_KINDS[-1]}"
 
 
@@ -149,8 +152,8 @@ def _numbers(table: Mapping[str, Any], where: str) -> dict[str, float]:
 
 def _check(rule: FeedbackRule, where: str) -> None:
     """What goes together. Raises AsterismError where it does not."""
-    if rule.each and (rule.kind == "event" or (rule.kind == "symmetry" and (rule.of in TIMES or rule.each == "tempo"))):
-        raise AsterismError(f"{where}: {rule.of} has no repetitions; leave out each.")
+    if rule.each and (rule.kind == "event" or (rule.kind == "symmetry" and rule.each == "tempo")):
+        raise AsterismError(f"{where}: {rule.kind} goes with no {rule.each} of repetitions; leave out each.")
     if rule.each and not rule.swing > 0:
         raise AsterismError(
             f"{where}: {rule.each} of each repetition needs swing, how far the value goes from turn to turn, as in swing = 20."
@@ -196,7 +199,6 @@ class _RuleState:
         self.until, self.on = -math.inf, False
         self.repetitions = {side: Repetitions(rule.each, rule.swing) for side in ("", "left", "right")} if rule.each else {}
         self.symmetry = LiveSymmetry(rule.last)
-        self.steps = StepTimes(rule.of) if rule.of in TIMES else None
         self.change = Change(rule.change, rule.over) if rule.change else None
 
 
@@ -219,22 +221,32 @@ class Feedback:
     _states: list[_RuleState] = field(default_factory=list)
     _columns: dict[tuple[str, ...], dict[str, int]] = field(default_factory=dict)
     _names: tuple[tuple[str, ...], int] = ((), -1)
+    _begin: float = math.nan
 
     def judge(self, frame: LabelledFrame, analysis: FrameAnalysis = NOTHING) -> tuple[Cue, ...]:
         """What each rule says of a frame and of what follows from it."""
         if len(self._states) != len(self.rules):
             self._states = [_RuleState(rule) for rule in self.rules]
-        # Names are looked at once, and again when there are others.
-        if frame.markers and self._names != (frame.markers, len(analysis.values)):
-            self._names = (frame.markers, len(analysis.values))
-            # An analysis without values is about to begin; no analysis has none for ever.
-            self.look_at(frame.markers, list(analysis.values) if analysis.values or analysis is NOTHING else None)
+        if frame.markers:
+            self._look_once(frame, analysis)
         return tuple(self._cue(state, frame, analysis) for state in self._states)
 
     def missing(self, markers: Sequence[str]) -> list[str]:
         """Names of the rules that a marker set does not have."""
         there = {canonical(name) for name in markers}
         return sorted({name for rule in self.rules for name in rule.markers if canonical(name) not in there})
+
+    def _look_once(self, frame: LabelledFrame, analysis: FrameAnalysis) -> None:
+        """Look at the names when they are known, and again when there are others."""
+        now = frame.frame.time
+        if not self._begin <= now:
+            self._begin = now
+        # Where nobody analyses, no value comes any more.
+        are_settled = analysis is NOTHING or now - self._begin > _SETTLED
+        names = (frame.markers, len(analysis.values) if are_settled else -1)
+        if names != self._names:
+            self._names = names
+            self.look_at(frame.markers, list(analysis.values) if are_settled else None)
 
     def look_at(self, markers: Sequence[str], values: Sequence[str] | None = None) -> None:
         """Find the rules that can never speak with these names, and say so. values: None while they are not known."""
@@ -253,7 +265,7 @@ class Feedback:
         for rule in self.rules:
             absent = [name for name in rule.markers if name in lacking]
             known, what = list(markers), "the marker set has no"
-            if values is not None and (rule.kind == "value" or (rule.kind == "symmetry" and rule.of not in TIMES)):
+            if values is not None and rule.kind in ("value", "symmetry"):
                 wanted = [rule.of] if rule.kind == "value" else [f"{side} {rule.of}" for side in ("left", "right")]
                 absent, known, what = [name for name in wanted if name not in values], list(values), "there is no value"
             if absent:
@@ -326,20 +338,12 @@ class Feedback:
         return value, is_new
 
     def _symmetry(self, state: _RuleState, analysis: FrameAnalysis) -> tuple[float, bool]:
-        rule = state.rule
-        taken = list[tuple[str, float]]()
-        if state.steps is not None:
-            taken = state.steps.push(analysis.events)
-            state.known = state.frame
-        elif rule.each:
-            taken = [(side, _repetition(state, side, analysis.values.get(f"{side} {rule.of}", math.nan))[0]) for side in ("left", "right")]
-        else:
-            # A value of a step is there when the foot is.
-            strikes = [event.side for event in analysis.events if event.kind == "heel strike"]
-            taken = [(side, analysis.values.get(f"{side} {rule.of}", math.nan)) for side in strikes]
-            state.known = state.frame
-        for side, value in taken:
-            state.symmetry.take(side, value)
+        for side in ("left", "right"):
+            value = analysis.values.get(f"{side} {state.rule.of}", math.nan)
+            if not math.isnan(value):
+                state.known = state.frame
+            each = state.rule.each != ""
+            state.symmetry.take(side, _repetition(state, side, value)[0] if each else value, is_held=not each)
         return state.symmetry.value, not math.isnan(state.symmetry.value)
 
     def _of_markers(self, rule: FeedbackRule, frame: LabelledFrame) -> float:

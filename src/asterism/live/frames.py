@@ -21,6 +21,10 @@ _SAME = 1e-5
 millimetre apart at least."""
 
 
+class DamagedPacket(Exception):
+    """A packet ends before what it announces."""
+
+
 def believable(points: Floats) -> Floats:
     """(n, 3) m, those that are finite and in the hall."""
     with np.errstate(invalid="ignore"):

@@ -4,28 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-
-from asterism.live.analysis import LiveEvent
 
 _NEAR_TURN = 0.1
 """Share of a way at either end that its time leaves out, as is usual for rise times: a body that rests there trembles. Half of it is the
 tremble of a small movement; with twice as much two thirds of a smooth way's time are left out."""
 _MOST_SAMPLES = 12_000
 """Samples of a value that are kept: a minute at 200 Hz. What is forgotten first is the rest before a movement, which counts to no way."""
-_LONGEST_STEP = 5.0
-"""s from one event to the next that are still one step: slow strides of patients take 3 s. With half of it they are lost; with twice as
-much a stop counts as a step."""
-_STEP_TIMES = {
-    "step time": ("heel strike", "heel strike", True),
-    "stride time": ("heel strike", "heel strike", False),
-    "stance time": ("heel strike", "toe off", False),
-    "swing time": ("toe off", "heel strike", False),
-}
-"""From which event to which, and whether the first one is the other foot's."""
-TIMES = tuple(_STEP_TIMES)
-"""What is known of two sides by events alone."""
 
 
 @dataclass(frozen=True)
@@ -155,10 +141,11 @@ class LiveSymmetry:
     def __init__(self, last: int) -> None:
         self._values: dict[str, deque[float]] = {side: deque(maxlen=last) for side in ("left", "right")}
 
-    def take(self, side: str, value: float) -> None:
-        """Take a value of a side; NaN is passed over."""
-        if not math.isnan(value):
-            self._values[side].append(value)
+    def take(self, side: str, value: float, *, is_held: bool) -> None:
+        """Take a value of a side; NaN is passed over. is_held: it is given again in each frame until there is another one."""
+        values = self._values[side]
+        if not math.isnan(value) and not (is_held and values and value == values[-1]):
+            values.append(value)
 
     @property
     def value(self) -> float:
@@ -167,23 +154,3 @@ class LiveSymmetry:
             return math.nan
         left, right = (sum(values) / len(values) for values in self._values.values())
         return 200.0 * (left - right) / (left + right) if left + right else math.nan
-
-
-class StepTimes:
-    """The times of steps by events: `which` is one of TIMES. A step time is that from the other foot's strike to this one's, in s."""
-
-    def __init__(self, which: str) -> None:
-        self._first, self._second, self._other = _STEP_TIMES[which]
-        self._last: dict[tuple[str, str], float] = {}
-
-    def push(self, events: Iterable[LiveEvent]) -> list[tuple[str, float]]:
-        """The side and the time of each step that ends with these events."""
-        found = list[tuple[str, float]]()
-        for event in sorted(events, key=lambda event: event.time):
-            if event.kind == self._second:
-                other = "right" if event.side == "left" else "left"
-                spent = event.time - self._last.get((self._first, other if self._other else event.side), math.nan)
-                if 0.0 < spent < _LONGEST_STEP:
-                    found.append((event.side, spent))
-            self._last[event.kind, event.side] = event.time
-        return found

@@ -13,8 +13,8 @@ from asterism.live.frames import LiveSource
 from asterism.live.natnet import COMMANDS, NatNet
 from asterism.live.packages import packages_for
 
-ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet", "qtm", "vicon")
-"""What can be a source, by the first word of its address: frames as JSON, one a datagram, or over WebSocket; Motive; QTM; Vicon."""
+ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet", "qtm", "vicon", "lsl")
+"""What can be a source, by the first word of its address: frames as JSON in datagrams or over WebSocket; Motive; QTM; Vicon; LSL."""
 
 
 def host_port(address: str, example: str, port_else: int | None = None) -> HostPort:
@@ -45,6 +45,10 @@ def open_source(address: str, rate: float = float("nan")) -> LiveSource:
         parts = urlsplit(address)
         local = dict(parse_qsl(parts.query)).get("local", "")
         return NatNet(host_port(address, "natnet://192.168.1.5", COMMANDS), local, rate)
+    if scheme == "lsl":
+        from asterism.live.lsl_source import FromLsl
+
+        return FromLsl(address, rate)
     if scheme == "qtm":
         with packages_for("qtm://"):
             from asterism.live.qtm import PORT, Qtm

@@ -19,7 +19,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.datagrams import HostPort
 from asterism.live.found import axis_unknown, labels_given, times_made
-from asterism.live.frames import MOST_POINTS, LiveFrame, SourceAbout, believable, joined
+from asterism.live.frames import MOST_POINTS, DamagedPacket, LiveFrame, SourceAbout, believable, joined
 from asterism.recording import Floats
 
 PORT = 801
@@ -40,10 +40,6 @@ _AGAIN = 1.0
 """s between two tries to reach a server that is gone."""
 
 
-class _Damaged(Exception):
-    """A packet ends before what it announces."""
-
-
 @dataclass
 class ViconState:
     """What the stream has said: objects that do not change are not sent again.
@@ -59,7 +55,7 @@ class ViconState:
     def frame(self, packet: bytes, arrived: float) -> tuple[LiveFrame, int] | None:
         """The frame in a packet (without its 8 bytes of kind and length) and how many of its points have a label; None where it has none.
 
-        Times are 0: they are those of the numbers. Raises `_Damaged`, then nothing has changed.
+        Times are 0: they are those of the numbers. Raises DamagedPacket; then nothing has changed.
         """
         objects = dict(_objects(packet))
         lists = {kind: self._lists.get(kind, np.empty((0, 3))) for kind in _unchanged(objects.get(_CONTENTS, b""))}
@@ -71,7 +67,7 @@ class ViconState:
         labelled = lists.get(_LABELLED, none)
         points = joined(labelled, lists.get(_UNLABELLED, none))
         if len(points) > MOST_POINTS:
-            raise _Damaged
+            raise DamagedPacket
         if period > 0 and 1 <= _TICKS / period <= 1e4:
             self.rate = _TICKS / period
         if axis in (0, 1):
@@ -84,7 +80,7 @@ class ViconState:
 
 def _unpacked(layout: str, content: bytes) -> tuple[int, ...]:
     if len(content) < struct.calcsize(layout):
-        raise _Damaged
+        raise DamagedPacket
     return struct.unpack_from(layout, content)
 
 
@@ -94,7 +90,7 @@ def _objects(packet: bytes) -> list[tuple[int, bytes]]:
     while at < len(packet):
         kind, size = _unpacked("<II", packet[at : at + 8])
         if at + 8 + size > len(packet):
-            raise _Damaged
+            raise DamagedPacket
         found.append((kind, packet[at + 8 : at + 8 + size]))
         at += 8 + size
     return found
@@ -104,7 +100,7 @@ def _kinds(content: bytes) -> set[int]:
     """A set of kinds of objects."""
     (count,) = _unpacked("<I", content)
     if 4 + 4 * count > len(content):
-        raise _Damaged
+        raise DamagedPacket
     return set(struct.unpack_from(f"<{count}I", content, 4))
 
 
@@ -120,7 +116,7 @@ def _markers(content: bytes, place: int) -> Floats:
     (count,) = _unpacked("<I", content)
     size = (len(content) - 4) // count if count else 0
     if count > MOST_POINTS or (count and size < place + 24):
-        raise _Damaged
+        raise DamagedPacket
     rows = np.frombuffer(content, dtype=np.uint8, count=count * size, offset=4).reshape(count, size)
     return believable(1e-3 * rows[:, place : place + 24].copy().view("<f8").reshape(-1, 3))
 
@@ -176,7 +172,7 @@ class Vicon:
             wanted = sorted(offered & {*_WANTED, _CONTENTS})
             made.sendall(_packet(_KINDS, struct.pack(f"<{len(wanted) + 1}I", len(wanted), *wanted)))
             made.sendall(_packet(_REQUEST, b"\1"))
-        except (OSError, _Damaged) as problem:
+        except (OSError, DamagedPacket) as problem:
             made.close()
             raise AsterismError(
                 f"what answers at {where} is not Vicon's DataStream ({problem or 'other bytes'}); its port is {PORT} unless it was changed."
@@ -192,7 +188,7 @@ class Vicon:
             made.settimeout(max(0.01, until - time.monotonic()))
             data = made.recv(1 << 16)
             if not data:
-                raise _Damaged
+                raise DamagedPacket
             self._bytes += data
         return _kinds(dict(_objects(packet)).get(_KINDS, b""))
 
@@ -202,7 +198,7 @@ class Vicon:
             return None
         kind, size = struct.unpack_from("<II", self._bytes)
         if kind != _OBJECTS or size > _MOST_BYTES:
-            raise _Damaged
+            raise DamagedPacket
         if len(self._bytes) < 8 + size:
             return None
         packet = bytes(self._bytes[8 : 8 + size])
@@ -226,7 +222,7 @@ class Vicon:
         while not self._closed and (left := until - time.monotonic()) > 0:
             try:
                 packet = self._cut()
-            except _Damaged:
+            except DamagedPacket:
                 # Nobody knows any more where a packet begins: the stream is begun anew.
                 self.damaged += 1
                 self._bytes.clear()
@@ -237,7 +233,7 @@ class Vicon:
                 continue
             try:
                 found = self._state.frame(packet, time.monotonic())
-            except _Damaged:
+            except DamagedPacket:
                 self.damaged += 1
                 continue
             if found is not None:

@@ -19,14 +19,12 @@ from asterism.findings import Finding, Severity
 from asterism.live.analysis import AnalysedFrame
 from asterism.live.datagrams import frame_of_json
 from asterism.live.frames import LiveFrame, SourceAbout
-from asterism.live.outputs import labels_as_json
+from asterism.live.outputs import WAITING, labels_as_json
 from asterism.live.packages import packages_for
 
 _LARGEST = 1 << 18
 """Bytes of a message that is believed: twice what the most points that a frame may have take with their names. Half of it refuses verbose
 senders; twice as much only costs memory."""
-_WAITING = 32
-"""Messages that wait at most, 0.16 s at 200 Hz. Half of them are lost while a browser tidies its memory; twice as many show what is old."""
 _BUFFER = 1 << 16
 """Bytes that the system keeps for a receiver that is slow, ten frames of 59 markers. Twice as many make what it shows older by as much; at
 half a frame of many markers waits for its own beginning."""
@@ -111,15 +109,14 @@ class _Endpoint:
 
     async def _connect(self) -> None:
         from websockets.asyncio.client import connect
-        from websockets.exceptions import WebSocketException
 
         while True:
             try:
                 async with connect(self.place.address, open_timeout=_PATIENCE, proxy=None, **_LIMITS) as link:
                     await self._hold(link)
                 self.problem = "it was closed by the other side"
-            # The other side may refuse, be no WebSocket, vanish, or send what is too large.
-            except (OSError, TimeoutError, EOFError, ValueError, WebSocketException) as problem:
+            # The other side may refuse, be no WebSocket, vanish, or send what is too large: nothing of it ends the attempts.
+            except Exception as problem:
                 self.problem = str(problem) or type(problem).__name__
             self._tried.set()
             await asyncio.sleep(_AGAIN)
@@ -215,7 +212,7 @@ class FromWebSocket:
     def __init__(self, place: WebSocketPlace, rate: float = float("nan")) -> None:
         self.damaged = 0
         self.about = SourceAbout(f"JSON at {place.name}", rate)
-        self._came: deque[LiveFrame] = deque(maxlen=_WAITING)
+        self._came: deque[LiveFrame] = deque(maxlen=WAITING)
         self._there = threading.Condition()
         self._closed = False
         self._endpoint = _Endpoint(place, self._listen, 1)
@@ -296,7 +293,7 @@ class ToWebSocket:
             data = labels_as_json(frame).decode()
             for receiver in self._receivers:
                 receiver.waiting.append(data)
-                if len(receiver.waiting) > _WAITING:
+                if len(receiver.waiting) > WAITING:
                     receiver.waiting.popleft()
                     self.dropped += 1
                 # One call wakes who waits, however many frames do.

@@ -14,10 +14,11 @@ from itertools import pairwise
 import numpy as np
 
 from asterism.findings import Finding, Severity
+from asterism.live.blobs.camera_clock import CameraClock
 from asterism.live.camera_frames import LiveImage
 from asterism.live.cameras.camera import LiveCamera
 from asterism.live.cameras.settings import SettingOutcome
-from asterism.live.clock import FrameCount, SourceClock
+from asterism.live.clock import FrameCount
 from asterism.recording.display import significant
 
 _EVERY = 4
@@ -41,9 +42,11 @@ _SECOND = 1.0
 the lens; twice as much comes a second later."""
 _LEAST = 6
 """Images by which a rate is told at least, where a second has fewer. Half of them scatter more; twice as many follow a change later."""
-_DRIFT_AFTER = 10.0
-"""s between two looks at the clocks from which a drift is told: half a millisecond of scatter is 50 millionths. Half of it tells twice as
-much scatter; with twice as much it comes later."""
+_DRIFT_KNOWN = 50.0
+"""Millionths that a drift's standard deviation falls below before it is told: half of what is believed of any quartz.
+
+At half of it the drift is told some seconds later; at twice as much it tells nothing.
+"""
 _TROUBLES = ("black", "frozen", "saturated", "slow")
 
 
@@ -51,7 +54,8 @@ _TROUBLES = ("black", "frozen", "saturated", "slow")
 class CameraHealth:
     """How a camera does.
 
-    images, lost, late  see `FrameCount`; by the camera's numbers
+    images, late  see `FrameCount`; by the camera's numbers
+    lost        images whose numbers are missing, but for those that were not fetched
     dropped     images that were not fetched in time
     damaged     images that could not be read
     reopened    times that it disappeared and came back
@@ -60,7 +64,8 @@ class CameraHealth:
     saturated   share of saturated pixels, of the last second
     blobs       blobs per image, of the last second; NaN where none are sought
     temperature degrees Celsius, NaN where it does not say
-    drift       millionths by which its clock is faster than this machine's; NaN where it has none, or before it is known
+    drift, drift_sd  millionths by which its clock is faster than this machine's, with its standard deviation; NaN where it has no clock, or
+                before it is known
     last_seen   s since its last image, infinite before the first
     seconds     s of its images that were "black", "frozen" (the same again and again), "saturated" or "slow"
     problem     what is wrong now, "" where nothing is
@@ -79,6 +84,7 @@ class CameraHealth:
     blobs: float
     temperature: float
     drift: float
+    drift_sd: float
     last_seen: float
     seconds: dict[str, float]
     problem: str = ""
@@ -90,7 +96,7 @@ class CameraWatch:
 
     camera: LiveCamera
     _count: FrameCount = field(default_factory=FrameCount)
-    _clock: SourceClock = field(default_factory=SourceClock)
+    _clock: CameraClock = field(default_factory=CameraClock)
     _recent: deque[tuple[float, float, float]] = field(default_factory=lambda: deque(maxlen=1000))
     """(arrived s, mean grey value, share saturated)"""
     _blobs: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=1000))
@@ -100,8 +106,6 @@ class CameraWatch:
     _since: dict[str, float] = field(default_factory=dict)
     """When a trouble began that goes on, s."""
     _seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_TROUBLES, 0.0))
-    _early: tuple[float, float] | None = None
-    """(arrived s, offset s) of the clock when it was first known well."""
 
     def image(self, image: LiveImage) -> None:
         """Look at an image."""
@@ -117,7 +121,7 @@ class CameraWatch:
         before, self._arrived = self._arrived, image.arrived
         long_enough = image.arrived - self._began > _SECOND
         black = int(image.image.max()) < _BLACK
-        slow = long_enough and self._usual_step() * _SLOW * self.camera.rate > 1.0
+        slow = long_enough and not self.camera.waits and self._usual_step() * _SLOW * self.camera.rate > 1.0
         now = {"black": black, "frozen": seen == self._seen and not black, "saturated": white > _SATURATED, "slow": slow}
         self._seen = seen
         for trouble, there in now.items():
@@ -127,9 +131,7 @@ class CameraWatch:
             self._since.setdefault(trouble, image.arrived)
             if not math.isnan(before):
                 self._seconds[trouble] += min(image.arrived - before, _SECOND)
-        self._clock.delay(image.time, image.arrived)
-        if self._early is None and image.arrived - self._began > _DRIFT_AFTER:
-            self._early = (image.arrived, self._clock.offset)
+        self._clock.observe(image.time, image.arrived)
 
     def blobs(self, count: int) -> None:
         """Say how many blobs the last image has."""
@@ -145,7 +147,8 @@ class CameraWatch:
         return CameraHealth(
             camera.name,
             self._count.received,
-            self._count.lost,
+            # An image that was not fetched leaves its number out, too, and is counted once.
+            max(0, self._count.lost - camera.dropped),
             self._count.late,
             camera.dropped,
             camera.damaged,
@@ -155,7 +158,7 @@ class CameraWatch:
             white,
             float(np.mean(counts)) if counts else math.nan,
             camera.temperature,
-            self._drift(),
+            *self._drift(),
             now - self._arrived if self._count.received else math.inf,
             dict(self._seconds),
             self._problem(now),
@@ -175,10 +178,9 @@ class CameraWatch:
         until = now if now - last > 2 * (last - first) / steps else last
         return 0.0 if now - last > max(_SECOND, last - first) else steps / max(until - first, 1e-6)
 
-    def _drift(self) -> float:
-        if self.camera.about.clock != "camera" or self._early is None or self._arrived - self._early[0] < _DRIFT_AFTER:
-            return math.nan
-        return -1e6 * (self._clock.offset - self._early[1]) / (self._arrived - self._early[0])
+    def _drift(self) -> tuple[float, float]:
+        known = self.camera.about.clock == "camera" and self._clock.drift_sd_ppm < _DRIFT_KNOWN
+        return (-self._clock.drift_ppm, self._clock.drift_sd_ppm) if known else (math.nan, math.nan)
 
     def _problem(self, now: float) -> str:
         """What is wrong now."""
@@ -201,19 +203,6 @@ _SENTENCES = {
     "saturated": "{white:.0f} % of its pixels are saturated.",
     "slow": "it gives {rate:.1f} images/s of {of:.1f}.",
 }
-_MENDS = {
-    "black": ("images were black", "Look at its lens cap, its light and its exposure."),
-    "frozen": ("the same image came again and again", "Take its cable out and in; a driver that hangs needs this machine started again."),
-    "saturated": (
-        "more than a fiftieth of its pixels were saturated",
-        "Lower its exposure or its gain, and turn it away from lamps and windows.",
-    ),
-    "slow": (
-        "it gave fewer images than its rate",
-        "Switch its automatic exposure off, use the format MJPG, and give it a USB socket that it shares with no other camera.",
-    ),
-}
-"""For each trouble what a finding says of the seconds in which it was there, and the mend."""
 
 
 def camera_findings(healths: Iterable[CameraHealth], outcomes: Iterable[SettingOutcome] = ()) -> Iterator[Finding]:
@@ -227,29 +216,38 @@ def camera_findings(healths: Iterable[CameraHealth], outcomes: Iterable[SettingO
 
 
 def _of_one(health: CameraHealth) -> Iterator[Finding]:
-    def finding(code: str, severity: Severity, what: str, mend: str) -> Finding:
-        return Finding(f"live-camera-{code}", severity, health.camera, f"camera {health.camera}: {what}", mend)
-
-    if not health.images:
-        why = health.problem or "no image came."
-        yield finding("silent", Severity.ERROR, why, "Look at its cable and its power, and whether another program has it.")
-        return
+    name, who, seconds = health.camera, f"camera {health.camera}:", health.seconds
+    if not health.images or (health.problem and health.last_seen > _SECOND):
+        sentence = f"{who} {health.problem or 'no image came.'}"
+        mend = "Look at its cable and its power, and whether another program has it."
+        yield Finding("live-camera-silent", Severity.ERROR, name, sentence, mend)
     if health.reopened:
         times = "once" if health.reopened == 1 else f"{health.reopened} times"
-        yield finding("reopened", Severity.WARNING, f"it disappeared {times} and came back.", "Look at its cable and its power.")
-    if health.last_seen > _SECOND and health.problem:
-        yield finding("silent", Severity.ERROR, health.problem, "Look at its cable and its power.")
+        sentence = f"{who} it disappeared {times} and came back."
+        yield Finding("live-camera-reopened", Severity.WARNING, name, sentence, "Look at its cable and its power.")
     if health.lost:
         share = significant(100 * health.lost / (health.lost + health.images), 2)
-        mend = "Lower its rate or its size, use the format MJPG, and give it a USB socket that it shares with no other camera."
-        yield finding("lost", Severity.WARNING, f"{health.lost} images never arrived ({share} %).", mend)
+        sentence = f"{who} {health.lost} images never arrived ({share} %)."
+        yield Finding("live-camera-lost", Severity.WARNING, name, sentence, f"{_USB}, or lower its rate or its size.")
     if health.dropped:
-        yield finding(
-            "dropped", Severity.WARNING, f"{health.dropped} images were not fetched in time.", "Close other programs, or lower its rate."
-        )
+        sentence = f"{who} {health.dropped} images were not fetched in time."
+        yield Finding("live-camera-dropped", Severity.WARNING, name, sentence, "Close other programs, or lower its rate.")
     if health.damaged:
-        mend = "Look at its cable; try another pixel format."
-        yield finding("damaged", Severity.WARNING, f"{health.damaged} images could not be read.", mend)
-    for trouble, (what, mend) in _MENDS.items():
-        if health.seconds[trouble] > _SECOND:
-            yield finding(trouble, Severity.WARNING, f"for {health.seconds[trouble]:.0f} s {what}.", mend)
+        sentence = f"{who} {health.damaged} images could not be read."
+        yield Finding("live-camera-damaged", Severity.WARNING, name, sentence, "Look at its cable, or try another format.")
+    if seconds["slow"] > _SECOND:
+        sentence = f"{who} for {seconds['slow']:.0f} s it gave fewer images than its rate."
+        yield Finding("live-camera-slow", Severity.WARNING, name, sentence, f"Switch its automatic exposure off. {_USB}.")
+    if seconds["black"] > _SECOND:
+        sentence = f"{who} for {seconds['black']:.0f} s its images were black."
+        yield Finding("live-camera-black", Severity.WARNING, name, sentence, "Look at its lens cap, its light and its exposure.")
+    if seconds["frozen"] > _SECOND:
+        sentence = f"{who} for {seconds['frozen']:.0f} s the same image came again and again."
+        yield Finding("live-camera-frozen", Severity.WARNING, name, sentence, "Take its cable out and in.")
+    if seconds["saturated"] > _SECOND:
+        sentence = f"{who} for {seconds['saturated']:.0f} s more than a fiftieth of its pixels were saturated."
+        mend = "Lower its exposure or its gain, and turn it away from lamps and windows."
+        yield Finding("live-camera-saturated", Severity.WARNING, name, sentence, mend)
+
+
+_USB = "Use the format MJPG, and give it a USB socket that it shares with no other camera"

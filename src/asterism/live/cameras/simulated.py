@@ -136,7 +136,8 @@ class SimulatedCamera(LiveCamera):
         """Begin with images."""
         self._began = time.monotonic() if at is None else at
         self._zero = self._began
-        self._next = self._first = 0
+        # One that comes back does not begin anew.
+        self._next, self._first = max(0, math.floor((time.monotonic() - self._began) * self._rate)), 0
         self._stopped.clear()
 
     def stop(self) -> None:

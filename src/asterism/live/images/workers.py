@@ -42,6 +42,8 @@ _HANGS = 10.0
 at double the cameras are blind for as long again."""
 _ENDING = 3.0
 """s in which a process ends by itself: its camera's driver closes in one."""
+_AHEAD = 100
+"""Images by which a process that reads videos may be ahead of another. Half of them stop it at each pause of the system; twice as many wait."""
 _WAITING = 1000
 """Images' blobs that are kept while the cameras open: four seconds of four webcams. More would be old when they are used."""
 
@@ -58,6 +60,8 @@ class _CameraProcess:
     heard: float
     ready: bool = False
     dead: bool = False
+    pending: deque[LiveBlobs] = field(default_factory=deque)
+    """What waits for the blobs of others that come before."""
 
     @classmethod
     def begin(cls, places: Sequence[CameraPlace], settings: WorkerSettings) -> _CameraProcess:
@@ -143,7 +147,7 @@ class CameraWorkers:
         self._settings = WorkerSettings() if settings is None else settings
         self._settings.blobs.check()
         self._states = {name: _CameraState() for name in self.cameras}
-        self._waiting: deque[LiveBlobs] = deque(maxlen=_WAITING)
+        self._waiting: deque[LiveBlobs] = deque(maxlen=None if self._settings.in_order else _WAITING)
         self._at: float | None = None
         self._closed, self._reading = threading.Event(), threading.Lock()
         self._last_read = time.monotonic()
@@ -227,7 +231,9 @@ class CameraWorkers:
     def findings(self) -> list[Finding]:
         """What went wrong with cameras and processes, and how often."""
         outcomes = [outcome for state in self._states.values() if state.report is not None for outcome in state.report.outcomes]
-        found = list(camera_findings(self.healths(), outcomes))
+        # A camera that has just been opened is not silent yet.
+        has_begun = self._at is not None and time.monotonic() > self._at + _LEAD
+        found = list(camera_findings(self.healths() if has_begun or self._closed.is_set() else (), outcomes))
         for name, state in self._states.items():
             found += _search_findings(name, _search(state), state)
         return found
@@ -261,18 +267,24 @@ class CameraWorkers:
             # Nobody listened: what they said waits in the pipes.
             for worker in self._workers:
                 worker.heard = now
-        pipes = {worker.pipe: worker for worker in self._workers if not worker.dead}
+        pipes = {worker.pipe: worker for worker in self._workers if not worker.dead and len(worker.pending) < _AHEAD}
         for pipe in wait(list(pipes), timeout) if pipes else ():
             worker = pipes[pipe]  # type: ignore[index]
             try:
                 # What is there already is taken at once: each wait costs more than a message.
                 while True:
                     self._told(worker, worker.pipe.recv())
-                    if not worker.pipe.poll():
+                    if len(worker.pending) >= _AHEAD or not worker.pipe.poll():
                         break
             except (EOFError, OSError):
                 self._died(worker)
         self._last_read = now = time.monotonic()
+        # Of videos the next is that of the least number or time, which is known when all processes have sent one.
+        while (first := [worker for worker in self._workers if worker.pending]) and all(
+            worker.pending or worker.dead for worker in self._workers
+        ):
+            worker = min(first, key=lambda worker: self._settings.rank(worker.pending[0]))
+            self._waiting.append(replace(worker.pending.popleft(), arrived=time.monotonic()))
         for place, worker in enumerate(self._workers):
             if not worker.dead and worker.ready and now - worker.heard > _HANGS:
                 worker.process.kill()
@@ -287,7 +299,7 @@ class CameraWorkers:
     def _told(self, worker: _CameraProcess, message: object) -> None:
         worker.heard = time.monotonic()
         if isinstance(message, LiveBlobs):
-            self._waiting.append(message)
+            (worker.pending if self._settings.in_order else self._waiting).append(message)
         elif isinstance(message, CameraReport):
             state = self._states[message.camera]
             state.report, state.problem = message, ""
@@ -300,6 +312,9 @@ class CameraWorkers:
     def _died(self, worker: _CameraProcess) -> None:
         worker.dead = True
         worker.end(0.5)
+        if self._settings.in_order and not self._has_ended(worker) and self._at is not None:
+            # From its beginning a video would come again.
+            raise AsterismError(f"the process that plays {_listed(worker.places)} ended {_how(worker.process)}; play it again.")
         for place in worker.places:
             state = self._states[place.name]
             if self._at is not None and not state.has_ended:
