@@ -40,6 +40,7 @@ from asterism.live import (
     make_labeller,
     open_source,
     recording_of,
+    session_findings,
 )
 from asterism.live.chain import LabelChain
 from asterism.live.replay import Replay
@@ -102,6 +103,20 @@ class Kept:
 
 def frames(numbers: list[int], points: int = 2) -> list[LiveFrame]:
     return [LiveFrame(n, n / RATE, 50.0 + n / RATE, np.arange(3.0 * points).reshape(-1, 3) + n) for n in numbers]
+
+
+def test_frames_that_came_while_the_labelling_was_made_are_told_and_not_labelled_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    # whatever a busy machine does, no read of a list counts as waiting
+    monkeypatch.setattr("asterism.live.running._AT_ONCE", 60.0)
+
+    def slowly(rate: float, up: object) -> Numbers:
+        time.sleep(0.2)
+        return Numbers()
+
+    health = LiveSession(Given(frames(list(range(5000)))), slowly, [Kept()]).run()
+    # as many as can have come in this time, and twice as many at most
+    assert health.before >= 2 * 0.2 * RATE and health.before + health.frames == 5000 and health.lost == 0
+    assert "live-before" in {finding.code for finding in session_findings(health, "given")}
 
 
 def test_a_clock_that_drifts_is_followed_and_one_that_is_set_is_begun_anew() -> None:

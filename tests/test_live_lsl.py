@@ -28,7 +28,8 @@ from asterism.live import (
     open_source,
 )
 from asterism.live.clock import SampleNumbers
-from asterism.live.lsl_source import FromLsl, StreamChoice, layout_of_channels
+from asterism.live.lsl_source import FromLsl, StreamChoice
+from asterism.live.mocap_channels import layout_of_channels
 
 # Read by the library as it is loaded: nothing leaves this machine, and no other process of the tests is heard.
 _CONFIG = Path(tempfile.gettempdir()) / f"asterism-lsl-{os.getpid()}.cfg"

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from asterism.live import AnalysedFrame, FrameAnalysis, LabelledFrame, LiveFrame, SourceAbout, open_output
-from asterism.live.lsl_source import layout_of_channels
+from asterism.live.mocap_channels import layout_of_channels
 from asterism.live.natnet_server import ToNatNet
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure

@@ -40,6 +40,10 @@ class QtmSettings:
     computed: tuple[bool, ...] = ()
     cameras: tuple[str, ...] = ()
 
+    def __bool__(self) -> bool:
+        """Whether QTM says anything."""
+        return self.rate > 0 or self.vertical is not None or bool(self.computed or self.cameras)
+
 
 @dataclass(frozen=True, eq=False)
 class QtmPoints:
