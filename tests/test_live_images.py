@@ -216,7 +216,6 @@ def test_a_process_that_is_killed_is_begun_anew(odd: CameraWorkers) -> None:
     assert "SIGKILL" in health_of(odd, "whole").problem
     until(odd, lambda: odd.searches()["whole"].searched > searched + 10)
     assert "SIGKILL" not in health_of(odd, "whole").problem
-    assert health_of(odd, "whole").images > searched
     assert "live-camera-process" in {found.code for found in odd.findings() if found.where == "whole"}
 
 

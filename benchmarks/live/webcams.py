@@ -185,7 +185,7 @@ _LIMBS = (("THI", "KNE", 0.08), ("KNE", "TIB", 0.06), ("TIB", "ANK", 0.05), ("AN
 def _limbs(points: dict[str, Floats]) -> list[tuple[Floats, Floats, float]]:
     """(begin, end, radius) m of what hides markers: legs a little within their markers, and the trunk."""
     hips = (points["RASI"] + points["LASI"] + points["SACR"]) / 3
-    out = [(hips, hips + np.array([0.0, 0.0, 0.55]), 0.13)]
+    out = [(hips, hips + np.array([0.0, 0.0, 0.55]), 0.1)]
     for side, other in (("L", "R"), ("R", "L")):
         # Markers are worn outside: the bones lie towards the other leg.
         inwards = points[other + "KNE"] - points[side + "KNE"]

@@ -43,7 +43,8 @@ at double the cameras are blind for as long again."""
 _ENDING = 3.0
 """s in which a process ends by itself: its camera's driver closes in one."""
 _AHEAD = 100
-"""Images by which a process that reads videos may be ahead of another. Half of them stop it at each pause of the system; twice as many wait."""
+"""Images by which a process that reads videos may be ahead of another. Half of them stop it at each pause of the system; twice as many hold
+twice the memory."""
 _WAITING = 1000
 """Images' blobs that are kept while the cameras open: four seconds of four webcams. More would be old when they are used."""
 
@@ -95,7 +96,7 @@ class _CameraProcess:
 
 
 @dataclass
-class _CameraState:
+class _CameraProgress:
     """What was reported of a camera by the process that reads it, and what by those before it, which died."""
 
     report: CameraReport | None = None
@@ -146,7 +147,7 @@ class CameraWorkers:
             raise AsterismError(f"cameras are named {', '.join(self.cameras) or '(none)'}; give each camera another name.")
         self._settings = WorkerSettings() if settings is None else settings
         self._settings.blobs.check()
-        self._states = {name: _CameraState() for name in self.cameras}
+        self._states = {name: _CameraProgress() for name in self.cameras}
         self._waiting: deque[LiveBlobs] = deque(maxlen=None if self._settings.in_order else _WAITING)
         self._at: float | None = None
         self._closed, self._reading = threading.Event(), threading.Lock()
@@ -284,7 +285,7 @@ class CameraWorkers:
             worker.pending or worker.dead for worker in self._workers
         ):
             worker = min(first, key=lambda worker: self._settings.rank(worker.pending[0]))
-            self._waiting.append(replace(worker.pending.popleft(), arrived=time.monotonic()))
+            self._waiting.append(worker.pending.popleft())
         for place, worker in enumerate(self._workers):
             if not worker.dead and worker.ready and now - worker.heard > _HANGS:
                 worker.process.kill()
@@ -349,20 +350,22 @@ def _how(process: BaseProcess) -> str:
     return f"by signal {-code}"
 
 
-def _health(state: _CameraState) -> CameraHealth | None:
+def _health(state: _CameraProgress) -> CameraHealth | None:
     """How a camera does, what was counted before its process died added."""
     now, before = None if state.report is None else state.report.health, state.health
     if now is None:
         return before if before is None else replace(before, problem=state.problem or before.problem)
     dropped = 0 if state.report is None else state.report.search.dropped
     now = replace(now, dropped=now.dropped + dropped, problem=state.problem or now.problem)
+    if state.has_ended:
+        now = replace(now, last_seen=0.0, problem="")
     if before is None:
         return now
     counts = {name: getattr(before, name) + getattr(now, name) for name in ("images", "lost", "late", "dropped", "damaged", "reopened")}
     return replace(now, **counts, seconds={trouble: before.seconds[trouble] + spent for trouble, spent in now.seconds.items()})
 
 
-def _search(state: _CameraState) -> SearchCounts:
+def _search(state: _CameraProgress) -> SearchCounts:
     """What is counted of the search, what was counted before the process died added."""
     if state.report is None:
         return state.search
@@ -370,7 +373,7 @@ def _search(state: _CameraState) -> SearchCounts:
     return replace(now, **{name: getattr(before, name) + getattr(now, name) for name in ("searched", "dropped", "refused", "crowded")})
 
 
-def _search_findings(name: str, counts: SearchCounts, state: _CameraState) -> list[Finding]:
+def _search_findings(name: str, counts: SearchCounts, state: _CameraProgress) -> list[Finding]:
     found = list[Finding]()
     if state.restarts:
         times = "once" if state.restarts == 1 else f"{state.restarts} times"
