@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import import_module
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -172,6 +173,8 @@ class Stream:
         jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
         part = b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%s\r\n" % (len(jpeg), jpeg)
         unplugged = self.unplugged
+        self.spoiled = spoiled = threading.Event()
+        torn = part[: len(part) // 2] + bytes(len(part) - len(part) // 2)
 
         class Handler(BaseHTTPRequestHandler):
             def log_message(self, *words: object) -> None:
@@ -185,8 +188,10 @@ class Stream:
                 self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
                 self.end_headers()
                 try:
-                    while not unplugged.wait(0.01):
-                        self.wfile.write(part)
+                    for number in count():
+                        if unplugged.wait(0.01):
+                            break
+                        self.wfile.write(torn if spoiled.is_set() and number % 3 == 0 else part)
                 except OSError:
                     pass
 
@@ -209,7 +214,11 @@ def test_a_camera_in_the_network_is_read_through_opencv_until_it_is_gone(stream)
     camera = open_camera(CameraSpec("phone", stream.address, {"threshold": 40.0}))
     camera.start()
     taken = images_of(camera, 5)
-    assert np.abs(taken[-1].image.astype(int) - 90).max() <= 2
+    assert np.abs(taken[-1].image.astype(int) - 90).max() <= 2 and not camera.damaged
+    # An image that is damaged costs itself.
+    stream.spoiled.set()
+    assert len(images_of(camera, 12)) == 12 and camera.damaged
+    stream.spoiled.clear()
     assert (np.diff([image.number for image in taken]) > 0).all() and camera.about.clock == "arrival"
     assert camera.get("threshold") == 40 and "exposure" not in camera.settings
     stream.unplugged.set()
@@ -370,7 +379,7 @@ address = "camera://97"
     assert [camera.name for camera in group.cameras] == ["left", "film"] and "97" in group.failed["gone"]
     assert [outcome.as_asked for outcome in group.set("gain", 3.0)] == [True, False]
     assert all(images_of(camera, 1) for camera in group.cameras)
-    save_cameras(tmp_path / "session.toml", group.cameras, specs)
+    save_cameras(tmp_path / "session.toml", specs, group.said())
     group.close()
     assert load_cameras(tmp_path / "session.toml") == specs
     said = read_toml(tmp_path / "session.toml")["camera"]

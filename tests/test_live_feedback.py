@@ -23,6 +23,7 @@ from test_live_movement import frames_of
 
 import asterism
 from asterism import AsterismError
+from asterism.cli import main
 from asterism.live import (
     AnalysedFrame,
     AngleOptions,
@@ -422,6 +423,31 @@ MOMENT = """globalThis.hear = (name, age) => {
 }"""
 
 
+@needs_chromium
+def test_a_tablet_reads_the_address_with_its_camera(tmp_path: Path) -> None:
+    pytest.importorskip("segno", reason="QR codes need segno")
+    pytest.importorskip("uvicorn")
+    cv2 = pytest.importorskip("cv2")
+    from asterism.web.live_page import ToPage, serve_live
+    from asterism.web.serving import PageAddress
+
+    page, said = ToPage(), list[str]()
+    session = LiveSession(Given([]), lambda rate, up: Numbers(), [page])
+    stop = serve_live(session, page, PageAddress("0.0.0.0"), said.append)
+    address = said[0].rpartition(" ")[2]
+    try:
+        with Tab(address, 1400, 1400) as tab:
+            tab.wait("document.getElementById('code').complete && document.getElementById('code').src")
+            tab.value("document.documentElement.dataset.theme = 'dark', document.getElementById('tablet').open = true")
+            tab.wait("document.getElementById('state').textContent === 'no frames come'")
+            tab.picture(tmp_path / "page.png")
+            assert tab.value("document.getElementById('address').textContent") == address
+    finally:
+        stop()
+    assert "nothing is encrypted" in said[1]
+    assert cv2.QRCodeDetector().detectAndDecode(cv2.imread(str(tmp_path / "page.png")))[0] == address
+
+
 class Listener:
     """A page without a browser, which says what it has seen, or does not."""
 
@@ -546,3 +572,27 @@ def test_the_page_shows_counts_words_and_markers() -> None:
         session.stop()
         running.join(timeout=10)
         stop()
+
+
+@pytest.mark.kernels
+def test_the_command_says_what_is_silent_and_how_late_sounds_were(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("uvicorn")
+    from asterism.web.live_page import ToPage
+
+    send = ToPage.send
+    monkeypatch.setattr(ToPage, "send", lambda page, frame: (send(page, frame), page.sounded([8.0]))[0])
+    (tmp_path / "feet.toml").write_text('[[rule]]\nheight = "LHEL"\nabove = 0.1\nsound = "beep"\n')
+    asterism.write(tmp_path / "walk.c3d", asterism.simulation.simulate_walks(1, frames=40, seed=1)[0])
+    words = ["live", "--replay", str(tmp_path / "walk.c3d"), "--markers", "helen-hayes", "--no-analysis", "--page"]
+    assert main([*words, "--feedback", str(tmp_path / "feet.toml"), "--json", str(tmp_path / "out.json")]) == 1
+    out, err = capsys.readouterr()
+    assert "8 ms, one in a hundred after 8 ms; sound card and loudspeaker add to it" in " ".join(out.split())
+    assert err.count('The rule "height of LHEL" is silent: the marker set has no LHEL; near are LHEE, RHEE') == 2, (
+        "at the start and the end"
+    )
+    content = json.loads((tmp_path / "out.json").read_text())
+    assert content["tone_ms"] == {"p50": 8.0, "p99": 8.0, "sounds": 40} and content["findings"][0]["code"] == "live-rule-silent"
+    assert main([*words, "--feedback", "squat"]) == 2
+    assert "squat is no file and no example" in capsys.readouterr().err

@@ -20,8 +20,9 @@ import pytest
 from asterism import AsterismError
 from asterism.detection import BlobSettings, DetectionSettings, RunningDetection, detect
 from asterism.detection.running import MOST_BLOBS
+from asterism.files.toml import read_toml
 from asterism.live.camera_frames import LiveBlobs, LiveImage
-from asterism.live.cameras import CameraHealth, CameraSpec, LiveCamera
+from asterism.live.cameras import CameraHealth, CameraSpec, LiveCamera, load_cameras
 from asterism.live.cameras.reopening import ReopeningCamera
 from asterism.live.cameras.simulated import SimulatedCamera
 from asterism.live.frames import SourceEnded
@@ -206,16 +207,33 @@ def test_images_of_another_size_are_counted_and_not_used(odd: CameraWorkers) -> 
     assert odd.damaged > 0
 
 
+def test_cameras_are_set_while_they_run_and_kept_beside_the_recording(odd: CameraWorkers, tmp_path: Path) -> None:
+    odd.set("gain", "6.04 dB", ["whole"])
+    odd.set("threshold", 60)
+    until(odd, lambda: [outcome.setting for outcome in odd.outcomes()].count("threshold") == 2 and odd.searches()["whole"].threshold == 60)
+    assert [outcome.has for outcome in odd.outcomes() if outcome.setting == "gain"] == [pytest.approx(6.0)]
+    odd.save(tmp_path / "walk.cameras.toml")
+    [whole] = load_cameras(tmp_path / "walk.cameras.toml")
+    assert whole.settings == {"gain": 6.04, "threshold": 60.0}
+    assert read_toml(tmp_path / "walk.cameras.toml")["camera"][0]["has"]["gain"] == pytest.approx(6.0)
+    with pytest.raises(AsterismError, match="no camera middle"):
+        odd.set("gain", 1, ["middle"])
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 def test_a_process_that_is_killed_is_begun_anew(odd: CameraWorkers) -> None:
     before = odd.processes
+    odd.set("rate", 50, ["whole"])
     until(odd, lambda: odd.searches()["whole"].searched)
     searched = odd.searches()["whole"].searched
+    assert before[0] is not None
     os.kill(before[0], signal.SIGKILL)
     until(odd, lambda: odd.processes != before)
     assert "SIGKILL" in health_of(odd, "whole").problem
     until(odd, lambda: odd.searches()["whole"].searched > searched + 10)
     assert "SIGKILL" not in health_of(odd, "whole").problem
+    until(odd, lambda: health_of(odd, "whole").images > searched)
+    assert [outcome.has for outcome in odd.outcomes() if (outcome.camera, outcome.setting) == ("whole", "rate")] == [50.0]
     assert "live-camera-process" in {found.code for found in odd.findings() if found.where == "whole"}
 
 

@@ -83,6 +83,7 @@ def _messages(rng: np.random.Generator) -> list[_Message]:
         _Message(struct.pack("<HH", 1, 279) + bytes(264) + struct.pack("<QHB4B", 1, 1511, 1, 239, 255, 42, 99), server_of_packet, head=4),
         _Message(_qtm(1, 12, points), lambda data: points_of_packet(data, 0.0)),
         _Message(_qtm(10, 20, points), lambda data: points_of_packet(data, 0.0)),
+        _Message(_qtm_analog(rng), lambda data: points_of_packet(data, 0.0)),
         _Message(_qtm_blobs(rng), lambda data: blobs_of_packet(data, 0.0, ("1", "2"))),
         _Message(_QTM_SETTINGS, settings_of_xml),
         _Message(_vicon(points), lambda data: vicon.frame(data, 0.0)),
@@ -105,6 +106,11 @@ def _natnet(points: np.ndarray, version: tuple[int, int]) -> bytes:
 def _qtm(kind: int, size: int, points: np.ndarray) -> bytes:
     rows = b"".join(struct.pack("<3f", *(1000 * point)) + bytes(size - 12) for point in points)
     return struct.pack("<qIIIIIHH", 5, 1, 1, 16 + len(rows), kind, len(points), 0, 0) + rows
+
+
+def _qtm_analog(rng: np.random.Generator) -> bytes:
+    devices = 3 * (struct.pack("<4I", 1, 8, 10, 500) + rng.normal(size=80).astype("<f4").tobytes())
+    return struct.pack("<qIIIII", 5, 1, 1, 12 + len(devices), 3, 3) + devices
 
 
 def _qtm_blobs(rng: np.random.Generator) -> bytes:

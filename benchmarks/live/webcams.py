@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 import asterism
 from asterism.cameras import Camera
-from asterism.live import AnalysedFrame, LiveSession, RigSource, SourceEnded, make_labeller
+from asterism.live import AnalysedFrame, LiveSession, SourceEnded, make_labeller
+from asterism.live.blobs import RigSource
 from asterism.live.camera_frames import LiveImage
 from asterism.live.cameras import CameraAbout, LiveCamera
 from asterism.live.cameras.settings import SettingValue
@@ -58,8 +59,6 @@ def webcams(benchmark: BenchmarkRun) -> Iterator[Figure]:
         benchmark.report(f"open after {time.monotonic() - began:.1f} s")
         health = session.run(seconds + 30.0)
         searches, healths = workers.searches(), {each.camera: each for each in workers.healths()}
-    if benchmark.quick:
-        print(health, workers.findings(), source.findings(), searches, healths, len(sink.spent))
     sent = 4 * math.floor(seconds * RATE)
     searched = sum(each.searched for each in searches.values())
     told = sum(each.dropped + each.lost + each.damaged for each in healths.values())
@@ -317,7 +316,9 @@ class _Webcam(LiveCamera):
             self._due = self._arrives()
         number, complete = self._next, self._due
         place = number % (len(self._starts) - 1)
-        image = cv2.imdecode(self._data[self._starts[place] : self._starts[place + 1]], cv2.IMREAD_COLOR)
+        image: NDArray[np.uint8] = np.asarray(
+            cv2.imdecode(self._data[self._starts[place] : self._starts[place + 1]], cv2.IMREAD_COLOR), np.uint8
+        )
         self._next += 1
         self._due = self._arrives()
         return LiveImage(self.name, number, self._place.clock.stamp(number), complete, image)

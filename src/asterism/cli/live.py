@@ -130,7 +130,7 @@ def live(options: LiveOptions) -> None:
     Cameras are listed, set and watched by `asterism live cameras`.
     """
     from asterism.formats import check_suffix
-    from asterism.live import LiveRecorder, RigSource, session_findings
+    from asterism.live import LiveRecorder, OfCameras, session_findings
 
     if options.finish is not None:
         _finish(options)
@@ -144,7 +144,8 @@ def live(options: LiveOptions) -> None:
         check_suffix(options.output)
     _clinical.given_measures(options.measure)
     inputs = [*_played(options), options.cameras, options.model, options.static, options.rig, *_clinical.measure_files(options.measure)]
-    _console.check_outputs([options.output, options.json], inputs, options.overwrite)
+    analog = None if options.output is None else _analog_beside(options.output)
+    _console.check_outputs([options.output, analog, options.json], inputs, options.overwrite)
     if unfinished is not None and unfinished.exists():
         raise AsterismError(
             f"{unfinished} is there from a session that was not finished; write it with --finish {unfinished} -o FILE.c3d, or remove it."
@@ -178,7 +179,8 @@ def live(options: LiveOptions) -> None:
         "source": source.about.name,
         "output": options.output,
         **dataclasses.asdict(health),
-        **({"cameras": source.camera_numbers()} if isinstance(source, RigSource) else {}),
+        **({"tone_ms": {"p50": tone[0], "p99": tone[1], "sounds": tone[2]}} if tone[2] else {}),
+        **({"cameras": source.camera_numbers()} if isinstance(source, OfCameras) else {}),
         "findings": [finding.to_dict() for finding in findings],
     }
     _console.write_json(options.json, content)
@@ -216,8 +218,10 @@ def _played(options: LiveOptions) -> list[Path]:
 
 
 def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
+    from functools import partial
+
     from asterism.cameras.files import read_rig
-    from asterism.live.blobs import ReplayBlobs, RigSource
+    from asterism.live.blobs import ReplayBlobs, RigProcess, RigSource
     from asterism.live.sources import open_blobs
 
     rig, played = read_rig(rig_file), _played(options)
@@ -226,7 +230,7 @@ def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
     if played:
         blobs = ReplayBlobs(played[0], rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
         return RigSource(blobs, rig, waits=True)
-    return RigSource(open_blobs(_address(options), rig.names, math.nan if options.rate is None else options.rate), rig)
+    return RigProcess(partial(open_blobs, _address(options), rig.names, math.nan if options.rate is None else options.rate), rig)
 
 
 def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource:
@@ -236,7 +240,7 @@ def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource
     # OpenCV and FFmpeg would repeat on standard error what is said here in one sentence.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    from asterism.live import RigSource
+    from asterism.live.blobs import RigSource
     from asterism.live.cameras import load_cameras, with_settings
     from asterism.live.images import CameraWorkers, WorkerSettings, videos_together
 
@@ -360,13 +364,22 @@ def _finish(options: LiveOptions) -> None:
     """Write a session that was not finished."""
     if options.output is None or options.finish is None:
         raise AsterismError("--finish needs the recording to write; add -o FILE.c3d.")
-    _console.check_outputs([options.output], [options.finish], options.overwrite)
+    _console.check_outputs([options.output, _analog_beside(options.output)], [options.finish], options.overwrite)
     _written(options.finish, options.output, options.rate)
 
 
 def _written(kept: Path, output: Path, rate: float | None) -> None:
     from asterism.formats import write
     from asterism.live import recording_of
+    from asterism.live.analog import write_analog
 
-    for lost in write(output, recording_of(kept, rate).recording()):
+    session = recording_of(kept, rate)
+    for lost in write(output, session.recording()):
         _console.notice(f"{output} does not hold {lost}.")
+    if session.analog:
+        write_analog(_analog_beside(output), session.analog, session.times)
+
+
+def _analog_beside(output: Path) -> Path:
+    """Where analog samples are written."""
+    return output.with_suffix(".analog.npz")

@@ -14,6 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,9 +24,10 @@ from asterism.detection.running import MOST_BLOBS
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.camera_frames import LiveBlobs
-from asterism.live.cameras import CameraHealth, camera_findings
+from asterism.live.cameras import CameraHealth, CameraSpec, SettingOutcome, SettingValue, camera_findings, save_cameras
+from asterism.live.cameras.settings import setting_value
 from asterism.live.frames import SourceEnded
-from asterism.live.images.worker import CameraPlace, CameraReport, SearchCounts, WorkerReady, WorkerSettings, work
+from asterism.live.images.worker import CameraPlace, CameraReport, SearchCounts, SettingOrder, WorkerReady, WorkerSettings, work
 
 _SLICE = 0.1
 """s after which a reader looks whether it shall stop."""
@@ -229,12 +231,38 @@ class CameraWorkers:
             for worker in workers:
                 worker.end(max(0.0, until - time.monotonic()))
 
+    def set(self, setting: str, value: object, only: Sequence[str] = ()) -> None:
+        """Set cameras while they run, all or only some; `outcomes` tells what became of it when they have answered.
+
+        A process that is begun anew sets it again. Raises AsterismError where there is no such setting, value or camera.
+        """
+        asked, names = setting_value(setting, value), tuple(only) or self.cameras
+        if not frozenset(names) <= frozenset(self.cameras):
+            raise AsterismError(
+                f"there is no camera {next(name for name in names if name not in self.cameras)}, only {', '.join(self.cameras)}."
+            )
+        with self._reading:
+            for worker in self._workers:
+                worker.places = tuple(_with(place, setting, asked) if place.name in names else place for place in worker.places)
+                # One that has just died is begun anew with it.
+                with suppress(OSError):
+                    worker.orders.send(SettingOrder(setting, asked, names))
+
+    def outcomes(self) -> list[SettingOutcome]:
+        """What became of the settings of all cameras."""
+        return [outcome for state in self._states.values() if state.report is not None for outcome in state.report.outcomes]
+
+    def save(self, path: Path) -> None:
+        """Write the cameras beside a recording: what was to be set on each, and what it said that it had. See `load_cameras`."""
+        places = {place.name: place for worker in self._workers for place in worker.places if isinstance(place, CameraSpec)}
+        said = {name: state.report.said for name, state in self._states.items() if state.report is not None}
+        save_cameras(path, [places[name] for name in self.cameras if name in places], said)
+
     def findings(self) -> list[Finding]:
         """What went wrong with cameras and processes, and how often."""
-        outcomes = [outcome for state in self._states.values() if state.report is not None for outcome in state.report.outcomes]
         # A camera that has just been opened is not silent yet.
         has_begun = self._at is not None and time.monotonic() > self._at + _LEAD
-        found = list(camera_findings(self.healths() if has_begun or self._closed.is_set() else (), outcomes))
+        found = list(camera_findings(self.healths() if has_begun or self._closed.is_set() else (), self.outcomes()))
         for name, state in self._states.items():
             found += _search_findings(name, _search(state), state)
         return found
@@ -325,6 +353,11 @@ class CameraWorkers:
 
     def _has_ended(self, worker: _CameraProcess) -> bool:
         return worker.dead and all(self._states[place.name].has_ended for place in worker.places)
+
+
+def _with(place: CameraPlace, setting: str, value: SettingValue) -> CameraPlace:
+    """A camera with a setting over its own."""
+    return replace(place, settings={**place.settings, setting: value}) if isinstance(place, CameraSpec) else place
 
 
 def _cores() -> int:

@@ -147,6 +147,8 @@
       this.ended = false;
       $("tablet").hidden = !news.address;
       $("address").textContent = news.address;
+      $("code").hidden = !news.code;
+      if (news.code) $("code").src = news.code;
       if ($("sound").checked) this.sounds.start($("volume").value / 100);
     }
 
@@ -197,7 +199,7 @@
 
     healthIs(health) {
       this.ended = Boolean(health.ended);
-      const ended = health.problem || (health.ended ? "ended" : health.silent ? "no frames come" : "");
+      const ended = health.problem || (health.ended ? "ended" : health.silent || !health.frames ? "no frames come" : "");
       this.state(ended || `${Math.round(health.rate)} frames/s`, Boolean(ended));
       if (ended) this.sounds.stop();
       const last = this.sounded.length ? this.sounded[this.sounded.length - 1] : this.lastSounded, ms = value => value === null || value === undefined ? "–" : `${value.toFixed(1)} ms`;
