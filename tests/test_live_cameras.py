@@ -77,7 +77,7 @@ def test_settings_are_read_in_any_unit_and_kept_in_one(text, value):
 
 
 @pytest.mark.parametrize(
-    "text", ["exposure", "exposure=", "exposure=4kg", "exposure=-1", "exposure=nan", "shutter=4ms", "size=640", "size=0x1"]
+    "text", ["exposure", "exposure=", "exposure=4kg", "exposure=-1", "exposure=nan", "shutter=4ms", "size=640", "size=0x1", "gain=1e300"]
 )
 def test_what_is_no_setting_is_refused_with_a_sentence(text):
     with pytest.raises(AsterismError, match=r"\."):
@@ -228,7 +228,9 @@ def test_a_camera_in_the_network_is_read_through_opencv_until_it_is_gone(stream)
     assert not any(thread.name == "camera phone" for thread in threading.enumerate())
 
 
-@pytest.mark.parametrize("address", ["camera://97", "warp://1", "nowhere.mp4", "simulated://?dots=-1", "simulated://?dust=1"])
+@pytest.mark.parametrize(
+    "address", ["camera://97", "warp://1", "nowhere.mp4", "simulated://?dots=-1", "simulated://?size=9999x9999", "simulated://?dust=1"]
+)
 def test_what_is_no_camera_is_refused_with_a_sentence(address):
     with pytest.raises(AsterismError, match=r"\."):
         open_camera(CameraSpec("left", address))
@@ -394,6 +396,7 @@ address = "camera://97"
         '[[camera]]\naddress = ""',
         '[[camera]]\naddress = "camera://0"\nexposure = "4kg"',
         '[[camera]]\naddress = "camera://0"\nshutter = 4',
+        '[[camera]]\naddress = "camera://0"\ngain = ' + 400 * "9",
         '[[camera]]\naddress = "camera://0"\n[[camera]]\naddress = "camera://0"',
         '[all]\nrate = [1]\n[[camera]]\naddress = "camera://0"',
         '[[camera]]\nname = "a"\naddress = "camera://0"\n[[camera]]\nname = "a"\naddress = "camera://1"',

@@ -77,6 +77,7 @@ class OpenCvCamera(LiveCamera):
             capture.release()
             raise AsterismError(f"{address}: {self._why_not()}")
         self._capture = capture
+        self._model, self._serial = ("", "") if self._in_network else webcam_model(self._device)
         self._numbers = NumbersByTime(self._said_rate())
         self._images: deque[LiveImage] = deque(maxlen=BUFFERS)
         self._there = threading.Condition()
@@ -91,9 +92,8 @@ class OpenCvCamera(LiveCamera):
         import cv2
 
         width, height = (int(self._ask(what)) for what in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-        model, serial = ("", "") if self._in_network else webcam_model(self._device)
         size = (max(0, width), max(0, height))
-        return CameraAbout(self.name, self.address, model, serial, size, self._said_rate(), self._clock)
+        return CameraAbout(self.name, self.address, self._model, self._serial, size, self._said_rate(), self._clock)
 
     @property
     def own_settings(self) -> tuple[str, ...]:
