@@ -126,7 +126,7 @@ class CameraWatch:
         before, self._arrived = self._arrived, image.arrived
         long_enough = image.arrived - self._began > _SECOND
         black = int(image.image.max()) < _BLACK
-        slow = long_enough and self._usual_step() * _SLOW * self._said_rate > 1.0
+        slow = long_enough and not self.camera.waits and self._usual_step() * _SLOW * self._said_rate > 1.0
         now = {"black": black, "frozen": seen == self._seen and not black, "saturated": white > _SATURATED, "slow": slow}
         self._seen = seen
         for trouble, there in now.items():
