@@ -145,7 +145,7 @@ def test_lights_of_the_empty_room_are_masked() -> None:
 
 
 def test_other_sizes_are_refused_and_a_lit_room_is_cut() -> None:
-    running = RunningDetection(BlobSettings(threshold=60.0, min_size=1.0))
+    running = RunningDetection(BlobSettings(threshold=60.0, min_size=1.0, max_size=64.0))
     crowd = np.full((480, 640), 20, np.uint8)
     crowd[4:-4:8, 4:-4:8] = 200
     crowd[240:243, 320:323] = 250
@@ -162,11 +162,13 @@ def test_processes_find_what_is_found_off_line(tmp_path: Path) -> None:
     folders = [saved(tmp_path / name, [scene(number, seed=seed) for number in range(30)]) for seed, name in enumerate(("left", "right"))]
     off_line = detect(folders, DetectionSettings(BlobSettings(threshold=40.0))).blobs
     specs = [CameraSpec(folder.name, f"{folder}?wait=1", {"rate": 300.0}) for folder in folders]
-    workers = CameraWorkers(specs, WorkerSettings(BlobSettings(threshold=40.0), pictures=4.0), workers=1)
+    workers = CameraWorkers(specs, WorkerSettings(BlobSettings(threshold=40.0), pictures=4.0, in_order="number"), workers=2)
     try:
         assert (workers.cameras, workers.rate, workers.name) == (("left", "right"), 300.0, "2 cameras")
         came = read_all(workers)
-        assert [sum(blobs.camera == name for blobs in came) for name in workers.cameras] == [30, 30]
+        # In the order of their numbers, whichever process was faster.
+        assert sorted((blobs.number, blobs.camera) for blobs in came) == [(n, name) for n in range(30) for name in workers.cameras]
+        assert [blobs.number for blobs in came] == sorted(blobs.number for blobs in came)
         for blobs in came:
             expected = off_line.of(blobs.number, workers.cameras.index(blobs.camera))
             np.testing.assert_allclose(blobs.xy, expected, atol=1e-9)
@@ -224,6 +226,7 @@ def test_a_process_that_is_killed_is_begun_anew(odd: CameraWorkers) -> None:
     odd.set("rate", 50, ["whole"])
     until(odd, lambda: odd.searches()["whole"].searched)
     searched = odd.searches()["whole"].searched
+    assert before[0] is not None
     os.kill(before[0], signal.SIGKILL)
     until(odd, lambda: odd.processes != before)
     assert "SIGKILL" in health_of(odd, "whole").problem

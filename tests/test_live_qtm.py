@@ -18,8 +18,9 @@ from hypothesis import strategies as st
 
 from asterism import AsterismError
 from asterism.cameras.files.qualisys import read_qualisys, write_qualisys
-from asterism.live import HostPort, LiveFrame, LiveRecorder, RigSource, open_source, recording_of
+from asterism.live import HostPort, LiveFrame, LiveRecorder, open_source, recording_of
 from asterism.live.analog import write_analog
+from asterism.live.blobs import RigSource
 from asterism.live.qtm_packets import QtmSettings, blobs_of_packet, points_of_packet, settings_of_xml
 from asterism.live.sources import open_blobs
 from asterism.simulation.cameras.rigs import ring_rig
@@ -191,7 +192,7 @@ class QtmServer(threading.Thread):
     def __init__(self, frames: Callable[[str], Iterator[tuple[int, bytes]]], xml: str, versions: Sequence[str] = ("1.20",)) -> None:
         super().__init__(daemon=True)
         self.frames, self.xml, self.versions = frames, xml, versions
-        self.heard = list[str]()
+        self.heard, self.mute = list[str](), False
         self.socket = socket.create_server(("127.0.0.1", 0))
         self.port = self.socket.getsockname()[1]
         self.start()
@@ -202,8 +203,12 @@ class QtmServer(threading.Thread):
                 client, _ = self.socket.accept()
             except OSError:
                 return
-            with client, contextlib.suppress(OSError):
-                self.serve(client)
+            threading.Thread(target=self.serve_and_close, args=(client,), daemon=True).start()
+
+    def serve_and_close(self, client: socket.socket) -> None:
+        with client, contextlib.suppress(OSError, struct.error):
+            self.mute = False
+            self.serve(client)
 
     def serve(self, client: socket.socket) -> None:
         guard = threading.Lock()
@@ -224,6 +229,8 @@ class QtmServer(threading.Thread):
             text = client.recv(size - 8, socket.MSG_WAITALL).rstrip(b"\0").decode()
             assert kind == 1
             self.heard.append(text)
+            if self.mute:
+                continue
             words = text.lower().split()
             if words[0] == "version":
                 say(1, f"Version set to {words[1]}\0".encode()) if words[1] in self.versions else say(0, b"Version NOT supported\0")
@@ -319,6 +326,33 @@ def test_a_qtm_without_a_measurement_is_told_what_to_press_and_read_when_it_begi
         source.close()
         server.socket.close()
         pressed.set()
+
+
+def test_a_qtm_that_says_nothing_any_more_is_connected_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cable that is out ends no connection: only asking shows it."""
+    monkeypatch.setattr("asterism.live.qtm._QUIET", 0.1)
+    monkeypatch.setattr("asterism.live.qtm._PATIENCE", 0.3)
+    monkeypatch.setattr("asterism.live.qtm._AGAIN", 0.01)
+    begin, ended = iter((1, 100)), threading.Event()
+
+    def frames(components: str) -> Iterator[tuple[int, bytes]]:
+        first = next(begin, None)
+        if first is not None:
+            for number in range(first, first + 3):
+                yield 3, data_packet(number, points_component(2, OTHERS))
+            server.mute = first == 1
+        ended.wait(20)
+
+    server = QtmServer(frames, XML.format(rate=100, up="+Z"))
+    source = open_source(f"qtm://127.0.0.1:{server.port}")
+    try:
+        got = taken(source, 3)
+        assert [frame.number for frame in (*got, *taken(source, 3))] == [1, 2, 3, 100, 101, 102]
+        assert "live-reconnected" in {finding.code for finding in source.findings()}  # type: ignore[attr-defined]
+    finally:
+        source.close()
+        server.socket.close()
+        ended.set()
 
 
 def test_blobs_of_all_cameras_come_with_their_names() -> None:

@@ -58,12 +58,19 @@ class WorkerSettings:
     empty      s during which nobody is in view: see `RunningDetection`
     pictures   newest images per second and camera that are shown, 0 for none: each costs as much as the blobs of two images
     sizes      (width, height) px of cameras by name: other images are not used, since the rig is not theirs
+    in_order   "number" or "time" where the images of all cameras are searched in the order of these, as of videos that wait: the same blobs
+               come in the same order, however fast each is read; "" for as they come
     """
 
     blobs: BlobSettings = field(default_factory=BlobSettings)
     empty: float = 0.0
     pictures: float = 0.0
     sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    in_order: str = ""
+
+    def rank(self, image: LiveImage | LiveBlobs) -> float:
+        """What decides which image is searched first."""
+        return image.number if self.in_order == "number" else image.time if self.in_order else image.arrived
 
 
 @dataclass
@@ -323,8 +330,10 @@ def _search(readers: Sequence[_CameraReader], settings: WorkerSettings, out: Con
         image, oldest = None, None
         with wake:
             waiting = [reader for reader in readers if reader.images]
-            if waiting:
-                oldest = min(waiting, key=lambda reader: reader.images[0].arrived)
+            if settings.in_order and not all(reader.images or reader.ended for reader in readers):
+                wake.wait(_TIMEOUT)
+            elif waiting:
+                oldest = min(waiting, key=lambda reader: settings.rank(reader.images[0]))
                 image = oldest.next()
                 wake.notify_all()
             elif all(reader.ended for reader in readers):
