@@ -391,7 +391,13 @@ def test_the_command_records_what_it_plays(tmp_path: Path, walks: list[Recording
     asterism.write(tmp_path / "walk.c3d", walks[5].frames(slice(60)))
     model.save(tmp_path / "walkers.model")
     words = ["live", "--replay", str(tmp_path / "walk.c3d"), "--model", str(tmp_path / "walkers.model"), "--speed", "100"]
-    assert main([*words, "-o", str(tmp_path / "out.c3d"), "--json", "-"]) == 0
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sink:
+        sink.bind(("127.0.0.1", 0))
+        sink.settimeout(10)
+        to = ["--to", f"udp://127.0.0.1:{sink.getsockname()[1]}", "--to", "natnet://127.0.0.1:0?unicast=1"]
+        assert main([*words, "-o", str(tmp_path / "out.c3d"), "--json", "-", *to]) == 0
+        assert json.loads(sink.recv(65_536))["frame"] == 0
+    assert main([*words, "--to", "smoke://127.0.0.1:1"]) == 2
     told = json.loads(capsys.readouterr().out)
     assert told["frames"] == told["labelled"] == 60 and told["lost"] == told["dropped"] == 0
     written = asterism.read(tmp_path / "out.c3d")

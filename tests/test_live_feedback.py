@@ -23,6 +23,7 @@ from test_live_movement import frames_of
 
 import asterism
 from asterism import AsterismError
+from asterism.cli import main
 from asterism.live import (
     AnalysedFrame,
     AngleOptions,
@@ -415,11 +416,37 @@ def test_a_slow_page_gets_the_newest_frame_and_every_beep() -> None:
     assert body is not None and body["sides"] == ["left", "left", "left", "right"] and [0, 1] in [sorted(bone) for bone in body["bones"]]
 
 
+HEALTH = dict.fromkeys(("rate", "frames", "lost", "late", "damaged", "dropped", "p50", "p999", "not sounded"), 0) | {"problems": []}
 MOMENT = """globalThis.hear = (name, age) => {
   const live = Asterism.live, at = live.clock.at(performance.now()) - age, cue = { name, sound: "beep" };
   live.told(JSON.stringify({ sent: at, moments: [{ cue, at, done: at, time: 0 }] }));
   return live.log.length;
 }"""
+
+
+@needs_chromium
+def test_a_tablet_reads_the_address_with_its_camera(tmp_path: Path) -> None:
+    pytest.importorskip("segno", reason="QR codes need segno")
+    pytest.importorskip("uvicorn")
+    cv2 = pytest.importorskip("cv2")
+    from asterism.web.live_page import ToPage, serve_live
+    from asterism.web.serving import PageAddress
+
+    page, said = ToPage(), list[str]()
+    session = LiveSession(Given([]), lambda rate, up: Numbers(), [page])
+    stop = serve_live(session, page, PageAddress("0.0.0.0"), said.append)
+    address = said[0].rpartition(" ")[2]
+    try:
+        with Tab(address, 1400, 1400) as tab:
+            tab.wait("document.getElementById('code').complete && document.getElementById('code').src")
+            tab.value("document.documentElement.dataset.theme = 'dark', document.getElementById('tablet').open = true")
+            tab.wait("document.getElementById('state').textContent === 'no frames come'")
+            tab.picture(tmp_path / "page.png")
+            assert tab.value("document.getElementById('address').textContent") == address
+    finally:
+        stop()
+    assert "nothing is encrypted" in said[1]
+    assert cv2.QRCodeDetector().detectAndDecode(cv2.imread(str(tmp_path / "page.png")))[0] == address
 
 
 class Listener:
@@ -529,7 +556,8 @@ def test_the_page_shows_counts_words_and_markers() -> None:
             assert tab.value("[hear('a', 0), hear('b', 60000), (Asterism.live.heard -= 60000, hear('c', 0))]") == [1, 1, 1]
             tab.wait("Asterism.live.clock.isKnown")
             assert tab.value("[hear('d', 0), hear('d', 0), Asterism.live.missed]") == [2, 2, 2], "no second beep at once"
-            tab.wait("true")
+            tab.value(f"Asterism.live.healthIs({json.dumps(HEALTH | {'silent': True})})")
+            assert tab.value("hear('e', 0)") == 3, "a pause of the cameras does not switch the sound off"
             tab.resize(390, 844, is_phone=True)
             before = tab.value("[Asterism.live.camera.yaw, Asterism.live.camera.zoom]")
             for kind, apart in (("touchStart", 20), ("touchMove", 60), ("touchEnd", None)):
@@ -546,3 +574,27 @@ def test_the_page_shows_counts_words_and_markers() -> None:
         session.stop()
         running.join(timeout=10)
         stop()
+
+
+@pytest.mark.kernels
+def test_the_command_says_what_is_silent_and_how_late_sounds_were(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("uvicorn")
+    from asterism.web.live_page import ToPage
+
+    send = ToPage.send
+    monkeypatch.setattr(ToPage, "send", lambda page, frame: (send(page, frame), page.sounded([8.0]))[0])
+    (tmp_path / "feet.toml").write_text('[[rule]]\nheight = "LHEL"\nabove = 0.1\nsound = "beep"\n')
+    asterism.write(tmp_path / "walk.c3d", asterism.simulation.simulate_walks(1, frames=40, seed=1)[0])
+    words = ["live", "--replay", str(tmp_path / "walk.c3d"), "--markers", "helen-hayes", "--no-analysis", "--page"]
+    assert main([*words, "--feedback", str(tmp_path / "feet.toml"), "--json", str(tmp_path / "out.json")]) == 1
+    out, err = capsys.readouterr()
+    assert "8 ms, one in a hundred after 8 ms; sound card and loudspeaker add to it" in " ".join(out.split())
+    assert err.count('The rule "height of LHEL" is silent: the marker set has no LHEL; near are LHEE, RHEE') == 2, (
+        "at the start and the end"
+    )
+    content = json.loads((tmp_path / "out.json").read_text())
+    assert content["tone_ms"] == {"p50": 8.0, "p99": 8.0, "sounds": 40} and content["findings"][0]["code"] == "live-rule-silent"
+    assert main([*words, "--feedback", "squat"]) == 2
+    assert "squat is no file and no example" in capsys.readouterr().err

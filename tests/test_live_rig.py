@@ -23,8 +23,8 @@ from asterism.cameras import Camera, Rig
 from asterism.cameras.files import write_rig
 from asterism.cli import main
 from asterism.formats.csv_blobs import read_blobs, write_blobs
-from asterism.live import HostPort, LiveFrame, RigSource, SourceEnded, recording_of
-from asterism.live.blobs import JsonBlobs, ReplayBlobs, RigProcess, blobs_as_json, blobs_of_json
+from asterism.live import HostPort, LiveFrame, SourceEnded, recording_of
+from asterism.live.blobs import JsonBlobs, ReplayBlobs, RigProcess, RigSource, blobs_as_json, blobs_of_json
 from asterism.live.camera_frames import LiveBlobs
 from asterism.reconstruction import ReconstructionSettings, Reconstructor, reconstruct
 from asterism.recording import Blobs

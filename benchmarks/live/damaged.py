@@ -11,11 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asterism.live import LiveFrame, frame_as_json, frame_of_json
+from asterism.live import LiveFrame, SourceAbout, frame_as_json, frame_of_json
 from asterism.live.blobs.sources import blobs_as_json, blobs_of_json
 from asterism.live.camera_frames import LiveBlobs
 from asterism.live.frames import DamagedPacket
+from asterism.live.mocap_channels import layout_of_channels
 from asterism.live.natnet_packets import NatNetFrames, server_of_packet
+from asterism.live.natnet_server import ToNatNet
 from asterism.live.qtm_packets import blobs_of_packet, points_of_packet, settings_of_xml
 from asterism.live.vicon import ViconState
 from benchmarks.benchmark_run import BenchmarkRun
@@ -83,10 +85,35 @@ def _messages(rng: np.random.Generator) -> list[_Message]:
         _Message(struct.pack("<HH", 1, 279) + bytes(264) + struct.pack("<QHB4B", 1, 1511, 1, 239, 255, 42, 99), server_of_packet, head=4),
         _Message(_qtm(1, 12, points), lambda data: points_of_packet(data, 0.0)),
         _Message(_qtm(10, 20, points), lambda data: points_of_packet(data, 0.0)),
+        _Message(_qtm_analog(rng), lambda data: points_of_packet(data, 0.0)),
         _Message(_qtm_blobs(rng), lambda data: blobs_of_packet(data, 0.0, ("1", "2"))),
         _Message(_QTM_SETTINGS, settings_of_xml),
+        *(_Message(struct.pack("<HH", kind, len(text)) + text, _NatNetCommands(), head=3) for kind, text in _COMMANDS),
+        _Message("\n".join(f"{name}|||Position{axis}|mm" for name in ("LASI", "RASI", "SACR") for axis in "XYZ").encode(), _channels),
         _Message(_vicon(points), lambda data: vicon.frame(data, 0.0)),
     ]
+
+
+_COMMANDS = ((0, b"Ping\0"), (2, b"FrameRate\0"), (12, struct.pack("<Q", 7)))
+
+
+class _NatNetCommands:
+    """What our own server of NatNet answers to clients, each of which is another one."""
+
+    def __init__(self) -> None:
+        self._server, self._port = ToNatNet("natnet://127.0.0.1:0?unicast=1", SourceAbout("benchmark", 200.0)), 0
+        self._server.close()
+
+    def __call__(self, data: bytes) -> bytes | None:
+        self._port += 1
+        return self._server.answer(data, ("127.0.0.1", self._port)) or None
+
+
+def _channels(data: bytes) -> object:
+    """The layout of a stream of LSL whose channels are described so, a line each."""
+    keys = ("label", "marker", "object", "type", "unit")
+    channels = [dict(zip(keys, line.split("|"), strict=False)) for line in data.decode("latin-1").splitlines()]
+    return layout_of_channels(channels, len(channels))
 
 
 def _natnet(points: np.ndarray, version: tuple[int, int]) -> bytes:
@@ -105,6 +132,11 @@ def _natnet(points: np.ndarray, version: tuple[int, int]) -> bytes:
 def _qtm(kind: int, size: int, points: np.ndarray) -> bytes:
     rows = b"".join(struct.pack("<3f", *(1000 * point)) + bytes(size - 12) for point in points)
     return struct.pack("<qIIIIIHH", 5, 1, 1, 16 + len(rows), kind, len(points), 0, 0) + rows
+
+
+def _qtm_analog(rng: np.random.Generator) -> bytes:
+    devices = 3 * (struct.pack("<4I", 1, 8, 10, 500) + rng.normal(size=80).astype("<f4").tobytes())
+    return struct.pack("<qIIIII", 5, 1, 1, 12 + len(devices), 3, 3) + devices
 
 
 def _qtm_blobs(rng: np.random.Generator) -> bytes:

@@ -20,6 +20,7 @@ from qtm_rt.protocol import QTMProtocol
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
+from asterism.live.analog import AnalogSamples
 from asterism.live.camera_frames import LiveBlobs
 from asterism.live.clock import StreamTimes
 from asterism.live.datagrams import HostPort
@@ -43,6 +44,8 @@ _AGAIN = 1.0
 """s between two tries to reach a QTM that is gone."""
 _KEPT = 400
 """Packets that wait to be read at most, 2 s at 200 Hz; the oldest are left out, and counted as lost by their numbers."""
+_MOST_ANALOG = 100
+"""Groups of samples that wait for a frame with points at most: those of ten devices in ten packets. Half and double do as well."""
 _TO_STEP = 10
 """Frames by which it is seen whether QTM sends each frame or, as its real-time rate says, each second or third one."""
 
@@ -100,6 +103,7 @@ class QtmLink:
         self._packets = deque[tuple[bytes, float]](maxlen=_KEPT)
         self._there, self._opened = threading.Condition(), threading.Event()
         self._problem = ""
+        self._failed: Exception | None = None
         self._protocol: _Packets | None = None
         self._loop = asyncio.new_event_loop()
         self._task = self._loop.create_task(self._serve())
@@ -116,7 +120,9 @@ class QtmLink:
         return self._protocol is not None and self._protocol.idle
 
     def read(self, timeout: float) -> tuple[bytes, float] | None:
-        """The next data packet, and when it arrived; None where none came in time."""
+        """The next data packet, and when it arrived; None where none came in time. Raises what ended the connection for good."""
+        if self._failed is not None:
+            raise self._failed
         with self._there:
             if not self._packets:
                 self._there.wait(timeout)
@@ -135,6 +141,8 @@ class QtmLink:
         try:
             with contextlib.suppress(asyncio.CancelledError):
                 self._loop.run_until_complete(self._task)
+        except Exception as problem:  # told by whoever reads: a thread that ends is not seen
+            self._failed = problem
         finally:
             self._opened.set()
             self._loop.close()
@@ -207,7 +215,7 @@ class QtmLink:
     async def _set(self, connection: QRTConnection) -> None:
         """Ask for the settings, of which there are none before cameras are connected or a file is open."""
         with contextlib.suppress(QRTCommandException):
-            self.settings = settings_of_xml(await connection.get_parameters(["general", "3d"])) or self.settings
+            self.settings = settings_of_xml(await connection.get_parameters(["general", "3d", "analog"])) or self.settings
 
     async def _watched(self, gone: asyncio.Event) -> None:
         """Return when the connection is gone, or QTM does not answer any more."""
@@ -254,7 +262,8 @@ class Qtm:
     """
 
     def __init__(self, place: HostPort, rate: float = float("nan")) -> None:
-        self._link = QtmLink(place, "3D 3DNoLabels")
+        self._link = QtmLink(place, "3D 3DNoLabels Analog")
+        self._analog: tuple[AnalogSamples, ...] = ()
         self._bad, self._labelled, self._step, self._begin = 0, False, 1, deque[LiveFrame]()
         self._place, self._rate, self._times = place, rate, StreamTimes(rate)
         try:
@@ -302,11 +311,15 @@ class Qtm:
             packet = self._link.read(left)
             if packet is None:
                 continue
-            points = points_of_packet(*packet, self._link.settings.computed)
-            if points is not None:
-                self._labelled = self._labelled or points.labelled > 0
-                return points.frame
-            self._bad += 1
+            points = points_of_packet(*packet, self._link.settings)
+            if points is None:
+                self._bad += 1
+                continue
+            self._labelled = self._labelled or points.labelled > 0
+            self._analog = (*self._analog, *points.analog)[-_MOST_ANALOG:]
+            if points.frame is not None:
+                frame, self._analog = replace(points.frame, analog=self._analog), ()
+                return frame
         return None
 
     def findings(self) -> list[Finding]:

@@ -21,6 +21,7 @@ from asterism.live.blobs.budget import BlobBudget, telling
 from asterism.live.blobs.gathering import ByNumber, ByTime, CameraArrivals, RigFrame
 from asterism.live.blobs.recorder import BlobRecorder
 from asterism.live.camera_frames import BlobSource, LiveBlobs
+from asterism.live.found import own_findings
 from asterism.live.frames import MOST_POINTS, LiveFrame, SourceAbout, SourceEnded
 from asterism.reconstruction import ReconstructionSettings, Reconstructor
 from asterism.reconstruction.camera_fit import CameraFit
@@ -182,7 +183,11 @@ class RigSource:
     def findings(self) -> list[Finding]:
         """What a person should know of the cameras and their rig."""
         counts = self._counts() if self._frames else []
-        return [*self._names(), *counts, *(finding for finding, times in self._found.values() if times > 1)]
+        own = own_findings([self._source])
+        # What a camera or its process left out never came either, and is told once, by who knows why.
+        told = {finding.where for finding in own if finding.code in ("live-camera-lost", "live-camera-dropped")}
+        counts = [finding for finding in counts if finding.code != "live-camera-lost" or finding.where not in told]
+        return [*own, *self._names(), *counts, *(finding for finding, times in self._found.values() if times > 1)]
 
     def _take(self) -> None:
         """The thread that gathers."""
@@ -192,8 +197,11 @@ class RigSource:
                 blobs = self._source.read(max(1e-4, wait))
                 if blobs is not None:
                     self._push(blobs)
-                # A file that waits has its own time.
-                self._put(time.monotonic() if blobs is None or not self._waits else blobs.arrived)
+                # A file that waits has its own time, which stands still while nothing comes.
+                if not self._waits:
+                    self._put(time.monotonic())
+                elif blobs is not None:
+                    self._put(blobs.arrived)
         except SourceEnded:
             self._put(math.inf)
         except Exception as problem:  # the reader must not wait for ever
