@@ -24,8 +24,8 @@ class LiveRules:
                  poses
     """
 
-    min_margin: float = 20.0
-    min_share: float = 0.6
+    min_margin: float = 10.0
+    min_share: float = 0.5
     adapt_after: tuple[int, ...] = (3, 6, 12, 24)
     noise_std: float = 0.008
 
