@@ -1,12 +1,17 @@
-"""The pages' scripts run by Node and by Chromium; tests that use them are skipped where these are not installed."""
+"""The pages' scripts run by Node and by Chromium; tests that use them are skipped where these are not installed; for benchmarks, too."""
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
 import subprocess
+import time
+import urllib.request
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import TracebackType
 from typing import Any
 
 import pytest
@@ -42,3 +47,65 @@ def opened(address: str, folder: Path, wanted: str) -> str:
         if re.search(wanted, elements):
             return elements
     raise AssertionError(f"{wanted} is not in {elements[-3000:]}")
+
+
+class Tab:
+    """A page in Chromium without a window, driven through its DevTools socket. Sounds are allowed, as after a person's touch."""
+
+    def __init__(self, address: str, width: int = 1400, height: int = 900) -> None:
+        from websockets.sync.client import connect
+
+        assert CHROMIUM is not None
+        self._folder = TemporaryDirectory(ignore_cleanup_errors=True)
+        words = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--autoplay-policy=no-user-gesture-required"]
+        words += ["--remote-debugging-port=0", f"--user-data-dir={self._folder.name}", f"--window-size={width},{height}", "about:blank"]
+        self._process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+        assert self._process.stderr is not None
+        line = next(line for line in self._process.stderr if "DevTools listening on" in line)
+        tabs = json.load(urllib.request.urlopen(f"http://{line.split('ws://')[1].split('/')[0]}/json"))
+        target = next(tab for tab in tabs if tab["type"] == "page")
+        self._socket = connect(target["webSocketDebuggerUrl"], max_size=None).__enter__()
+        self._count = 0
+        self.resize(width, height)
+        self.call("Page.navigate", url=address)
+
+    def __enter__(self) -> Tab:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None) -> None:
+        self._socket.__exit__(kind, problem, trace)
+        self._process.kill()
+        self._process.wait()
+        if self._process.stderr is not None:
+            self._process.stderr.close()
+        self._folder.cleanup()
+
+    def call(self, method: str, **given: Any) -> Any:
+        """The answer of DevTools."""
+        self._count += 1
+        self._socket.send(json.dumps({"id": self._count, "method": method, "params": given}))
+        while (answer := json.loads(self._socket.recv())).get("id") != self._count:
+            pass
+        assert "error" not in answer, answer
+        return answer["result"]
+
+    def value(self, code: str) -> Any:
+        """The value of a piece of script, of the promise that it gives, or None where it raises."""
+        return self.call("Runtime.evaluate", expression=code, awaitPromise=True, returnByValue=True)["result"].get("value")
+
+    def wait(self, code: str, seconds: float = 60.0) -> Any:
+        """The value of a piece of script as soon as it is true."""
+        until = time.monotonic() + seconds
+        while not (value := self.value(code)):
+            assert time.monotonic() < until, f"{code} is never true; the page: {self.value('document.body.innerText')}"
+            time.sleep(0.05)
+        return value
+
+    def resize(self, width: int, height: int, *, is_phone: bool = False) -> None:
+        """Another size of the window, or of a screen that is touched."""
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1 + is_phone, mobile=is_phone)
+        self.call("Emulation.setTouchEmulationEnabled", enabled=is_phone)
+
+    def picture(self, path: Path) -> None:
+        """Write what it shows as PNG."""
+        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot")["data"]))

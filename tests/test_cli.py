@@ -39,7 +39,10 @@ VERBS = (
     "warm-up",
     "detect",
 )
-TWO_WORDS = ("calibrate refine", "calibrate wand", "calibrate board", "rig report", "rig plan")
+TWO_WORDS = (
+    *("calibrate refine", "calibrate wand", "calibrate board", "rig report", "rig plan"),
+    *("live cameras list", "live cameras set", "live cameras watch"),
+)
 MARKERS = "helen-hayes"
 
 

@@ -127,7 +127,7 @@ def _parts(words: list[str]) -> Iterator[list[str]]:
 
 def unknown_words(words: list[str]) -> list[str]:
     """The verbs and options of a command line that `asterism` does not have."""
-    command: Any = typer.main.get_command(command_line())
+    command: Any = typer.main.get_command(command_line(words))
     while hasattr(command, "commands") and words and not words[0].startswith("-"):
         if words[0] not in command.commands:
             return [words[0]]

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 
 import typer
 
-from asterism.cli import _console, _first_compile, body, calibrate, garment, rig
+from asterism.cli import _console, _first_compile, body, calibrate, garment, live_cameras, rig
 from asterism.cli._plain_values import PlainValuesCommand, PlainValuesGroup
 from asterism.cli._streams import StandardOutputError, guard_standard_streams
 from asterism.errors import AsterismError
@@ -92,6 +92,8 @@ _GROUPS: dict[str, tuple[str, Mapping[str, str]]] = {
     "rig": ("Show how exactly a rig measures; plan one.", rig.EXAMPLES),
 }
 """The first words of commands with two words: their help, and their commands."""
+_UNDER = {("live", "cameras"): ("List, set and watch cameras.", live_cameras.EXAMPLES)}
+"""The first two words of commands with three, where the first alone is a command, too: their help, and their commands."""
 
 
 def command_line(words: Sequence[str] = ()) -> typer.Typer:
@@ -113,6 +115,13 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
         epilog="Status on leaving: 0 all done, 1 some files failed (named on standard error), 2 nothing could be done, 130 interrupted.",
     )(_asterism)
     first, second = [*words[:2], "", ""][:2]
+    if (first, second) in _UNDER:
+        help_, verbs = _UNDER[first, second]
+        outer, group = typer.Typer(name=first, cls=PlainValuesGroup), typer.Typer(name=second, cls=PlainValuesGroup, help=help_)
+        _register(group, f"{__name__}.{first}_{second}", verbs, words[2] if len(words) > 2 else "")
+        outer.add_typer(group)
+        app.add_typer(outer)
+        return app
     # where the word is no command, all are needed for the help
     named = first in _EXAMPLES or first in _GROUPS
     if first not in _GROUPS:

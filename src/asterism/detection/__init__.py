@@ -2,6 +2,7 @@
 
 from asterism.detection.blobs import BlobSettings, Flag, ImageBlobs, find_blobs, static_mask
 from asterism.detection.camera_images import CameraImages
+from asterism.detection.running import RunningBlobs, RunningDetection
 from asterism.detection.sequences import Detection, DetectionSettings, detect
 from asterism.detection.static_lights import find_static_lights, without_static_lights
 from asterism.detection.thresholds import automatic_threshold
@@ -13,6 +14,8 @@ __all__ = [
     "DetectionSettings",
     "Flag",
     "ImageBlobs",
+    "RunningBlobs",
+    "RunningDetection",
     "automatic_threshold",
     "detect",
     "find_blobs",

@@ -153,7 +153,7 @@ def search_images(
         _check_alike(source, place, image, first)
     given = settings
     # One threshold for all images of a camera: blobs must not grow and shrink as its noise is estimated anew.
-    settings, threshold, peak = _common_thresholds([image for _, image in some], settings)
+    settings, threshold, peak = common_thresholds([image for _, image in some], settings)
     if mask_static:
         settings = replace(settings, mask=_static_mask(source, [image for _, image in some], settings))
     read = _read_all(source, first, settings, timed, advance)
@@ -216,7 +216,7 @@ def _read_all(source: Source, first: Grey, settings: BlobSettings, timed: bool, 
     return read
 
 
-def _common_thresholds(some: Sequence[Grey], settings: BlobSettings) -> tuple[BlobSettings, float, float]:
+def common_thresholds(some: Sequence[Grey], settings: BlobSettings) -> tuple[BlobSettings, float, float]:
     """Settings for all images of a camera, what blobs' pixels exceed, and what the brightest one does.
 
     Where no threshold is given, it is the median of the images' automatic ones, unless some image's dark would be above it, as where a

@@ -24,6 +24,17 @@ def as_grey(image: ArrayLike) -> Grey:
     return np.require(grey, grey.dtype.newbyteorder("="), ["C", "W"])
 
 
+def grey_of_colour(image: NDArray[Any]) -> Grey:
+    """An image as OpenCV gives it, (H, W), (H, W, 1) or (H, W, 3) BGR, as grey values. Raises AsterismError as `as_grey` does."""
+    if image.ndim == 3 and image.shape[2] == 1:
+        image = image[..., 0]
+    elif image.ndim == 3 and image.shape[2] == 3 and image.size and image.dtype in (np.uint8, np.uint16):
+        import cv2
+
+        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    return as_grey(image)
+
+
 def saturated_from(grey: Grey) -> int:
     """The end of the grey scale: where the brightest pixel has all of 9 to 15 bits set, a camera of as many bits wrote the image."""
     most, brightest = int(np.iinfo(grey.dtype).max), int(grey.max())

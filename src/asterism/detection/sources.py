@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.detection.claimed_sizes import check_claimed_chunks, check_claimed_size, claimed_size
-from asterism.detection.grey import Grey, as_grey
+from asterism.detection.grey import Grey, grey_of_colour
 from asterism.detection.image_files import refuse_unread
 from asterism.errors import AsterismError, guarded_reading
 
@@ -282,14 +282,8 @@ def _decoded(file: Path, content: NDArray[np.uint8], page: int = 0) -> NDArray[A
 
 
 def _grey(file: Path, image: NDArray[Any]) -> Grey:
-    import cv2
-
-    if image.ndim == 3 and image.shape[2] == 1:
-        image = image[..., 0]
-    elif image.ndim == 3 and image.shape[2] == 3:
-        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     try:
-        return as_grey(image)
+        return grey_of_colour(image)
     except AsterismError as problem:
         raise AsterismError(f"{file}: {problem}") from None
 

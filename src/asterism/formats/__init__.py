@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from asterism.formats._columns import wanted_columns
     from asterism.formats._computed import computed_labels, without_computed
     from asterism.formats._programs import PROGRAMS, for_program, write_for_program
-    from asterism.formats._units import unlike_a_person
+    from asterism.formats._units import metres_per_unit, unlike_a_person
     from asterism.formats._vertical import vertical_from_positions
     from asterism.formats.c3d.analog import AnalogChannel, analog_channels
     from asterism.formats.c3d.outputs import AnalysisValue, ModelPoint, write_model_outputs
@@ -58,6 +58,7 @@ __all__ = [
     "force_plates",
     "is_recording_file",
     "is_skeleton_file",
+    "metres_per_unit",
     "read",
     "read_blobs",
     "read_clouds",
@@ -84,7 +85,7 @@ _MODULE_OF = {
     "analog_channels": "c3d.analog",
     "force_plates": "c3d.plates",
     **dict.fromkeys(("AnalysisValue", "ModelPoint", "write_model_outputs"), "c3d.outputs"),
-    "unlike_a_person": "_units",
+    **dict.fromkeys(("metres_per_unit", "unlike_a_person"), "_units"),
     "vertical_from_positions": "_vertical",
     "wanted_columns": "_columns",
     **dict.fromkeys(("computed_labels", "without_computed"), "_computed"),

@@ -38,8 +38,8 @@ _FURTHEST_NEXT = 0.3
 _FEWEST = 8
 
 
-def metres_per_unit(path: Path, declared: str | None, raw: Floats, others: Sequence[str] = ()) -> tuple[float, str, list[Finding]]:
-    """Metres per unit of a file, that unit's name, and a finding where the unit is assumed.
+def metres_per_unit(path: Path | str, declared: str | None, raw: Floats, others: Sequence[str] = ()) -> tuple[float, str, list[Finding]]:
+    """Metres per unit of a file or a stream, that unit's name, and a finding where the unit is assumed.
 
     declared  what stands where the unit belongs, or None
     raw       (T, P, 3) positions in the file's unit

@@ -13,7 +13,6 @@ from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from asterism.files.atomic import utf8, write_atomically
 from asterism.formats.storage import TimeSeriesTable, write_table
@@ -87,6 +86,9 @@ def _smoothed(plate: ForcePlate, contacts: Sequence[slice], cut_off: float) -> t
 
     Butterworth's filter of third order, forwards and backwards. The centre of pressure is that of the filtered force and moment.
     """
+    # Loading scipy.signal takes half a second, which every command that reads files would wait for.
+    from scipy.signal import butter, sosfiltfilt
+
     inside = np.zeros(len(plate.force), dtype=bool)
     for contact in contacts:
         inside[contact] = True

@@ -158,9 +158,9 @@ def find_events(recording: Recording, plates: Sequence[ForcePlate] = (), rules: 
     if feet.backwards:
         # a heel that goes first strikes last: none of the rules holds
         return Walking((), feet, treadmill=False, backwards=True)
-    found = [event for side in feet.sides for event in _by_markers(feet, side, rules, belt=False)]
+    found = [event for side in feet.sides for event in events_by_markers(feet, side, rules, belt=False)]
     if _on_treadmill(feet, found):
-        found = [event for side in feet.sides for event in _by_markers(feet, side, rules, belt=True)]
+        found = [event for side in feet.sides for event in events_by_markers(feet, side, rules, belt=True)]
     last = float(feet.times[-1])
     # Of a foot on two plates the first load is its strike, and the last its off: each that comes later here replaces one before.
     for event in sorted(_by_plates(recording, feet, plates, rules), key=lambda one: -one.time if one.label == STRIKE else one.time):
@@ -176,7 +176,8 @@ def find_events(recording: Recording, plates: Sequence[ForcePlate] = (), rules: 
     return Walking((), feet, treadmill=True, backwards=True) if walking.treadmill and _stands_in_the_air(walking) else walking
 
 
-def _by_markers(feet: Feet, side: str, rules: EventRules, belt: bool) -> list[GaitEvent]:
+def events_by_markers(feet: Feet, side: str, rules: EventRules, belt: bool) -> list[GaitEvent]:
+    """All strikes, and then all offs, that the curves of one foot tell; belt: whether the floor moves. O(T)."""
     ahead = feet.forward(feet.heels[side])
     strikes, offs = (_turning_points(curve, feet, rules) for curve in (ahead, -feet.forward(feet.toes[side])))
     told = _told_on_belt(ahead, strikes, rules) if belt else _told_on_floor(feet, side, ahead, strikes, rules)

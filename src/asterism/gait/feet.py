@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from asterism.errors import NoGait
 from asterism.geometry import rotate_z_up
-from asterism.motion.clinical.landmark_body import with_plug_in_gait_names
+from asterism.motion.clinical.landmark_body import plug_in_gait_names
 from asterism.motion.filters import zero_lag_butterworth
 from asterism.recording import Floats, Recording, plain_name
 from asterism.recording.display import significant
@@ -70,41 +71,71 @@ class Feet:
         return tuple(self.heels)
 
 
+_SEEN = 10
+"""Frames: a marker that is seen in fewer tells no foot."""
+
+
+@dataclass(frozen=True)
+class FootColumns:
+    """Which columns are heels and toes by side, whose mean counts, and which are the pelvis'.
+
+    heels, toes  of the sides that have both; pelvis  any of them; ankles  see `Feet.ankles`
+    hidden       names that are there and not shown
+    """
+
+    heels: Mapping[str, list[int]]
+    toes: Mapping[str, list[int]]
+    pelvis: list[int]
+    ankles: frozenset[str]
+    hidden: tuple[str, ...]
+
+
+def foot_columns(labels: Sequence[str], shown: NDArray[np.bool_]) -> FootColumns:
+    """The feet by the names of all shipped sets; shown (M,) whether a column's marker is seen."""
+    names = [plain_name(label).upper() for label in labels]
+    # other spellings of the shipped sets
+    other = [label.upper() for label in plug_in_gait_names(tuple(labels))]
+    names = [new if new != old.upper() and new not in names else name for new, old, name in zip(other, labels, names, strict=True)]
+    hidden = dict[str, None]()
+
+    def column(name: str) -> int | None:
+        at = names.index(name) if name in names else None
+        if at is not None and not shown[at]:
+            hidden[name] = None
+            return None
+        return at
+
+    def first(side: str, choices: tuple[tuple[str, ...], ...]) -> list[int] | None:
+        found = ([at for name in choice if (at := column(side + name)) is not None] for choice in choices)
+        return next((own for own, choice in zip(found, choices, strict=True) if len(own) == len(choice)), None)
+
+    feet = {side: (heel, toe) for side in SIDES if (heel := first(side, HEEL)) is not None and (toe := first(side, TOE)) is not None}
+    pelvis = [at for name in PELVIS if (at := column(name)) is not None]
+    ankles = frozenset(side for side in feet if all(column(side + name) is None for (name,) in HEEL[:-1]))
+    heels, toes = ({side: pair[which] for side, pair in feet.items()} for which in (0, 1))
+    return FootColumns(heels, toes, pelvis, ankles, tuple(hidden))
+
+
+def markers_of_feet(labels: Sequence[str]) -> dict[str, list[int]]:
+    """By side "L" and "R", the columns of all markers of a foot that `foot_columns` knows."""
+    names = [name.upper() for name in plug_in_gait_names(tuple(plain_name(label) for label in labels))]
+    known = {name for choices in (HEEL, TOE) for choice in choices for name in choice}
+    return {side: [at for at, name in enumerate(names) if name[:1] == side and name[1:] in known] for side in SIDES}
+
+
 def feet_of(recording: Recording) -> Feet:
     """The feet of a recording. Gaps are bridged; frames before the first sample of a marker repeat it. O(T).
 
     Raises NoGait where no foot has a marker of heel or ankle and one of the toes, or no marker of the pelvis is there.
     """
     positions = rotate_z_up(recording.positions, recording.vertical)
-    names = [plain_name(label).upper() for label in recording.labels]
-    # other spellings of the shipped sets
-    other = [label.upper() for label in with_plug_in_gait_names(recording).labels]
-    names = [
-        new if new != old.upper() and new not in names else name for new, old, name in zip(other, recording.labels, names, strict=True)
-    ]
-    hidden = list[str]()
-
-    def curve(name: str) -> Floats | None:
-        own = positions[:, names.index(name)] if name in names else None
-        if own is not None and np.isfinite(own).all(axis=1).sum() <= 10:
-            hidden.append(name)
-            return None
-        return own
-
-    def first(side: str, choices: tuple[tuple[str, ...], ...]) -> Floats | None:
-        for choice in choices:
-            curves = [found for name in choice if (found := curve(side + name)) is not None]
-            if len(curves) == len(choice):
-                return np.asarray(np.mean(curves, axis=0))
-        return None
-
-    feet = {side: (heel, toe) for side in SIDES if (heel := first(side, HEEL)) is not None and (toe := first(side, TOE)) is not None}
-    hips = [found for name in PELVIS if (found := curve(name)) is not None]
+    columns = foot_columns(recording.labels, np.isfinite(positions[:, :, 0]).sum(axis=0) > _SEEN)
+    hidden = columns.hidden
+    feet = {side: (positions[:, columns.heels[side]].mean(axis=1), positions[:, columns.toes[side]].mean(axis=1)) for side in columns.heels}
+    hips = [positions[:, column] for column in columns.pelvis]
     file = recording.metadata.get("file", "the recording")
     if hidden and not (feet and hips):
-        raise NoGait(
-            f"{file} shows {', '.join(dict.fromkeys(hidden))} in ten frames or fewer; gait events need a longer recording of them."
-        )
+        raise NoGait(f"{file} shows {', '.join(hidden)} in ten frames or fewer; gait events need a longer recording of them.")
     if not feet:
         raise NoGait(
             f"{file} has no foot with a marker of heel or ankle and one of the toes (such as LHEE and LTOE); gait events need them."
@@ -124,9 +155,8 @@ def feet_of(recording: Recording) -> Feet:
     ahead = _unit(zero_lag_butterworth(_unit(pointing), RATE, TURNING))
     heels, toes = ({side: pair[which] for side, pair in smooth.items()} for which in (0, 1))
     floor = min(float(np.percentile(heel[:, 2], 5)) for heel in heels.values())
-    ankles = frozenset(side for side in feet if all(curve(side + name) is None for (name,) in HEEL[:-1]))
     noise = {side: _noise(*pair, recording.rate) for side, pair in feet.items()}
-    return Feet(times, heels, toes, pelvis, ahead, float(np.median(pelvis[:, 2])) - floor, noise, ankles)
+    return Feet(times, heels, toes, pelvis, ahead, float(np.median(pelvis[:, 2])) - floor, noise, columns.ankles)
 
 
 def _noise(heel: Floats, toe: Floats, rate: float) -> tuple[float, float]:

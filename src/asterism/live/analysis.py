@@ -9,12 +9,15 @@ from typing import Protocol
 from asterism.live.chain import LabelledFrame
 from asterism.live.cues import Cue
 
+EVENTS = ("heel strike", "toe off")
+"""Kinds of events."""
+
 
 @dataclass(frozen=True)
 class LiveEvent:
     """Something that happened at one instant, told while the session goes on.
 
-    kind   "heel strike" or "toe off"
+    kind   one of EVENTS
     side   "left" or "right"
     time   s on the source's clock, when it happened
     delay  s on the source's clock from then to the frame at which it is told

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
+import numpy as np
+
 _WINDOW = 10.0
 """s over which the fastest frame stands for the way without waiting. Half of it calls a slow second the usual one; twice as long hides that
 clocks drift by a millisecond a minute."""
@@ -105,3 +107,117 @@ class FrameCount:
         self._last = number
         self.received += 1
         return True
+
+
+_STEPS = 128
+"""Latest steps between two time stamps, by which their spread is known. Half of them know it badly; twice as many adapt late."""
+_TIMING = 0.02
+"""Share by which the true rate may differ from the nominal one: 59.94 is called 60. Half of it does as well; with twice as much a sender
+that loses one frame in thirty seems to be a slower one."""
+_FORGET = 0.02
+"""Share of the clock's lead over the numbers that is forgotten with each frame: the difference of two quartz clocks then adds up to a
+twentieth of one. With half of it to a tenth; with twice as much two losses in a second do not add up."""
+
+
+@dataclass
+class SampleNumbers:
+    """Numbers for the samples of a source that has time stamps and no numbers, so that lost ones leave a gap.
+
+    rate    frames per second that the source says it has
+    jumps   times that its clock was set
+
+    A frame has the next number, unless its time stamp is later than the spread of the time stamps explains. So a sender that stamps badly
+    has few gaps, and one that stamps well has one for each frame that is lost. O(1) a frame, bounded memory.
+
+    >>> numbers = SampleNumbers(100.0)
+    >>> [numbers.next(time, time) for time in (5.0, 5.01, 5.021, 5.05, 5.06)]
+    [0, 1, 2, 5, 6]
+    """
+
+    rate: float
+    jumps: int = 0
+    _steps: deque[float] = field(default_factory=lambda: deque(maxlen=_STEPS))
+    _last: tuple[float, float] | None = None
+    _number: int = 0
+    _due: float = 0.0
+    """the number by the time alone"""
+    _period: float = float("nan")
+    _spread: float = 0.1
+    """standard deviation of a time stamp, in frames"""
+    _since: int = 0
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of a time stamp, in frames; beyond a sixth the loss of a single frame is not seen at once."""
+        return self._spread
+
+    @property
+    def measured_rate(self) -> float:
+        """Frames per second, by the median of the latest steps; NaN before there are enough."""
+        middle = float(np.median(self._steps)) if len(self._steps) == _STEPS else float("nan")
+        return 1.0 / middle if middle > 0 else float("nan")
+
+    @property
+    def is_off(self) -> bool:
+        """Whether the source sends at another rate than it says, which makes gaps where nothing was lost."""
+        return abs(self.measured_rate / self.rate - 1.0) > _TIMING
+
+    def next(self, time: float, arrived: float) -> int:
+        """The number of the next frame. time: its stamp, s; arrived: s on this machine's clock."""
+        if self._last is None:
+            self._last, self._period = (time, arrived), 1.0 / self.rate
+            return 0
+        step, waited = time - self._last[0], arrived - self._last[1]
+        self._last = (time, arrived)
+        self._number += 1
+        # A frame cannot be seconds older than the last one, nor come sooner after it than they were taken.
+        if step < -_JUMP or step - waited > _JUMP + _pause(waited):
+            self.jumps += 1
+            self._due = self._number
+            return self._number
+        self._learn(step)
+        self._due += step / self._period
+        if (ahead := self._due - self._number) > 0.5 + 3.0 * self._spread:
+            self._number += round(ahead)
+        # Stamps that come too soon take nothing back, and leave no debt that hides the next loss.
+        self._due = max(self._due, self._number - 0.5 - 3.0 * self._spread)
+        self._due += _FORGET * (self._number - self._due)
+        return self._number
+
+    def _learn(self, step: float) -> None:
+        self._steps.append(step)
+        self._since += 1
+        if self._since % (_STEPS // 4):
+            return
+        steps = np.array(self._steps)
+        middle = float(np.median(steps))
+        self._period = middle if abs(middle * self.rate - 1.0) < _TIMING else 1.0 / self.rate
+        # Nine in ten steps of a normal distribution are within 1.645 standard deviations; a step has the errors of two stamps.
+        self._spread = float(np.quantile(np.abs(steps / self._period - 1.0), 0.9)) / (1.645 * 2**0.5)
+
+
+@dataclass
+class StreamTimes:
+    """The times of frames, also of a sender whose timestamps do not move: by number and rate, or by arrival where there is no rate.
+
+    >>> times = StreamTimes(rate=100.0)
+    >>> [times.of(number, 0.0, 5.0 + 0.01 * number) for number in (7, 8, 10)], times.made
+    ([0.0, 0.01, 0.03], True)
+    """
+
+    rate: float
+    made: bool = False
+    """Whether times had to be made."""
+    _first: tuple[int, float, float] | None = None
+    _moves: bool = False
+
+    def of(self, number: int, time: float, arrived: float) -> float:
+        """s of the frame, of which the sender said `time`."""
+        if self._first is None:
+            self._first = (number, time, arrived)
+        first_number, first_time, first_arrived = self._first
+        if number == first_number or self._moves or time != first_time:
+            self._moves = self._moves or time != first_time
+            return time
+        self.made = True
+        return first_time + ((number - first_number) / self.rate if self.rate > 0 else arrived - first_arrived)

@@ -40,6 +40,9 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
     if not health.frames:
         mend = "Look whether it sends, to this address and port, and whether a firewall is between."
         found.append(Finding("live-silent", _ERROR, where, f"{where}: no frame came.", mend))
+    if health.before:
+        sentence = f"{where}: {health.before} frames came while the labelling was made, and are no part of the session."
+        found.append(Finding("live-before", _NOTE, where, sentence, "Begin the movement when the first labels are there."))
     if health.lost:
         share = significant(100 * health.lost / (health.lost + health.frames), 2)
         sentence = f"{where}: {health.lost} frames never arrived ({share} %)."
@@ -65,3 +68,22 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         sentence = recorder.problem or f"{recorder.path}: {recorder.lost} frames were not recorded, since the disk was busy."
         found.append(Finding("live-not-recorded", _ERROR, where, sentence, "Make space, or record to another disk."))
     return found
+
+
+def axis_unknown(where: str, believed: str) -> Finding:
+    """A source that does not say what is up."""
+    sentence = f"{where}: it does not say which axis points up; {believed} is believed to."
+    return Finding("live-axis-unknown", _NOTE, where, sentence, "Say it with --vertical where it is another one.")
+
+
+def labels_given(where: str) -> Finding:
+    """A source whose points have labels already."""
+    return Finding(
+        "live-labels-given", _NOTE, where, f"{where}: it gives labels itself, which are passed over.", "Nothing needs to be done."
+    )
+
+
+def times_made(where: str) -> Finding:
+    """A source without times."""
+    sentence = f"{where}: its frames have no times; they are taken from the frame numbers and the rate, or from their arrival."
+    return Finding("live-no-times", _NOTE, where, sentence, "Give the rate with --rate where it is not told.")

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+from scipy.spatial import cKDTree
+
+from asterism.live.analog import AnalogSamples
 from asterism.recording import Floats
 
 MOST_POINTS = 2000
@@ -13,6 +17,27 @@ as many would hold the next frames back."""
 FARTHEST = 1000.0
 """m from the origin beyond which a coordinate is no laboratory's, but a damaged number. Half and double do as well: halls are smaller, and
 what is meant is what overflows when it is squared."""
+_SAME = 1e-5
+"""m within which points of two lists of one frame are one point: both are the same float. Half and double do as well, since markers are a
+millimetre apart at least."""
+
+
+class DamagedPacket(Exception):
+    """A packet ends before what it announces."""
+
+
+def believable(points: Floats) -> Floats:
+    """(n, 3) m, those that are finite and in the hall."""
+    with np.errstate(invalid="ignore"):
+        return points[(np.abs(points) < FARTHEST).all(axis=1)]
+
+
+def joined(first: Floats, second: Floats) -> Floats:
+    """(n, 3) m, points of two lists that may tell the same ones twice, each once. All are finite."""
+    if not len(first) or not len(second):
+        return second if len(second) else first
+    apart, _ = cKDTree(first).query(second, p=np.inf)
+    return np.concatenate([first, second[apart > _SAME]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +49,7 @@ class LiveFrame:
     arrived  s on this machine's `time.monotonic`, when the frame was complete
     points   (n, 3) m in the source's axes, all finite
     names    (n,) labels that the source gave, "" for none; () where it gives none at all
+    analog   what force plates, EMG and the like measured since the frame before
     """
 
     number: int
@@ -31,6 +57,7 @@ class LiveFrame:
     arrived: float
     points: Floats
     names: tuple[str, ...] = ()
+    analog: tuple[AnalogSamples, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -67,3 +94,11 @@ class LiveSource(Protocol):
 
     def close(self) -> None:
         """Let go of the network or the file."""
+
+
+@runtime_checkable
+class OfCameras(Protocol):
+    """A source of frames that are made of what several cameras see."""
+
+    def camera_numbers(self) -> list[dict[str, Any]]:
+        """How each camera does, as plain values; None for what is not known."""

@@ -1,204 +1,45 @@
-"""OptiTrack Motive's stream (NatNet 2.5 to 4.x): packets in; the points of each frame out.
+"""The address of OptiTrack Motive in; its frames (NatNet), and what is known of it, out.
 
-The layout is that of the vendor's public depacketizing examples. The package `natnet` was tried first: a damaged packet makes it ask for
-gigabytes, and it reads nothing before the server has answered.
+The package `natnet` was tried first: a damaged packet makes it ask for gigabytes, it reads nothing before the server has answered, believes
+whatever version the server says, and knows no latency, which versions before 3 send.
 """
 
 from __future__ import annotations
 
+import errno
+import ipaddress
+import select
 import socket
 import struct
 import time
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
+from asterism.live.clock import StreamTimes
 from asterism.live.datagrams import LARGEST, HostPort
-from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
-from asterism.recording import Floats
+from asterism.live.found import axis_unknown, labels_given, times_made
+from asterism.live.frames import LiveFrame, SourceAbout
+from asterism.live.natnet_packets import FRAME, NatNetFrames, NatNetServer, server_of_packet
 
 COMMANDS = 1510
 """The port at which Motive takes commands unless its settings say otherwise."""
-_CONNECT, _SERVER_INFO, _FRAME, _KEEP_ALIVE = 0, 1, 7, 10
+_CONNECT, _REQUEST, _RESPONSE, _KEEP_ALIVE, _UNKNOWN = 0, 2, 3, 10, 100
 _PATIENCE = 3.0
 """s until a server that does not answer is given up: three questions. Half of it loses to a busy Windows; twice as much is a wait."""
+_ANSWER = 0.25
+"""s for the answer to a question that need not be answered: a hundred times what a network takes. Half and double do as well."""
 _ALIVE = 1.0
 """s between two signs of life; a server that sends to one client alone stops after some seconds without."""
-_SAME = 1e-5
-"""m within which a labelled marker and one of the older list are the same: both are the same float."""
-_LATEST = (4, 4)
-"""A newer version is read as this one, since newer ones say how long their parts are."""
-
-
-class _Damaged(Exception):
-    """A packet ends before what it announces."""
-
-
-class _Packet:
-    """Reads a packet from the front; never beyond its end, and never more elements than it has bytes for."""
-
-    def __init__(self, data: bytes, at: int = 0) -> None:
-        self.data, self.at = data, at
-
-    def take(self, layout: str) -> tuple[float, ...]:
-        size = struct.calcsize(layout)
-        if self.at + size > len(self.data):
-            raise _Damaged
-        values = struct.unpack_from(layout, self.data, self.at)
-        self.at += size
-        return values
-
-    def count(self, least: int) -> int:
-        """A number of elements of at least so many bytes."""
-        count = int(self.take("<i")[0])
-        if count < 0 or count * least > len(self.data) - self.at:
-            raise _Damaged
-        return count
-
-    def skip(self, size: int) -> None:
-        if size < 0 or self.at + size > len(self.data):
-            raise _Damaged
-        self.at += size
-
-    def name(self) -> str:
-        """A text that ends with a zero."""
-        end = self.data.find(b"\0", self.at, self.at + 256)
-        if end < 0:
-            raise _Damaged
-        text = self.data[self.at : end].decode("utf-8", "replace")
-        self.at = end + 1
-        return text
-
-    def records(self, count: int, size: int) -> np.ndarray:
-        """(count, size) bytes."""
-        if count * size > len(self.data) - self.at:
-            raise _Damaged
-        found = np.frombuffer(self.data, dtype=np.uint8, count=count * size, offset=self.at).reshape(count, size)
-        self.at += count * size
-        return found
-
-
-@dataclass(frozen=True)
-class NatNetServer:
-    """Who answers: the program and its version, the version of its stream, and to which group it sends, "" where to each client alone."""
-
-    name: str
-    program: tuple[int, ...]
-    stream: tuple[int, int]
-    group: str = ""
-    port: int = 1511
-
-
-def server_of_packet(data: bytes) -> NatNetServer | None:
-    """The server that an answer to a greeting names; None where the packet is none."""
-    try:
-        packet = _Packet(data)
-        kind, size = packet.take("<HH")
-        if kind != _SERVER_INFO or size > len(data) - 4:
-            return None
-        name = bytes(packet.records(1, 256)[0]).partition(b"\0")[0].decode("utf-8", "replace")
-        program, stream = packet.take("<4B"), packet.take("<4B")
-    except _Damaged:
-        return None
-    group, port = "", 1511
-    try:
-        # Since version 3: the clock's frequency, and where frames are sent.
-        _, port_said, is_group, *address = packet.take("<QHB4B")
-        group, port = (".".join(str(int(part)) for part in address) if is_group else ""), int(port_said) or port
-    except _Damaged:
-        group = "239.255.42.99"
-    return NatNetServer(name, tuple(int(part) for part in program), (int(stream[0]), int(stream[1])), group, port)
-
-
-def frame_of_packet(data: bytes, version: tuple[int, int], arrived: float) -> LiveFrame | None:
-    """The frame in a packet; None where the packet is of another kind, or damaged. Never raises.
-
-    version  of the stream, as the server says it
-    Points are all markers that cameras saw. A hidden marker has a place, too, which Motive fills in by its own model: it is left out.
-    """
-    try:
-        packet = _Packet(data)
-        kind, size = packet.take("<HH")
-        if kind != _FRAME or size > len(data) - 4:
-            return None
-        return _frame(packet, version, arrived)
-    except _Damaged:
-        return None
-
-
-def _frame(packet: _Packet, version: tuple[int, int], arrived: float) -> LiveFrame | None:
-    number = int(packet.take("<i")[0])
-    for _ in range(_part(packet, version, 5)):
-        packet.name()
-        packet.records(packet.count(12), 12)
-    others = packet.records(_part(packet, version, 12), 12).copy().view("<f4").reshape(-1, 3)
-    _pass_over_bodies(packet, version)
-    seen = _seen_markers(packet, version)
-    # Force plates since 2.9, devices since 2.11: a number, and channels with their samples.
-    for _ in range((version >= (2, 9)) + (version >= (2, 11))):
-        for _ in range(_part(packet, version, 8)):
-            packet.take("<i")
-            for _ in range(packet.count(4)):
-                packet.records(packet.count(4), 4)
-    packet.take("<II")
-    at = float(packet.take("<d" if version >= (2, 7) else "<f")[0])
-    # Numbers of a damaged packet may be none, and to convert them is then told as a warning.
-    with np.errstate(invalid="ignore"):
-        points = _together(seen.astype(np.float64), others.astype(np.float64))
-    return LiveFrame(number, at, arrived, points) if np.isfinite(at) and len(points) <= MOST_POINTS else None
-
-
-def _part(packet: _Packet, version: tuple[int, int], least: int) -> int:
-    """How many elements the next part has, of at least so many bytes each."""
-    count = packet.count(least)
-    # Newer versions say the size of the part behind it.
-    if version >= (4, 1):
-        packet.take("<i")
-    return count
-
-
-def _pass_over_bodies(packet: _Packet, version: tuple[int, int]) -> None:
-    """Rigid bodies, skeletons and, since 4.1, assets: nothing of them is a point that a camera saw."""
-    for _ in range(_part(packet, version, 32)):
-        _rigid_body(packet, version)
-    if version > (2, 0):
-        for _ in range(_part(packet, version, 8)):
-            packet.take("<i")
-            for _ in range(packet.count(32)):
-                _rigid_body(packet, version)
-    if version >= (4, 1):
-        # A number, rigid bodies of 38 bytes, markers of 26.
-        for _ in range(_part(packet, version, 12)):
-            packet.take("<i")
-            packet.records(packet.count(38), 38)
-            packet.records(packet.count(26), 26)
-
-
-def _seen_markers(packet: _Packet, version: tuple[int, int]) -> np.ndarray:
-    """(n, 3) m, markers that are not hidden, of the list that versions since 2.3 have."""
-    if version < (2, 3):
-        return np.empty((0, 3))
-    size = 20 + (2 if version >= (2, 6) else 0) + (4 if version >= (3, 0) else 0)
-    markers = packet.records(_part(packet, version, size), size)
-    places = markers[:, 4:16].copy().view("<f4").reshape(-1, 3)
-    return places[markers[:, 20] & 1 == 0] if version >= (2, 6) else places
-
-
-def _rigid_body(packet: _Packet, version: tuple[int, int]) -> None:
-    packet.skip(32)
-    if version < (3, 0):
-        # Its markers: places, numbers and sizes.
-        packet.records(packet.count(20), 20)
-    packet.skip(4 + (2 if version >= (2, 6) else 0))
-
-
-def _together(seen: Floats, others: Floats) -> Floats:
-    """Points of both lists, each once: versions since 3 tell in one what earlier ones told in two."""
-    known = np.isfinite(others).all(axis=1) & (np.abs(others) < FARTHEST).all(axis=1)
-    seen, others = seen[(np.isfinite(seen) & (np.abs(seen) < FARTHEST)).all(axis=1)], others[known]
-    new = np.array([not len(seen) or np.abs(seen - other).max(axis=1).min() > _SAME for other in others], dtype=bool)
-    return np.concatenate([seen, others[new]]) if len(others) else seen
+_SILENT = 2.0
+"""s without a frame after which the server is greeted again, each second: one that was started again does not know its clients. Half of it
+greets in a pause; with twice as much four seconds are lost."""
+_EARLY = 400
+"""Frames that are kept while questions are asked: 0.75 s at 500 Hz. The oldest are left out, and counted as lost by their numbers."""
 
 
 class NatNet:
@@ -206,77 +47,179 @@ class NatNet:
 
     place  of the machine on which Motive runs, and its port for commands
     local  address of this machine in that network; "" for whichever leads there
-    rate   frames per second; Motive's stream does not say it
+    rate   frames per second; NaN for what Motive says
 
-    Motive's axes: y up, unless its settings say z. Raises AsterismError where nobody answers, or a port is taken.
+    Rate, unit and the axis that points up are asked for. Where Motive does not answer that, it is m and y up. A server that is silent is
+    greeted again. Frames of other servers in the same group are counted, and not used. Raises AsterismError where nobody answers, or a port
+    is taken.
     """
 
     def __init__(self, place: HostPort, local: str = "", rate: float = float("nan")) -> None:
-        self.damaged = 0
-        self._place = place
+        self.damaged, self.others, self._again, self._known = 0, 0, 0, set[str]()
+        self._place, self._local, self._sender = place, local, ""
+        self._early = deque[tuple[bytes, float]](maxlen=_EARLY)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
         self._sockets = [self._socket]
         try:
             self._socket.bind((local, 0))
             self.server = self._greeted()
-            if self.server.group:
-                self._sockets.append(_in_group(self.server.group, self.server.port, local))
+            self._join()
+            told, scale, axis = (self._asked(question, layout) for question, layout in _QUESTIONS)
         except OSError as problem:
             self.close()
             raise AsterismError(f"{place.host}: cannot be reached ({problem}); look at the address and the network.") from problem
         except AsterismError:
             self.close()
             raise
+        self._scale = 1e-3 * scale if scale is not None and 1e-3 < scale < 1e5 else 1.0
+        self._unit_told, up = scale is not None, int(axis) if axis in (0, 1, 2) else None
+        self._axis_told = up is not None
+        if not rate > 0 and told is not None and 1 <= told <= 1e4:
+            rate = float(told)
         program = ".".join(str(part) for part in self.server.program[:2])
-        self.about = SourceAbout(f"{self.server.name} {program} at {place.host}", rate, np.array([0.0, 1.0, 0.0]))
-        self._said = time.monotonic()
+        self.about = SourceAbout(f"{self.server.name} {program} at {place.host}", rate, np.eye(3)[1 if up is None else up])
+        self._frames, self._times = NatNetFrames(self.server.stream, self._scale), StreamTimes(rate)
+        self._said = self._heard = time.monotonic()
 
     def _greeted(self) -> NatNetServer:
         until = time.monotonic() + _PATIENCE
         while time.monotonic() < until:
             self._say(_CONNECT, b"Ping\0")
-            self._socket.settimeout(min(1.0, _PATIENCE / 3))
-            try:
-                data = self._socket.recv(LARGEST)
-            except TimeoutError:
-                continue
-            except ConnectionError:
-                time.sleep(0.2)
-                continue
-            server = server_of_packet(data)
-            if server is not None:
-                return server
+            for data, sender in self._answers(min(1.0, _PATIENCE / 3)):
+                server = server_of_packet(data)
+                if server is not None:
+                    self._sender = sender
+                    return server
         raise AsterismError(
             f"nobody answers at {self._place.host}, port {self._place.port}; in Motive switch on streaming (Settings, Streaming), with the "
             "network interface that leads here, and let a firewall pass its ports 1510 and 1511."
         )
+
+    def _answers(self, seconds: float) -> Iterator[tuple[bytes, str]]:
+        """Packets to the port of commands, each with who sent it, until so many seconds have passed; frames are kept for later."""
+        until = time.monotonic() + seconds
+        while (left := until - time.monotonic()) > 0:
+            self._socket.settimeout(left)
+            try:
+                data, (sender, *_) = self._socket.recvfrom(LARGEST)
+            except TimeoutError:
+                return
+            except ConnectionError:
+                # The system was told that nobody has this port; it may come.
+                time.sleep(min(left, 0.2))
+                continue
+            if data[:2] == struct.pack("<H", FRAME):
+                self._early.append((data, time.monotonic()))
+            yield data, sender
+
+    def _asked(self, question: bytes, layout: str) -> float | None:
+        """The answer to a question, a number; None where there is none."""
+        self._say(_REQUEST, question + b"\0")
+        for data, _ in self._answers(_ANSWER):
+            kind = struct.unpack_from("<H", data)[0] if len(data) >= 4 else None
+            if kind == _UNKNOWN:
+                return None
+            if kind == _RESPONSE and len(data) == 4 + struct.calcsize(layout):
+                return float(struct.unpack_from(layout, data, 4)[0])
+        return None
+
+    def _join(self) -> None:
+        """Listen to the group to which the server sends, where it does."""
+        for each in self._sockets[1:]:
+            each.close()
+        self._sockets = [self._socket]
+        if not self.server.group:
+            return
+        try:
+            self._sockets.append(_in_group(self.server.group, self.server.port, self._local or _own_address(self._sender)))
+        except OSError as problem:
+            if problem.errno == errno.EADDRINUSE:
+                raise AsterismError(
+                    f"port {self.server.port} of this machine, to which Motive sends, is taken by another program; close that, or have "
+                    "Motive send to another port (Settings, Streaming)."
+                ) from problem
+            # Where it may send to each client alone, nothing is lost yet.
+            if self.server.group_told:
+                raise
 
     def _say(self, kind: int, text: bytes) -> None:
         self._socket.sendto(struct.pack("<HH", kind, len(text)) + text, (self._place.host, self._place.port))
 
     def read(self, timeout: float) -> LiveFrame | None:
         """The next frame that is whole."""
-        import select
-
         until = time.monotonic() + timeout
         while (left := until - time.monotonic()) > 0:
-            if not self.server.group and time.monotonic() - self._said > _ALIVE:
-                self._said = time.monotonic()
-                self._say(_KEEP_ALIVE, b"\0")
             try:
-                ready, _, _ = select.select(self._sockets, [], [], left)
-                data = ready[0].recv(LARGEST) if ready else b""
+                data, arrived = self._early.popleft() if self._early else self._received(left)
             except (OSError, ValueError):
                 # closed meanwhile
                 return None
-            if not data:
+            if data[:2] != struct.pack("<H", FRAME):
                 continue
-            frame = frame_of_packet(data, min(self.server.stream, _LATEST), time.monotonic())
-            if frame is not None:
-                return frame
-            if data[:2] == struct.pack("<H", _FRAME):
+            frame = self._frames.frame(data, arrived)
+            if frame is None:
                 self.damaged += 1
+                continue
+            at = self._times.of(frame.number, frame.time, arrived)
+            return replace(frame, time=at)
         return None
+
+    def _received(self, left: float) -> tuple[bytes, float]:
+        """The next packet of this server, and when it came; b"" for none."""
+        now = time.monotonic()
+        silent = now - self._heard > _SILENT
+        if now - self._said > _ALIVE and (silent or not self.server.group or not self.server.group_told):
+            self._said = now
+            self._say(_CONNECT if silent else _KEEP_ALIVE, b"Ping\0" if silent else b"\0")
+        ready, _, _ = select.select(self._sockets, [], [], min(left, _ALIVE))
+        if not ready:
+            return b"", now
+        data, (sender, *_) = ready[0].recvfrom(LARGEST)
+        arrived = time.monotonic()
+        server = server_of_packet(data)
+        if server is not None and sender == self._sender and silent and server != self.server:
+            # It was started again, and with other settings.
+            self.server = server
+            self._frames = NatNetFrames(server.stream, self._scale)
+            self._join()
+        if data[:2] != struct.pack("<H", FRAME):
+            return b"", arrived
+        if sender != self._sender:
+            # Who answers and who sends may be two network interfaces of one machine, so that another is taken where this one is silent.
+            if not silent or sender in self._known:
+                self.others += 1
+                self._known.add(sender)
+                return b"", arrived
+            self._sender = sender
+        if silent:
+            self._again += 1
+        self._heard = arrived
+        return data, arrived
+
+    def findings(self) -> list[Finding]:
+        """What a person should know of it so far."""
+        name, found = self.about.name, list[Finding]()
+        if (version := self._frames.contradiction) and self._frames.used is not None:
+            mend = "Look whether all markers are there; update Asterism, or choose another bitstream version in Motive."
+            found.append(Finding("live-version", Severity.WARNING, name, f"{name}: {version}.", mend))
+        if not self._unit_told:
+            sentence = f"{name}: it does not say its unit; metres are believed."
+            found.append(Finding("live-unit-unknown", Severity.NOTE, name, sentence, "Look at the size of the body on the page."))
+        if not self._axis_told:
+            found.append(axis_unknown(name, "y"))
+        if self._frames.labelled:
+            found.append(labels_given(name))
+        if self._times.made:
+            found.append(times_made(name))
+        if self._again:
+            sentence = f"{name}: it was silent, and then came again ({self._again} times)."
+            found.append(Finding("live-reconnected", Severity.WARNING, name, sentence, "Look at the cable, and whether Motive was closed."))
+        if self.others:
+            sentence = f"{name}: {self.others} frames of {len(self._known)} other servers in the same group were not used."
+            mend = "Give each Motive a multicast address of its own (Settings, Streaming)."
+            found.append(Finding("live-other-server", Severity.WARNING, name, sentence, mend))
+        return found
 
     def close(self) -> None:
         """Stop listening."""
@@ -284,16 +227,37 @@ class NatNet:
             each.close()
 
 
+_QUESTIONS = ((b"FrameRate", "<f"), (b"UnitsToMillimeters", "<f"), (b"UpAxis", "<i"))
+"""What Motive is asked, and the number that it answers."""
+
+
+def _own_address(other: str) -> str:
+    """The address of this machine in the network that leads to another; "" where none does."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as way:
+        try:
+            way.connect((other, COMMANDS))
+            return str(way.getsockname()[0])
+        except OSError:
+            return ""
+
+
 def _in_group(group: str, port: int, local: str) -> socket.socket:
-    """A socket that gets what is sent to a group of machines."""
+    """A socket that gets what is sent to a group of machines, or to all of them."""
     listening = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-    # Windows binds to no group.
     try:
-        listening.bind((group, port))
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+        if not ipaddress.ip_address(group).is_multicast:
+            listening.bind(("", port))
+            return listening
+        # Windows binds to no group.
+        try:
+            listening.bind((group, port))
+        except OSError:
+            listening.bind(("", port))
+        own = socket.inet_aton(local) if local else struct.pack("=I", socket.INADDR_ANY)
+        listening.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + own)
     except OSError:
-        listening.bind(("", port))
-    own = socket.inet_aton(local) if local else struct.pack("=I", socket.INADDR_ANY)
-    listening.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + own)
+        listening.close()
+        raise
     return listening

@@ -10,8 +10,8 @@ from asterism.live.outputs import ToDatagrams
 from asterism.live.running import LiveOutput
 from asterism.live.sources import host_port
 
-OUTPUTS = ("udp", "ws", "wss", "ws-listen", "osc")
-"""How labelled frames are sent, by the first word of an address: JSON, one frame a datagram, or over WebSocket; Open Sound Control."""
+OUTPUTS = ("udp", "ws", "wss", "ws-listen", "osc", "lsl", "natnet")
+"""How labelled frames are sent, by the first word of an address: JSON in datagrams or over WebSocket; OSC; LSL; as Motive does it."""
 
 
 def open_outputs(addresses: Sequence[str], about: SourceAbout) -> list[LiveOutput]:
@@ -40,6 +40,14 @@ def open_output(address: str, about: SourceAbout) -> LiveOutput:
         from asterism.live.osc import ToOsc
 
         return ToOsc(host_port(address, "osc://127.0.0.1:9000"))
+    if scheme == "lsl":
+        from asterism.live.lsl_outlet import ToLsl
+
+        return ToLsl(address, about.rate)
+    if scheme == "natnet":
+        from asterism.live.natnet_server import ToNatNet
+
+        return ToNatNet(address, about)
     if scheme in ("ws", "wss", "ws-listen"):
         from asterism.live.websocket import ToWebSocket, websocket_place
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from urllib.parse import parse_qsl, urlsplit
 
 from asterism.errors import AsterismError
+from asterism.live.camera_frames import BlobSource
 from asterism.live.datagrams import HostPort, JsonDatagrams
 from asterism.live.frames import LiveSource
 from asterism.live.natnet import COMMANDS, NatNet
+from asterism.live.packages import packages_for
 
-ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet")
-"""What can be a source, by the first word of its address: frames as JSON, one a datagram, or over WebSocket; OptiTrack Motive."""
+ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet", "qtm", "vicon", "lsl")
+"""What can be a source, by the first word of its address: frames as JSON in datagrams or over WebSocket; Motive; QTM; Vicon; LSL."""
 
 
 def host_port(address: str, example: str, port_else: int | None = None) -> HostPort:
@@ -41,8 +44,41 @@ def open_source(address: str, rate: float = float("nan")) -> LiveSource:
         parts = urlsplit(address)
         local = dict(parse_qsl(parts.query)).get("local", "")
         return NatNet(host_port(address, "natnet://192.168.1.5", COMMANDS), local, rate)
+    if scheme == "lsl":
+        from asterism.live.lsl_source import FromLsl
+
+        return FromLsl(address, rate)
+    if scheme == "qtm":
+        with packages_for("qtm://"):
+            from asterism.live.qtm import PORT, Qtm
+        return Qtm(host_port(address, "qtm://192.168.1.5", PORT), rate)
+    if scheme == "vicon":
+        from asterism.live.vicon import PORT as DATASTREAM
+        from asterism.live.vicon import Vicon
+
+        return Vicon(host_port(address, "vicon://192.168.1.5", DATASTREAM), rate)
     if scheme in ("ws", "wss", "ws-listen"):
         from asterism.live.websocket import FromWebSocket, websocket_place
 
         return FromWebSocket(websocket_place(address), rate)
     return JsonDatagrams(host_port(address, "udp://127.0.0.1:5000"), rate)
+
+
+def open_blobs(address: str, cameras: Sequence[str], rate: float = float("nan")) -> BlobSource:
+    """The source of blobs at an address, such as udp://127.0.0.1:5000, or udp://127.0.0.1:5000?together=1 where numbers are one exposure.
+
+    cameras: the rig's names. Raises AsterismError where the address is none, or nothing can be read there.
+    """
+    scheme = address.partition("://")[0].lower()
+    if scheme == "qtm":
+        with packages_for("qtm://"):
+            from asterism.live.qtm import PORT, QtmBlobs
+        return QtmBlobs(host_port(address, "qtm://192.168.1.5", PORT))
+    if scheme != "udp":
+        raise AsterismError(
+            f"{address} is no source of blobs: an address begins with udp:// or qtm://, and a file is played with --replay FILE."
+        )
+    from asterism.live.blobs.sources import JsonBlobs
+
+    together = dict(parse_qsl(urlsplit(address).query)).get("together", "")
+    return JsonBlobs(host_port(address, "udp://127.0.0.1:5000"), cameras, rate, numbered_together=together in ("1", "true", "yes"))

@@ -74,7 +74,7 @@ def estimate_observation_model(
     Further rounds go on with what was found.
     """
     cameras = counts.shape[1]
-    model, frames = _first_model(problem, counts, noise, rules)
+    model, frames = first_model(problem, counts, noise, rules)
     blobs = int(counts[frames].sum())
     widening = noise is None
     for _ in range(rules.rounds):
@@ -99,8 +99,8 @@ def estimate_observation_model(
     return model, True, blobs
 
 
-def _first_model(
-    problem: ReconstructionProblem, counts: Ints, noise: float | None, rules: EstimationRules
+def first_model(
+    problem: ReconstructionProblem, counts: Ints, noise: float | None, rules: EstimationRules = RULES
 ) -> tuple[ObservationModel, Ints]:
     """The model with which the estimate begins, and the frames that are looked at."""
     cameras = counts.shape[1]

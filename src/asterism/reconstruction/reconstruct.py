@@ -69,11 +69,11 @@ def reconstruct(
     rays = _rays(_on_common_clock(blobs, findings), rig, findings)
     bounds, corners = image_bounds(rays.blobs, rig), settings.corners
     problem = ReconstructionProblem(rig, bounds, corners, common_view(rig, bounds, corners), settings.min_cameras, settings.gate)
-    run = partial(_points_and_residuals, rays)
+    run = partial(points_and_residuals, rays)
     # Gates and prices depend on the noise, which the blobs themselves tell.
     model, noise_known, looked_at = estimate_observation_model(problem, rays.blobs.counts, run, settings.noise)
     if not noise_known:
-        findings.append(_noise_unknown(looked_at))
+        findings.append(noise_unknown_finding(looked_at))
     parts = _run_all(problem.arrays(model), rays, settings.method, progress)
     empty = [name for name, total in zip(blobs.cameras, rays.blobs.counts.sum(axis=0), strict=True) if not total]
     if empty:
@@ -87,7 +87,7 @@ def reconstruct(
                 "Check that it recorded, and that its blobs are in the file.",
             )
         )
-    return _assembled(parts, rays.blobs, problem, model, settings.method, masked, tuple(findings), noise_known)
+    return assemble(parts, rays.blobs, problem, model, settings.method, masked, tuple(findings), noise_known)
 
 
 def _posed(blobs: Blobs, rig: Rig, findings: list[Finding]) -> tuple[Blobs, Rig]:
@@ -183,7 +183,7 @@ def _rays(blobs: Blobs, rig: Rig, findings: list[Finding]) -> BlobRays:
     return rays
 
 
-def _noise_unknown(blobs: int) -> Finding:
+def noise_unknown_finding(blobs: int) -> Finding:
     """What to say where so many blobs did not tell the noise."""
     if blobs < _MANY_BLOBS:
         return Finding(
@@ -203,7 +203,7 @@ def _noise_unknown(blobs: int) -> Finding:
 
 
 @dataclass(frozen=True)
-class _FramesPart:
+class FramesPart:
     """What a run of frames gave: counts (T,) points of each frame; notes (T, 2), see `reconstruct_frames`."""
 
     points: PointArrays
@@ -211,8 +211,8 @@ class _FramesPart:
     notes: Ints
 
 
-def _run_all(arrays: RigArrays, rays: BlobRays, method: str, progress: Progress | None) -> list[_FramesPart]:
-    run = _run_global if method == "global" else partial(_run_plain, method == "plain-covariance")
+def _run_all(arrays: RigArrays, rays: BlobRays, method: str, progress: Progress | None) -> list[FramesPart]:
+    run = run_global if method == "global" else partial(_run_plain, method == "plain-covariance")
     parts = []
     for begin in range(0, len(rays.blobs), _CHUNK):
         end = min(begin + _CHUNK, len(rays.blobs))
@@ -222,21 +222,23 @@ def _run_all(arrays: RigArrays, rays: BlobRays, method: str, progress: Progress 
     return parts
 
 
-def _points_and_residuals(rays: BlobRays, arrays: RigArrays, begin: int, end: int) -> tuple[Ints, Floats, Floats]:
-    points = _run_global(arrays, rays, begin, end).points
+def points_and_residuals(rays: BlobRays, arrays: RigArrays, begin: int, end: int) -> tuple[Ints, Floats, Floats]:
+    """Rays (P, C), points (P, 3) m and residuals (P,) px of frames from begin to end, as `estimate_observation_model` asks for them."""
+    points = run_global(arrays, rays, begin, end).points
     return points.rays, points.points, points.residual
 
 
-def _run_global(arrays: RigArrays, rays: BlobRays, begin: int, end: int) -> _FramesPart:
+def run_global(arrays: RigArrays, rays: BlobRays, begin: int, end: int) -> FramesPart:
+    """The likeliest points of frames from begin to end, each frame by itself."""
     offsets, cameras = rays.blobs.offsets, len(rays.blobs.cameras)
     # A point takes two blobs at least, so half of them bound the number of points.
     out = _empty_points(int(offsets[end * cameras] - offsets[begin * cameras]) // 2, cameras)
     counts, notes = np.zeros(end - begin, dtype=np.int64), np.zeros((end - begin, 2), dtype=np.int64)
     total = reconstruct_frames(arrays, rays.arrays, begin, end, out, counts, notes)
-    return _FramesPart(_first_points(out, total), counts, notes)
+    return FramesPart(_first_points(out, total), counts, notes)
 
 
-def _run_plain(by_covariance: bool, arrays: RigArrays, rays: BlobRays, begin: int, end: int) -> _FramesPart:
+def _run_plain(by_covariance: bool, arrays: RigArrays, rays: BlobRays, begin: int, end: int) -> FramesPart:
     cameras, capacity = len(rays.blobs.cameras), _FIRST_CAPACITY
     frames = []
     notes = np.zeros((end - begin, 2), dtype=np.int64)
@@ -251,7 +253,7 @@ def _run_plain(by_covariance: bool, arrays: RigArrays, rays: BlobRays, begin: in
         frames.append(_first_points(out, kept))
         notes[t - begin] = versions, 1
     counts = np.array([len(frame.rays) for frame in frames], dtype=np.int64)
-    return _FramesPart(_joined(frames, cameras), counts, notes)
+    return FramesPart(_joined(frames, cameras), counts, notes)
 
 
 def _empty_points(size: int, cameras: int) -> PointArrays:
@@ -266,8 +268,8 @@ def _joined(parts: list[PointArrays], cameras: int) -> PointArrays:
     return PointArrays(*(np.concatenate(column) for column in zip(_empty_points(0, cameras), *parts, strict=True)))
 
 
-def _assembled(
-    parts: list[_FramesPart],
+def assemble(
+    parts: list[FramesPart],
     blobs: Blobs,
     problem: ReconstructionProblem,
     model: ObservationModel,
@@ -276,6 +278,7 @@ def _assembled(
     findings: tuple[Finding, ...],
     noise_known: bool,
 ) -> Reconstruction:
+    """The reconstruction of all frames, whose parts follow each other."""
     cameras, rig = len(blobs.cameras), problem.rig
     points = _joined([part.points for part in parts], cameras)
     notes = np.concatenate([np.empty((0, 2), dtype=np.int64), *(part.notes for part in parts)])

@@ -13,7 +13,7 @@ from asterism.skeleton.body_file import load_body, save_body, shipped_bodies
 from asterism.skeleton.body_fit import fit_body
 from asterism.skeleton.build import BuildRules
 from asterism.skeleton.counterparts import counterparts, with_markers_of
-from asterism.skeleton.inverse_kinematics import Kinematics, KinematicsRules, solve_kinematics
+from asterism.skeleton.inverse_kinematics import FollowedTree, Kinematics, KinematicsRules, solve_kinematics
 from asterism.skeleton.movements import MOVEMENTS
 from asterism.skeleton.osim_file import load_osim
 from asterism.skeleton.people import VirtualRules, virtual_people
@@ -30,6 +30,7 @@ __all__ = [
     "BuildRules",
     "Capsule",
     "FittedPerson",
+    "FollowedTree",
     "Hinge",
     "KinematicTree",
     "Kinematics",

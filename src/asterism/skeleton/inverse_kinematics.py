@@ -222,9 +222,7 @@ def solve_points(
     known = np.asarray(seen >= 3)
     if not known.any():
         raise AsterismError(f"{tree.title}: no frame shows three of its markers ({', '.join(tree.labels[:5])}, ...); label them.")
-    slides = np.array([c.slides for c in tree.coordinates], dtype=np.bool_)
-    limits = np.where(slides, rules.limit_m, np.radians(rules.limit_deg)) ** -2.0
-    solving = Solving(rules.tails, limits, rules.ridge, rules.steps, rules.least_decrease, rules.lost, rules.lost_at_most)
+    solving = _solving(tree, rules)
     q, turns, places = np.tile(tree.start, (frames, 1)), np.tile(np.eye(3), (frames, 1, 1)), np.zeros((frames, 3))
     sd, misses = np.empty((frames, numbers)), np.full(points.shape[:2], np.nan)
     state = (q, turns, places)
@@ -254,6 +252,12 @@ def solve_points(
     sd[:, ~arrays.moves] = 0.0
     up = np.array([0.0, 0.0, 1.0]) if vertical is None else vertical
     return Kinematics(tree, q, turns, places, sd, misses, known, rate, up, scale)
+
+
+def _solving(tree: KinematicTree, rules: KinematicsRules) -> Solving:
+    slides = np.array([c.slides for c in tree.coordinates], dtype=np.bool_)
+    limits = np.where(slides, rules.limit_m, np.radians(rules.limit_deg)) ** -2.0
+    return Solving(rules.tails, limits, rules.ridge, rules.steps, rules.least_decrease, rules.lost, rules.lost_at_most)
 
 
 @dataclass(frozen=True, eq=False)
@@ -559,6 +563,60 @@ def _basis(tree: KinematicTree, entries: Floats, penalties: Floats) -> tuple[Flo
     left, singular, _ = np.linalg.svd(scale[:, None] * np.linalg.cholesky(whole + whole.T + np.diag(mean[:size])))
     # Below a billionth a number is a straight line, and its band of equations would have no factor.
     return np.ascontiguousarray(scale[:, None] * left), np.maximum(singular**2, 1e-9)
+
+
+class FollowedTree:
+    """A tree that follows markers frame by frame, while they come: what `solve_points` finds without smoothing.
+
+    tree   of a person
+    rules  as `solve_kinematics` takes them
+
+    Each frame begins from the one before it. A tree that got lost is laid anew, from the poses that it knows, at most once in `again`
+    frames, so that a frame takes no longer on average. O(M + D depth) a frame, of M markers and D numbers.
+    """
+
+    again = 20
+
+    def __init__(self, tree: KinematicTree, rules: KinematicsRules = RULES) -> None:
+        self.tree, self._solving = tree, _solving(tree, rules)
+        markers, numbers = len(tree.markers), ROOT + len(tree.coordinates)
+        self._weights = np.array([[1.0 / (marker.spread**2 + rules.noise**2) for marker in tree.markers]])
+        self._state = (tree.start[None].copy(), np.eye(3)[None], np.zeros((1, 3)))
+        misses, entries = np.full((1, markers), np.nan), np.empty((1, numbers + len(tree.arrays.row_columns)))
+        self._work = (np.zeros(1), misses, np.empty((1, numbers)), entries)
+        self._usual = np.full(numbers, np.inf)
+        self._found, self._wait = False, 0
+
+    def learn(self, points: Floats) -> None:
+        """How certain each number usually is, by some frames (T, M, 3) m, z up."""
+        seen = []
+        for frame in points:
+            if np.isfinite(self.push(frame)).any():
+                seen.append(self._work[2][0].copy())
+        if seen:
+            self._usual = np.asarray(np.median(seen, axis=0))
+
+    def push(self, points: Floats) -> Floats:
+        """The coordinates (Q,) rad or m by the markers (M, 3) m of a frame, z up; NaN where it tells them not."""
+        given, solving, tree = np.ascontiguousarray(points, dtype=np.float64)[None], self._solving, self.tree
+        if np.isfinite(given[0, :, 0]).sum() < 3:
+            self._found = False
+            return np.full(len(tree.coordinates), np.nan)
+        self._wait = max(self._wait - 1, 0)
+        if self._found:
+            follow(tree.arrays, solving, given, self._weights, 0, 1, *self._state, *self._work)
+            self._found = not self._is_lost()
+        if not self._found and self._wait == 0:
+            _begin(tree, solving, given, self._weights, 0, self._state, None, self._work)
+            self._found, self._wait = not self._is_lost(), self.again
+        told = self._work[2][0, ROOT:] <= _HIDDEN * self._usual[ROOT:]
+        # A pose that leaves its markers far off tells no angle.
+        return np.where(told & self._found, self._state[0][0], np.nan)
+
+    def _is_lost(self) -> bool:
+        squares = _squares(self._weights, self._work[1])[0]
+        seen = int(np.isfinite(self._work[1][0]).sum())
+        return float(np.minimum(squares, self._solving.lost_at_most).sum()) > 3.0 * self._solving.lost * max(seen, 1)
 
 
 def with_spreads(tree: KinematicTree, spreads: Mapping[str, float]) -> KinematicTree:

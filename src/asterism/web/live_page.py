@@ -3,76 +3,164 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
+import math
 import secrets
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 from asterism.live import AnalysedFrame, LabelledFrame, LiveSession
 from asterism.live.outputs import cue_as_json, event_as_json
 from asterism.recording.sides import marker_sides
 from asterism.report.skeleton import marker_bones
-from asterism.web.serving import PageAddress, address_of, bound
+from asterism.web.serving import PageAddress, address_of, bound, is_open_to_others
 
 _PICTURES = 60.0
-"""Frames per second that the page gets at most, as many as screens show. Of what comes between only sounds that begin are sent."""
+"""Frames per second that the page gets at most, as many as screens show. What comes between is left out, but for events and what begins."""
+_AHEAD = 6
+"""Pictures on their way to a page that has not told yet that it drew them: a tenth of a second. With half of it a network of 50 ms and back
+shows fewer pictures; with twice as much a slow one shows what is a fifth of a second old."""
 _TO_BONES = 50
 """Frames by which the lines between markers are chosen: half a second at 100 Hz, in which a body moves. They are chosen once."""
 _HEALTH = 0.5
 """s between two sets of counts."""
+_STALE = 0.5
+"""s after which a sound or an event is not sent any more: who hears it then takes it for what they do now. Half of it loses sounds of a
+radio network that pauses; with twice as much the next step is there."""
+_MOMENTS = 200
+"""Events and beginnings that wait for pages: seconds of them in a fast run with ten rules."""
+_SOUNDED = 4096
+"""Sounds whose latency is kept, so that one in a hundred is forty."""
+_LONGEST = 60_000.0
+"""ms; a page that tells of a longer latency has a clock that was set."""
 
 
 class ToPage:
-    """The newest labelled frame, for all pages that are open. A page that is slow gets fewer frames, and holds nobody back."""
+    """The newest labelled frame, for all pages that are open. A page that is slow gets fewer frames, and holds nobody back.
+
+    Events, and what a rule begins to tell, wake the pages at once; they do not wait for the next picture.
+    """
 
     def __init__(self) -> None:
         self._guard = threading.Lock()
-        self._newest: tuple[int, AnalysedFrame] | None = None
+        self._newest: AnalysedFrame | None = None
         self._count = 0
+        self._picture: tuple[int, str] = (0, "")
         self._shown: deque[LabelledFrame] = deque(maxlen=_TO_BONES)
         self._bones: list[list[int]] | None = None
-        self._begun: deque[tuple[int, dict[str, Any]]] = deque(maxlen=100)
-        self._events: deque[tuple[int, dict[str, Any]]] = deque(maxlen=100)
+        self._moments: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_MOMENTS)
+        self._moment_count = 0
+        self._wakers: list[Callable[[], object]] = []
+        self._sounded: deque[float] = deque(maxlen=_SOUNDED)
+        self.late = 0
 
     def send(self, frame: AnalysedFrame) -> None:
         """Keep a frame as the newest one."""
+        stamps = {"at": _ms(frame.labelled.frame.arrived), "done": _ms(frame.labelled.done), "time": frame.labelled.frame.time}
+        moments = [{"cue": cue_as_json(cue), **stamps} for cue in frame.cues if cue.began]
+        moments += [{"event": event_as_json(event), **stamps} for event in frame.analysis.events]
         with self._guard:
             self._count += 1
-            self._newest = (self._count, frame)
-            self._begun.extend((self._count, cue_as_json(cue)) for cue in frame.cues if cue.began)
-            self._events.extend((self._count, event_as_json(event)) for event in frame.analysis.events)
+            self._newest = frame
+            for moment in moments:
+                self._moment_count += 1
+                self._moments.append((self._moment_count, moment))
             if self._bones is None and frame.labelled.markers:
                 self._shown.append(frame.labelled)
+        if moments:
+            self._wake()
 
     def close(self) -> None:
         """The session has ended; what was shown last stays."""
+        self._wake()
 
-    def after(self, count: int) -> tuple[int, dict[str, Any]] | None:
-        """The newest frame as plain values, where it is newer than an earlier answer, with the cues that began and the events since."""
+    def follow(self, wake: Callable[[], object]) -> Callable[[], None]:
+        """Have a function called, from any thread, when something is to be sent at once; gives what ends that."""
         with self._guard:
-            if self._newest is None or self._newest[0] <= count:
+            self._wakers.append(wake)
+
+        def end() -> None:
+            with self._guard:
+                self._wakers.remove(wake)
+
+        return end
+
+    def _wake(self) -> None:
+        with self._guard:
+            wakers = list(self._wakers)
+        for wake in wakers:
+            # the server of the page may have ended meanwhile
+            with contextlib.suppress(RuntimeError):
+                wake()
+
+    @property
+    def last_moment(self) -> int:
+        """The number of the newest event or beginning: a page that is opened begins after it."""
+        return self._moment_count
+
+    def moments(self, after: int) -> tuple[int, list[dict[str, Any]]]:
+        """The events and beginnings after one, by its number, and the number of the newest; those that are too old are counted as late."""
+        with self._guard:
+            now, found = self._moment_count, [moment for number, moment in self._moments if number > after]
+        fresh = [moment for moment in found if _ms(time.monotonic()) - moment["done"] < 1000 * _STALE]
+        self.late += now - after - len(fresh)
+        return now, fresh
+
+    def picture(self, after: int) -> tuple[int, str] | None:
+        """The number and the JSON of the newest frame, where it is newer than one, by its number. Written once for all pages."""
+        with self._guard:
+            if self._newest is None or self._count <= after:
                 return None
-            now, analysed = self._newest
-            began = [cue for at, cue in self._begun if at > count]
-            events = [event for at, event in self._events if at > count]
+            now, analysed = self._count, self._newest
+            if self._picture[0] == now:
+                return self._picture
         frame = analysed.labelled
         content: dict[str, Any] = {
+            "picture": now,
             "frame": frame.frame.number,
+            "time": round(frame.frame.time, 4),
+            "at": _ms(frame.frame.arrived),
             "points": np.round(1000 * frame.frame.points).astype(int).tolist(),
             "indices": frame.indices.tolist(),
-            "confidence": np.round(frame.confidence, 3).tolist(),
             "latency": round(1000 * (frame.done - frame.frame.arrived), 2),
-            "cues": [cue_as_json(cue) for cue in analysed.cues],
-            "began": began,
-            "events": events,
-            "values": {name: None if np.isnan(value) else round(value, 3) for name, value in analysed.analysis.values.items()},
+            "cues": [[_plain(cue.value), cue.shown, int(cue.on), _plain(cue.tone), cue.text if cue.on else ""] for cue in analysed.cues],
+            "values": [_plain(value) for value in analysed.analysis.values.values()],
         }
-        return now, content
+        made = (now, json.dumps(content, separators=(",", ":")))
+        with self._guard:
+            self._picture = max(self._picture, made)
+        return made
+
+    def names(self) -> dict[str, Any]:
+        """What the values and the rules of pictures are called, in their order."""
+        with self._guard:
+            newest = self._newest
+        if newest is None:
+            return {"values": [], "units": [], "rules": []}
+        values = newest.analysis.values
+        return {
+            "values": list(values),
+            "units": [newest.analysis.units.get(name, "") for name in values],
+            "rules": [
+                {
+                    "name": cue.rule.name,
+                    "colour": cue.rule.colour,
+                    "sound": cue.rule.sound,
+                    "unit": cue.unit,
+                    "bounds": [bound for bound in (cue.rule.above, cue.rule.below) if not math.isnan(bound)],
+                }
+                for cue in newest.cues
+            ],
+        }
 
     def body(self) -> dict[str, Any] | None:
         """Names, sides and lines of the markers; None until enough frames showed them."""
@@ -90,6 +178,35 @@ class ToPage:
             self._bones = marker_bones(positions, markers)
         return {"markers": list(markers), "sides": list(marker_sides(markers)), "bones": self._bones}
 
+    def sounded(self, latencies: object) -> None:
+        """Take what a page tells of its sounds: ms from the arrival of the frame to the beginning of the sound, each."""
+        if isinstance(latencies, list):
+            self._sounded.extend(float(ms) for ms in latencies[:100] if isinstance(ms, int | float) and 0 <= ms < _LONGEST)
+
+    def findings(self) -> list[Finding]:
+        """Whether sounds or events did not reach a page in time."""
+        if not self.late:
+            return []
+        sentence = f"the page: {self.late} sounds or events were too late for a page that was slow or asleep, and were left out."
+        return [Finding("live-page-late", Severity.NOTE, "the page", sentence, "Keep the page in front, on a network that is not busy.")]
+
+    def tone_latency(self) -> tuple[float, float, int]:
+        """(p50, p99) ms from the arrival of a frame to the beginning of its sound in the page, and of how many; NaN without any."""
+        known = list(self._sounded)
+        if not known:
+            return math.nan, math.nan, 0
+        p50, p99 = np.quantile(np.array(known), (0.5, 0.99))
+        return float(p50), float(p99), len(known)
+
+
+def _ms(seconds: float) -> float:
+    """ms on this machine's `time.monotonic`."""
+    return round(1000 * seconds, 3)
+
+
+def _plain(value: float) -> float | None:
+    return round(value, 3) if math.isfinite(value) else None
+
 
 def serve_live(session: LiveSession, page: ToPage, place: PageAddress, say: Callable[[str], None]) -> Callable[[], None]:
     """Serve the page of a session from a thread; gives what stops it.
@@ -99,30 +216,32 @@ def serve_live(session: LiveSession, page: ToPage, place: PageAddress, say: Call
     try:
         import uvicorn
 
-        app = _app(session, page)
+        from asterism.web.guard import Guard
     except ModuleNotFoundError as problem:
         raise AsterismError(
             f"the page needs {problem.name}, which is not installed; install it with `pip install asterism[web]`."
         ) from problem
-    from asterism.web.guard import Guard
-
     token = secrets.token_urlsafe(24)
     listening = bound(place)
     port = listening.getsockname()[1]
+    address, is_open = address_of(place.host, port, token), is_open_to_others(listening)
     config = uvicorn.Config(
-        Guard(app, token, place.host, port),
+        Guard(_app(session, page, address if is_open else ""), token, place.host, port),
         log_level="critical",
         access_log=False,
         lifespan="off",
         server_header=False,
         ws_max_size=1 << 12,
+        timeout_graceful_shutdown=2,
     )
     server = uvicorn.Server(config)
     # Ctrl-C is the session's, which then stops the server.
     server.install_signal_handlers = lambda: None  # type: ignore[attr-defined]
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, name="live page", daemon=True)
     thread.start()
-    say(f"The page is at {address_of(place.host, port, token)}")
+    say(f"The page is at {address}")
+    if is_open:
+        say("Whoever has this address and reaches this machine can see the session, and nothing is encrypted on the way.")
 
     def stop() -> None:
         server.should_exit = True
@@ -132,7 +251,94 @@ def serve_live(session: LiveSession, page: ToPage, place: PageAddress, say: Call
     return stop
 
 
-def _app(session: LiveSession, page: ToPage) -> Any:
+@dataclass
+class _Follower:
+    """One page that is open. Lives in the server's event loop.
+
+    picture, moment  the numbers of what was sent last
+    seen             the number of the last picture that the page told of, and how many pictures it was not told of
+    """
+
+    session: LiveSession
+    page: ToPage
+    send: Callable[[str], Any]
+    wake: asyncio.Event = field(default_factory=asyncio.Event)
+    picture: int = 0
+    moment: int = 0
+    ahead: int = 0
+    gone: bool = False
+    _names: dict[str, Any] = field(default_factory=dict)
+    _told_body: bool = False
+    _told_end: bool = False
+    _health_at: float = -math.inf
+    _picture_at: float = -math.inf
+
+    async def run(self) -> None:
+        """Send what there is until the page is gone."""
+        loop = asyncio.get_running_loop()
+        end = self.page.follow(lambda: loop.call_soon_threadsafe(self.wake.set))
+        self.moment = self.page.last_moment
+        try:
+            while not self.gone:
+                self.wake.clear()
+                await self._moments()
+                await self._rest(loop.time())
+                due = min(self._picture_at + 1 / _PICTURES, self._health_at + _HEALTH) - loop.time()
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(max(0.001, due)):
+                        await self.wake.wait()
+        finally:
+            end()
+
+    async def _moments(self) -> None:
+        # A page that does not keep up gets none until they are fresh again.
+        if self.ahead >= _AHEAD and self.page.last_moment > self.moment:
+            return
+        self.moment, moments = self.page.moments(self.moment)
+        if moments:
+            await self._say({"moments": moments, "sent": _ms(time.monotonic())})
+
+    async def _rest(self, now: float) -> None:
+        """A picture, and from time to time what is around it."""
+        if now >= self._picture_at + 1 / _PICTURES and self.ahead < _AHEAD:
+            self._picture_at = max(now - 1 / _PICTURES, self._picture_at + 1 / _PICTURES)
+            if (found := self.page.picture(self.picture)) is not None:
+                if (names := self.page.names()) != self._names:
+                    self._names = names
+                    await self._say({"names": names})
+                self.picture, text = found
+                self.ahead += 1
+                await self.send(text)
+        elif self.ahead >= _AHEAD:
+            self._picture_at = now
+        if not self._told_body and (body := self.page.body()) is not None:
+            self._told_body = True
+            await self._say({"body": body})
+        if now >= self._health_at + _HEALTH or (self.session.has_ended and not self._told_end):
+            self._health_at, self._told_end = now, self.session.has_ended
+            await self._say({"health": _plain_health(self.session, self.page)})
+
+    async def told(self, text: str) -> None:
+        """Take what the page says; what is not understood is passed over."""
+        try:
+            news = json.loads(text)
+        except ValueError:
+            return
+        if not isinstance(news, dict):
+            return
+        if isinstance(news.get("seen"), int):
+            self.ahead = max(0, self.ahead - 1)
+            if self.ahead == _AHEAD - 1:
+                self.wake.set()
+        if isinstance(news.get("ping"), int | float):
+            await self._say({"pong": news["ping"], "now": _ms(time.monotonic())})
+        self.page.sounded(news.get("sounded"))
+
+    async def _say(self, content: dict[str, Any]) -> None:
+        await self.send(json.dumps(content, separators=(",", ":")))
+
+
+def _app(session: LiveSession, page: ToPage, address: str) -> Any:
     from starlette.applications import Starlette
     from starlette.routing import Route, WebSocketRoute
     from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -142,25 +348,28 @@ def _app(session: LiveSession, page: ToPage) -> Any:
     async def follow(socket: WebSocket) -> None:
         await socket.accept()
         up = session.up
-        await socket.send_text(json.dumps({"source": session.source.about.name, "up": [0, 0, 1] if up is None else up.tolist()}))
-        count, told_body, told_health = 0, False, 0.0
-        loop = asyncio.get_running_loop()
-        try:
-            while True:
-                begin = loop.time()
-                if not told_body and (body := page.body()) is not None:
-                    told_body = True
-                    await socket.send_text(json.dumps({"body": body}))
-                if (found := page.after(count)) is not None:
-                    count, content = found
-                    await socket.send_text(json.dumps(content, separators=(",", ":")))
-                if begin - told_health > _HEALTH:
-                    told_health = begin
-                    await socket.send_text(json.dumps({"health": _plain_health(session)}))
-                await asyncio.sleep(max(0.001, 1.0 / _PICTURES - (loop.time() - begin)))
-        except (WebSocketDisconnect, RuntimeError):
-            # the page was closed
-            return
+        upwards = [0, 0, 1] if up is None else up.tolist()
+        hello = {"source": session.source.about.name, "up": upwards, "address": address, "code": _code_of(address)}
+        follower = _Follower(session, page, socket.send_text)
+
+        async def listen() -> None:
+            try:
+                async for text in socket.iter_text():
+                    await follower.told(text)
+            except (WebSocketDisconnect, RuntimeError):
+                pass
+            finally:
+                follower.gone = True
+                follower.wake.set()
+
+        # Both end when the page is closed: sending raises, and nothing more is heard.
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            await socket.send_text(json.dumps(hello))
+            listening = asyncio.create_task(listen())
+            try:
+                await follower.run()
+            finally:
+                listening.cancel()
 
     return Starlette(
         routes=[
@@ -171,7 +380,16 @@ def _app(session: LiveSession, page: ToPage) -> Any:
     )
 
 
-def _plain_health(session: LiveSession) -> dict[str, Any]:
+def _code_of(address: str) -> str:
+    """An address as a QR code, the address of a picture in itself; "" for no address, or where the package for it is not installed."""
+    try:
+        import segno
+    except ModuleNotFoundError:
+        return ""
+    return str(segno.make(address, micro=False).svg_data_uri(omitsize=True)) if address else ""
+
+
+def _plain_health(session: LiveSession, page: ToPage) -> dict[str, Any]:
     health = session.health()
     p50, p999 = health.latency
     return {
@@ -184,6 +402,8 @@ def _plain_health(session: LiveSession) -> dict[str, Any]:
         "silent": health.is_silent,
         "p50": None if np.isnan(p50) else round(1000 * p50, 2),
         "p999": None if np.isnan(p999) else round(1000 * p999, 2),
+        "not sounded": page.late,
         "problem": health.problem,
+        "problems": [] if session.feedback is None else session.feedback.problems,
         "ended": session.has_ended,
     }

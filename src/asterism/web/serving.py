@@ -69,7 +69,7 @@ def serve(session: CorrectionSession, place: PageAddress, say: Callable[[str], N
         # Labelling begins at once; the page shows each trial as it gets ready.
         thread = session.start()
         say(f"The page is at {address}")
-        if not ipaddress.ip_address(listening.getsockname()[0]).is_loopback:
+        if is_open_to_others(listening):
             say("Whoever has this address and reaches this machine can see and change the labels, and nothing is encrypted on the way.")
         say("Stop with Ctrl-C. Every answer is kept in a log at once.")
         leading = _leading_to(address) if place.browser else None
@@ -113,6 +113,11 @@ def bound(place: PageAddress) -> socket.socket:
             raise AsterismError(f"the port {place.port} may not be used; give one above 1023 with --port, or leave it out.") from problem
         raise AsterismError(f"--host {place.host} is no address of this machine; leave it out, or give one of its own.") from problem
     return listening
+
+
+def is_open_to_others(listening: socket.socket) -> bool:
+    """Whether other machines can reach a socket that is bound."""
+    return not ipaddress.ip_address(listening.getsockname()[0]).is_loopback
 
 
 def address_of(host: str, port: int, token: str) -> str:

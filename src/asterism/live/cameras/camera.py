@@ -41,6 +41,13 @@ class CameraAbout:
     rate: float = math.nan
     clock: str = "arrival"
 
+    def said(self) -> dict[str, SettingValue]:
+        """What it says of itself, as plain values by name."""
+        found: dict[str, SettingValue] = {"model": self.model, "serial": self.serial}
+        if any(self.size):
+            found["size"] = "{}x{}".format(*self.size)
+        return {name: value for name, value in found.items() if value}
+
 
 class LiveCamera(ABC):
     """A camera that is open.
@@ -52,10 +59,13 @@ class LiveCamera(ABC):
     address  where it was opened
     damaged  images that could not be read
     dropped  images that were not fetched in time, since newer ones came
+    reopened times that it disappeared and came back
+    problem  why it is gone now, "" while it is there
     """
 
     def __init__(self, name: str, address: str) -> None:
         self.name, self.address, self.damaged, self.dropped = name, address, 0, 0
+        self.reopened, self.problem = 0, ""
         self.outcomes: tuple[SettingOutcome, ...] = ()
         """What became of the settings with which it was opened."""
         self._threshold: SettingValue | None = None
@@ -107,6 +117,11 @@ class LiveCamera(ABC):
         """Let go of the camera or the file, from any thread. Again it does nothing."""
 
     @property
+    def waits(self) -> bool:
+        """Whether it waits until its images are taken, as a file can; of others the oldest is left out."""
+        return False
+
+    @property
     def temperature(self) -> float:
         """Degrees Celsius within the camera, NaN where it does not say."""
         return math.nan
@@ -116,9 +131,19 @@ class LiveCamera(ABC):
         """The names of what can be asked and set."""
         return (*self.own_settings, "threshold")
 
+    def knows(self, name: str) -> bool:
+        """Whether a setting of the camera's own has this name."""
+        return name in self.own_settings
+
     def get(self, name: str) -> SettingValue | None:
         """What a setting is, in the unit of `SETTINGS`; None where the camera does not have it or does not say."""
-        return self._threshold if name == "threshold" else self.get_own(name) if name in self.own_settings else None
+        return self._threshold if name == "threshold" else self.get_own(name) if self.knows(name) else None
+
+    def said(self) -> dict[str, SettingValue]:
+        """What it says of itself and of its settings, as plain values by name."""
+        values = {name: self.get(name) for name in self.settings}
+        known = {name: value for name, value in values.items() if value is not None}
+        return self.about.said() | {"clock": self.about.clock} | known
 
     def set(self, name: str, value: object) -> SettingOutcome:
         """Set a setting, and ask what the camera has then. Raises AsterismError where there is no such setting, or no such value of it."""
@@ -126,7 +151,7 @@ class LiveCamera(ABC):
         if name == "threshold":
             self._threshold = asked
             return SettingOutcome(self.name, name, asked, asked)
-        if name not in self.own_settings:
+        if not self.knows(name):
             return SettingOutcome(self.name, name, asked, None, f"this camera has no such setting, only {', '.join(self.settings)}.")
         try:
             self.set_own(name, asked)

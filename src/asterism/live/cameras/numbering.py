@@ -68,3 +68,26 @@ class NumbersByTime:
         """The next image is of another clock."""
         self._last = self._due = math.nan
         self._steps.clear()
+
+
+_TURN = 65535
+"""Frames after which GigE Vision 1 begins again at 1, having 16 bits and no frame 0."""
+
+
+class FrameIds:
+    """A camera's own numbers of its frames, going on where those of 16 bits begin again.
+
+    >>> ids = FrameIds()
+    >>> [ids.number(number) for number in (65534, 65535, 1, 2)]
+    [65534, 65535, 65536, 65537]
+    """
+
+    def __init__(self) -> None:
+        self._last, self._turns = 0, 0
+
+    def number(self, number: int) -> int:
+        """The number of a frame by the camera's."""
+        if number < self._last - _TURN // 2 and self._last <= _TURN:
+            self._turns += 1
+        self._last = number
+        return number + self._turns * _TURN

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 from asterism.errors import AsterismError
 from asterism.live.cameras.camera import LiveCamera
+from asterism.live.cameras.reopening import ReopeningCamera
 from asterism.live.cameras.settings import SettingValue
 
-SCHEMES = ("camera", "simulated", "http", "https", "rtsp")
+SCHEMES = ("camera", "genicam", "simulated", "http", "https", "rtsp")
 """What a camera's address can begin with; else it is the path of a video or a folder of images."""
 
 
@@ -18,7 +20,7 @@ class CameraSpec:
     """Which camera, and what is to be set on it: plain values, so that a camera can be opened in another process.
 
     name      in the rig
-    address   such as camera://0, simulated://, http://HOST/video, or the path of a video or a folder of images
+    address   such as camera://0, genicam://SERIAL, simulated://, http://HOST/video, or the path of a video or a folder of images
     settings  by name, in the units of `SETTINGS`
     """
 
@@ -26,9 +28,13 @@ class CameraSpec:
     address: str
     settings: Mapping[str, SettingValue] = field(default_factory=dict)
 
+    def ready(self) -> LiveCamera:
+        """The camera, open and set; one that disappears is opened again. Raises AsterismError where that fails the first time."""
+        return ReopeningCamera(partial(open_camera, self)) if "://" in self.address else open_camera(self)
+
     def open(self, at: float | None = None) -> LiveCamera:
-        """The camera, open, set and started; at: see `LiveCamera.start`. Raises AsterismError where that fails."""
-        camera = open_camera(self)
+        """The camera, ready and started; at: see `LiveCamera.start`. Raises AsterismError where that fails."""
+        camera = self.ready()
         try:
             camera.start(at)
         except BaseException:
@@ -60,6 +66,10 @@ def _opened(spec: CameraSpec) -> LiveCamera:
         return PlayedCamera(spec.name, spec.address)
     if scheme.lower() not in SCHEMES:
         raise AsterismError(f"{spec.address} is no camera; give one of {', '.join(SCHEMES)}, or the path of a video or a folder.")
+    if scheme.lower() == "genicam":
+        from asterism.live.cameras.machine_vision import GenicamCamera
+
+        return GenicamCamera(spec.name, spec.address)
     if scheme.lower() == "simulated":
         from asterism.live.cameras.simulated import SimulatedCamera
 

@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from asterism.errors import AsterismError
 from asterism.live.camera_frames import LiveImage
 from asterism.live.cameras.addresses import Query
 from asterism.live.cameras.camera import BUFFERS, CameraAbout, LiveCamera
-from asterism.live.cameras.pixels import eight_bits
+from asterism.live.cameras.pixels import DepthByImages
 from asterism.live.cameras.settings import SettingValue
 from asterism.live.frames import SourceEnded
 from asterism.recording import Floats
@@ -47,7 +48,7 @@ class PlayedCamera(LiveCamera):
         times = query.text("times", "")
         query.check_all_used()
         self._source = open_source(self._path)
-        self._given_rate = math.nan
+        self._given_rate, self._depth = math.nan, DepthByImages()
         self._stamps = None if not times else _stamps(Path(times), name, len(self._source))
         self._images: Iterator[tuple[int, LiveImage | None]] = iter(())
         self._size = (0, 0)
@@ -60,6 +61,11 @@ class PlayedCamera(LiveCamera):
     def about(self) -> CameraAbout:
         """What is known of it."""
         return CameraAbout(self.name, self.address, self._source.path.name, "", self._size, self._rate * self._factor, "file")
+
+    @property
+    def waits(self) -> bool:
+        """As its address says."""
+        return self._waits
 
     @property
     def own_settings(self) -> tuple[str, ...]:
@@ -132,7 +138,9 @@ class PlayedCamera(LiveCamera):
         if due > now and (self._ended.wait(max(0.0, min(due, until) - now)) or time.monotonic() < due):
             return None
         image, self._pending, self._to_pass = self._pending, None, None
-        return LiveImage(image.camera, image.number, image.time, time.monotonic(), image.image)
+        # One that waits comes when it is due, however long somebody made it wait: the same file gives the same times.
+        comes = self._began + image.time / self._factor if self._waits else time.monotonic()
+        return replace(image, arrived=comes)
 
     def _due(self, seconds: float) -> float:
         """s on `time.monotonic` when the image of this time is due."""
@@ -156,7 +164,7 @@ class PlayedCamera(LiveCamera):
                     yield place, None
                     continue
                 self._size = (grey.shape[1], grey.shape[0])
-                yield place, LiveImage(self.name, added + number, later + last, 0.0, eight_bits(grey))
+                yield place, LiveImage(self.name, added + number, later + last, 0.0, self._depth.eight_bits(grey))
             if not self._loop or number < 0:
                 return
             later, added = later + last + 1.0 / self._rate, added + number + 1

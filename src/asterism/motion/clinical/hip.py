@@ -38,7 +38,7 @@ def hip_centre(measures: SubjectMeasures, side: str, left: Floats, right: Floats
     elif regression == "bell":
         ahead, out, up = HIP_SHARES[0] * between, (0.5 - HIP_SHARES[2]) * between, HIP_SHARES[1] * between
     else:
-        depth = float(nan_median(np.linalg.norm((left + right) / 2 - sacrum, axis=1), axis=0))
+        depth = measures.pelvis_depth or float(nan_median(np.linalg.norm((left + right) / 2 - sacrum, axis=1), axis=0))
         ahead, out, up = -0.24 * depth - 0.0099, 0.33 * between + 0.0073, -0.30 * between - 0.0109
     return np.array([ahead, out if side == "L" else -out, up])
 

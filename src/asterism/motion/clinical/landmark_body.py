@@ -15,7 +15,7 @@ import numpy as np
 from asterism.geometry import place_objects, rotate_z_up
 from asterism.motion.clinical.hip import hip_centre
 from asterism.motion.clinical.measures import SIDES, SubjectMeasures
-from asterism.motion.clinical.plug_in_gait import Leg, LowerBody, along, turns, walking_axes
+from asterism.motion.clinical.plug_in_gait import Leg, LowerBody, along, turns
 from asterism.motion.rigid.rotations import unit_vectors
 from asterism.recording import Floats, Recording
 from asterism.recording.marker_set import canonical, plain_name, shipped_sets
@@ -128,12 +128,13 @@ _NAMES = {"LE": "KNE", "LM": "ANK", "CA": "HEE", "SM": "TOE"}
 
 def with_plug_in_gait_names(recording: Recording) -> Recording:
     """The recording with Plug-in-Gait's names, where its own are other ones of the shipped sets for the same places, such as R.ASIS."""
-    labels = _plug_in_gait_names(tuple(recording.labels))
+    labels = plug_in_gait_names(tuple(recording.labels))
     return recording if labels == tuple(recording.labels) else replace(recording, labels=labels)
 
 
 @lru_cache(maxsize=32)
-def _plug_in_gait_names(given: tuple[str, ...]) -> tuple[str, ...]:
+def plug_in_gait_names(given: tuple[str, ...]) -> tuple[str, ...]:
+    """The names of columns with those of Plug-in-Gait, see `with_plug_in_gait_names`."""
     labels, known = list(given), shipped_sets()["plug-in-gait"]
     legs = {"LASI", "RASI", "LTHI", "LKNE", "LTIB", "LANK", "LHEE", "LTOE"}
     if any(legs | back <= set(labels) for back in ({"SACR"}, {"LPSI", "RPSI"})):
@@ -235,14 +236,14 @@ def _axes_of(made: LandmarkBody, role: str) -> Floats:
     return leg.thigh if segment_of(role) == "thigh" else leg.shank
 
 
-def landmark_angles(made: LandmarkBody) -> dict[str, Floats]:
+def landmark_angles(made: LandmarkBody, room: Floats) -> dict[str, Floats]:
     """Angles (T, 3) rad of hip, knee, ankle, pelvis and foot by the names of Plug-in-Gait: Grood and Suntay (1983), the same signs.
 
     Flexion (dorsiflexion) about the proximal segment's axis, internal rotation about the distal one's, adduction (inversion) about the
-    one at right angles with both. Pelvis and foot in the axes of `walking_axes`. A joint that is never known is left out.
+    one at right angles with both. Pelvis and foot in the room's axes (3, 3), see `walking_axes`. A joint that is never known is left out.
     """
     body, found = made.body, dict[str, Floats]()
-    room = np.broadcast_to(walking_axes(body), body.pelvis.shape)
+    rooms = np.broadcast_to(room, body.pelvis.shape)
     for side, leg in body.legs.items():
         left = 1.0 if side == "L" else -1.0
         joint, seen = np.array([-1.0, -left, -left]), np.array([1.0, left, -left])
@@ -250,9 +251,9 @@ def landmark_angles(made: LandmarkBody) -> dict[str, Floats]:
             f"{side}HipAngles": turns(body.pelvis, leg.thigh) * joint,
             f"{side}KneeAngles": turns(leg.thigh, leg.shank) * joint * [-1.0, 1.0, 1.0],
             f"{side}AnkleAngles": turns(leg.shank, made.feet[side]) * joint,
-            f"{side}PelvisAngles": turns(room, body.pelvis) * seen,
+            f"{side}PelvisAngles": turns(rooms, body.pelvis) * seen,
             # the vendor's first counts from a foot that points down, the second the other way
-            f"{side}FootProgressAngles": turns(room, made.feet[side]) * [1.0, left, -left] - [np.pi / 2, 0.0, 0.0],
+            f"{side}FootProgressAngles": turns(rooms, made.feet[side]) * [1.0, left, -left] - [np.pi / 2, 0.0, 0.0],
         }
     wrapped = {name: (angles + np.pi) % (2 * np.pi) - np.pi for name, angles in found.items()}
     return {name: angles for name, angles in wrapped.items() if np.isfinite(angles).any()}

@@ -114,6 +114,7 @@ class SubjectMeasures:
     left_arm, right_arm  see `ArmMeasures`
     hip_regression       the regression of the hip centres, of `asterism.motion.clinical.hip.REGRESSIONS`; None: the model's own
     head_offset          rad, by which the markers of the head look up where the head looks straight ahead
+    pelvis_depth         m, from midway between these spines to the sacrum; None: measured between their markers
     """
 
     left: LegMeasures = field(default_factory=LegMeasures)
@@ -125,6 +126,7 @@ class SubjectMeasures:
     right_arm: ArmMeasures = field(default_factory=ArmMeasures)
     head_offset: float = 0.0
     hip_regression: str | None = None
+    pelvis_depth: float | None = None
 
     def of(self, side: str) -> LegMeasures:
         """The leg of side "L" or "R"."""

@@ -66,21 +66,24 @@ class ClinicalModel:
             raise AsterismError(f"{recording.metadata.get('file', 'the recording')} has no markers on both anterior iliac spines.")
         return replace(made.body, legs={side: leg for side, leg in made.body.legs.items() if side in self.sides})
 
-    def outputs(self, recording: Recording, *, upper: bool = True) -> dict[str, Floats]:
+    def outputs(self, recording: Recording, *, upper: bool = True, room: Floats | None = None) -> dict[str, Floats]:
         """Angles (T, 3) rad by Plug-in-Gait's names, see `ClinicalAngles.outputs`; without those that are known in no frame.
 
-        upper  also those of head and arms
+        upper  also those of head and arms; room  (3, 3), in whose axes pelvis, feet, thorax and head turn; by default `walking_axes`
         """
         if self.name == "plug-in-gait":
             body = self.body(recording)
-            found = angles_of(with_plug_in_gait_names(recording), body)
+            room = walking_axes(body) if room is None else room
+            found = angles_of(with_plug_in_gait_names(recording), body, room)
         else:
             made = landmark_body(recording, self.measures, self.static)
             if made is None:
                 return {}
-            body, found = made.body, landmark_angles(made)
+            body = made.body
+            room = walking_axes(body) if room is None else room
+            found = landmark_angles(made, room)
         if upper:
-            found |= upper_body_angles(with_plug_in_gait_names(recording), self.measures, walking_axes(body))
+            found |= upper_body_angles(with_plug_in_gait_names(recording), self.measures, room)
         return {name: angles for name, angles in found.items() if np.isfinite(angles).any()}
 
     def carries(self, recording: Recording) -> bool:

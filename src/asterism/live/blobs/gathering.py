@@ -1,0 +1,416 @@
+"""Blobs as they come from each camera in; frames of all cameras, in their order and as soon as they are whole, out."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from asterism.live.blobs.camera_clock import CameraClock, Latest, same_clock
+from asterism.live.blobs.following import FollowedImage, between, follow
+from asterism.live.camera_frames import LiveBlobs
+from asterism.live.clock import FrameCount
+from asterism.recording import Floats
+from asterism.synchronization.common_clock import RULES
+
+LONGEST_WAIT = 0.1
+"""s that a frame waits for a camera at most, however late that has been: as long as frames wait for their labels. Half of it gives up a
+camera behind a slow radio link; with twice as much what is shown is a fifth of a second old."""
+_MARGIN = 1.5
+"""Times as late as it was at most in the last ten seconds, a camera is waited for. Without a margin each new latest image would miss its
+frame; twice as much makes each lost image hold its frame back for as much longer."""
+_LEAST_WAIT = 0.002
+"""s that a camera is waited for at least: cameras whose images come in one packet are taken one after the other. Half of it is a pause of a
+busy machine, which would cost a frame its cameras; twice as much is what each lost image would hold its frame back for."""
+_AWAY = 2
+"""Frames in a row that a camera misses, after which it is not waited for until it is back. One image is lost now and then; each more holds
+all frames back by that camera's wait."""
+_FEWEST = 20
+"""Images of a camera whose times tell its rate."""
+_ONE_RATE = 0.05
+"""Share by which periods of cameras of one rate differ: free-running ones do by a thousandth, rates that are set to others by a tenth or
+more."""
+_REMEMBERED = 256
+"""Frames that are remembered after they went on, so that a camera that comes later is known to be so."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigFrame:
+    """The blobs of all cameras at one instant.
+
+    number   grows by one from frame to frame
+    time     s on the common clock
+    arrived  s on this machine's clock, when the last camera's blobs that are in it came
+    xy       for each camera (n, 2) px, none where it delivered nothing
+    sizes    for each camera (n,) px, NaN where unknown
+    missing  the cameras, by their place, that were not waited for any longer
+    """
+
+    number: int
+    time: float
+    arrived: float
+    xy: tuple[Floats, ...]
+    sizes: tuple[Floats, ...]
+    missing: tuple[int, ...]
+
+
+@dataclass
+class CameraArrivals:
+    """What is known of one camera while it runs.
+
+    count      images received, lost, late and begun anew, by their numbers
+    clock      its clock against this machine's
+    lag        how late its images are, behind the first of their frame or behind its fastest ones
+    late       images that came when their frame had gone on without them
+    without    frames that went on without it
+    unlinked   blobs that could not be followed to the instant of a frame
+    away       whether it is not waited for, since it sends nothing
+    times_away how often that began
+    seen       s on this machine's clock, when its last image came; NaN where none did
+    """
+
+    count: FrameCount = field(default_factory=FrameCount)
+    clock: CameraClock = field(default_factory=CameraClock)
+    lag: Latest = field(default_factory=Latest)
+    late: int = 0
+    without: int = 0
+    unlinked: int = 0
+    away: bool = False
+    times_away: int = 0
+    seen: float = math.nan
+    missed: int = 0
+    latest: int | None = None
+
+    @property
+    def wait(self) -> float:
+        """s that it is waited for beyond the moment at which it could have come: by how late it has been."""
+        return LONGEST_WAIT if self.count.received < _FEWEST else min(LONGEST_WAIT, max(_LEAST_WAIT, _MARGIN * self.lag.most))
+
+    def takes(self, blobs: LiveBlobs) -> bool:
+        """Whether an image that came is a new one."""
+        if not self.count.takes(blobs.number):
+            return False
+        self.seen, self.away, self.missed, self.latest = blobs.arrived, False, 0, blobs.number
+        self.clock.observe(blobs.time, blobs.arrived)
+        return True
+
+    def missing(self) -> None:
+        """A frame waited for it long enough."""
+        self.missed += 1
+        if self.missed >= _AWAY and not self.away:
+            self.away, self.times_away = True, self.times_away + 1
+
+
+class ByNumber:
+    """Gathers blobs whose numbers tell which of them are one exposure.
+
+    A frame is whole when each camera that is there has sent it, or a later one. A camera that is late is waited for as long as it was late
+    in the last ten seconds, and half as long again, at most 0.1 s; then the frame goes on without it. What comes after that is counted.
+    """
+
+    def __init__(self, cameras: int, rate: float = math.nan) -> None:
+        self.cameras = [CameraArrivals() for _ in range(cameras)]
+        self.delay = 0.0
+        self._window = 100 if math.isnan(rate) else max(20, round(rate))
+        self._open: dict[int, dict[int, LiveBlobs]] = {}
+        self._begun: dict[int, float] = {}
+        self._gone: int | None = None
+
+    def push(self, camera: int, blobs: LiveBlobs) -> None:
+        """Take the blobs of a camera."""
+        state, restarts = self.cameras[camera], self.cameras[camera].count.restarts
+        if not state.takes(blobs):
+            return
+        usual = self._usual()
+        # Numbers of a camera that counts otherwise than most say nothing about its exposure.
+        if abs(blobs.number - usual) > self._window:
+            state.late += 1
+            return
+        behind = 0 if self._gone is None else self._gone - usual
+        if behind > self._window or (behind > 0 and state.count.restarts > restarts):
+            # Most cameras began anew.
+            self._open, self._begun, self._gone = {}, {}, None
+        begun = self._begun.setdefault(blobs.number, blobs.arrived)
+        state.lag.add(blobs.arrived, blobs.arrived - begun)
+        while len(self._begun) > _REMEMBERED:
+            self._begun.pop(next(iter(self._begun)))
+        if self._gone is not None and blobs.number <= self._gone:
+            state.late += 1
+            return
+        self._open.setdefault(blobs.number, {})[camera] = blobs
+
+    def _usual(self) -> int:
+        """The number at which most cameras are."""
+        numbers = sorted(state.latest for state in self.cameras if state.latest is not None and not state.away)
+        return numbers[(len(numbers) - 1) // 2]
+
+    def ready(self, now: float) -> Iterator[RigFrame]:
+        """The frames that are whole, or waited long enough, oldest first. now: s on this machine's clock."""
+        while self._open:
+            number = min(self._open)
+            missing = self._missing(number)
+            if missing and now < self._until(number, missing):
+                return
+            taken = self._open.pop(number)
+            self._gone = number
+            for camera in missing:
+                self.cameras[camera].missing()
+            yield self._frame(number, taken)
+
+    def due(self) -> float:
+        """s on this machine's clock, when the oldest frame waits no longer; infinite where none waits."""
+        if not self._open:
+            return math.inf
+        number = min(self._open)
+        return self._until(number, self._missing(number))
+
+    def _missing(self, number: int) -> list[int]:
+        """The cameras that may still send a frame."""
+        there = self._open[number]
+        return [
+            c
+            for c, state in enumerate(self.cameras)
+            if c not in there and not state.away and (state.latest is None or state.latest < number)
+        ]
+
+    def _until(self, number: int, missing: list[int]) -> float:
+        return self._begun[number] + max((self.cameras[c].wait for c in missing), default=0.0)
+
+    def _frame(self, number: int, taken: dict[int, LiveBlobs]) -> RigFrame:
+        xy, sizes = [np.empty((0, 2))] * len(self.cameras), [np.empty(0)] * len(self.cameras)
+        for c, blobs in taken.items():
+            xy[c], sizes[c] = blobs.xy, blobs.sizes
+        time = float(np.median([blobs.time for blobs in taken.values()]))
+        arrived = max(blobs.arrived for blobs in taken.values())
+        without = tuple(c for c in range(len(self.cameras)) if c not in taken)
+        for c in without:
+            self.cameras[c].without += 1
+        return RigFrame(number, time, arrived, tuple(xy), tuple(sizes), without)
+
+
+class ByTime:
+    """Gathers blobs of cameras that are not triggered together: each camera's are moved to the instants at which one of them looks.
+
+    That one, the reference, is the camera after whose images the others' come soonest; a camera as fast as half of them or faster. The
+    blobs of the others are put between their images before and after the instant, along their paths (see `following`). So a frame waits
+    for the next image of each camera: `delay` says how long, and never more than a period. Nothing is taken at another time than its own: a
+    camera without an image on both sides of the instant, no further apart than 2.5 of its periods, has no blobs in the frame.
+
+    Times are compared as they are where the cameras share a clock, else by each clock's offset to this machine's. A camera joins when 20
+    images have told its clock and rate, and again when its clock was set.
+    """
+
+    def __init__(self, cameras: int, rate: float = math.nan) -> None:
+        self.cameras = [CameraArrivals() for _ in range(cameras)]
+        self.delay = 0.0
+        self._tracks = [_RecentImages() for _ in range(cameras)]
+        self._leader = list(range(cameras))
+        self._reference: int | None = None
+        self._instants: deque[float] = deque(maxlen=_REMEMBERED)
+        self._last: tuple[int, float] | None = None
+        self._newest = -math.inf
+        self._chosen, self._first = -math.inf, math.inf
+        self._period = 1 / rate
+
+    def push(self, camera: int, blobs: LiveBlobs) -> None:
+        """Take the blobs of a camera."""
+        state, track, jumps = self.cameras[camera], self._tracks[camera], self.cameras[camera].clock.jumps
+        if not state.takes(blobs):
+            return
+        if state.clock.jumps > jumps:
+            self._leave(camera)
+        if track.stamps and blobs.time <= track.stamps[-1][1]:
+            state.late += 1
+            return
+        track.stamps.append((blobs.number, blobs.time))
+        if not track.joined:
+            if len(track.stamps) < _FEWEST:
+                return
+            self._join(camera)
+        at = self._common(camera, blobs.time)
+        state.lag.add(blobs.arrived, max(0.0, blobs.arrived - self._arrival(camera, at)))
+        last = track.images[-1] if track.images else None
+        image = FollowedImage(at, blobs.arrived, blobs.xy, blobs.sizes)
+        follow(last, image, RULES.longest_gap * track.period)
+        track.images.append(image)
+        if self._last is not None and at < self._last[1]:
+            state.late += 1
+        self._choose(blobs.arrived)
+        if camera == self._reference and at > self._newest + 0.5 * track.period:
+            self._instants.append(at)
+            self._newest = at
+
+    def ready(self, now: float) -> Iterator[RigFrame]:
+        """The frames that are whole, or waited long enough, oldest first. now: s on this machine's clock."""
+        while self._instants:
+            instant = self._instants[0]
+            missing = self._missing(instant)
+            if missing and now < max(self._until(c, instant) for c in missing):
+                return
+            self._instants.popleft()
+            for c in missing:
+                self.cameras[c].missing()
+            yield self._frame(instant)
+
+    def due(self) -> float:
+        """s on this machine's clock, when the oldest frame waits no longer; infinite where none waits."""
+        if not self._instants:
+            return math.inf
+        return max((self._until(c, self._instants[0]) for c in self._missing(self._instants[0])), default=-math.inf)
+
+    @property
+    def one_clock(self) -> bool:
+        """Whether all cameras share a clock."""
+        return len({self._leader[c] for c, track in enumerate(self._tracks) if track.joined}) <= 1
+
+    def _there(self) -> list[int]:
+        return [c for c, track in enumerate(self._tracks) if track.joined and not self.cameras[c].away]
+
+    def _missing(self, instant: float) -> list[int]:
+        """The cameras that are there and have no image at the instant or after it yet."""
+        return [c for c in self._there() if not self._tracks[c].reaches(instant)]
+
+    def _until(self, camera: int, instant: float) -> float:
+        """When a camera's first image at the instant or after it is here at the latest, on this machine's clock."""
+        track = self._tracks[camera]
+        last = track.images[-1].time if track.images else instant
+        coming = last + track.period * max(1, math.ceil((instant - last) / track.period - RULES.same))
+        return self._arrival(camera, coming) + self.cameras[camera].wait
+
+    def _arrival(self, camera: int, at: float) -> float:
+        """When the fastest image of a time on the common clock is here, on this machine's clock."""
+        # Without a common clock of the cameras, this machine's is the common one, the fastest way included.
+        return at + self.cameras[camera].clock.offset(at) if self.one_clock else at
+
+    def _common(self, camera: int, time: float) -> float:
+        return time if self.one_clock else time + self.cameras[self._leader[camera]].clock.offset(time)
+
+    def _join(self, camera: int) -> None:
+        """Take part with the rate and the clock that its first images told."""
+        track, was_one = self._tracks[camera], self.one_clock
+        numbers, times = np.array(track.stamps).T
+        track.period = float(np.median(np.diff(times) / np.maximum(1, np.diff(numbers))))
+        track.joined = True
+        clocks = [state.clock for state in self.cameras]
+        for other in self._there():
+            if other != camera and self._leader[other] == other and same_clock(clocks[other], clocks[camera], LONGEST_WAIT):
+                self._leader[camera] = other
+                break
+        else:
+            self._leader[camera] = camera
+        if was_one != self.one_clock:
+            self._anew()
+
+    def _leave(self, camera: int) -> None:
+        """Its clock was set: nothing is known of it."""
+        was_one = self.one_clock
+        # Others that shared its clock still share one until they are set, too.
+        others = [c for c, leader in enumerate(self._leader) if leader == camera and c != camera]
+        for c in (*others, camera):
+            self._leader[c] = others[0] if others and c != camera else camera
+        self._tracks[camera] = _RecentImages()
+        if was_one != self.one_clock or not self._there():
+            self._anew()
+
+    def _anew(self) -> None:
+        """Times are on another clock from here on."""
+        for track in self._tracks:
+            track.images.clear()
+        self._instants.clear()
+        self._newest, self._chosen, self._reference = -math.inf, -math.inf, None
+
+    def _choose(self, now: float) -> None:
+        """The reference: anew where it is away, and each second where another one spares a quarter of a period."""
+        self._first = min(self._first, now)
+        joined = sum(track.joined for track in self._tracks)
+        if self._last is None and joined < len(self._tracks) and now < self._first + LONGEST_WAIT:
+            # The first frame waits for cameras that begin a little later.
+            return
+        there = [c for c in self._there() if self._tracks[c].images]
+        gone = self._reference is None or self._reference not in there
+        if not there or not (gone or now - self._chosen > 1.0):
+            return
+        self._chosen = now
+        self._part(there)
+        there = [c for c in there if self._tracks[c].images]
+        if not there:
+            return
+        usual = float(np.quantile([self._tracks[c].period for c in there], 0.5, method="lower"))
+        waits = {c: self._waits(c, there) for c in there if self._tracks[c].period <= (1 + _ONE_RATE) * usual}
+        best = min(waits, key=lambda c: waits[c])
+        if gone or self._reference not in waits or waits[self._reference] - waits[best] > 0.25 * usual:
+            self._reference, self._period = best, self._tracks[best].period
+
+    def _part(self, cameras: list[int]) -> None:
+        """Cameras whose clocks run apart share none."""
+        was_one = self.one_clock
+        for c in cameras:
+            leader = self._leader[c]
+            if leader != c and not same_clock(self.cameras[leader].clock, self.cameras[c].clock, LONGEST_WAIT):
+                self._leader[c] = c
+        if was_one != self.one_clock:
+            self._anew()
+
+    def _waits(self, reference: int, there: list[int]) -> float:
+        """s that frames would wait for the cameras' next images."""
+        period, at = self._tracks[reference].period, self._tracks[reference].images[-1].time
+        waits = [0.0]
+        for c in there:
+            track = self._tracks[c]
+            same_rate = abs(track.period - period) <= _ONE_RATE * period
+            behind = (track.images[-1].time - at) % track.period if same_rate else track.period
+            # What is taken at the instant needs no next image.
+            waits.append(0.0 if min(behind, track.period - behind) <= RULES.same * period and same_rate else behind)
+        return max(waits)
+
+    def _frame(self, instant: float) -> RigFrame:
+        xy, sizes = [np.empty((0, 2))] * len(self.cameras), [np.empty(0)] * len(self.cameras)
+        without, arrived, waited = list[int](), -math.inf, 0.0
+        for c, track in enumerate(self._tracks):
+            at = track.at(instant)
+            if at is None:
+                without.append(c)
+                self.cameras[c].without += 1
+                continue
+            xy[c], sizes[c], unlinked, last = at
+            self.cameras[c].unlinked += unlinked
+            arrived, waited = max(arrived, last.arrived), max(waited, last.time - instant)
+        self.delay = waited
+        number = 0
+        if self._last is not None:
+            # Where another camera became the reference, up to three quarters of a period more are no lost frame.
+            number = self._last[0] + max(1, math.floor((instant - self._last[1]) / self._period + 0.25))
+        self._last = (number, instant)
+        return RigFrame(number, instant, arrived, tuple(xy), tuple(sizes), tuple(without))
+
+
+class _RecentImages:
+    """The last images of a camera, on the common clock."""
+
+    def __init__(self) -> None:
+        self.joined = False
+        self.period = math.nan
+        self.stamps: deque[tuple[int, float]] = deque(maxlen=_FEWEST)
+        self.images: deque[FollowedImage] = deque(maxlen=_REMEMBERED)
+
+    def reaches(self, instant: float) -> bool:
+        """Whether there is an image at the instant or after it."""
+        return bool(self.images) and self.images[-1].time >= instant - RULES.same * self.period
+
+    def at(self, instant: float) -> tuple[Floats, Floats, int, FollowedImage] | None:
+        """Blobs and sizes at an instant, how many blobs were left out, and the last image that they rest on; None where none is around."""
+        while len(self.images) > 3 and self.images[2].time < instant - RULES.longest_gap * self.period:
+            self.images.popleft()
+        images = list(self.images)
+        for k, image in enumerate(images):
+            if abs(image.time - instant) <= RULES.same * self.period:
+                return image.xy, image.sizes, 0, image
+            if image.time > instant:
+                if k == 0 or image.time - images[k - 1].time > RULES.longest_gap * self.period:
+                    return None
+                xy, sizes = between(images[k - 2] if k > 1 else None, images[k - 1], image, instant)
+                return xy, sizes, len(image.xy) - len(xy), image
+        return None

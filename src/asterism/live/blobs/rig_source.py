@@ -1,0 +1,363 @@
+"""Blobs of several cameras and their rig in; points of each frame, as any source of live frames gives them, out."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from asterism.cameras import Rig
+from asterism.findings import Finding, Severity
+from asterism.live.blobs.gathering import ByNumber, ByTime, CameraArrivals, RigFrame
+from asterism.live.camera_frames import BlobSource, LiveBlobs
+from asterism.live.found import own_findings
+from asterism.live.frames import MOST_POINTS, LiveFrame, SourceAbout, SourceEnded
+from asterism.reconstruction import ReconstructionSettings, Reconstructor
+from asterism.reconstruction.camera_fit import CameraFit
+from asterism.reconstruction.streaming import WINDOW
+from asterism.recording import Floats
+from asterism.recording.display import listed, significant
+
+_QUEUE = 0.1
+"""s of frames that wait to be reconstructed at most, as of `LiveSession`."""
+_TIMEOUT = 0.1
+"""s after which a thread looks whether it shall stop."""
+_FIRST = 24
+"""Frames after which the noise is first told: as many as `reconstruct` looks at."""
+_EVERY = 10.0
+"""s between two judgements of how the cameras fit, at most: they take a thirtieth of one core then. Half of it takes twice as much, and
+with twice as much a bumped camera is told twenty seconds later."""
+_SHARE = 0.8
+"""Share of a frame's period that making its points may take, before blobs are left out. With all of it a frame that takes longer delays
+those after it; half of it leaves blobs out that there was time for."""
+
+
+@dataclass(frozen=True)
+class RigCameraHealth:
+    """How one camera does.
+
+    name                  in the rig
+    received, lost, late  images that came, never came by their numbers, and came when their frame had gone on
+    without               frames that went on without it
+    unlinked              blobs that could not be followed to the instant of a frame
+    times_away, away      how often it fell silent, and whether it is silent now
+    jumps                 times that its clock was set
+    offset, offset_sd     s, its clock against this machine's, its fastest way here included
+    drift_ppm, drift_sd_ppm  by how many millionths this machine's clock is faster
+    wait                  s that a frame waits for it at most
+    seen                  the share of the others' points in its image that it shows; NaN where unknown
+    systematic            px by which its whole image is off; NaN where unknown
+    """
+
+    name: str
+    received: int
+    lost: int
+    late: int
+    without: int
+    unlinked: int
+    times_away: int
+    away: bool
+    jumps: int
+    offset: float
+    offset_sd: float
+    drift_ppm: float
+    drift_sd_ppm: float
+    wait: float
+    seen: float
+    systematic: float
+
+
+class RigSource:
+    """The points that calibrated cameras show, one frame after the other.
+
+    source    the blobs; closed with this
+    rig       its cameras are found by the names that the source gives; cameras without a pose, or not of the source, are left out
+    settings  of the reconstruction
+    waits     whether the source waits until its frames are taken: a file can, a camera cannot. Then noise and cameras are judged in line,
+              so
+              that the same file gives the same points
+
+    One thread takes blobs and gathers them to frames (see `gathering`), the caller's reconstructs, a third judges noise and cameras every
+    ten seconds. Where frames come faster than their points are made, the oldest that waits is dropped and counted. Where a frame has so
+    many blobs that making its points would take longer than a frame, blobs are left out, those first that are far from where points were
+    just now, then the smallest, and counted.
+
+    Raises AsterismError where the rig has fewer than two posed cameras of the source.
+    """
+
+    def __init__(
+        self, source: BlobSource, rig: Rig, settings: ReconstructionSettings | None = None, *, waits: bool = False, name: str = ""
+    ) -> None:
+        known = [camera.name for camera in rig if camera.posed and (not source.cameras or camera.name in source.cameras)]
+        self._unknown = {name: 0 for name in source.cameras if name not in rig.names}
+        self._unposed = [camera.name for camera in rig if not camera.posed]
+        used = known if len(known) >= 2 else [camera.name for camera in rig if camera.posed]
+        self._source, self.rig, self._waits = source, rig.select(used or rig.names), waits
+        self._of = {name: c for c, name in enumerate(self.rig.names)}
+        self._reconstructor = Reconstructor(self.rig, settings)
+        # Compiled and loaded before the first frame, which must not wait for it.
+        Reconstructor(self.rig, settings).push([np.array([[0.0, 0.0], [9.0, 9.0]])] * len(self.rig))
+        self._gather: ByNumber | ByTime = (ByNumber if source.numbered_together else ByTime)(len(self.rig), source.rate)
+        self.about = SourceAbout(name or source.name, source.rate, rig.vertical)
+        self.dropped, self.cut, self.no_points = 0, 0, 0
+        self._queue: deque[RigFrame] = deque()
+        self._there = threading.Condition()
+        self._ended = False
+        self._failed: Exception | None = None
+        self._fits: tuple[CameraFit, ...] = ()
+        self._found: dict[tuple[str, str], tuple[Finding, int]] = {}
+        self._next, self._frames = _FIRST, 0
+        self._points: Floats = np.empty((0, 3))
+        self._cost = 0.0
+        self._judge: threading.Thread | None = None
+        self._thread = threading.Thread(target=self._take, name="live blobs", daemon=True)
+        self._thread.start()
+
+    @property
+    def damaged(self) -> int:
+        """Packets or images that could not be read."""
+        return self._source.damaged
+
+    @property
+    def delay(self) -> float:
+        """s that a frame waits for images after its instant, to which blobs are moved; 0 where cameras are triggered together."""
+        return self._gather.delay
+
+    def read(self, timeout: float) -> LiveFrame | None:
+        """The points of the next frame; None where none came within so many seconds. Raises SourceEnded."""
+        until = time.monotonic() + timeout
+        with self._there:
+            while not self._queue:
+                if self._ended:
+                    if self._failed is not None:
+                        raise self._failed
+                    raise SourceEnded
+                left = until - time.monotonic()
+                if left <= 0:
+                    return None
+                self._there.wait(left)
+            frame = self._queue.popleft()
+            self._there.notify_all()
+        return self._reconstructed(frame)
+
+    def close(self) -> None:
+        """Let go of the cameras."""
+        with self._there:
+            self._ended = True
+            self._there.notify_all()
+        self._source.close()
+        for thread in (self._thread, self._judge):
+            if thread is not None and thread is not threading.current_thread():
+                thread.join(timeout=5.0)
+
+    def cameras(self) -> list[RigCameraHealth]:
+        """How each camera does, in the rig's order."""
+        fits = self._fits or [CameraFit(0, math.nan, math.nan)] * len(self.rig)
+        return [_health(name, state, fit) for name, state, fit in zip(self.rig.names, self._gather.cameras, fits, strict=True)]
+
+    def camera_numbers(self) -> list[dict[str, Any]]:
+        """The same as plain values; what is not known is None."""
+        return as_plain(self.cameras())
+
+    def findings(self) -> list[Finding]:
+        """What a person should know of the cameras and their rig."""
+        counts = self._counts() if self._frames else []
+        own = own_findings([self._source])
+        # What a camera or its process left out never came either, and is told once, by who knows why.
+        told = {finding.where for finding in own if finding.code in ("live-camera-lost", "live-camera-dropped")}
+        counts = [finding for finding in counts if finding.code != "live-camera-lost" or finding.where not in told]
+        return [*own, *self._names(), *counts, *(finding for finding, times in self._found.values() if times > 1)]
+
+    def _take(self) -> None:
+        """The thread that gathers."""
+        try:
+            while not self._ended:
+                wait = min(_TIMEOUT, max(0.0, self._gather.due() - time.monotonic()))
+                blobs = self._source.read(max(1e-4, wait))
+                if blobs is not None:
+                    self._push(blobs)
+                # A file that waits has its own time, which stands still while nothing comes.
+                if not self._waits:
+                    self._put(time.monotonic())
+                elif blobs is not None:
+                    self._put(blobs.arrived)
+        except SourceEnded:
+            self._put(math.inf)
+        except Exception as problem:  # the reader must not wait for ever
+            self._failed = problem
+        finally:
+            with self._there:
+                self._ended = True
+                self._there.notify_all()
+
+    def _push(self, blobs: LiveBlobs) -> None:
+        camera = self._of.get(blobs.camera)
+        if camera is not None:
+            self._gather.push(camera, blobs)
+        elif len(self._unknown) < MOST_POINTS or blobs.camera in self._unknown:
+            self._unknown[blobs.camera] = self._unknown.get(blobs.camera, 0) + 1
+
+    def _put(self, now: float) -> None:
+        most = max(2, round(_QUEUE * self.about.rate)) if math.isfinite(self.about.rate) else 10
+        for frame in self._gather.ready(now):
+            with self._there:
+                while self._waits and len(self._queue) >= most and not self._ended:
+                    self._there.wait(_TIMEOUT)
+                self._queue.append(frame)
+                while len(self._queue) > most and not self._waits:
+                    self._queue.popleft()
+                    self.dropped += 1
+                self._there.notify_all()
+
+    def _reconstructed(self, frame: RigFrame) -> LiveFrame:
+        xy = self._bounded(frame)
+        begin = time.perf_counter()
+        points = self._reconstructor.push(xy).points
+        blobs = max(len(each) for each in xy)
+        if blobs:
+            # Pairs of blobs grow with the square of a camera's blobs; the average forgets a pause of the system within ten frames.
+            self._cost += 0.1 * ((time.perf_counter() - begin) / blobs**2 - self._cost)
+        self._points = points
+        self._frames += 1
+        self.no_points += not len(points)
+        self._watch()
+        return LiveFrame(frame.number, frame.time, min(frame.arrived, time.monotonic()), points[:MOST_POINTS])
+
+    def _bounded(self, frame: RigFrame) -> Sequence[Floats]:
+        """The blobs of a frame, no more of each camera than there is time for."""
+        if self._waits or not math.isfinite(self.about.rate) or self._cost <= 0:
+            most = MOST_POINTS
+        else:
+            # Never fewer than a suit of markers.
+            most = max(100, int(math.sqrt(_SHARE / self.about.rate / self._cost)))
+        if max(len(each) for each in frame.xy) <= most:
+            return frame.xy
+        kept = list[Floats]()
+        for c, (xy, sizes) in enumerate(zip(frame.xy, frame.sizes, strict=True)):
+            if len(xy) > most:
+                places = self.rig[c].project(self._points)
+                places = places[np.isfinite(places).all(axis=1)]
+                apart = np.linalg.norm(xy[:, None] - places[None], axis=2).min(axis=1) if len(places) else np.zeros(len(xy))
+                expected = np.argsort(apart, kind="stable")[: min(len(places), most)]
+                rest = np.setdiff1d(np.argsort(-np.nan_to_num(sizes), kind="stable"), expected, assume_unique=True)
+                self.cut += len(xy) - most
+                xy = xy[np.sort(np.concatenate([expected, rest[: most - len(expected)]]))]
+            kept.append(xy)
+        return kept
+
+    def _watch(self) -> None:
+        """Judge noise and cameras: after the first frames, when the window is full, and every ten seconds."""
+        if self._frames < self._next:
+            return
+        rate = self.about.rate if math.isfinite(self.about.rate) else 100.0
+        self._next = WINDOW if self._frames < WINDOW else self._frames + round(_EVERY * rate)
+        if self._waits:
+            self._learn(rate)
+        elif self._judge is None or not self._judge.is_alive():
+            self._judge = threading.Thread(target=self._learn, args=(rate,), name="live rig", daemon=True)
+            self._judge.start()
+
+    def _learn(self, rate: float) -> None:
+        fits, findings = self._reconstructor.learn(rate)
+        if not fits:
+            return
+        self._fits = fits
+        now = {(finding.code, finding.where): finding for finding in findings}
+        # Said when two judgements in a row found it: one may be of a moment in which few markers were seen.
+        self._found = {
+            key: (now.get(key, finding), times + (key in now)) for key, (finding, times) in self._found.items() if times > 1 or key in now
+        } | {key: (finding, 1) for key, finding in now.items() if key not in self._found}
+
+    def _names(self) -> list[Finding]:
+        found = []
+        others = [name for name, count in self._unknown.items()]
+        if others:
+            sentence = f"{self.about.name}: the rig has no camera {listed(others)}; it has {listed(self.rig.names)}."
+            mend = "Call the cameras by one name in the stream and in the rig."
+            found.append(Finding("live-unknown-camera", Severity.WARNING, listed(others), sentence, mend))
+        if self._unposed:
+            sentence = f"camera {listed(self._unposed)} has no pose in the rig and was left out."
+            mend = "`asterism calibrate wand` gives it one."
+            found.append(Finding("reconstruct-no-pose", Severity.WARNING, listed(self._unposed), sentence, mend))
+        return found
+
+    def _counts(self) -> list[Finding]:
+        found, warning, cameras = list[Finding](), Severity.WARNING, self.cameras()
+        cable = "Look at cables and at the network, or lower the rate."
+        silent = [camera.name for camera in cameras if not camera.received]
+        if silent:
+            mend = "Look whether it is switched on, and whether it has this name in the rig."
+            found.append(Finding("live-camera-silent", warning, listed(silent), f"camera {listed(silent)} sent nothing.", mend))
+        if lost := _shares([(camera.name, camera.lost, camera.received + camera.lost) for camera in cameras]):
+            where, said = lost
+            found.append(Finding("live-camera-lost", warning, where, f"images never arrived: {said}.", cable))
+        if late := _shares([(camera.name, camera.late, camera.received + camera.lost) for camera in cameras]):
+            where, said = late
+            found.append(Finding("live-camera-late", warning, where, f"images came too late for their frame: {said}.", cable))
+        for camera in cameras:
+            where = camera.name
+            if camera.times_away:
+                sentence = f"camera {where} fell silent {camera.times_away} times{', and is silent now' if camera.away else ''}."
+                found.append(Finding("live-camera-away", warning, where, sentence, "Look at its cable; frames went on without it."))
+            if camera.jumps:
+                sentence = f"camera {where}: its clock was set {camera.jumps} times."
+                found.append(Finding("live-camera-clock", Severity.NOTE, where, sentence, "It takes part again after 20 images."))
+        where = self.about.name
+        if self.dropped:
+            sentence = f"{where}: {self.dropped} frames were not reconstructed, since newer ones waited."
+            found.append(Finding("live-not-reconstructed", warning, where, sentence, "Close other programs, or lower the rate."))
+        if self.cut:
+            sentence = f"{where}: {self.cut} blobs were left out, since frames had more than there was time for."
+            found.append(
+                Finding("live-many-blobs", warning, where, sentence, "Cover reflections and lamps, or raise the cameras' threshold.")
+            )
+        unlinked = sum(camera.unlinked for camera in cameras)
+        if unlinked:
+            sentence = f"{where}: cameras are not triggered together, and {unlinked} blobs could not be followed to the instant of a frame."
+            found.append(Finding("live-not-followed", Severity.NOTE, where, sentence, "Trigger the cameras together, or raise their rate."))
+        return found
+
+
+def _shares(counts: Sequence[tuple[str, int, int]]) -> tuple[str, str] | None:
+    """The cameras (name, how many, of how many) that have some, and what is said of them; None where none has."""
+    some = [(name, count, total) for name, count, total in counts if count]
+    if not some:
+        return None
+    names = listed([name for name, _, _ in some])
+    return names, listed([f"{count} of camera {name} ({significant(100 * count / total, 2)} %)" for name, count, total in some])
+
+
+def as_plain(cameras: Sequence[RigCameraHealth]) -> list[dict[str, Any]]:
+    """How cameras do, as plain values; None for what is not known."""
+    rows = [dataclasses.asdict(camera) for camera in cameras]
+    return [{key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in row.items()} for row in rows]
+
+
+def _health(name: str, state: CameraArrivals, fit: CameraFit) -> RigCameraHealth:
+    count, clock = state.count, state.clock
+    last = clock.last_time
+    return RigCameraHealth(
+        name,
+        count.received,
+        count.lost,
+        count.late + state.late,
+        state.without,
+        state.unlinked,
+        state.times_away,
+        state.away,
+        clock.jumps,
+        clock.offset(last),
+        clock.offset_sd(last),
+        clock.drift_ppm,
+        clock.drift_sd_ppm,
+        state.wait,
+        fit.seen,
+        fit.systematic,
+    )

@@ -1,0 +1,177 @@
+"""A file of blobs, or blobs as JSON over UDP, in; the blobs of each camera as they come out."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.formats.blobs_2d import read_2d
+from asterism.live.camera_frames import LiveBlobs
+from asterism.live.datagrams import LARGEST, HostPort, bound
+from asterism.live.frames import SourceEnded
+from asterism.recording import Floats
+
+MOST_BLOBS = 2000
+"""Blobs of an image that are read: a camera that looks at lamps or the sun has hundreds. Half of them cuts a dense suit in a near view;
+with twice as many a datagram would not hold them."""
+_FARTHEST = 1e5
+"""px from the image's corner: no image is that large, see `cameras.camera.LARGEST_IMAGE`."""
+_LARGEST_NUMBER = 2**53
+
+
+class ReplayBlobs:
+    """Plays a file of blobs, each camera's when they are due. Frames without times, or with equal ones, are numbered together.
+
+    path     any file that `asterism reconstruct` reads
+    cameras  names in the rig's order
+    speed    times its own rate; inf for as fast as they are taken
+    loop     whether it begins again at the end, its numbers and times going on
+    Raises AsterismError where the file cannot be read, has no frame, or the speed is not above 0.
+    """
+
+    damaged = 0
+
+    def __init__(
+        self, path: Path, cameras: Sequence[str] | None = None, *, rate: float | None = None, speed: float = 1.0, loop: bool = False
+    ) -> None:
+        if not speed > 0:
+            raise AsterismError(f"a speed of {speed:g} plays nothing; give one above 0, as in --speed 2.")
+        self._blobs = read_2d(path, cameras, rate)
+        blobs = self._blobs
+        if not len(blobs):
+            raise AsterismError(f"{path} has no frame; there is nothing to play.")
+        self.name, self.cameras = path.name, blobs.cameras
+        times = np.arange(len(blobs))[:, None] / blobs.rate + np.zeros(len(blobs.cameras))
+        if blobs.times is not None:
+            times = blobs.times - np.nanmin(blobs.times)
+        self.rate = blobs.rate * min(speed, 1e6) if math.isfinite(speed) else blobs.rate
+        known = np.isfinite(times)
+        first, last = np.where(known, times, np.inf).min(axis=1), np.where(known, times, -np.inf).max(axis=1)
+        self.numbered_together = bool((first >= last).all())
+        frame, camera = np.nonzero(known)
+        order = np.argsort(times[known], kind="stable")
+        self._due = list(zip(times[known][order].tolist(), frame[order].tolist(), camera[order].tolist(), strict=True))
+        self._long = float(np.nanmax(times)) + 1 / blobs.rate
+        self._speed, self._loop, self._next = speed, loop, 0
+        self._begin: float | None = None
+        self._closed = threading.Event()
+
+    def read(self, timeout: float) -> LiveBlobs | None:
+        """The next blobs, when they are due."""
+        if self._closed.is_set() or (not self._loop and self._next >= len(self._due)):
+            raise SourceEnded
+        now = time.monotonic()
+        self._begin = now if self._begin is None else self._begin
+        turn, row = divmod(self._next, len(self._due))
+        since, frame, camera = self._due[row]
+        at = turn * self._long + since
+        wait = self._begin + at / self._speed - now
+        if wait > timeout:
+            self._closed.wait(timeout)
+            return None
+        if wait > 0 and self._closed.wait(wait):
+            raise SourceEnded
+        self._next += 1
+        blobs = self._blobs
+        cell = frame * len(blobs.cameras) + camera
+        place = slice(blobs.offsets[cell], blobs.offsets[cell + 1])
+        number = turn * len(blobs) + frame
+        # When it was due: however long it had to wait to be taken, the cameras keep their places beside each other.
+        arrived = self._begin + (at / self._speed if math.isfinite(self._speed) else at)
+        return LiveBlobs(blobs.cameras[camera], number, at, arrived, blobs.xy[place], blobs.sizes[place])
+
+    def close(self) -> None:
+        """Stop playing."""
+        self._closed.set()
+
+
+def blobs_as_json(blobs: LiveBlobs) -> bytes:
+    """The blobs of a camera as a datagram that `blobs_of_json` reads: thousandths of a pixel."""
+    rows: list[list[float]] = np.round(blobs.xy, 3).tolist()
+    if np.isfinite(blobs.sizes).any():
+        rows = [[*row, size] for row, size in zip(rows, np.round(blobs.sizes, 2).tolist(), strict=True)]
+    content = {"camera": blobs.camera, "frame": blobs.number, "time": blobs.time, "blobs": rows}
+    return json.dumps(content, separators=(",", ":")).encode()
+
+
+def blobs_of_json(data: bytes, arrived: float) -> LiveBlobs | None:
+    """The blobs in a datagram; None where it is damaged, or holds none. Never raises.
+
+    {"camera": "c1", "frame": 12, "time": 0.12, "blobs": [[x, y], [x, y, size], ...]}: pixels, the centre of the top left one is (0, 0);
+    size is a diameter in px, and may be left out. Blobs that are not finite are left out.
+    """
+    try:
+        content = json.loads(data.decode("utf-8"))
+        camera, number, at, rows = content["camera"], content["frame"], float(content["time"]), content["blobs"]
+        if type(camera) not in (str, int) or type(number) is not int or abs(number) > _LARGEST_NUMBER or not math.isfinite(at):
+            return None
+        if not isinstance(rows, list) or len(rows) > MOST_BLOBS:
+            return None
+        table = _table(rows)
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError, IndexError):
+        return None
+    table = table[(np.abs(table[:, :2]) < _FARTHEST).all(axis=1)]
+    sizes = np.where((table[:, 2] >= 0) & (table[:, 2] < _FARTHEST), table[:, 2], np.nan)
+    return LiveBlobs(str(camera), number, at, arrived, np.ascontiguousarray(table[:, :2]), sizes)
+
+
+def _table(rows: list[Any]) -> Floats:
+    """(n, 3) x, y and size of each blob. Raises ValueError or TypeError."""
+    if not rows:
+        return np.empty((0, 3))
+    widths = {len(row) for row in rows}
+    if widths == {2}:
+        return np.column_stack([np.array(rows, dtype=np.float64).reshape(-1, 2), np.full(len(rows), np.nan)])
+    if not widths <= {2, 3}:
+        raise ValueError
+    return np.array([[*row, np.nan][:3] for row in rows], dtype=np.float64).reshape(-1, 3)
+
+
+class JsonBlobs:
+    """Blobs that arrive as JSON, one image of one camera a datagram, see `blobs_of_json`.
+
+    place              where to listen
+    cameras            the names that are expected, those of the rig
+    rate               frames per second that each camera was told to take
+    numbered_together  whether equal numbers are one exposure; else times tell
+    Raises AsterismError where the address is none of this machine's, or the port is taken.
+    """
+
+    def __init__(self, place: HostPort, cameras: Sequence[str], rate: float = math.nan, *, numbered_together: bool = False) -> None:
+        self.damaged = 0
+        self.name, self.cameras, self.rate = f"blobs at {place.host}:{place.port}", tuple(cameras), rate
+        self.numbered_together = numbered_together
+        self._socket = bound(place)
+
+    @property
+    def port(self) -> int:
+        """The port that is listened to: a free one where 0 was asked for."""
+        return int(self._socket.getsockname()[1])
+
+    def read(self, timeout: float) -> LiveBlobs | None:
+        """The next image that is whole."""
+        until = time.monotonic() + timeout
+        while (left := until - time.monotonic()) > 0:
+            self._socket.settimeout(left)
+            try:
+                data = self._socket.recv(LARGEST + 1)
+            except OSError:
+                # nothing came, or the socket was closed meanwhile
+                return None
+            blobs = blobs_of_json(data, time.monotonic())
+            if blobs is not None:
+                return blobs
+            self.damaged += 1
+        return None
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._socket.close()

@@ -1,0 +1,424 @@
+"""Cameras in; the blobs of all of them, found in processes of their own, as one source out."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.detection.running import MOST_BLOBS
+from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
+from asterism.live.camera_frames import LiveBlobs
+from asterism.live.cameras import CameraHealth, CameraSpec, SettingOutcome, SettingValue, camera_findings, save_cameras
+from asterism.live.cameras.settings import setting_value
+from asterism.live.frames import SourceEnded
+from asterism.live.images.worker import CameraPlace, CameraReport, SearchCounts, SettingOrder, WorkerReady, WorkerSettings, work
+
+_SLICE = 0.1
+"""s after which a reader looks whether it shall stop."""
+_LEAD = 1.0
+"""s from when all processes are there to when files begin to play, in which they are opened. At half a long video is late; at double a
+person waits."""
+_OPENING = 60.0
+"""s in which a camera must open or say why not. Cameras in a network take 10 s; at half one that starts up is given up, at double a driver
+that hangs is waited for in vain for two minutes."""
+_AGAIN = 1.0
+"""s between two starts of a process that dies, so that one that cannot live takes no processor: starting takes about as long."""
+_HANGS = 10.0
+"""s without a word, four of which each process says a second, after which it is ended and begun anew. Half of it is a machine that swaps;
+at double the cameras are blind for as long again."""
+_ENDING = 3.0
+"""s in which a process ends by itself: its camera's driver closes in one."""
+_AHEAD = 100
+"""Images by which a process that reads videos may be ahead of another. Half of them stop it at each pause of the system; twice as many hold
+twice the memory."""
+_WAITING = 1000
+"""Images' blobs that are kept while the cameras open: four seconds of four webcams. More would be old when they are used."""
+
+
+@dataclass
+class _CameraProcess:
+    """A process and the ends of its pipes."""
+
+    places: tuple[CameraPlace, ...]
+    process: BaseProcess
+    pipe: Connection[Any, Any]
+    orders: Connection[Any, Any]
+    begun: float
+    heard: float
+    ready: bool = False
+    dead: bool = False
+    pending: deque[LiveBlobs] = field(default_factory=deque)
+    """What waits for the blobs of others that come before."""
+
+    @classmethod
+    def begin(cls, places: Sequence[CameraPlace], settings: WorkerSettings) -> _CameraProcess:
+        # Not forked: it would share locks that compiled kernels and threads hold, and the pipes of the others, which then never end.
+        context = multiprocessing.get_context("spawn")
+        pipe, out = context.Pipe(duplex=False)
+        theirs, orders = context.Pipe(duplex=False)
+        names = ", ".join(place.name for place in places)
+        process = context.Process(target=work, args=(tuple(places), settings, out, theirs), name=f"cameras {names}", daemon=True)
+        try:
+            process.start()
+        except BaseException:
+            pipe.close()
+            orders.close()
+            raise
+        finally:
+            # With our copies open, the end of the process would not end the pipe.
+            out.close()
+            theirs.close()
+        now = time.monotonic()
+        return cls(tuple(places), process, pipe, orders, now, now)
+
+    def end(self, patience: float = _ENDING) -> None:
+        """End the process: it is asked to, and killed where it does not."""
+        self.orders.close()
+        self.pipe.close()
+        self.process.join(patience)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+
+
+@dataclass
+class _CameraProgress:
+    """What was reported of a camera by the process that reads it, and what by those before it, which died."""
+
+    report: CameraReport | None = None
+    health: CameraHealth | None = None
+    """Counts of the processes before."""
+    search: SearchCounts = field(default_factory=SearchCounts)
+    picture: NDArray[Any] | None = None
+    restarts: int = 0
+    problem: str = ""
+    """Why no process reads it."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it has opened, or failed to."""
+        return self.report is not None and (self.report.health is not None or bool(self.report.problem) or self.report.ended)
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether it was played to its end."""
+        return self.report is not None and self.report.ended
+
+
+class CameraWorkers:
+    """A `BlobSource` of cameras that are read and searched in processes of their own.
+
+    places    the cameras, such as `CameraSpec`s; names must differ
+    settings  how their images are searched
+    workers   processes; None: as many as there are cores, at most one for each camera
+    numbered_together  whether equal numbers are one exposure of all cameras, as of videos that were taken together
+
+    What crosses a pipe is blobs, not images. A process that cannot keep up searches the newest image of each camera, and counts the others
+    as dropped. One that dies or hangs is begun anew, and counted; a camera that is gone is opened again each second. All processes end with
+    this one, however it ends. In a script that is run, the line `if __name__ == "__main__":` must guard what makes this.
+    Raises AsterismError where a camera cannot be opened in the first place.
+    """
+
+    def __init__(
+        self,
+        places: Sequence[CameraPlace],
+        settings: WorkerSettings | None = None,
+        *,
+        workers: int | None = None,
+        numbered_together: bool = False,
+    ) -> None:
+        self.numbered_together = numbered_together
+        self.cameras = tuple(place.name for place in places)
+        if not self.cameras or len(set(self.cameras)) < len(self.cameras):
+            raise AsterismError(f"cameras are named {', '.join(self.cameras) or '(none)'}; give each camera another name.")
+        self._settings = WorkerSettings() if settings is None else settings
+        self._settings.blobs.check()
+        self._states = {name: _CameraProgress() for name in self.cameras}
+        self._waiting: deque[LiveBlobs] = deque(maxlen=None if self._settings.in_order else _WAITING)
+        self._at: float | None = None
+        self._closed, self._reading = threading.Event(), threading.Lock()
+        self._last_read = time.monotonic()
+        self._workers: list[_CameraProcess] = []
+        groups = min(len(places), _cores() if workers is None else max(workers, 1))
+        try:
+            # Dealt like cards, since cameras that stand side by side see equally much.
+            for group in range(groups):
+                self._workers.append(_CameraProcess.begin(places[group::groups], self._settings))
+            self._open()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def name(self) -> str:
+        """How many cameras there are."""
+        return f"{len(self.cameras)} camera{'s' if len(self.cameras) > 1 else ''}"
+
+    @property
+    def rate(self) -> float:
+        """Images per second that the cameras say, in the median; NaN where none does."""
+        rates = [state.report.rate for state in self._states.values() if state.report is not None and state.report.rate > 0]
+        return float(np.median(rates)) if rates else math.nan
+
+    @property
+    def damaged(self) -> int:
+        """Images of all cameras that could not be read."""
+        refused = sum(counts.refused for counts in self.searches().values())
+        return refused + sum(health.damaged for health in self.healths())
+
+    @property
+    def begins(self) -> float:
+        """s on `time.monotonic` when files begin to play: see `LiveCamera.start`."""
+        return math.nan if self._at is None else self._at
+
+    @property
+    def processes(self) -> tuple[int | None, ...]:
+        """The ids of the processes."""
+        return tuple(worker.process.pid for worker in self._workers)
+
+    def healths(self) -> list[CameraHealth]:
+        """How each camera that was opened does. Images that were not searched, since newer ones waited, count as dropped."""
+        return [health for state in self._states.values() if (health := _health(state)) is not None]
+
+    def searches(self) -> dict[str, SearchCounts]:
+        """What is counted of the search, by the camera's name."""
+        return {name: _search(state) for name, state in self._states.items()}
+
+    def pictures(self) -> dict[str, NDArray[Any]]:
+        """The newest image of each camera, where they are shown: see `WorkerSettings.pictures`."""
+        return {name: state.picture for name, state in self._states.items() if state.picture is not None}
+
+    def read(self, timeout: float) -> LiveBlobs | None:
+        """The next blobs of some camera; None where none came within so many seconds. Raises SourceEnded where all cameras have ended."""
+        until = time.monotonic() + timeout
+        while True:
+            if self._waiting:
+                return self._waiting.popleft()
+            with self._reading:
+                if self._closed.is_set():
+                    raise SourceEnded
+                if not self._take(min(_SLICE, max(0.0, until - time.monotonic()))):
+                    raise SourceEnded
+            if not self._waiting and time.monotonic() >= until:
+                return None
+
+    def close(self) -> None:
+        """End the processes, from any thread."""
+        self._closed.set()
+        with self._reading:
+            workers, self._workers = self._workers, []
+            for worker in workers:
+                # All at once, and then each is waited for.
+                worker.orders.close()
+                worker.pipe.close()
+            until = time.monotonic() + _ENDING
+            for worker in workers:
+                worker.end(max(0.0, until - time.monotonic()))
+
+    def set(self, setting: str, value: object, only: Sequence[str] = ()) -> None:
+        """Set cameras while they run, all or only some; `outcomes` tells what became of it when they have answered.
+
+        A process that is begun anew sets it again. Raises AsterismError where there is no such setting, value or camera.
+        """
+        asked, names = setting_value(setting, value), tuple(only) or self.cameras
+        if not frozenset(names) <= frozenset(self.cameras):
+            raise AsterismError(
+                f"there is no camera {next(name for name in names if name not in self.cameras)}, only {', '.join(self.cameras)}."
+            )
+        with self._reading:
+            for worker in self._workers:
+                worker.places = tuple(_with(place, setting, asked) if place.name in names else place for place in worker.places)
+                # One that has just died is begun anew with it.
+                with suppress(OSError):
+                    worker.orders.send(SettingOrder(setting, asked, names))
+
+    def outcomes(self) -> list[SettingOutcome]:
+        """What became of the settings of all cameras."""
+        return [outcome for state in self._states.values() if state.report is not None for outcome in state.report.outcomes]
+
+    def save(self, path: Path) -> None:
+        """Write the cameras beside a recording: what was to be set on each, and what it said that it had. See `load_cameras`."""
+        places = {place.name: place for worker in self._workers for place in worker.places if isinstance(place, CameraSpec)}
+        said = {name: state.report.said for name, state in self._states.items() if state.report is not None}
+        save_cameras(path, [places[name] for name in self.cameras if name in places], said)
+
+    def findings(self) -> list[Finding]:
+        """What went wrong with cameras and processes, and how often."""
+        # A camera that has just been opened is not silent yet.
+        has_begun = self._at is not None and time.monotonic() > self._at + _LEAD
+        found = list(camera_findings(self.healths() if has_begun or self._closed.is_set() else (), self.outcomes()))
+        for name, state in self._states.items():
+            found += _search_findings(name, _search(state), state)
+        return found
+
+    def _open(self) -> None:
+        """Wait until all processes are there and all cameras open, or say which is not."""
+        while not all(worker.ready for worker in self._workers):
+            for worker in self._workers:
+                if worker.dead or not worker.process.is_alive():
+                    raise AsterismError(
+                        f"the process that reads {_listed(worker.places)} ended {_how(worker.process)} before it began; in a script, guard "
+                        'what is run by `if __name__ == "__main__":`.'
+                    )
+            self._take(_SLICE)
+        self._at = time.monotonic() + _LEAD
+        for worker in self._workers:
+            worker.orders.send(self._at)
+        begin = time.monotonic()
+        while silent := [name for name, state in self._states.items() if not state.is_known]:
+            if time.monotonic() > begin + _OPENING:
+                raise AsterismError(f"camera {', '.join(silent)} does not answer; look at its cable and its power.")
+            self._take(_SLICE)
+        for name, state in self._states.items():
+            if state.report is not None and state.report.health is None and state.report.problem:
+                raise AsterismError(f"camera {name}: {state.report.problem}")
+
+    def _take(self, timeout: float) -> bool:
+        """Take what the processes have sent; False where all have ended with their cameras."""
+        now = time.monotonic()
+        if now - self._last_read > 1.0:
+            # Nobody listened: what they said waits in the pipes.
+            for worker in self._workers:
+                worker.heard = now
+        pipes = {worker.pipe: worker for worker in self._workers if not worker.dead and len(worker.pending) < _AHEAD}
+        for pipe in wait(list(pipes), timeout) if pipes else ():
+            worker = pipes[pipe]  # type: ignore[index]
+            try:
+                # What is there already is taken at once: each wait costs more than a message.
+                while True:
+                    self._told(worker, worker.pipe.recv())
+                    if len(worker.pending) >= _AHEAD or not worker.pipe.poll():
+                        break
+            except (EOFError, OSError):
+                self._died(worker)
+        self._last_read = now = time.monotonic()
+        # Of videos the next is that of the least number or time, which is known when all processes have sent one.
+        while (first := [worker for worker in self._workers if worker.pending]) and all(
+            worker.pending or worker.dead for worker in self._workers
+        ):
+            worker = min(first, key=lambda worker: self._settings.rank(worker.pending[0]))
+            self._waiting.append(worker.pending.popleft())
+        for place, worker in enumerate(self._workers):
+            if not worker.dead and worker.ready and now - worker.heard > _HANGS:
+                worker.process.kill()
+            if worker.dead and not self._has_ended(worker) and now >= worker.begun + _AGAIN and self._at is not None:
+                self._workers[place] = _CameraProcess.begin(worker.places, self._settings)
+        if not pipes:
+            if all(self._has_ended(worker) for worker in self._workers):
+                return False
+            self._closed.wait(timeout)
+        return True
+
+    def _told(self, worker: _CameraProcess, message: object) -> None:
+        worker.heard = time.monotonic()
+        if isinstance(message, LiveBlobs):
+            (worker.pending if self._settings.in_order else self._waiting).append(message)
+        elif isinstance(message, CameraReport):
+            state = self._states[message.camera]
+            state.report, state.problem = message, ""
+            state.picture = state.picture if message.picture is None else message.picture
+        elif isinstance(message, WorkerReady):
+            worker.ready = True
+            if self._at is not None:
+                worker.orders.send(self._at)
+
+    def _died(self, worker: _CameraProcess) -> None:
+        worker.dead = True
+        worker.end(0.5)
+        if self._settings.in_order and not self._has_ended(worker) and self._at is not None:
+            # From its beginning a video would come again.
+            raise AsterismError(f"the process that plays {_listed(worker.places)} ended {_how(worker.process)}; play it again.")
+        for place in worker.places:
+            state = self._states[place.name]
+            if self._at is not None and not state.has_ended:
+                state.health, state.search, state.report = _health(state), _search(state), None
+                state.restarts += 1
+                state.problem = f"the process that reads it ended {_how(worker.process)} and is begun anew."
+
+    def _has_ended(self, worker: _CameraProcess) -> bool:
+        return worker.dead and all(self._states[place.name].has_ended for place in worker.places)
+
+
+def _with(place: CameraPlace, setting: str, value: SettingValue) -> CameraPlace:
+    """A camera with a setting over its own."""
+    return replace(place, settings={**place.settings, setting: value}) if isinstance(place, CameraSpec) else place
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    with suppress(AttributeError):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _listed(places: Sequence[CameraPlace]) -> str:
+    return f"camera {', '.join(place.name for place in places)}"
+
+
+def _how(process: BaseProcess) -> str:
+    """How a process ended."""
+    code = process.exitcode
+    if code is None:
+        return "without a word"
+    if code >= 0:
+        return f"with status {code}"
+    with suppress(ValueError):
+        return f"by {signal.Signals(-code).name}"
+    return f"by signal {-code}"
+
+
+def _health(state: _CameraProgress) -> CameraHealth | None:
+    """How a camera does, what was counted before its process died added."""
+    now, before = None if state.report is None else state.report.health, state.health
+    if now is None:
+        return before if before is None else replace(before, problem=state.problem or before.problem)
+    dropped = 0 if state.report is None else state.report.search.dropped
+    now = replace(now, dropped=now.dropped + dropped, problem=state.problem or now.problem)
+    if state.has_ended:
+        now = replace(now, last_seen=0.0, problem="")
+    if before is None:
+        return now
+    counts = {name: getattr(before, name) + getattr(now, name) for name in ("images", "lost", "late", "dropped", "damaged", "reopened")}
+    return replace(now, **counts, seconds={trouble: before.seconds[trouble] + spent for trouble, spent in now.seconds.items()})
+
+
+def _search(state: _CameraProgress) -> SearchCounts:
+    """What is counted of the search, what was counted before the process died added."""
+    if state.report is None:
+        return state.search
+    now, before = state.report.search, state.search
+    return replace(now, **{name: getattr(before, name) + getattr(now, name) for name in ("searched", "dropped", "refused", "crowded")})
+
+
+def _search_findings(name: str, counts: SearchCounts, state: _CameraProgress) -> list[Finding]:
+    found = list[Finding]()
+    if state.restarts:
+        times = "once" if state.restarts == 1 else f"{state.restarts} times"
+        sentence = f"camera {name}: the process that reads it ended {times} and was begun anew."
+        mend = "Look at the memory of this machine, and at the camera's driver."
+        found.append(Finding("live-camera-process", Severity.WARNING, name, sentence, mend))
+    if counts.refused:
+        sentence = f"camera {name}: {counts.refused} images were of another size or depth and were not searched."
+        mend = counts.problem or "Leave its size alone while it runs."
+        found.append(Finding("live-camera-size", Severity.ERROR if counts.problem else Severity.WARNING, name, sentence, mend))
+    if counts.crowded:
+        sentence = f"camera {name}: {counts.crowded} images showed more than {MOST_BLOBS} blobs, of which the largest are used."
+        mend = "Darken the room, lower its exposure, or set its threshold."
+        found.append(Finding("live-camera-crowded", Severity.WARNING, name, sentence, mend))
+    return found
