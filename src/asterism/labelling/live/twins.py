@@ -47,7 +47,7 @@ class LiveTwins:
             self._done[:] = False
             mean = self._so_far if self.lead is None else 0.5 * (self.lead + self._so_far)
             mean = np.where(np.isfinite(mean), mean, self._so_far)
-            # a frame that shows fewer of the same markers says less: it takes nothing back, but a first one may have shown all and said little
+            # a frame that shows fewer of the same markers says less: it takes nothing back, and adds where it says more
             if self.lead is None or self._begun_with >= self._labelled:
                 self.lead, self._labelled = mean, self._begun_with
             else:
