@@ -416,6 +416,7 @@ def test_a_slow_page_gets_the_newest_frame_and_every_beep() -> None:
     assert body is not None and body["sides"] == ["left", "left", "left", "right"] and [0, 1] in [sorted(bone) for bone in body["bones"]]
 
 
+HEALTH = dict.fromkeys(("rate", "frames", "lost", "late", "damaged", "dropped", "p50", "p999", "not sounded"), 0) | {"problems": []}
 MOMENT = """globalThis.hear = (name, age) => {
   const live = Asterism.live, at = live.clock.at(performance.now()) - age, cue = { name, sound: "beep" };
   live.told(JSON.stringify({ sent: at, moments: [{ cue, at, done: at, time: 0 }] }));
@@ -555,7 +556,8 @@ def test_the_page_shows_counts_words_and_markers() -> None:
             assert tab.value("[hear('a', 0), hear('b', 60000), (Asterism.live.heard -= 60000, hear('c', 0))]") == [1, 1, 1]
             tab.wait("Asterism.live.clock.isKnown")
             assert tab.value("[hear('d', 0), hear('d', 0), Asterism.live.missed]") == [2, 2, 2], "no second beep at once"
-            tab.wait("true")
+            tab.value(f"Asterism.live.healthIs({json.dumps(HEALTH | {'silent': True})})")
+            assert tab.value("hear('e', 0)") == 3, "a pause of the cameras does not switch the sound off"
             tab.resize(390, 844, is_phone=True)
             before = tab.value("[Asterism.live.camera.yaw, Asterism.live.camera.zoom]")
             for kind, apart in (("touchStart", 20), ("touchMove", 60), ("touchEnd", None)):

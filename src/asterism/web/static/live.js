@@ -105,7 +105,7 @@
       socket.addEventListener("open", () => { isOpen = true; this.clock.forget(); for (let n = 0; n < 3; n++) this.ping(); });
       socket.addEventListener("message", event => this.told(event.data));
       socket.addEventListener("close", async () => {
-        this.sounds.stop();
+        this.sounds.quiet();
         this.clock.forget();
         if (!this.ended) this.state("no connection", true);
         // A server of another session knows this address no more; who asks on and on gets no other answer.
@@ -201,7 +201,7 @@
       this.ended = Boolean(health.ended);
       const ended = health.problem || (health.ended ? "ended" : health.silent || !health.frames ? "no frames come" : "");
       this.state(ended || `${Math.round(health.rate)} frames/s`, Boolean(ended));
-      if (ended) this.sounds.stop();
+      if (ended) this.sounds.quiet();
       const last = this.sounded.length ? this.sounded[this.sounded.length - 1] : this.lastSounded, ms = value => value === null || value === undefined ? "–" : `${value.toFixed(1)} ms`;
       this.lastSounded = last;
       const rows = { frames: health.frames, lost: health.lost, "late or twice": health.late, damaged: health.damaged, "left out": health.dropped,
