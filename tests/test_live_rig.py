@@ -10,8 +10,8 @@ import pytest
 
 from asterism.cameras import Camera, Rig
 from asterism.formats.csv_blobs import write_blobs
-from asterism.live import LiveFrame, RigSource, SourceEnded
-from asterism.live.blobs import ReplayBlobs
+from asterism.live import LiveFrame, SourceEnded
+from asterism.live.blobs import ReplayBlobs, RigSource
 from asterism.reconstruction import ReconstructionSettings, Reconstructor, reconstruct
 from asterism.recording import Blobs
 
