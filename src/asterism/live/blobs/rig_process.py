@@ -74,7 +74,7 @@ class RigProcess:
             # What each process begins with is imported once.
             context.set_forkserver_preload([__name__])
         self._pipe, there = context.Pipe()
-        self._process = context.Process(target=_serve, args=(there, open_blobs, rig, settings, name, keep), name="live rig")
+        self._process = context.Process(target=_serve, args=(there, open_blobs, rig, settings, name, keep), name="live rig", daemon=True)
         self._process.start()
         # With our copy open, the end of the process would not end the pipe.
         there.close()
