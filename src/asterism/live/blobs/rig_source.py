@@ -156,6 +156,10 @@ class RigSource:
                     return None
                 self._there.wait(left)
             frame = self._queue.popleft()
+            # However slow this is, what is shown is not old.
+            while not self._waits and self._queue and time.monotonic() - frame.arrived > _QUEUE:
+                frame = self._queue.popleft()
+                self.dropped += 1
             self._there.notify_all()
         return self._reconstructed(frame)
 
