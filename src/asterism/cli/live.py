@@ -230,7 +230,20 @@ def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
     if played:
         blobs = ReplayBlobs(played[0], rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
         return RigSource(blobs, rig, waits=True)
-    return RigProcess(partial(open_blobs, _address(options), rig.names, math.nan if options.rate is None else options.rate), rig)
+    opened = partial(open_blobs, _address(options), rig.names, math.nan if options.rate is None else options.rate)
+    return RigProcess(opened, rig, keep=_kept_blobs(options))
+
+
+def _kept_blobs(options: LiveOptions) -> Path | None:
+    """Where blobs are kept beside what is recorded; a file that is there is overwritten only where that was asked for."""
+    if options.output is None:
+        return None
+    from asterism.formats.kept_blobs import KEPT_SUFFIX
+
+    kept = options.output.with_suffix(KEPT_SUFFIX)
+    _console.check_new(kept, options.overwrite)
+    kept.unlink(missing_ok=True)
+    return kept
 
 
 def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource:
@@ -254,7 +267,7 @@ def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource
     try:
         if beside is not None:
             workers.save(beside)
-        return RigSource(workers, rig, waits=bool(played))
+        return RigSource(workers, rig, waits=bool(played), keep=None if played else _kept_blobs(options))
     except BaseException:
         workers.close()
         raise
