@@ -9,8 +9,8 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -75,7 +75,8 @@ class _CameraProcess:
         names = ", ".join(place.name for place in places)
         process = context.Process(target=work, args=(tuple(places), settings, out, theirs), name=f"cameras {names}", daemon=True)
         try:
-            process.start()
+            with _interrupts_held():
+                process.start()
         except BaseException:
             pipe.close()
             orders.close()
@@ -358,6 +359,23 @@ class CameraWorkers:
 def _with(place: CameraPlace, setting: str, value: SettingValue) -> CameraPlace:
     """A camera with a setting over its own."""
     return replace(place, settings={**place.settings, setting: value}) if isinstance(place, CameraSpec) else place
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """A process that begins here is not reached by Ctrl-C while it imports: it says nothing, and this one decides."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing import resource_tracker
+
+    # Each process is begun after this helper of Python's, whose own beginning would let interrupts through again.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _cores() -> int:
