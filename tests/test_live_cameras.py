@@ -690,3 +690,10 @@ def test_a_webcam_is_set_in_the_units_of_its_driver_with_what_is_automatic_off_f
         # A setting is taken between two images.
         assert camera.set("exposure", 2.0).has == 2.0
     camera.close()
+
+
+def test_a_session_does_not_overwrite_what_cameras_had_in_another(capsys, tmp_path, rig_file):
+    (tmp_path / "walk.cameras.toml").touch()
+    words = ["live", "--cameras", str(rig_file), "--rig", str(tmp_path / "none.toml"), "-o", str(tmp_path / "walk.c3d")]
+    assert main(words) == 2 and "walk.cameras.toml exists" in capsys.readouterr().err
+    assert main([*words, "--overwrite"]) == 2 and "none.toml" in capsys.readouterr().err

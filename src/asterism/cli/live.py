@@ -145,7 +145,7 @@ def live(options: LiveOptions) -> None:
     _clinical.given_measures(options.measure)
     inputs = [*_played(options), options.cameras, options.model, options.static, options.rig, *_clinical.measure_files(options.measure)]
     analog = None if options.output is None else _analog_beside(options.output)
-    _console.check_outputs([options.output, analog, options.json], inputs, options.overwrite)
+    _console.check_outputs([options.output, analog, _cameras_beside(options), options.json], inputs, options.overwrite)
     if unfinished is not None and unfinished.exists():
         raise AsterismError(
             f"{unfinished} is there from a session that was not finished; write it with --finish {unfinished} -o FILE.c3d, or remove it."
@@ -230,7 +230,20 @@ def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
     if played:
         blobs = ReplayBlobs(played[0], rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
         return RigSource(blobs, rig, waits=True)
-    return RigProcess(partial(open_blobs, _address(options), rig.names, math.nan if options.rate is None else options.rate), rig)
+    opened = partial(open_blobs, _address(options), rig.names, math.nan if options.rate is None else options.rate)
+    return RigProcess(opened, rig, keep=_kept_blobs(options))
+
+
+def _kept_blobs(options: LiveOptions) -> Path | None:
+    """Where blobs are kept beside what is recorded; a file that is there is overwritten only where that was asked for."""
+    if options.output is None:
+        return None
+    from asterism.formats.kept_blobs import KEPT_SUFFIX
+
+    kept = options.output.with_suffix(KEPT_SUFFIX)
+    _console.check_new(kept, options.overwrite)
+    kept.unlink(missing_ok=True)
+    return kept
 
 
 def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource:
@@ -250,8 +263,11 @@ def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource
     sizes = {camera.name: camera.size for camera in rig if camera.size is not None}
     settings = WorkerSettings(empty=options.empty, sizes=sizes, in_order="number" if played else "")
     workers = CameraWorkers(specs, settings, numbered_together=bool(played))
+    beside = _cameras_beside(options)
     try:
-        return RigSource(workers, rig, waits=bool(played))
+        if beside is not None:
+            workers.save(beside)
+        return RigSource(workers, rig, waits=bool(played), keep=None if played else _kept_blobs(options))
     except BaseException:
         workers.close()
         raise
@@ -378,6 +394,11 @@ def _written(kept: Path, output: Path, rate: float | None) -> None:
         _console.notice(f"{output} does not hold {lost}.")
     if session.analog:
         write_analog(_analog_beside(output), session.analog, session.times)
+
+
+def _cameras_beside(options: LiveOptions) -> Path | None:
+    """Where it is written what was set on cameras, and what they had; None where none are set, or nothing is recorded."""
+    return None if options.output is None or options.cameras is None else options.output.with_suffix(".cameras.toml")
 
 
 def _analog_beside(output: Path) -> Path:
