@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -127,7 +127,7 @@ class CameraWorkers:
 
     places    the cameras, such as `CameraSpec`s; names must differ
     settings  how their images are searched
-    workers   processes; None: as many as there are cores, at most one for each camera
+    workers   processes, at most one for each camera; None: as many as there are cores. Machine vision cameras have one each
     numbered_together  whether equal numbers are one exposure of all cameras, as of videos that were taken together
 
     What crosses a pipe is blobs, not images. A process that cannot keep up searches the newest image of each camera, and counts the others
@@ -156,11 +156,9 @@ class CameraWorkers:
         self._closed, self._reading = threading.Event(), threading.Lock()
         self._last_read = time.monotonic()
         self._workers: list[_CameraProcess] = []
-        groups = min(len(places), _cores() if workers is None else max(workers, 1))
         try:
-            # Dealt like cards, since cameras that stand side by side see equally much.
-            for group in range(groups):
-                self._workers.append(_CameraProcess.begin(places[group::groups], self._settings))
+            for group in _grouped(places, _cores() if workers is None else max(workers, 1)):
+                self._workers.append(_CameraProcess.begin(group, self._settings))
             self._open()
         except BaseException:
             self.close()
@@ -200,6 +198,11 @@ class CameraWorkers:
     def searches(self) -> dict[str, SearchCounts]:
         """What is counted of the search, by the camera's name."""
         return {name: _search(state) for name, state in self._states.items()}
+
+    def camera_numbers(self) -> list[dict[str, Any]]:
+        """How each camera that was opened does, and its search, as plain values; None for what is not known."""
+        searches = self.searches()
+        return [_plain({**asdict(health), "search": asdict(searches[health.camera])}) for health in self.healths()]
 
     def pictures(self) -> dict[str, NDArray[Any]]:
         """The newest image of each camera, where they are shown: see `WorkerSettings.pictures`."""
@@ -376,6 +379,25 @@ def _interrupts_held() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _grouped(places: Sequence[CameraPlace], processes: int) -> list[list[CameraPlace]]:
+    """The cameras of each process: dealt like cards, since those that stand side by side see equally much.
+
+    Each machine vision camera has its own: a producer that is loaded once a process finds a camera again only while it has no other open.
+    """
+    alone = [place for place in places if str(getattr(place, "address", "")).startswith("genicam://")]
+    others = [place for place in places if place not in alone]
+    groups = min(len(others), processes)
+    return [[place] for place in alone] + [others[group::groups] for group in range(groups)]
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    """Values as JSON has them."""
+    return {
+        key: _plain(value) if isinstance(value, dict) else None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in values.items()
+    }
 
 
 def _cores() -> int:
