@@ -333,7 +333,8 @@ class ToWebSocket:
             telling.cancel()
             with self._guard:
                 self._receivers.remove(receiver)
-                self.dropped += len(receiver.waiting)
+                # Who goes of their own will loses nothing.
+                self.dropped += 0 if self._listens else len(receiver.waiting)
 
     async def _pass_on(self, link: Any, receiver: _Receiver) -> None:
         while True:
