@@ -587,7 +587,9 @@ def test_the_page_shows_counts_words_and_markers() -> None:
             tab.wait("document.getElementById('rules').innerText.includes('0.40 m')")
             tab.wait("document.getElementById('missing').textContent === 'none'")
             assert tab.value("Asterism.live.sounds.on") is None, "silent until somebody asks for sound"
-            tab.value("document.getElementById('sound').click()")
+            tab.value("document.getElementById('sound').click(); globalThis.loud = Asterism.live.sounds.gain.gain.value")
+            tab.wait("Asterism.live.sounds.gain.gain.value > 0.01")
+            assert tab.value("Math.max(loud, Asterism.live.sounds.gain.gain.value)") < 0.021, "a fiftieth of the full scale at first"
             tab.wait("Asterism.live.sounds.context.state === 'running' && Asterism.live.clock.isKnown")
             tab.value(MOMENT)
             # A fresh one sounds, one of a minute ago does not; after a sleep none does until the clock is known again.
@@ -596,6 +598,9 @@ def test_the_page_shows_counts_words_and_markers() -> None:
             assert tab.value("[hear('d', 0), hear('d', 0), Asterism.live.missed]") == [2, 2, 2], "no second beep at once"
             tab.value(f"Asterism.live.healthIs({json.dumps(HEALTH | {'silent': True})})")
             assert tab.value("hear('e', 0)") == 3, "a pause of the cameras does not switch the sound off"
+            assert tab.value("Asterism.live.sounds.tone('t', 0.5)")
+            tab.wait("Asterism.live.sounds.tones.get('t')[1].gain.value > 0.2")
+            tab.wait("Asterism.live.sounds.tones.get('t')[1].gain.value < 0.01")  # a tone that nobody keeps up ends
             tab.resize(390, 844, is_phone=True)
             before = tab.value("[Asterism.live.camera.yaw, Asterism.live.camera.zoom]")
             for kind, apart in (("touchStart", 20), ("touchMove", 60), ("touchEnd", None)):
