@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -165,7 +166,12 @@ def live(options: LiveOptions) -> None:
     parts = [source, *session.outputs, session.analysis, session.feedback]
     findings = session_findings(health, source.about.name, recorder, parts)
     if recorder is not None and unfinished is not None and options.output is not None and recorder.kept:
-        _written(unfinished, options.output, options.rate)
+        try:
+            _written(unfinished, options.output, options.rate)
+        except BaseException as problem:
+            # Whatever hinders it, nothing that was recorded is lost.
+            _console.notice(f"{options.output} was not written; {unfinished} has all: --finish {unfinished} -o {options.output} writes it.")
+            raise problem
         unfinished.unlink()
     elif unfinished is not None:
         unfinished.unlink(missing_ok=True)
@@ -334,7 +340,8 @@ def _run(session: LiveSession, options: LiveOptions) -> Health:
     if sys.stderr.isatty():
         threading.Thread(target=_tell, args=(session, told), daemon=True).start()
     try:
-        return session.run(math.inf if options.seconds is None else options.seconds)
+        with _ended_by_signals(session):
+            return session.run(math.inf if options.seconds is None else options.seconds)
     finally:
         told.set()
         if stop_page is not None:
@@ -351,6 +358,28 @@ def _warn(session: LiveSession, ended: threading.Event) -> None:
             if finding.severity > Severity.NOTE and (finding.code, finding.where) not in said:
                 said.add((finding.code, finding.where))
                 _console.notice(str(finding))
+
+
+@contextmanager
+def _ended_by_signals(session: LiveSession) -> Iterator[None]:
+    """Ctrl-C and SIGTERM, by which services and containers are stopped, end the session with all that came, however often they come."""
+    import signal
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    wanted = [signal.SIGINT, signal.SIGTERM]
+    # Who started this in the background may have it ignore Ctrl-C.
+    before = {number: signal.getsignal(number) for number in wanted}
+    for number in wanted:
+        if before[number] is not signal.SIG_IGN:
+            signal.signal(number, lambda *_: session.stop())
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            if handler is not None:
+                signal.signal(number, handler)
 
 
 def _tell(session: LiveSession, ended: threading.Event) -> None:

@@ -124,12 +124,12 @@ class _StreamLayout:
         return (6,) if self.version < (3, 0) else (30,) if self.version < _SIZES else (38, 30)
 
 
-_STREAM_LAYOUTS = tuple(
-    _StreamLayout(version, latency)
-    for version in (_SIZES, (3, 0), (2, 11), (2, 9), (2, 7), (2, 6), (2, 5))
-    for latency in ((False,) if version >= (3, 0) else (True, False))
+_STREAM_LAYOUTS = (
+    *map(_StreamLayout, (_SIZES, (3, 0))),
+    *(_StreamLayout(version, latency) for latency in (True, False) for version in ((2, 11), (2, 9), (2, 7), (2, 6), (2, 5))),
 )
-"""All that differ in where something stands; versions between have the layout of the one before."""
+"""All that differ in where something stands; versions between have the layout of the one before. 2.6 with a latency is as long as 2.7
+without, so that those with one come first: so C++ reads them, and Motive is C++."""
 
 
 @dataclass

@@ -48,6 +48,7 @@ class RigReport:
     """What the process says of itself: what of `RigSource` other than frames is asked for."""
 
     damaged: int
+    dropped: int
     delay: float
     cameras: list[RigCameraHealth]
     findings: list[Finding]
@@ -94,6 +95,11 @@ class RigProcess:
     def damaged(self) -> int:
         """Packets or images that could not be read."""
         return 0 if self._report is None else self._report.damaged
+
+    @property
+    def dropped(self) -> int:
+        """Frames whose points were not made, since newer ones waited."""
+        return 0 if self._report is None else self._report.dropped
 
     @property
     def delay(self) -> float:
@@ -203,5 +209,5 @@ def _frames(pipe: Connection[Any, Any], source: RigSource) -> str:
 
 
 def _tell(pipe: Connection[Any, Any], source: RigSource, *, ended: bool = False, problem: str = "") -> None:
-    report = RigReport(source.damaged, source.delay, source.cameras(), source.findings(), ended, problem)
+    report = RigReport(source.damaged, source.dropped, source.delay, source.cameras(), source.findings(), ended, problem)
     pipe.send_bytes(b"R" + pickle.dumps(report))

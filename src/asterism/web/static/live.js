@@ -339,11 +339,12 @@
         if (!cue) return;
         if (withNumbers && rule.value.textContent !== cue[1]) rule.value.textContent = cue[1];
         if (rule.row.classList.contains("on") !== Boolean(cue[2])) rule.row.classList.toggle("on");
-        if (cue[4]) told.push([cue[4], rule.colour]);
+        if (cue[4]) told.push([cue[4], rule.colour, n]);
       });
-      const words = JSON.stringify(told);
-      if (words === this.words) return;
-      this.words = words;
+      // Another rule is shown at once, another number of the same one with the numbers.
+      const [words, which] = [JSON.stringify(told), told.map(each => each[2]).join()];
+      if (words === this.words || (which === this.which && !withNumbers)) return;
+      Object.assign(this, { words, which });
       $("words").replaceChildren(...told.slice(0, 3).map(([text, tint]) => {
         const line = document.createElement("div");
         line.textContent = text;
