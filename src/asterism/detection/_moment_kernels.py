@@ -17,6 +17,9 @@ AT_BORDER, SATURATED, OVERLAPPING, UNROUND = 1, 2, 4, 8
 """Bits of a blob's flags."""
 MOST_SWEEPS, SETTLED_PX = 100, 1e-3
 """How often the pixels of overlapping blobs are shared again at most, until no centre moves by more (px)."""
+MOST_SHARINGS = 100_000
+"""Sweeps times pixels times blobs of a component at most, 2 ms. Two markers of 25 px that overlap have all sweeps. Half of it cuts those
+short whose centres still move by hundredths of a pixel; twice as much holds up the next image of a live camera for what is no marker."""
 MOST_SHARED = 6000
 """Pixels times blobs of a component beyond which its blobs stay cut where the flood cut them, as in the clutter of a lit room."""
 LEAST_SPREAD = 0.1
@@ -300,24 +303,25 @@ def share_pixels(weight, ys, xs, out):
     """Share the pixels (n,) of blobs that overlap by a mixture of round Gaussians, one per blob: expectation and maximization in turn.
 
     OUT out (blobs, COLUMNS): moments and weights, begun from those of the parts that the blobs were cut into
-    O(sweeps n blobs), until no centre moves by SETTLED_PX, MOST_SWEEPS at most. Twin: tests/twins_detection.py
+    O(sweeps n blobs), until no centre moves by SETTLED_PX, MOST_SWEEPS or MOST_SHARINGS at most. Twin: tests/twins_detection.py
     """
     blobs = len(out)
-    share = np.empty(blobs)
+    share, spreads, peaks = np.empty(blobs), np.empty(blobs), np.empty(blobs)
     sums = np.empty((blobs, COLUMNS))
-    for _ in range(MOST_SWEEPS):
+    for _ in range(min(MOST_SWEEPS, max(1, MOST_SHARINGS // max(1, len(ys) * blobs)))):
         for blob in range(blobs):
+            # Round, although blobs may not be: with free axes, one of two blobs could stretch over the other.
+            spreads[blob] = 0.5 * (out[blob, XX] + out[blob, YY]) + LEAST_SPREAD
+            peaks[blob] = out[blob, WEIGHT] / spreads[blob]
             for k in range(COLUMNS):
                 sums[blob, k] = 0.0
         for i in range(len(ys)):
             x, y = float(xs[i]), float(ys[i])
             total = 0.0
             for blob in range(blobs):
-                # Round, although blobs may not be: with free axes, one of two blobs could stretch over the other.
-                spread = 0.5 * (out[blob, XX] + out[blob, YY]) + LEAST_SPREAD
                 dx, dy = x - out[blob, X], y - out[blob, Y]
                 # The tiny addend gives a pixel that is far from all of them to someone, instead of dividing by zero.
-                share[blob] = out[blob, WEIGHT] / spread * math.exp(-0.5 * (dx * dx + dy * dy) / spread) + 1e-300
+                share[blob] = peaks[blob] * math.exp(-0.5 * (dx * dx + dy * dy) / spreads[blob]) + 1e-300
                 total += share[blob]
             for blob in range(blobs):
                 w = weight[ys[i], xs[i]] * share[blob] / total
