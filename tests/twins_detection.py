@@ -133,8 +133,7 @@ def edge_distance(weight: np.ndarray) -> np.ndarray:
 def shared(weight: np.ndarray, places: np.ndarray, centres: np.ndarray, spread: float, settled: float) -> np.ndarray:
     """Centres (m, 2) of round Gaussians after expectation and maximization over weighted pixels (n,), (n, 2): see `share_pixels`."""
     spreads, totals = np.full(len(centres), spread + 0.1), np.full(len(centres), 1000.0)
-    # A hundred thousand shares at most: large blobs get fewer sweeps.
-    for _ in range(min(100, max(1, 100_000 // (len(weight) * len(centres))))):
+    for _ in range(100):
         squares = ((places[:, None] - centres[None]) ** 2).sum(axis=2)
         share = totals / spreads * np.exp(-0.5 * squares / spreads)
         part = weight[:, None] * share / share.sum(axis=1, keepdims=True)

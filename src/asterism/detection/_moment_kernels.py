@@ -17,9 +17,6 @@ AT_BORDER, SATURATED, OVERLAPPING, UNROUND = 1, 2, 4, 8
 """Bits of a blob's flags."""
 MOST_SWEEPS, SETTLED_PX = 100, 1e-3
 """How often the pixels of overlapping blobs are shared again at most, until no centre moves by more (px)."""
-MOST_SHARINGS = 100_000
-"""Sweeps times pixels times blobs of a component at most, 2 ms. Two markers of 25 px that overlap have all sweeps. Half of it cuts those
-short whose centres still move by hundredths of a pixel; twice as much holds up the next image of a live camera for what is no marker."""
 MOST_SHARED = 6000
 """Pixels times blobs of a component beyond which its blobs stay cut where the flood cut them, as in the clutter of a lit room."""
 LEAST_SPREAD = 0.1
@@ -43,6 +40,7 @@ class MeasureLimits(NamedTuple):
     step       see `grow_from_peaks`; 0: not so
     saturated  grey value from which a pixel is saturated
     contrast   see `is_distinct`; 0: not asked for
+    sharings   see `share_pixels`
     """
 
     min_area: float
@@ -52,6 +50,7 @@ class MeasureLimits(NamedTuple):
     step: float
     saturated: float
     contrast: float
+    sharings: int
 
 
 class Pixels(NamedTuple):
@@ -158,7 +157,7 @@ def _measure_parts(arrays, components, runs, area, box, limits, out, flags):
         return 0
     # Blobs that are grown from peaks part where they are, by the method's own rule.
     if limits.step == 0.0 and parts * n <= MOST_SHARED:
-        share_pixels(weight, ys, xs, parts_out)
+        share_pixels(weight, ys, xs, limits.sharings, parts_out)
     for blob in range(parts):
         parts_out[blob, X] += box.left - 1
         parts_out[blob, Y] += box.upper - 1
@@ -299,16 +298,17 @@ def _to_central_moments(blob):
 
 
 @kernel
-def share_pixels(weight, ys, xs, out):
+def share_pixels(weight, ys, xs, most, out):
     """Share the pixels (n,) of blobs that overlap by a mixture of round Gaussians, one per blob: expectation and maximization in turn.
 
+    IN  most: sweeps times pixels times blobs at most
     OUT out (blobs, COLUMNS): moments and weights, begun from those of the parts that the blobs were cut into
-    O(sweeps n blobs), until no centre moves by SETTLED_PX, MOST_SWEEPS or MOST_SHARINGS at most. Twin: tests/twins_detection.py
+    O(sweeps n blobs), until no centre moves by SETTLED_PX, MOST_SWEEPS at most. Twin: tests/twins_detection.py
     """
     blobs = len(out)
     share, spreads, peaks = np.empty(blobs), np.empty(blobs), np.empty(blobs)
     sums = np.empty((blobs, COLUMNS))
-    for _ in range(min(MOST_SWEEPS, max(1, MOST_SHARINGS // max(1, len(ys) * blobs)))):
+    for _ in range(min(MOST_SWEEPS, max(1, most // max(1, len(ys) * blobs)))):
         for blob in range(blobs):
             # Round, although blobs may not be: with free axes, one of two blobs could stretch over the other.
             spreads[blob] = 0.5 * (out[blob, XX] + out[blob, YY]) + LEAST_SPREAD
