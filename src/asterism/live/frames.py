@@ -97,8 +97,23 @@ class LiveSource(Protocol):
 
 
 @runtime_checkable
+class CameraControl(Protocol):
+    """Cameras that are watched and set while they run."""
+
+    def camera_states(self) -> list[dict[str, Any]]:
+        """How each camera does, what it has, and what became of what was set, as plain values."""
+
+    def set(self, setting: str, value: object) -> None:
+        """Set all cameras; what became of it is in their states. Raises AsterismError where there is no such setting or value."""
+
+
+@runtime_checkable
 class OfCameras(Protocol):
     """A source of frames that are made of what several cameras see."""
 
     def camera_numbers(self) -> list[dict[str, Any]]:
         """How each camera does, as plain values; None for what is not known."""
+
+    @property
+    def control(self) -> CameraControl | None:
+        """Where the cameras are set; None where they are another program's."""

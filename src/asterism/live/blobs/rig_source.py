@@ -18,7 +18,7 @@ from asterism.findings import Finding, Severity
 from asterism.live.blobs.gathering import ByNumber, ByTime, CameraArrivals, RigFrame
 from asterism.live.camera_frames import BlobSource, LiveBlobs
 from asterism.live.found import own_findings
-from asterism.live.frames import MOST_POINTS, LiveFrame, SourceAbout, SourceEnded
+from asterism.live.frames import MOST_POINTS, CameraControl, LiveFrame, SourceAbout, SourceEnded
 from asterism.reconstruction import ReconstructionSettings, Reconstructor
 from asterism.reconstruction.camera_fit import CameraFit
 from asterism.reconstruction.streaming import WINDOW
@@ -165,6 +165,11 @@ class RigSource:
     def camera_numbers(self) -> list[dict[str, Any]]:
         """The same as plain values; what is not known is None."""
         return as_plain(self.cameras())
+
+    @property
+    def control(self) -> CameraControl | None:
+        """Where the cameras are set; None where they are another program's."""
+        return self._source if isinstance(self._source, CameraControl) else None
 
     def findings(self) -> list[Finding]:
         """What a person should know of the cameras and their rig."""
