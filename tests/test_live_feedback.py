@@ -546,8 +546,8 @@ def test_the_page_shows_counts_words_and_markers() -> None:
         with Tab(address) as tab:
             tab.wait("document.getElementById('words').textContent === 'far <apart>'")
             tab.wait("document.getElementById('state').textContent.includes('frames/s')")
-            shown = tab.value("document.body.innerText")
-            assert "40" in shown and "none" in shown
+            tab.wait("document.getElementById('rules').innerText.includes('0.40 m')")
+            tab.wait("document.getElementById('missing').textContent === 'none'")
             assert tab.value("Asterism.live.sounds.on") is None, "silent until somebody asks for sound"
             tab.value("document.getElementById('sound').click()")
             tab.wait("Asterism.live.sounds.context.state === 'running' && Asterism.live.clock.isKnown")

@@ -9,6 +9,7 @@
   const ASLEEP = 2000;   // ms without a word, of which there are two a second: the page slept, and its clock may have stopped
   const PINGS = 8;       // of which the fastest says what the server's clock shows
   const LOG = 1024;      // sounds whose times are kept
+  const NUMBERS = 6;     // pictures from one change of numbers to the next
   const WAITING = 2;     // pictures that wait to be drawn: one that comes early is not lost to the next, and none is older than that
 
   // The palette is asked for once a theme: the browser is slow to tell.
@@ -258,10 +259,11 @@
       const at = points.map(point => this.camera.project(...point));
       this.bones(pen, at);
       this.points(pen, at);
-      this.latency();
-      this.curves.draw();
-      this.showRules();
-      this.tellMissing();
+      // Numbers change ten times a second: nobody reads sixty, and each costs the browser a new layout.
+      const isTurn = this.drawn % NUMBERS === 1;
+      this.curves.draw(isTurn);
+      this.showRules(isTurn);
+      if (isTurn) { this.latency(); this.tellMissing(); }
     }
 
     // All points of a side in one path: hundreds of them are drawn as fast as ten.
@@ -333,18 +335,19 @@
     }
 
     // Every text that is told, in the colour of its rule; the edge of the picture in the first one's, to be seen from afar.
-    showRules() {
+    showRules(withNumbers) {
       const told = [];
       this.rules.forEach((rule, n) => {
         const cue = this.newest.cues[n];
         if (!cue) return;
-        if (rule.value.textContent !== cue[1]) rule.value.textContent = cue[1];
+        if (withNumbers && rule.value.textContent !== cue[1]) rule.value.textContent = cue[1];
         if (rule.row.classList.contains("on") !== Boolean(cue[2])) rule.row.classList.toggle("on");
-        if (cue[4]) told.push([cue[4], rule.colour]);
+        if (cue[4]) told.push([cue[4], rule.colour, n]);
       });
-      const words = JSON.stringify(told);
-      if (words === this.words) return;
-      this.words = words;
+      // Another rule is shown at once, another number of the same one with the numbers.
+      const [words, which] = [JSON.stringify(told), told.map(each => each[2]).join()];
+      if (words === this.words || (which === this.which && !withNumbers)) return;
+      Object.assign(this, { words, which });
       $("words").replaceChildren(...told.slice(0, 3).map(([text, tint]) => {
         const line = document.createElement("div");
         line.textContent = text;
