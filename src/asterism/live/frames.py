@@ -115,6 +115,11 @@ class OfCameras(Protocol):
     def camera_numbers(self) -> list[dict[str, Any]]:
         """How each camera does, as plain values; None for what is not known."""
 
+
+@runtime_checkable
+class WithCameraControl(Protocol):
+    """A source of frames whose cameras may be this program's."""
+
     @property
     def control(self) -> CameraControl | None:
-        """Where the cameras are set; None where they are another program's."""
+        """Where they are set; None where they are another program's."""

@@ -18,8 +18,8 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.live import AnalysedFrame, LabelledFrame, LiveSession, OfCameras
-from asterism.live.frames import CameraControl
+from asterism.live import AnalysedFrame, LabelledFrame, LiveSession
+from asterism.live.frames import CameraControl, WithCameraControl
 from asterism.live.outputs import cue_as_json, event_as_json
 from asterism.recording.sides import marker_sides
 from asterism.report.skeleton import marker_bones
@@ -400,7 +400,7 @@ def _app(session: LiveSession, page: ToPage, address: str) -> Any:
 
 def _camera_control(session: LiveSession) -> CameraControl | None:
     """Where the cameras of a session are set; None where there are none, or another program has them."""
-    return session.source.control if isinstance(session.source, OfCameras) else None
+    return session.source.control if isinstance(session.source, WithCameraControl) else None
 
 
 def _code_of(address: str) -> str:

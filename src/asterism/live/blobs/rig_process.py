@@ -139,10 +139,6 @@ class RigProcess:
         """How each camera does, in the rig's order."""
         return [] if self._report is None else self._report.cameras
 
-    @property
-    def control(self) -> None:
-        """Its cameras are another program's."""
-
     def camera_numbers(self) -> list[dict[str, Any]]:
         """The same as plain values; what is not known is None."""
         return as_plain(self.cameras())

@@ -22,7 +22,7 @@ from asterism.live.blobs.gathering import ByNumber, ByTime, CameraArrivals, RigF
 from asterism.live.blobs.recorder import BlobRecorder
 from asterism.live.camera_frames import BlobSource, LiveBlobs
 from asterism.live.found import own_findings
-from asterism.live.frames import MOST_POINTS, CameraControl, LiveFrame, SourceAbout, SourceEnded
+from asterism.live.frames import MOST_POINTS, CameraControl, LiveFrame, OfCameras, SourceAbout, SourceEnded
 from asterism.reconstruction import ReconstructionSettings, Reconstructor
 from asterism.reconstruction.camera_fit import CameraFit
 from asterism.reconstruction.streaming import WINDOW
@@ -177,8 +177,9 @@ class RigSource:
         return [_health(name, state, fit) for name, state, fit in zip(self.rig.names, self._gather.cameras, fits, strict=True)]
 
     def camera_numbers(self) -> list[dict[str, Any]]:
-        """The same as plain values; what is not known is None."""
-        return as_plain(self.cameras())
+        """The same as plain values, with what the source itself says of each; what is not known is None."""
+        own = {numbers["camera"]: numbers for numbers in self._source.camera_numbers()} if isinstance(self._source, OfCameras) else {}
+        return [{**rig, "images": own[rig["name"]]} if rig["name"] in own else rig for rig in as_plain(self.cameras())]
 
     @property
     def control(self) -> CameraControl | None:
