@@ -51,10 +51,14 @@
       $("volume").addEventListener("input", () => this.sounds.volume($("volume").value / 100));
       this.theme();
       this.touch($("body"));
-      // A page that was put to sleep gets its sound back from the system only when it asks.
-      document.addEventListener("visibilitychange", () => {
-        if (document.visibilityState === "visible" && $("sound").checked) this.sounds.start($("volume").value / 100);
-      });
+      // A page that was put to sleep gets its sound back from the system only when it asks, and so a screen that stays on, where that is allowed.
+      const awake = () => {
+        if (document.visibilityState !== "visible") return;
+        if ($("sound").checked) this.sounds.start($("volume").value / 100);
+        navigator.wakeLock?.request("screen").catch(() => {});
+      };
+      document.addEventListener("visibilitychange", awake);
+      awake();
       new ResizeObserver(() => { this.changed = true; }).observe($("stage"));
       setInterval(() => this.ping(), 1000);
       const frame = () => { this.draw(); requestAnimationFrame(frame); };
