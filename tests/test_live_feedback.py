@@ -40,6 +40,7 @@ from asterism.live import (
     example_names,
     labels_as_json,
     load_feedback,
+    measures,
 )
 from asterism.live.feedback import _KEYS
 from asterism.recording import Floats
@@ -224,6 +225,17 @@ def test_a_change_is_seen_against_the_first_seconds_or_the_last(against: str, sh
     # Hidden for two seconds: the start is still known, the seconds before are not.
     back = feedback.judge(labelled(leg(90), number=1200), FrameAnalysis({"trunk flexion": 25.0}))[0]
     assert back.value == pytest.approx(20.0) if against == "start" else math.isnan(back.value)
+
+
+@pytest.mark.parametrize(("which", "expected"), [("highest", 40.0), ("lowest", -40.0), ("range", 80.0), ("tempo", None)])
+def test_a_movement_slower_than_what_is_kept_has_its_values_and_no_time(
+    monkeypatch: pytest.MonkeyPatch, which: str, expected: float | None
+) -> None:
+    monkeypatch.setattr(measures, "_MOST_SAMPLES", 50)
+    repetitions = measures.Repetitions(which, 10.0)
+    found = [repetitions.push(n / 100, 40 * math.sin(n / 300)) for n in range(6000)]
+    known = [value for value in found if not math.isnan(value)]
+    assert known == [] if expected is None else known[-1] == pytest.approx(expected, abs=0.01)
 
 
 def test_what_must_last_and_what_is_held() -> None:

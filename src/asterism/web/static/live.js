@@ -43,6 +43,7 @@
       Object.assign(this, { camera: new Asterism.Camera(), up: [0, 0, 1], body: null, newest: null, latencies: [], sounds: new Asterism.Sounds(), drawn: 0 });
       Object.assign(this, { clock: new ServerClock(), curves: new Asterism.Curves(colour), rules: [], heard: Date.now(), log: [], sounded: [], opened: false });
       Object.assign(this, { drawnAt: [], waiting: [], behind: 0, missed: 0 });
+      this.cameras = new Asterism.Cameras($("cameras"), settings => this.say({ set: settings }));
       this.camera.yaw = 0.8;
       this.token = new URLSearchParams(location.search).get("token") || "";
       this.listen();
@@ -142,6 +143,8 @@
       else if (news.pong !== undefined) this.clock.pong(news.pong, news.now);
       else if (news.health) this.healthIs(news.health);
       else if (news.names) this.named(news.names);
+      else if (news.cameras) this.cameras.are(news.cameras);
+      else if (news.refused !== undefined) this.cameras.refused(news.refused);
       else if (news.body) this.body = news.body;
       else if (news.source !== undefined) this.hello(news);
     }
