@@ -46,6 +46,7 @@ class LiveEventRules:
     every        s, at least, from one such judgement to the next
     behind       s of curves before and after an event by which the recording's rules judge it
     pause        s without a frame after which everything begins anew
+    moved        m, and moved_in s: a foot that is no farther from where it was on average over the latter stands, as in a squat
     seen         frames of a marker, after which it counts as worn
     upright      cosine of the angle from feet to pelvis against the vertical, over a second, below which nobody walks: 60 degrees
     lower        m, by which feet are lower between off and strike than between strike and off where a person walks backwards
@@ -71,6 +72,8 @@ class LiveEventRules:
     every: float = 1.0
     behind: tuple[float, float] = (1.0, 0.4)
     pause: float = 0.3
+    moved: float = 0.02
+    moved_in: float = 0.3
     seen: int = 3
     upright: float = 0.5
     lower: float = 0.01
@@ -250,15 +253,24 @@ class _LiveFoot:
         self.swings = {kind: deque[float](maxlen=rules.steps) for kind in KINDS}
         self._squares = {kind: deque[float](maxlen=rules.steps) for kind in KINDS}
         self.usual = dict.fromkeys(KINDS, 0.0)
+        self.moves = False
         self.clear()
 
     def clear(self) -> None:
         """Nothing is known of where it is; what was learned of its steps is."""
         self.last: tuple[str, float] | None = None
         self.height = math.nan
+        self._stood = np.full(3, np.nan)
         for kind in KINDS:
             self.places[kind].clear()
             self.curves[kind].clear()
+
+    def follow(self, heel: Floats, step: float) -> None:
+        """Keep where the heel (3,) m was."""
+        if math.isfinite(heel[0]):
+            share = 1.0 if math.isnan(self._stood[0]) else 1.0 - math.exp(-step / self._rules.moved_in)
+            self._stood = self._stood + share * (heel - self._stood) if share < 1.0 else heel.copy()
+            self.moves = float(np.linalg.norm(heel - self._stood)) > self._rules.moved
 
     def swung(self, kind: str, rise: float) -> None:
         """Keep how far a heel or toe went."""
@@ -409,6 +421,7 @@ class LiveEvents:
             row[:4] = np.nan
         for foot in self.feet.values():
             at = 0 if foot.side == "L" else 2
+            foot.follow(row[at], step)
             for kind, place in ((STRIKE, at), (OFF, at + 1)):
                 curve = foot.curves[kind]
                 arm = row[place] - pelvis
@@ -470,7 +483,7 @@ class LiveEvents:
 
     def _told(self, foot: _LiveFoot, kind: str, time: float) -> LiveEvent | None:
         rules, curve = self.rules, foot.curves[kind]
-        if not curve.known or not math.isfinite(self.leg_length):
+        if not curve.known or not foot.moves or not math.isfinite(self.leg_length):
             return None
         usual = foot.usual[kind]
         least = max(self.offline.least_step * usual, self.offline.least_swing * self.leg_length)
