@@ -40,6 +40,7 @@ from asterism.live import (
     make_labeller,
     open_source,
     recording_of,
+    session_findings,
 )
 from asterism.live.chain import LabelChain
 from asterism.live.replay import Replay
@@ -102,6 +103,20 @@ class Kept:
 
 def frames(numbers: list[int], points: int = 2) -> list[LiveFrame]:
     return [LiveFrame(n, n / RATE, 50.0 + n / RATE, np.arange(3.0 * points).reshape(-1, 3) + n) for n in numbers]
+
+
+def test_frames_that_came_while_the_labelling_was_made_are_told_and_not_labelled_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    # whatever a busy machine does, no read of a list counts as waiting
+    monkeypatch.setattr("asterism.live.running._AT_ONCE", 60.0)
+
+    def slowly(rate: float, up: object) -> Numbers:
+        time.sleep(0.2)
+        return Numbers()
+
+    health = LiveSession(Given(frames(list(range(5000)))), slowly, [Kept()]).run()
+    # as many as can have come in this time, and twice as many at most
+    assert health.before >= 2 * 0.2 * RATE and health.before + health.frames == 5000 and health.lost == 0
+    assert "live-before" in {finding.code for finding in session_findings(health, "given")}
 
 
 def test_a_clock_that_drifts_is_followed_and_one_that_is_set_is_begun_anew() -> None:
@@ -376,7 +391,13 @@ def test_the_command_records_what_it_plays(tmp_path: Path, walks: list[Recording
     asterism.write(tmp_path / "walk.c3d", walks[5].frames(slice(60)))
     model.save(tmp_path / "walkers.model")
     words = ["live", "--replay", str(tmp_path / "walk.c3d"), "--model", str(tmp_path / "walkers.model"), "--speed", "100"]
-    assert main([*words, "-o", str(tmp_path / "out.c3d"), "--json", "-"]) == 0
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sink:
+        sink.bind(("127.0.0.1", 0))
+        sink.settimeout(10)
+        to = ["--to", f"udp://127.0.0.1:{sink.getsockname()[1]}", "--to", "natnet://127.0.0.1:0?unicast=1"]
+        assert main([*words, "-o", str(tmp_path / "out.c3d"), "--json", "-", *to]) == 0
+        assert json.loads(sink.recv(65_536))["frame"] == 0
+    assert main([*words, "--to", "smoke://127.0.0.1:1"]) == 2
     told = json.loads(capsys.readouterr().out)
     assert told["frames"] == told["labelled"] == 60 and told["lost"] == told["dropped"] == 0
     written = asterism.read(tmp_path / "out.c3d")

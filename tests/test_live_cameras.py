@@ -2,12 +2,14 @@
 
 import json
 import math
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import import_module
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +35,7 @@ from asterism.live.cameras import (
     reopening,
     save_cameras,
 )
+from asterism.live.cameras.camera import BUFFERS
 from asterism.live.cameras.features import Features
 from asterism.live.cameras.found_webcams import found_webcams
 from asterism.live.cameras.machine_vision import found_genicam
@@ -76,7 +79,7 @@ def test_settings_are_read_in_any_unit_and_kept_in_one(text, value):
 
 
 @pytest.mark.parametrize(
-    "text", ["exposure", "exposure=", "exposure=4kg", "exposure=-1", "exposure=nan", "shutter=4ms", "size=640", "size=0x1"]
+    "text", ["exposure", "exposure=", "exposure=4kg", "exposure=-1", "exposure=nan", "shutter=4ms", "size=640", "size=0x1", "gain=1e300"]
 )
 def test_what_is_no_setting_is_refused_with_a_sentence(text):
     with pytest.raises(AsterismError, match=r"\."):
@@ -172,6 +175,8 @@ class Stream:
         jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
         part = b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%s\r\n" % (len(jpeg), jpeg)
         unplugged = self.unplugged
+        self.spoiled = spoiled = threading.Event()
+        torn = part[: len(part) // 2] + bytes(len(part) - len(part) // 2)
 
         class Handler(BaseHTTPRequestHandler):
             def log_message(self, *words: object) -> None:
@@ -185,8 +190,10 @@ class Stream:
                 self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
                 self.end_headers()
                 try:
-                    while not unplugged.wait(0.01):
-                        self.wfile.write(part)
+                    for number in count():
+                        if unplugged.wait(0.01):
+                            break
+                        self.wfile.write(torn if spoiled.is_set() and number % 3 == 0 else part)
                 except OSError:
                     pass
 
@@ -209,7 +216,11 @@ def test_a_camera_in_the_network_is_read_through_opencv_until_it_is_gone(stream)
     camera = open_camera(CameraSpec("phone", stream.address, {"threshold": 40.0}))
     camera.start()
     taken = images_of(camera, 5)
-    assert np.abs(taken[-1].image.astype(int) - 90).max() <= 2
+    assert np.abs(taken[-1].image.astype(int) - 90).max() <= 2 and not camera.damaged
+    # An image that is damaged costs itself.
+    stream.spoiled.set()
+    assert len(images_of(camera, 12)) == 12 and camera.damaged
+    stream.spoiled.clear()
     assert (np.diff([image.number for image in taken]) > 0).all() and camera.about.clock == "arrival"
     assert camera.get("threshold") == 40 and "exposure" not in camera.settings
     stream.unplugged.set()
@@ -219,7 +230,9 @@ def test_a_camera_in_the_network_is_read_through_opencv_until_it_is_gone(stream)
     assert not any(thread.name == "camera phone" for thread in threading.enumerate())
 
 
-@pytest.mark.parametrize("address", ["camera://97", "warp://1", "nowhere.mp4", "simulated://?dots=-1", "simulated://?dust=1"])
+@pytest.mark.parametrize(
+    "address", ["camera://97", "warp://1", "nowhere.mp4", "simulated://?dots=-1", "simulated://?size=9999x9999", "simulated://?dust=1"]
+)
 def test_what_is_no_camera_is_refused_with_a_sentence(address):
     with pytest.raises(AsterismError, match=r"\."):
         open_camera(CameraSpec("left", address))
@@ -370,7 +383,7 @@ address = "camera://97"
     assert [camera.name for camera in group.cameras] == ["left", "film"] and "97" in group.failed["gone"]
     assert [outcome.as_asked for outcome in group.set("gain", 3.0)] == [True, False]
     assert all(images_of(camera, 1) for camera in group.cameras)
-    save_cameras(tmp_path / "session.toml", group.cameras, specs)
+    save_cameras(tmp_path / "session.toml", specs, group.said())
     group.close()
     assert load_cameras(tmp_path / "session.toml") == specs
     said = read_toml(tmp_path / "session.toml")["camera"]
@@ -385,6 +398,7 @@ address = "camera://97"
         '[[camera]]\naddress = ""',
         '[[camera]]\naddress = "camera://0"\nexposure = "4kg"',
         '[[camera]]\naddress = "camera://0"\nshutter = 4',
+        '[[camera]]\naddress = "camera://0"\ngain = ' + 400 * "9",
         '[[camera]]\naddress = "camera://0"\n[[camera]]\naddress = "camera://0"',
         '[all]\nrate = [1]\n[[camera]]\naddress = "camera://0"',
         '[[camera]]\nname = "a"\naddress = "camera://0"\n[[camera]]\nname = "a"\naddress = "camera://1"',
@@ -604,3 +618,74 @@ def test_commands_of_cameras_have_help(capsys, words):
     status, out, _ = run(capsys, *words)
     assert status == 0 and "cameras" in out and "..." not in out.partition("[ARGS]...")[2]
     assert main(["live", "--help"]) == 0 and "live cameras" in capsys.readouterr().out
+
+
+class Driver:
+    """Stands for OpenCV's V4L2 backend, as its source reads: there is no webcam here. Controls have UVC's units, stamps are ms."""
+
+    def __init__(self, device: str, backend: int) -> None:
+        self.controls = {cv2.CAP_PROP_AUTO_EXPOSURE: 3.0, cv2.CAP_PROP_EXPOSURE: 156.0, cv2.CAP_PROP_FPS: 30.0}
+        self.controls |= {cv2.CAP_PROP_FRAME_WIDTH: 640.0, cv2.CAP_PROP_FRAME_HEIGHT: 480.0, cv2.CAP_PROP_FOURCC: 0x56595559}
+        self.controls |= {cv2.CAP_PROP_AUTO_WB: 1.0, cv2.CAP_PROP_WB_TEMPERATURE: 4000.0}
+        self.told: list[tuple[int, float]] = []
+        self.stamp = 0.0
+        drivers.append(self)
+
+    def isOpened(self) -> bool:
+        return True
+
+    def get(self, what: int) -> float:
+        return self.stamp if what == cv2.CAP_PROP_POS_MSEC else self.controls.get(what, -1.0)
+
+    def set(self, what: int, value: float) -> bool:
+        self.told.append((what, value))
+        if what not in self.controls:
+            return False
+        # The driver has exposures up to 200 units, and 60 images/s with MJPG alone.
+        fast = self.controls[cv2.CAP_PROP_FOURCC] == cv2.VideoWriter.fourcc(*"MJPG")
+        most = {cv2.CAP_PROP_EXPOSURE: 200.0, cv2.CAP_PROP_FPS: 60.0 if fast else 30.0}
+        value = min(value, most.get(what, math.inf))
+        self.controls[what] = value
+        return True
+
+    def grab(self) -> bool:
+        time.sleep(0.002)
+        self.stamp = 1e3 * (time.monotonic() - self.behind)
+        return True
+
+    def retrieve(self) -> tuple[bool, np.ndarray]:
+        return True, np.full((480, 640, 3), 50, np.uint8)
+
+    def release(self) -> None:
+        pass
+
+    behind = 0.004
+
+
+drivers: list[Driver] = []
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the settings of other systems' drivers have other units")
+def test_a_webcam_is_set_in_the_units_of_its_driver_with_what_is_automatic_off_first(monkeypatch):
+    monkeypatch.setattr(cv2, "VideoCapture", Driver)
+    asked = {"exposure": 4.03, "rate": 60.0, "format": "mjpg", "white-balance": 4500.0, "gain": 3.0, "size": "640x480"}
+    camera = open_camera(CameraSpec("left", "camera:///dev/null", asked))
+    told = {outcome.setting: outcome for outcome in camera.outcomes}
+    assert str(told["exposure"]) == "left: exposure: asked 4.03 ms, has 4 ms."
+    assert "does not take it" in told["gain"].problem
+    # The format is set first, or the rate would not fit.
+    assert all(told[name].as_asked for name in ("rate", "format", "white-balance", "size"))
+    exposures = [step for step in drivers[-1].told if step[0] in (cv2.CAP_PROP_AUTO_EXPOSURE, cv2.CAP_PROP_EXPOSURE)]
+    assert exposures == [(cv2.CAP_PROP_AUTO_EXPOSURE, 1.0), (cv2.CAP_PROP_EXPOSURE, 40)]
+    assert camera.set("exposure", "auto").as_asked and camera.get("exposure") == "auto"
+    assert camera.set("exposure", "1 s").has == 20.0
+    camera.start()
+    for behind, clock in ((0.004, "system"), (5000.0, "arrival"), (-5.0, "arrival")):
+        drivers[-1].behind = behind
+        images_of(camera, 2 * BUFFERS)
+        taken = images_of(camera, 1)[0]
+        # The kernel's stamps count only where they are of this machine's clock.
+        assert camera.about.clock == clock and taken.time == pytest.approx(taken.arrived, abs=1.0)
+        # A setting is taken between two images.
+        assert camera.set("exposure", 2.0).has == 2.0
+    camera.close()

@@ -11,6 +11,7 @@ import urllib.request
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +19,14 @@ from browser import Tab, needs_chromium
 from hypothesis import given
 from hypothesis import strategies as st
 from test_live import Given, Kept, Numbers, frames
+from test_live_movement import frames_of
 
+import asterism
 from asterism import AsterismError
+from asterism.cli import main
 from asterism.live import (
     AnalysedFrame,
+    AngleOptions,
     Cue,
     Feedback,
     FeedbackRule,
@@ -30,6 +35,7 @@ from asterism.live import (
     LiveEvent,
     LiveFrame,
     LiveSession,
+    MovementAnalysis,
     labels_as_json,
     load_feedback,
 )
@@ -271,6 +277,30 @@ def test_names_that_a_session_lacks_are_said_once_with_the_near_ones() -> None:
     assert "angles are not found in this session" in said[3]
 
 
+@pytest.mark.kernels
+@pytest.mark.parametrize(
+    ("file", "rules", "begin", "end", "expected"),
+    [
+        # The person squats to 98 degrees; angles begin with the second squat.
+        ("movement/lab51-multiactivity/squats1.trc", "squat-depth", 0.0, 4.0, ["deep enough"]),
+        ("movement/fullbody61/markers_Squat2.trc", "squat-depth", 0.0, 5.0, ["deeper: that was 65°"]),
+        # Cut off at the ball: the club goes up as fast as it comes down.
+        ("conformance/c3d/sample_16/golf.c3d", "golf-tempo", 0.0, 1.0, ["0.5 : 1", "slower to the top"]),
+        ("gait-events/treadmill/vanderzee10.c3d", "gait-symmetry", 0.0, 10.0, ["even"]),
+    ],
+)
+def test_examples_tell_of_real_recordings(data: Path, file: str, rules: str, begin: float, end: float, expected: list[str]) -> None:
+    """True labels, so that this judges the rules alone; angles and steps from the live analysis."""
+    recording = asterism.read(data / file)
+    recording = recording.frames(slice(round(begin * recording.rate), round(end * recording.rate)))
+    up = recording.vertical
+    analysis = MovementAnalysis(AngleOptions(waits=True, vertical=up))
+    # The markers of the golf player have numbers: 2012 is on the wrist.
+    feedback = Feedback([replace(rule, markers=("2012",) if rule.markers else ()) for rule in load_feedback(rules)], up)
+    said = [cue.text for frame in frames_of(recording) for cue in feedback.judge(frame, analysis.push(frame)) if cue.began]
+    assert said == expected and feedback.problems == []
+
+
 RULES = """
 [[rule]]
 name = "left knee"
@@ -378,12 +408,117 @@ def test_a_slow_page_gets_the_newest_frame_and_every_beep() -> None:
     assert len(woken) == 4
     page.sounded([3.0, -1.0, math.nan, "x", None, 1e9, 5.0])
     page.sounded({"a": 1})
-    assert page.tone_latency() == (4.0, pytest.approx(4.98), 2)
+    assert page.tone_latency() == pytest.approx((4.0, 4.98, 2))
     assert page.body() is None, "lines are chosen when enough frames were seen"
     for number in range(60):
         page.send(AnalysedFrame(labelled(leg(140 + number % 7), number=number)))
     body = page.body()
     assert body is not None and body["sides"] == ["left", "left", "left", "right"] and [0, 1] in [sorted(bone) for bone in body["bones"]]
+
+
+MOMENT = """globalThis.hear = (name, age) => {
+  const live = Asterism.live, at = live.clock.at(performance.now()) - age, cue = { name, sound: "beep" };
+  live.told(JSON.stringify({ sent: at, moments: [{ cue, at, done: at, time: 0 }] }));
+  return live.log.length;
+}"""
+
+
+@needs_chromium
+def test_a_tablet_reads_the_address_with_its_camera(tmp_path: Path) -> None:
+    pytest.importorskip("segno", reason="QR codes need segno")
+    pytest.importorskip("uvicorn")
+    cv2 = pytest.importorskip("cv2")
+    from asterism.web.live_page import ToPage, serve_live
+    from asterism.web.serving import PageAddress
+
+    page, said = ToPage(), list[str]()
+    session = LiveSession(Given([]), lambda rate, up: Numbers(), [page])
+    stop = serve_live(session, page, PageAddress("0.0.0.0"), said.append)
+    address = said[0].rpartition(" ")[2]
+    try:
+        with Tab(address, 1400, 1400) as tab:
+            tab.wait("document.getElementById('code').complete && document.getElementById('code').src")
+            tab.value("document.documentElement.dataset.theme = 'dark', document.getElementById('tablet').open = true")
+            tab.wait("document.getElementById('state').textContent === 'no frames come'")
+            tab.picture(tmp_path / "page.png")
+            assert tab.value("document.getElementById('address').textContent") == address
+    finally:
+        stop()
+    assert "nothing is encrypted" in said[1]
+    assert cv2.QRCodeDetector().detectAndDecode(cv2.imread(str(tmp_path / "page.png")))[0] == address
+
+
+class Listener:
+    """A page without a browser, which says what it has seen, or does not."""
+
+    def __init__(self, address: str, *, answers: bool) -> None:
+        connect = pytest.importorskip("websockets.sync.client").connect
+        self.socket = connect(address.replace("http", "ws").replace("/?", "/ws?")).__enter__()
+        self.answers = answers
+
+    def next(self, kind: str) -> dict[str, Any]:
+        """The next message of a kind; what comes before it is kept."""
+        self.before = list[dict[str, Any]]()
+        while kind not in (news := json.loads(self.socket.recv(timeout=60))):
+            self.before.append(news)
+            self.seen(news)
+        self.seen(news)
+        return dict(news)
+
+    def seen(self, news: dict[str, Any]) -> None:
+        if self.answers and "picture" in news:
+            self.socket.send(json.dumps({"seen": news["picture"]}))
+
+
+def test_a_page_that_sleeps_holds_nobody_back_and_hears_no_old_sounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("uvicorn")
+    from asterism.web import live_page
+    from asterism.web.serving import PageAddress
+
+    page, said, feedback = live_page.ToPage(), list[str](), Feedback((KNEE,))
+    session = LiveSession(Given([]), lambda rate, up: Numbers(), [page], feedback=feedback)
+    stop = live_page.serve_live(session, page, PageAddress(), said.append)
+    address, number = said[0].rpartition(" ")[2], 0
+
+    def send(degrees: float) -> None:
+        nonlocal number
+        number += 1
+        frame = replace(labelled(leg(degrees), number=number), done=time.monotonic())
+        page.send(AnalysedFrame(frame, cues=feedback.judge(frame)))
+
+    try:
+        quick, slow, odd = (Listener(address, answers=answers) for answers in (True, False, True))
+        for each in (quick, slow, odd):
+            each.next("health")
+        for words in ("{", "[]", '{"seen": "x", "ping": [], "sounded": {"a": 1}}', '{"sounded": [1e999, null]}'):
+            odd.socket.send(words)
+        odd.socket.send(json.dumps({"ping": 5}))
+        assert odd.next("pong")["pong"] == 5, "what is not understood is passed over"
+        for _ in range(6):  # as many pictures are under way
+            send(170)
+            slow.next("picture")
+        monkeypatch.setattr(live_page, "_STALE", 60.0)
+        for _ in range(20):
+            send(170)
+            send(140)
+            assert quick.next("moments")["moments"][0]["cue"]["name"] == "knee"
+        for _ in range(2):
+            slow.next("health")
+            assert not any("picture" in news or "moments" in news for news in slow.before)
+        # It wakes: what it slept through is old by now.
+        monkeypatch.setattr(live_page, "_STALE", 0.0)
+        before = page.late
+        slow.socket.send('{"seen": 1}')
+        slow.next("picture")
+        assert page.late == before + 20 and not any("moments" in news for news in slow.before)
+        page.close()
+        session.stop()
+        while not quick.next("health")["health"]["ended"]:
+            pass
+        with pytest.raises(Exception, match="403"):
+            Listener(address.replace("token=", "token=x"), answers=True)
+    finally:
+        stop()
 
 
 @needs_chromium
@@ -411,10 +546,53 @@ def test_the_page_shows_counts_words_and_markers() -> None:
             tab.wait("document.getElementById('words').textContent === 'far <apart>'")
             tab.wait("document.getElementById('state').textContent.includes('frames/s')")
             shown = tab.value("document.body.innerText")
-            assert "0.400 m" in shown and "none" in shown
+            assert "40" in shown and "none" in shown
+            assert tab.value("Asterism.live.sounds.on") is None, "silent until somebody asks for sound"
+            tab.value("document.getElementById('sound').click()")
+            tab.wait("Asterism.live.sounds.context.state === 'running' && Asterism.live.clock.isKnown")
+            tab.value(MOMENT)
+            # A fresh one sounds, one of a minute ago does not; after a sleep none does until the clock is known again.
+            assert tab.value("[hear('a', 0), hear('b', 60000), (Asterism.live.heard -= 60000, hear('c', 0))]") == [1, 1, 1]
+            tab.wait("Asterism.live.clock.isKnown")
+            assert tab.value("[hear('d', 0), hear('d', 0), Asterism.live.missed]") == [2, 2, 2], "no second beep at once"
+            tab.wait("true")
+            tab.resize(390, 844, is_phone=True)
+            before = tab.value("[Asterism.live.camera.yaw, Asterism.live.camera.zoom]")
+            for kind, apart in (("touchStart", 20), ("touchMove", 60), ("touchEnd", None)):
+                points = [] if apart is None else [{"x": 150 - apart, "y": 300}, {"x": 150 + apart, "y": 300}]
+                tab.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+            for kind, x in (("touchStart", 150), ("touchMove", 190), ("touchEnd", None)):
+                tab.call("Input.dispatchTouchEvent", type=kind, touchPoints=[] if x is None else [{"x": x, "y": 300}])
+            after = tab.value("[Asterism.live.camera.yaw, Asterism.live.camera.zoom]")
+            assert after[0] == pytest.approx(before[0] - 0.4) and after[1] == pytest.approx(3 * before[1])
+            assert tab.value("document.documentElement.scrollWidth") <= 390
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(address.replace("token=", "token=x"))
     finally:
         session.stop()
         running.join(timeout=10)
         stop()
+
+
+@pytest.mark.kernels
+def test_the_command_says_what_is_silent_and_how_late_sounds_were(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("uvicorn")
+    from asterism.web.live_page import ToPage
+
+    send = ToPage.send
+    monkeypatch.setattr(ToPage, "send", lambda page, frame: (send(page, frame), page.sounded([8.0]))[0])
+    (tmp_path / "feet.toml").write_text('[[rule]]\nheight = "LHEL"\nabove = 0.1\nsound = "beep"\n')
+    asterism.write(tmp_path / "walk.c3d", asterism.simulation.simulate_walks(1, frames=40, seed=1)[0])
+    words = ["live", "--replay", str(tmp_path / "walk.c3d"), "--markers", "helen-hayes", "--no-analysis", "--page"]
+    assert main([*words, "--feedback", str(tmp_path / "feet.toml"), "--json", str(tmp_path / "out.json")]) == 1
+    out, err = capsys.readouterr()
+    assert "8 ms, one in a hundred after 8 ms; sound card and loudspeaker add to it" in " ".join(out.split())
+    assert err.count('The rule "height of LHEL" is silent: the marker set has no LHEL; near are LHEE, RHEE') == 2, (
+        "at the start and the end"
+    )
+    content = json.loads((tmp_path / "out.json").read_text())
+    assert content["tone_ms"] == {"p50": 8.0, "p99": 8.0, "sounds": 40} and content["findings"][0]["code"] == "live-rule-silent"
+    assert main([*words, "--feedback", "squat"]) == 2
+    assert "squat is no file and no example" in capsys.readouterr().err

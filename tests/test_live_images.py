@@ -20,8 +20,9 @@ import pytest
 from asterism import AsterismError
 from asterism.detection import BlobSettings, DetectionSettings, RunningDetection, detect
 from asterism.detection.running import MOST_BLOBS
+from asterism.files.toml import read_toml
 from asterism.live.camera_frames import LiveBlobs, LiveImage
-from asterism.live.cameras import CameraHealth, CameraSpec, LiveCamera
+from asterism.live.cameras import CameraHealth, CameraSpec, LiveCamera, load_cameras
 from asterism.live.cameras.reopening import ReopeningCamera
 from asterism.live.cameras.simulated import SimulatedCamera
 from asterism.live.frames import SourceEnded
@@ -144,7 +145,7 @@ def test_lights_of_the_empty_room_are_masked() -> None:
 
 
 def test_other_sizes_are_refused_and_a_lit_room_is_cut() -> None:
-    running = RunningDetection(BlobSettings(threshold=60.0, min_size=1.0))
+    running = RunningDetection(BlobSettings(threshold=60.0, min_size=1.0, max_size=64.0))
     crowd = np.full((480, 640), 20, np.uint8)
     crowd[4:-4:8, 4:-4:8] = 200
     crowd[240:243, 320:323] = 250
@@ -161,11 +162,13 @@ def test_processes_find_what_is_found_off_line(tmp_path: Path) -> None:
     folders = [saved(tmp_path / name, [scene(number, seed=seed) for number in range(30)]) for seed, name in enumerate(("left", "right"))]
     off_line = detect(folders, DetectionSettings(BlobSettings(threshold=40.0))).blobs
     specs = [CameraSpec(folder.name, f"{folder}?wait=1", {"rate": 300.0}) for folder in folders]
-    workers = CameraWorkers(specs, WorkerSettings(BlobSettings(threshold=40.0), pictures=4.0), workers=1)
+    workers = CameraWorkers(specs, WorkerSettings(BlobSettings(threshold=40.0), pictures=4.0, in_order="number"), workers=2)
     try:
         assert (workers.cameras, workers.rate, workers.name) == (("left", "right"), 300.0, "2 cameras")
         came = read_all(workers)
-        assert [sum(blobs.camera == name for blobs in came) for name in workers.cameras] == [30, 30]
+        # In the order of their numbers, whichever process was faster.
+        assert sorted((blobs.number, blobs.camera) for blobs in came) == [(n, name) for n in range(30) for name in workers.cameras]
+        assert [blobs.number for blobs in came] == sorted(blobs.number for blobs in came)
         for blobs in came:
             expected = off_line.of(blobs.number, workers.cameras.index(blobs.camera))
             np.testing.assert_allclose(blobs.xy, expected, atol=1e-9)
@@ -204,17 +207,33 @@ def test_images_of_another_size_are_counted_and_not_used(odd: CameraWorkers) -> 
     assert odd.damaged > 0
 
 
+def test_cameras_are_set_while_they_run_and_kept_beside_the_recording(odd: CameraWorkers, tmp_path: Path) -> None:
+    odd.set("gain", "6.04 dB", ["whole"])
+    odd.set("threshold", 60)
+    until(odd, lambda: [outcome.setting for outcome in odd.outcomes()].count("threshold") == 2 and odd.searches()["whole"].threshold == 60)
+    assert [outcome.has for outcome in odd.outcomes() if outcome.setting == "gain"] == [pytest.approx(6.0)]
+    odd.save(tmp_path / "walk.cameras.toml")
+    [whole] = load_cameras(tmp_path / "walk.cameras.toml")
+    assert whole.settings == {"gain": 6.04, "threshold": 60.0}
+    assert read_toml(tmp_path / "walk.cameras.toml")["camera"][0]["has"]["gain"] == pytest.approx(6.0)
+    with pytest.raises(AsterismError, match="no camera middle"):
+        odd.set("gain", 1, ["middle"])
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 def test_a_process_that_is_killed_is_begun_anew(odd: CameraWorkers) -> None:
     before = odd.processes
+    odd.set("rate", 50, ["whole"])
     until(odd, lambda: odd.searches()["whole"].searched)
     searched = odd.searches()["whole"].searched
+    assert before[0] is not None
     os.kill(before[0], signal.SIGKILL)
     until(odd, lambda: odd.processes != before)
     assert "SIGKILL" in health_of(odd, "whole").problem
     until(odd, lambda: odd.searches()["whole"].searched > searched + 10)
     assert "SIGKILL" not in health_of(odd, "whole").problem
-    assert health_of(odd, "whole").images > searched
+    until(odd, lambda: health_of(odd, "whole").images > searched)
+    assert [outcome.has for outcome in odd.outcomes() if (outcome.camera, outcome.setting) == ("whole", "rate")] == [50.0]
     assert "live-camera-process" in {found.code for found in odd.findings() if found.where == "whole"}
 
 

@@ -28,7 +28,8 @@ from asterism.live import (
     open_source,
 )
 from asterism.live.clock import SampleNumbers
-from asterism.live.lsl_source import FromLsl, StreamChoice, layout_of_channels
+from asterism.live.lsl_source import FromLsl, StreamChoice
+from asterism.live.mocap_channels import layout_of_channels
 
 # Read by the library as it is loaded: nothing leaves this machine, and no other process of the tests is heard.
 _CONFIG = Path(tempfile.gettempdir()) / f"asterism-lsl-{os.getpid()}.cfg"
@@ -189,6 +190,21 @@ def test_a_stream_without_a_word_is_read_in_triples_in_the_unit_of_a_body(name: 
     assert any("read as mm" in str(finding) for finding in source.findings())
 
 
+def test_a_unit_that_cannot_be_and_a_name_that_is_taken_are_told(name: str) -> None:
+    body = 1000 * np.random.default_rng(0).normal((0.5, 1.0, 0.9), (0.2, 0.2, 0.45), (12, 3))
+    sender = outlet(name, points_of([f"M{n}" for n in range(12)], "meters"))
+    source = opened(f"lsl://{name}")
+    sender.push_sample(body.ravel().tolist())
+    taken(source, 1)
+    source.close()
+    (finding,) = source.findings()
+    assert finding.code == "live-unit-doubtful" and "probably mm" in finding.sentence
+    first = open_output(f"lsl://{name}", SourceAbout("given", 100.0))
+    with pytest.raises(AsterismError, match="another session on this machine"):
+        open_output(f"lsl://{name}", SourceAbout("given", 100.0))
+    first.close()
+
+
 def test_a_counter_numbers_the_frames_until_it_stands_still(name: str) -> None:
     sender = outlet(name, [{"label": "FrameNumber"}, *points_of(["A"], "m")])
     source = opened(f"lsl://{name}")
@@ -253,7 +269,7 @@ def test_labels_values_and_events_go_out_and_can_be_read_again(name: str) -> Non
         labelled = LabelledFrame(LiveFrame(n, 5.0 + n / 100, now, points), markers, np.array([1, -1, 0]), np.array([0.9, 0.1, 0.8]), now)
         events = (LiveEvent("heel strike", "left", 5.0, 0.03),) if n == 3 else ()
         analysis = FrameAnalysis({"left knee flexion": 60.0 + n, "right knee flexion": np.nan}, {"left knee flexion": "degrees"}, events)
-        return AnalysedFrame(labelled, analysis, (Cue(rule, 0.3, on, on, np.nan),))
+        return AnalysedFrame(labelled, analysis, (Cue(rule, 0.3, on, on and n == 2, np.nan),))
 
     output.send(frame(0, False))
     source = opened(f"lsl://{name}?type=MoCap")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 import struct
@@ -190,7 +191,10 @@ class Motive(threading.Thread):
 
     packets  after each greeting the next list is sent
     answers  to questions; others are not known to it
+    group    to which it says that it sends, and the port there
     """
+
+    group: tuple[str, int] = ("", 1511)
 
     def __init__(self, version: Version, packets: Sequence[Sequence[bytes]], answers: dict[bytes, bytes] | None = None) -> None:
         super().__init__(daemon=True)
@@ -211,7 +215,7 @@ class Motive(threading.Thread):
             self.heard.append(kind)
             if kind == 0:
                 self.socket.sendto(b"\x08\0\1\0x", self.client)
-                self.socket.sendto(greeting(self.version), self.client)
+                self.socket.sendto(greeting(self.version, *self.group), self.client)
                 for each in self.packets.pop(0) if self.packets else ():
                     self.socket.sendto(each, self.client)
             elif kind == 2 and self.answers is not None:
@@ -247,6 +251,30 @@ def test_a_server_that_sends_to_each_client_is_greeted_and_read() -> None:
     source.close()
     server.socket.close()
     assert source.read(0.05) is None
+
+
+def test_a_group_is_joined_on_the_network_that_leads_to_the_server_and_others_in_it_are_told() -> None:
+    server = Motive((3, 1), [])
+    # Other processes of the tests have another port.
+    server.group = ("239.255.42.97", 20_000 + os.getpid() % 20_000)
+    source = open_source(f"natnet://127.0.0.1:{server.port}", 100.0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        for each, address in ((stranger, "127.0.0.2"), (sender, "127.0.0.1")):
+            each.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+            each.bind((address, 0))
+        for number in range(3):
+            stranger.sendto(packet((3, 1), 90 + number, 0.0, OTHERS, [], []), server.group)
+            sender.sendto(packet((3, 1), number, number / 100, SEEN, [], []), server.group)
+        first = source.read(1.0)
+        if first is None:
+            source.close()
+            server.socket.close()
+            pytest.skip("this machine passes no multicast on over its loopback address")
+        assert [frame.number for frame in (first, *taken(source, 2))] == [0, 1, 2]
+    codes = {finding.code for finding in source.findings()}  # type: ignore[attr-defined]
+    assert "live-other-server" in codes
+    source.close()
+    server.socket.close()
 
 
 def test_motive_is_asked_for_its_rate_unit_and_axis() -> None:

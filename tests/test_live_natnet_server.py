@@ -140,8 +140,8 @@ def server() -> Iterator[ToNatNet]:
 
 @given(st.binary(max_size=40), st.integers(1, 9999))
 def test_noise_is_answered_by_a_greeting_at_most_and_fills_no_memory(server: ToNatNet, data: bytes, port: int) -> None:
-    assert len(server._answer_to(data, ("127.0.0.1", port))) <= 300
-    server._answer_to(struct.pack("<HH", 0, 0), ("127.0.0.1", port))
+    assert len(server.answer(data, ("127.0.0.1", port))) <= 300
+    server.answer(struct.pack("<HH", 0, 0), ("127.0.0.1", port))
     assert len(server._clients) <= 16 and (not server.findings() or server.findings()[0].code == "live-refused")
 
 

@@ -79,7 +79,7 @@ def test_markers_values_events_and_cues_arrive_by_their_names(artist: Artist) ->
     )
     output.send(AnalysedFrame(labelled(8, 5001.0, 3, hidden=(1,)), analysis, (Cue(rule, math.nan, True, True, math.nan),)))
     output.close()
-    came = artist.take("/asterism/cue/squat_depth")
+    came = artist.take("/asterism/cue/squat_depth/began")
     assert came[0] == ("/asterism/frame", (7, 0.0)), "times begin with 0, which 32 bits hold well"
     assert came[2] == ("/asterism/marker/M1", (3 / 64, 4 / 64, 5 / 64, 0.75))
     second = dict(came[4:])

@@ -8,6 +8,8 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +17,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism import AsterismError
-from asterism.live import HostPort, LiveFrame, open_source
-from asterism.live.qtm_packets import blobs_of_packet, points_of_packet, settings_of_xml
+from asterism.cameras.files.qualisys import read_qualisys, write_qualisys
+from asterism.live import HostPort, LiveFrame, LiveRecorder, open_source, recording_of
+from asterism.live.analog import write_analog
+from asterism.live.blobs import RigSource
+from asterism.live.qtm_packets import QtmSettings, blobs_of_packet, points_of_packet, settings_of_xml
+from asterism.live.sources import open_blobs
+from asterism.simulation.cameras.rigs import ring_rig
 
 qtm_rt = pytest.importorskip("qtm_rt", reason="the vendor's package qtm-rt is the judge of these packets")
 
@@ -32,6 +39,9 @@ XML = """<QTM_Parameters_Ver_1.20>
   <Label><Name>knee</Name><Trajectory_Type>Measured</Trajectory_Type></Label>
   <Label><Name>joint</Name><Trajectory_Type>Virtual</Trajectory_Type></Label>
  </The_3D>
+ <Analog><Device><Device_ID>1</Device_ID><Device_Name>EMG</Device_Name><Channels>2</Channels><Frequency>1000</Frequency>
+  <Channel><Label>soleus</Label><Unit>V</Unit></Channel><Channel><Label>tibialis</Label><Unit>V</Unit></Channel>
+ </Device></Analog>
 </QTM_Parameters_Ver_1.20>"""
 
 
@@ -49,6 +59,13 @@ def blobs_component(kind: int, cameras: Sequence[Sequence[tuple[int, int, int, i
     for blobs in cameras:
         content += struct.pack("<IB", len(blobs), 1) + b"".join(struct.pack("<iiHH", *blob) for blob in blobs)
     return component(kind, content)
+
+
+def analog_component(first: int, values: Sequence[Sequence[float]], device: int = 1) -> bytes:
+    """A device without samples, and one whose channels come one after the other."""
+    count = len(values[0])
+    samples = struct.pack("<IIII", device, len(values), count, first) + b"".join(struct.pack(f"<{count}f", *channel) for channel in values)
+    return component(3, struct.pack("<I", 2) + struct.pack("<III", 9, 6, 0) + samples)
 
 
 def data_packet(number: int, *components: bytes, stamp: int | None = None) -> bytes:
@@ -77,7 +94,7 @@ def test_points_are_those_that_the_vendors_parser_reads(labels: int | None, no_l
     for more in (b"", component(77, b"later")):
         whole = data_packet(12, component(5, bytes(8)), *parts, *([more] if more else []))
         ours = points_of_packet(whole, 3.0)
-        assert ours is not None
+        assert ours is not None and ours.frame is not None
         assert (ours.frame.number, ours.frame.time, ours.frame.arrived) == (12, 0.12, 3.0)
         assert {tuple(point) for point in np.round(ours.frame.points, 6).tolist()} == expected
         assert len(ours.frame.points) == len(expected), "a point that both lists have is one point"
@@ -86,9 +103,9 @@ def test_points_are_those_that_the_vendors_parser_reads(labels: int | None, no_l
 
 def test_virtual_markers_are_left_out_where_the_settings_are_of_these_labels() -> None:
     packet = data_packet(1, points_component(1, LABELLED))
-    seen = points_of_packet(packet, 0.0, (False, False, True))
-    other = points_of_packet(packet, 0.0, (False, True))
-    assert seen is not None and other is not None
+    seen = points_of_packet(packet, 0.0, QtmSettings(computed=(False, False, True)))
+    other = points_of_packet(packet, 0.0, QtmSettings(computed=(False, True)))
+    assert seen is not None and seen.frame is not None and other is not None and other.frame is not None
     np.testing.assert_allclose(seen.frame.points, [(0.1, 0.2, 0.9)], atol=1e-6)
     assert len(other.frame.points) == 2
 
@@ -108,10 +125,37 @@ def test_blobs_are_those_that_the_vendors_parser_reads_in_pixels() -> None:
     assert blobs_of_packet(data_packet(1, points_component(1, LABELLED)), 0.0, ()) is None
 
 
+def test_analog_samples_are_those_that_the_vendors_parser_reads_and_are_recorded(tmp_path: Path) -> None:
+    parts = [points_component(2, OTHERS), analog_component(500, [[0.5, 1.5, 2.5], [-1.0, -2.0, -3.0]])]
+    packet = data_packet(50, *parts)
+    theirs = qtm_rt.QRTPacket(packet).get_analog()[1]
+    ours = points_of_packet(packet, 0.0, settings_of_xml(XML.format(rate=100, up="+Z").encode()))
+    assert ours is not None and ours.frame is not None
+    (emg,) = ours.analog
+    assert [(sample.sample_number, channel.samples) for _, sample, channel in theirs] == [(emg.first, tuple(row)) for row in emg.values.T]
+    assert (emg.device.name, emg.device.rate, emg.device.channels, emg.device.units) == ("EMG", 1000.0, ("soleus", "tibialis"), ("V", "V"))
+    # A packet of samples only is no frame, and none that is damaged.
+    alone = points_of_packet(data_packet(51, parts[1]), 0.0)
+    assert alone is not None and alone.frame is None and alone.analog[0].device.name == "device 1"
+    recorder = LiveRecorder(tmp_path / "walk.live", "QTM", None)
+    for n in range(3):
+        recorder.frame(replace(ours.frame, number=50 + n, time=0.5 + 0.01 * n, analog=(replace(emg, first=500 + 10 * n),)))
+    recorder.close()
+    kept = recording_of(tmp_path / "walk.live")
+    (device,) = kept.analog
+    assert device.samples.tolist() == [500, 501, 502, 510, 511, 512, 520, 521, 522] and device.device == emg.device
+    write_analog(tmp_path / "walk.analog.npz", kept.analog, kept.times)
+    with np.load(tmp_path / "walk.analog.npz") as written:
+        np.testing.assert_allclose(written["EMG.values"], np.tile(emg.values, (3, 1)))
+        np.testing.assert_allclose(written["frame_times"], [0.5, 0.51, 0.52])
+        assert written["EMG.channels"].tolist() == ["soleus", "tibialis"] and written["EMG.rate"] == 1000
+
+
 @settings(max_examples=150)
 @given(st.data())
 def test_damaged_packets_give_a_frame_or_none_at_once(data: st.DataObject) -> None:
-    packet = bytearray(data_packet(5, points_component(9, LABELLED), points_component(2, OTHERS), blobs_component(7, [[(1, 2, 3, 4)]] * 3)))
+    parts = [points_component(9, LABELLED), points_component(2, OTHERS), analog_component(3, [[1.0], [2.0]])]
+    packet = bytearray(data_packet(5, *parts, blobs_component(7, [[(1, 2, 3, 4)]] * 3)))
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, max(0, len(packet) - 1)))
         kind = data.draw(st.sampled_from(["cut", "zero", "large", "any"]))
@@ -121,8 +165,8 @@ def test_damaged_packets_give_a_frame_or_none_at_once(data: st.DataObject) -> No
             packet[at : at + 1] = bytes([data.draw(st.integers(0, 255))])
         else:
             packet[at : at + 4] = struct.pack("<I", 0 if kind == "zero" else 2**32 - 1)
-    points = points_of_packet(bytes(packet), 0.0, (False, True, False))
-    assert points is None or np.isfinite(points.frame.points).all()
+    points = points_of_packet(bytes(packet), 0.0, settings_of_xml(XML.format(rate=100, up="+Z").encode()))
+    assert points is None or points.frame is None or np.isfinite(points.frame.points).all()
     blobs = blobs_of_packet(bytes(packet), 0.0, ("a",))
     assert blobs is None or all(np.isfinite(each.xy).all() for each in blobs)
 
@@ -148,7 +192,7 @@ class QtmServer(threading.Thread):
     def __init__(self, frames: Callable[[str], Iterator[tuple[int, bytes]]], xml: str, versions: Sequence[str] = ("1.20",)) -> None:
         super().__init__(daemon=True)
         self.frames, self.xml, self.versions = frames, xml, versions
-        self.heard = list[str]()
+        self.heard, self.mute = list[str](), False
         self.socket = socket.create_server(("127.0.0.1", 0))
         self.port = self.socket.getsockname()[1]
         self.start()
@@ -159,12 +203,25 @@ class QtmServer(threading.Thread):
                 client, _ = self.socket.accept()
             except OSError:
                 return
-            with client, contextlib.suppress(OSError):
-                self.serve(client)
+            threading.Thread(target=self.serve_and_close, args=(client,), daemon=True).start()
+
+    def serve_and_close(self, client: socket.socket) -> None:
+        with client, contextlib.suppress(OSError, struct.error):
+            self.mute = False
+            self.serve(client)
 
     def serve(self, client: socket.socket) -> None:
+        guard = threading.Lock()
+
         def say(kind: int, content: bytes) -> None:
-            client.sendall(struct.pack("<II", 8 + len(content), kind) + content)
+            with guard:
+                client.sendall(struct.pack("<II", 8 + len(content), kind) + content)
+
+        def stream(components: str) -> None:
+            with contextlib.suppress(OSError):
+                for each in self.frames(components):
+                    say(*each)
+                client.shutdown(socket.SHUT_RDWR)
 
         say(1, b"QTM RT Interface connected\0")
         while head := client.recv(8, socket.MSG_WAITALL):
@@ -172,6 +229,8 @@ class QtmServer(threading.Thread):
             text = client.recv(size - 8, socket.MSG_WAITALL).rstrip(b"\0").decode()
             assert kind == 1
             self.heard.append(text)
+            if self.mute:
+                continue
             words = text.lower().split()
             if words[0] == "version":
                 say(1, f"Version set to {words[1]}\0".encode()) if words[1] in self.versions else say(0, b"Version NOT supported\0")
@@ -180,9 +239,7 @@ class QtmServer(threading.Thread):
             elif words[0] == "getparameters":
                 say(2, self.xml.encode("latin-1") + b"\0")
             elif words[0] == "streamframes":
-                for each in self.frames(" ".join(words[2:])):
-                    say(*each)
-                return
+                threading.Thread(target=stream, args=(" ".join(words[2:]),), daemon=True).start()
             else:
                 say(0, b"Parse error\0")
 
@@ -201,9 +258,10 @@ def test_a_stream_is_read_and_taken_up_again_when_qtm_closes(monkeypatch: pytest
     begin = iter((100, 400))
 
     def frames(components: str) -> Iterator[tuple[int, bytes]]:
-        assert components == "3d 3dnolabels"
+        assert components == "3d 3dnolabels analog"
         first = next(begin)
         for number in range(first, first + 30, 2):
+            yield 3, data_packet(number, analog_component(10 * number, [[1.0], [2.0]]))
             yield 3, data_packet(number, points_component(1, LABELLED), points_component(2, OTHERS))
             yield 6, b"\x0b"
             if number == first + 20:
@@ -220,6 +278,8 @@ def test_a_stream_is_read_and_taken_up_again_when_qtm_closes(monkeypatch: pytest
         assert [frame.number for frame in got] == [*range(50, 65), *range(200, 215)]
         np.testing.assert_allclose(np.diff([frame.time for frame in got[:15]]), 0.02)
         np.testing.assert_allclose(got[0].points, [(0.1, 0.2, 0.9), (-0.4, 0.005, 1.2)], atol=1e-6)
+        # Samples that came in a packet of their own are those of the next frame.
+        assert [[part.first for part in frame.analog] for frame in got[:2]] == [[1000], [1020]]
         assert source.about.rate == 100.0 and source.about.vertical is not None
         assert source.about.vertical.tolist() == [0, 1, 0] and source.about.name == "QTM 2023.1 (build 9000) at 127.0.0.1"
         assert source.damaged == 2
@@ -239,6 +299,8 @@ def test_a_qtm_without_a_measurement_is_told_what_to_press_and_read_when_it_begi
     def frames(components: str) -> Iterator[tuple[int, bytes]]:
         yield 4, b""
         pressed.wait(20)
+        # Settings are there with the measurement, and asked for again.
+        server.xml = XML.format(rate=50, up="-Z")
         # Nor timestamps, which some recordings lack.
         for number in range(1, 5):
             yield 3, data_packet(number, points_component(2, OTHERS), stamp=0)
@@ -249,17 +311,48 @@ def test_a_qtm_without_a_measurement_is_told_what_to_press_and_read_when_it_begi
     source = open_source(f"qtm://127.0.0.1:{server.port}", 50.0)
     try:
         told = {finding.code: finding for finding in source.findings()}  # type: ignore[attr-defined]
-        assert "Ctrl+N" in told["live-idle"].mend and "live-axis-unknown" in told
+        assert set(told) == {"live-idle"} and "Ctrl+N" in told["live-idle"].mend
         assert source.about.vertical is None and source.about.rate == 50.0
         pressed.set()
         got = taken(source, 4)
         np.testing.assert_allclose([frame.time for frame in got], [0.0, 0.02, 0.04, 0.06])
         codes = {finding.code for finding in source.findings()}  # type: ignore[attr-defined]
         assert "live-no-times" in codes and "live-idle" not in codes
+        until = time.monotonic() + 20
+        while source.about.vertical is None and time.monotonic() < until:
+            time.sleep(0.01)
+        assert source.about.vertical is not None and source.about.vertical.tolist() == [0, 0, -1]
     finally:
         source.close()
         server.socket.close()
         pressed.set()
+
+
+def test_a_qtm_that_says_nothing_any_more_is_connected_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cable that is out ends no connection: only asking shows it."""
+    monkeypatch.setattr("asterism.live.qtm._QUIET", 0.1)
+    monkeypatch.setattr("asterism.live.qtm._PATIENCE", 0.3)
+    monkeypatch.setattr("asterism.live.qtm._AGAIN", 0.01)
+    begin, ended = iter((1, 100)), threading.Event()
+
+    def frames(components: str) -> Iterator[tuple[int, bytes]]:
+        first = next(begin, None)
+        if first is not None:
+            for number in range(first, first + 3):
+                yield 3, data_packet(number, points_component(2, OTHERS))
+            server.mute = first == 1
+        ended.wait(20)
+
+    server = QtmServer(frames, XML.format(rate=100, up="+Z"))
+    source = open_source(f"qtm://127.0.0.1:{server.port}")
+    try:
+        got = taken(source, 3)
+        assert [frame.number for frame in (*got, *taken(source, 3))] == [1, 2, 3, 100, 101, 102]
+        assert "live-reconnected" in {finding.code for finding in source.findings()}  # type: ignore[attr-defined]
+    finally:
+        source.close()
+        server.socket.close()
+        ended.set()
 
 
 def test_blobs_of_all_cameras_come_with_their_names() -> None:
@@ -316,3 +409,27 @@ def test_nobody_there_is_told_with_what_to_look_at() -> None:
     free.close()
     with pytest.raises(AsterismError, match=r"does not answer.*Real-Time Output"):
         open_source(f"qtm://127.0.0.1:{port}")
+
+
+def test_qtms_blobs_and_its_calibration_give_points_in_metres(tmp_path: Path) -> None:
+    """The rig that QTM exports and the blobs that it streams fit together: the same names, pixels and lens."""
+    written, marker = ring_rig(4), np.array([[0.1, -0.2, 1.1], [-0.3, 0.2, 0.8]])
+    write_qualisys(tmp_path / "rig.qca.txt", written)
+    rig = read_qualisys(tmp_path / "rig.qca.txt")
+    serials = "".join(f"<Camera><ID>{n + 1}</ID><Serial>{name}</Serial></Camera>" for n, name in enumerate(rig.names))
+    xml = f"<QTM_Parameters_Ver_1.20><General><Frequency>100</Frequency>{serials}</General></QTM_Parameters_Ver_1.20>"
+    seen = [[(*(64 * blob).round().astype(int).tolist(), 256, 256) for blob in camera.project(marker)] for camera in written]
+
+    def frames(components: str) -> Iterator[tuple[int, bytes]]:
+        for number in range(1, 40):
+            yield 3, data_packet(number, blobs_component(7, seen))
+            time.sleep(0.01)
+
+    server = QtmServer(frames, xml)
+    source = RigSource(open_blobs(f"qtm://127.0.0.1:{server.port}", rig.names), rig)
+    try:
+        frame = next(frame for frame in taken(source, 20) if len(frame.points) == 2)
+        np.testing.assert_allclose(frame.points[np.argsort(-frame.points[:, 0])], marker, atol=5e-4)
+    finally:
+        source.close()
+        server.socket.close()

@@ -12,7 +12,17 @@ import numpy as np
 import pytest
 
 from asterism import AsterismError
-from asterism.live import AnalysedFrame, LabelledFrame, LiveFrame, SourceAbout, frame_as_json, frame_of_json, open_output, open_source
+from asterism.live import (
+    AnalysedFrame,
+    InOwnThread,
+    LabelledFrame,
+    LiveFrame,
+    SourceAbout,
+    frame_as_json,
+    frame_of_json,
+    open_output,
+    open_source,
+)
 from asterism.live.websocket import FromWebSocket, ToWebSocket
 
 client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
@@ -78,11 +88,14 @@ def test_a_sender_that_comes_is_heard_and_a_second_one_is_sent_away() -> None:
 
 
 def test_pages_of_a_browser_may_not_come_unless_named() -> None:
-    output = open_output("ws-listen://127.0.0.1:0?origin=http://stage.example", ABOUT)
+    output = open_output("ws-listen://127.0.0.1:0?origin=http://stage.example&token=a+b", ABOUT)
     assert isinstance(output, ToWebSocket)
+    for wrong in ("", "?token=", "?token=b", "?token=%ff"):
+        with pytest.raises(exceptions.InvalidStatus, match="401"):
+            client.connect(f"ws://127.0.0.1:{output.port}{wrong}", proxy=None).recv()
     with pytest.raises(exceptions.InvalidStatus, match="403"):
-        client.connect(f"ws://127.0.0.1:{output.port}", origin="http://other.example", proxy=None).recv()
-    with client.connect(f"ws://127.0.0.1:{output.port}", origin="http://stage.example", proxy=None) as page:
+        client.connect(f"ws://127.0.0.1:{output.port}?token=a+b", origin="http://other.example", proxy=None).recv()
+    with client.connect(f"ws://127.0.0.1:{output.port}?token=a+b", origin="http://stage.example", proxy=None) as page:
         until(lambda: output.receivers == 1)
         output.send(analysed(3))
         told = json.loads(page.recv(LONG))
@@ -137,6 +150,35 @@ def test_a_receiver_that_sleeps_loses_frames_and_holds_nobody_back() -> None:
     output.close()
 
 
+def test_an_output_that_waits_for_ever_loses_frames_and_holds_nobody_back() -> None:
+    begun, free = threading.Event(), threading.Event()
+
+    class Stuck:
+        name = "stuck"
+
+        def __init__(self) -> None:
+            self.got: list[int] = []
+
+        def send(self, given: AnalysedFrame) -> None:
+            begun.set()
+            free.wait(LONG)
+            self.got.append(given.labelled.frame.number)
+
+        def close(self) -> None:
+            self.got.append(-1)
+
+    stuck = Stuck()
+    output = InOwnThread(stuck)
+    output.send(analysed(0))
+    assert begun.wait(LONG)
+    for number in range(1, 100):
+        output.send(analysed(number))
+    assert output.name == "stuck" and output.dropped == 67
+    free.set()
+    output.close()
+    assert stuck.got == [0, *range(68, 100), -1] and output.dropped == 67
+
+
 def test_frames_go_from_one_session_to_another() -> None:
     source = open_source("ws-listen://127.0.0.1:0")
     assert isinstance(source, FromWebSocket)
@@ -165,7 +207,9 @@ def test_nobody_there_is_told_at_once() -> None:
         open_source("ws-listen://192.0.2.1:8765")
 
 
-@pytest.mark.parametrize("address", ["ws://", "ws-listen://127.0.0.1", "ws://127.0.0.1:99999", "wss://:8765"])
+@pytest.mark.parametrize(
+    "address", ["ws://", "ws-listen://127.0.0.1", "ws://127.0.0.1:99999", "wss://:8765", "ws-listen://127.0.0.1:0?tokn=x"]
+)
 def test_an_address_that_is_none_says_what_one_is(address: str) -> None:
     for opened in (open_source, lambda given: open_output(given, ABOUT)):
         with pytest.raises(AsterismError, match=r"ws://192\.168\.1\.5:8765"):

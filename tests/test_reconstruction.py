@@ -246,7 +246,7 @@ def test_packing_is_as_good_as_an_integer_program(seed: int, cameras: int, hypot
     rays[:, 0] = np.maximum(rays[:, 0], 0)
     rays = np.where(rays >= 0, rays + np.arange(cameras) * blobs_each, -1)
     scores = rng.uniform(0.1, 10.0, hypotheses)
-    chosen, unproved = pack(rays, scores, hypotheses, cameras * blobs_each)
+    chosen, unproved = pack(rays, scores, hypotheses, cameras * blobs_each, 5e6)
     uses = np.zeros((cameras * blobs_each, hypotheses))
     for n, row in enumerate(rays):
         uses[row[row >= 0], n] = 1
@@ -260,7 +260,7 @@ def test_a_component_too_big_to_solve_is_still_packed_and_counted() -> None:
     rng = np.random.default_rng(0)
     rays = rng.integers(0, 60, (3000, 4)) + np.arange(4) * 60
     scores = rng.uniform(5.0, 6.0, 3000)
-    chosen, unproved = pack(rays, scores, 3000, 240)
+    chosen, unproved = pack(rays, scores, 3000, 240, 5e6)
     taken = rays[chosen]
     assert unproved == 1
     assert len(np.unique(taken)) == taken.size

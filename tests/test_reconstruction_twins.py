@@ -327,7 +327,7 @@ def test_the_plain_method_gives_every_pair_of_rays_that_meets() -> None:
 @settings(max_examples=80, deadline=None)
 def test_packing_is_as_good_as_the_best_of_all_sets(seed: int, cameras: int, hypotheses: int) -> None:
     rays, scores, blobs = conflicts(seed, cameras, hypotheses)
-    chosen, unproved = _pack_kernels.pack(rays, scores, hypotheses, blobs)
+    chosen, unproved = _pack_kernels.pack(rays, scores, hypotheses, blobs, float(_pack_kernels.MOST_WORK))
     assert twins.conflict_free(rays, tuple(np.flatnonzero(chosen).tolist()))
     assert unproved == 0
     assert scores[chosen].sum() == pytest.approx(twins.best_set(rays, scores), abs=1e-9)
@@ -387,4 +387,6 @@ def packing(rays: np.ndarray, scores: np.ndarray, blobs: int) -> tuple[_pack_ker
     """All hypotheses, which are by falling score, as one component."""
     order = ascending(-scores, len(scores))
     starts, holders = holders_by_blob(rays, order, blobs)
-    return _pack_kernels.Packing(rays, scores, starts, holders), _pack_kernels.Component(order, np.arange(len(scores)))
+    return _pack_kernels.Packing(rays, scores, starts, holders, float(_pack_kernels.MOST_WORK)), _pack_kernels.Component(
+        order, np.arange(len(scores))
+    )

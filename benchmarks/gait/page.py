@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import time
-import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from statistics import median, quantiles
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import asterism
-from asterism.errors import AsterismError
 from asterism.formats import force_plates
 from asterism.gait import analyse_gait
 from asterism.report.gait import gait_report
-from asterism.report.pdf import find_browser
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import folder
 from benchmarks.figures import Figure
+from tests.browser import CHROMIUM, Tab
 
 PAGES = {"six walks": ("gait-events/plates/NP100[1-4]/*.c3d", 6), "a minute on a treadmill": ("gait-events/treadmill/vanderzee10.c3d", 1)}
 PAINT = "performance.getEntriesByName('first-contentful-paint').map(entry => entry.startTime)[0] || 0"
@@ -38,43 +32,17 @@ def page(benchmark: BenchmarkRun) -> Iterator[Figure]:
             recordings = [asterism.read(one) for one in sorted(folder().glob(pattern))[:most]]
             gait_report(path, [(f"walk {at}", analyse_gait(one, force_plates(one)[0])) for at, one in enumerate(recordings)])
             yield Figure(f"gait page, {name}: size", "< 3", path.stat().st_size / 1e6, "MB", len(recordings))
-            try:
-                paint, gaps = _seen(find_browser(), path, 5.0 if benchmark.quick else 60.0)
-            except AsterismError as problem:
-                benchmark.report(str(problem))
+            if CHROMIUM is None:
+                benchmark.report("Chromium is not installed.")
                 continue
+            paint, gaps = _seen(path, 5.0 if benchmark.quick else 60.0)
             yield Figure(f"gait page, {name}: first drawn", "< 1000", paint, "ms", 1)
             yield Figure(f"gait page, {name}: from picture to picture, median", "< 20", median(gaps), "ms", len(gaps))
             yield Figure(f"gait page, {name}: from picture to picture, 95 %", "none", quantiles(gaps, n=20)[-1], "ms", len(gaps))
 
 
-def _seen(browser: str, path: Path, seconds: float) -> tuple[float, list[float]]:
+def _seen(path: Path, seconds: float) -> tuple[float, list[float]]:
     """ms to the first content, and between pictures while the player plays."""
-    from websockets.sync.client import connect
-
-    words = [browser, "--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0", "--window-size=1400,1000", "about:blank"]
-    with TemporaryDirectory() as profile:
-        process = subprocess.Popen([*words, f"--user-data-dir={profile}"], stderr=subprocess.PIPE, text=True)
-        try:
-            assert process.stderr is not None
-            line = next(line for line in process.stderr if "DevTools listening on" in line)
-            address = line.split("ws://")[1].split("/")[0]
-            tab = json.load(urllib.request.urlopen(f"http://{address}/json"))[0]
-            with connect(tab["webSocketDebuggerUrl"], max_size=None) as socket:
-
-                def call(method: str, **given: Any) -> Any:
-                    socket.send(json.dumps({"id": 1, "method": method, "params": given}))
-                    while (answer := json.loads(socket.recv())).get("id") != 1:
-                        pass
-                    return answer["result"]
-
-                def told(code: str) -> Any:
-                    return call("Runtime.evaluate", expression=code, awaitPromise=True, returnByValue=True)["result"].get("value")
-
-                call("Page.navigate", url=path.as_uri())
-                while not told("globalThis.Asterism?.shownRecordings?.[0]?.player ? 1 : 0"):
-                    time.sleep(0.05)
-                return float(told(PAINT)), told(PLAY.replace("SECONDS", str(seconds)))
-        finally:
-            process.kill()
-            process.wait()
+    with Tab(path.as_uri(), 1400, 1000) as tab:
+        tab.wait("globalThis.Asterism?.shownRecordings?.[0]?.player ? 1 : 0")
+        return float(tab.value(PAINT)), tab.value(PLAY.replace("SECONDS", str(seconds)))

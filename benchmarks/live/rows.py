@@ -1,10 +1,9 @@
-"""Real packets over the loopback address, a process that is killed, damaged datagrams, and hours of frames in accelerated time."""
+"""Real packets over the loopback address, a process that is killed, and hours of frames in accelerated time."""
 
 from __future__ import annotations
 
 import math
 import signal
-import struct
 import subprocess
 import sys
 import tempfile
@@ -26,11 +25,9 @@ from asterism.live import (
     SourceAbout,
     SourceEnded,
     frame_as_json,
-    frame_of_json,
     make_labeller,
     recording_of,
 )
-from asterism.live.natnet_packets import frame_of_packet
 from asterism.recording import Clouds
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import GAIT_BODY
@@ -87,31 +84,6 @@ def killed(benchmark: BenchmarkRun) -> Iterator[Figure]:
             kept = len(recording_of(Path(f"{out}.live")).clouds)
             lost.append(max(0, last + 1 - kept) / walk.rate)
     yield Figure("live, killed while recording: most that is lost", "<= 0.5", max(lost), "s", len(lost))
-
-
-def damaged(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Datagrams with bytes changed, cut off, put in and exchanged: exceptions, and the longest time that one takes."""
-    rng, count = np.random.default_rng(0), 2_000 if benchmark.quick else 100_000
-    whole = frame_as_json(LiveFrame(1, 0.5, 0.0, rng.normal(size=(59, 3)), tuple(f"M{n}" for n in range(59))))
-    packet = _natnet(rng)
-    failed, longest, read = 0, 0.0, 0
-    for n in range(count):
-        data = bytearray(whole if n % 2 else packet)
-        for _ in range(int(rng.integers(1, 8))):
-            at = int(rng.integers(0 if n % 2 else 4, max(5, len(data))))
-            end = at + int(rng.integers(0, 9)) if rng.random() < 0.9 else len(data)
-            data[at:end] = rng.bytes(int(rng.integers(0, 9)))
-        if not n % 2:
-            data[2:4] = struct.pack("<H", len(data) - 4 & 0xFFFF)
-        begin = time.perf_counter()
-        try:
-            read += (frame_of_json(bytes(data), 0.0) if n % 2 else frame_of_packet(bytes(data), (3, 0), 0.0)) is not None
-        except Exception:
-            failed += 1
-        longest = max(longest, time.perf_counter() - begin)
-    yield Figure("live, damaged datagrams: exceptions", "== 0", failed, "datagrams", count)
-    yield Figure("live, damaged datagrams: longest time of one", "none", 1000 * longest, "ms", count)
-    yield Figure("live, damaged datagrams: read as a frame all the same", "none", read / count, "fraction", count)
 
 
 def soak(benchmark: BenchmarkRun) -> Iterator[Figure]:
@@ -203,12 +175,3 @@ def _send(clouds: Clouds, count: int, port: int, session: LiveSession) -> None:
     subprocess.run([sys.executable, "-c", _SENDER, str(RATE), str(count), str(port)], input=lines, check=True)
     time.sleep(1.0)
     session.stop()
-
-
-def _natnet(rng: np.random.Generator) -> bytes:
-    """A frame of NatNet 3.0: 59 labelled markers and nothing else."""
-    data = struct.pack("<5i", 1, 0, 0, 0, 0) + struct.pack("<i", 59)
-    for n in range(59):
-        data += struct.pack("<i4fHf", n, *rng.normal(size=3), 0.01, 2, 0.0)
-    data += struct.pack("<2i2Id3QHi", 0, 0, 0, 0, 1.0, 1, 2, 3, 0, 0)
-    return struct.pack("<HH", 7, len(data)) + data

@@ -1,4 +1,4 @@
-"""Outputs of a live session with real receivers over the loopback address: processor time a frame; what damaged commands do to a server."""
+"""Outputs of a live session, with real receivers over the loopback address, in; the processor time that a frame takes, out."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from typing import Any
 import numpy as np
 
 from asterism.live import AnalysedFrame, FrameAnalysis, LabelledFrame, LiveFrame, SourceAbout, open_output
-from asterism.live.lsl_source import layout_of_channels
-from asterism.live.natnet_server import ToNatNet
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 
@@ -54,35 +52,6 @@ def outputs(benchmark: BenchmarkRun) -> Iterator[Figure]:
             yield Figure(f"{row}: in all threads, with the receiver", "none", 1000 * spent / count, "ms", count)
             yield Figure(f"{row}: frames left out", "none", int(getattr(output, "dropped", 0)), "frames", count)
     config.unlink(missing_ok=True)
-
-
-def damaged_commands(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Commands of clients and descriptions of channels, bytes changed, cut off and put in: exceptions, and what a server keeps of them."""
-    rng, count = np.random.default_rng(0), 2_000 if benchmark.quick else 100_000
-    server = ToNatNet("natnet://127.0.0.1:0?unicast=1", ABOUT)
-    words = [b"Ping\0", b"FrameRate\0", struct.pack("<Q", 7), b"", b"UpAxis\0"]
-    channel = {"label": "LASI_X", "marker": "LASI", "object": "", "type": "PositionX", "unit": "mm"}
-    failed, longest, largest = 0, 0.0, 0
-    for n in range(count):
-        word = words[n % len(words)]
-        data = bytearray(struct.pack("<HH", int(rng.choice([0, 2, 4, 6, 9, 10, 12])), len(word)) + word)
-        for _ in range(int(rng.integers(0, 4))):
-            at = int(rng.integers(0, len(data) + 1))
-            data[at : at + int(rng.integers(0, 5))] = rng.bytes(int(rng.integers(0, 5)))
-        texts = [rng.bytes(int(rng.integers(0, 6))).decode("latin-1") if rng.random() < 0.3 else value for value in channel.values()]
-        begin = time.perf_counter()
-        try:
-            largest = max(largest, len(server._answer_to(bytes(data), ("127.0.0.1", n))))
-            layout_of_channels([dict(zip(channel, texts, strict=True))] * int(rng.integers(0, 12)), int(rng.integers(0, 12)))
-        except Exception:
-            failed += 1
-        longest = max(longest, time.perf_counter() - begin)
-    kept = len(server._clients)
-    server.close()
-    yield Figure("live, damaged commands and channels: exceptions", "== 0", failed, "messages", count)
-    yield Figure("live, damaged commands and channels: longest time of one", "none", 1000 * longest, "ms", count)
-    yield Figure("live, damaged commands: largest answer", "<= 300", largest, "bytes", count)
-    yield Figure("live, damaged commands: clients that are kept", "<= 16", kept, "clients", count)
 
 
 def _frame(n: int) -> AnalysedFrame:

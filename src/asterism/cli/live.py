@@ -19,6 +19,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Severity
 
 if TYPE_CHECKING:
+    from asterism.cameras import Rig
     from asterism.findings import Finding
     from asterism.live import Health, LiveAnalysis, LiveRecorder, LiveSession, LiveSource
     from asterism.motion.clinical import SubjectMeasures
@@ -30,7 +31,7 @@ class LiveOptions:
     """What `asterism live` is asked to do."""
 
     source: Annotated[
-        str | None,
+        list[str] | None,
         typer.Argument(
             metavar="[SOURCE]",
             help="Where frames come from: natnet://HOST (Motive), qtm://HOST, vicon://HOST, lsl://NAME; udp:// or ws://HOST:PORT (JSON).",
@@ -38,8 +39,22 @@ class LiveOptions:
         ),
     ] = None
     replay: Annotated[
-        Path | None, typer.Option("--replay", metavar="FILE", help="Play a recording instead, at its own rate.", show_default=False)
+        Path | None,
+        typer.Option(
+            "--replay",
+            metavar="FILE",
+            help="Play a recording instead, at its own rate; with --rig also blobs, or the videos of several cameras, one after the other.",
+            show_default=False,
+        ),
     ] = None
+    cameras: Annotated[
+        Path | None,
+        typer.Option("--cameras", metavar="FILE", help="The cameras to look through, in TOML; needs --rig.", show_default=False),
+    ] = None
+    empty: Annotated[
+        float,
+        typer.Option("--empty", metavar="S", min=0.0, help="Nobody is in view for so long: lights that the cameras see then are masked."),
+    ] = 0.0
     speed: Annotated[float, typer.Option("--speed", metavar="N", help="Play N times as fast.")] = 1.0
     loop: Annotated[bool, typer.Option("--loop", help="Play it again and again.")] = False
     rig: Annotated[
@@ -115,7 +130,7 @@ def live(options: LiveOptions) -> None:
     Cameras are listed, set and watched by `asterism live cameras`.
     """
     from asterism.formats import check_suffix
-    from asterism.live import LiveRecorder, RigSource, session_findings
+    from asterism.live import LiveRecorder, OfCameras, session_findings
 
     if options.finish is not None:
         _finish(options)
@@ -128,8 +143,9 @@ def live(options: LiveOptions) -> None:
     if options.output is not None:
         check_suffix(options.output)
     _clinical.given_measures(options.measure)
-    inputs = [options.replay, options.model, options.static, options.rig, *_clinical.measure_files(options.measure)]
-    _console.check_outputs([options.output, options.json], inputs, options.overwrite)
+    inputs = [*_played(options), options.cameras, options.model, options.static, options.rig, *_clinical.measure_files(options.measure)]
+    analog = None if options.output is None else _analog_beside(options.output)
+    _console.check_outputs([options.output, analog, options.json], inputs, options.overwrite)
     if unfinished is not None and unfinished.exists():
         raise AsterismError(
             f"{unfinished} is there from a session that was not finished; write it with --finish {unfinished} -o FILE.c3d, or remove it."
@@ -163,7 +179,8 @@ def live(options: LiveOptions) -> None:
         "source": source.about.name,
         "output": options.output,
         **dataclasses.asdict(health),
-        **({"cameras": source.camera_numbers()} if isinstance(source, RigSource) else {}),
+        **({"tone_ms": {"p50": tone[0], "p99": tone[1], "sounds": tone[2]}} if tone[2] else {}),
+        **({"cameras": source.camera_numbers()} if isinstance(source, OfCameras) else {}),
         "findings": [finding.to_dict() for finding in findings],
     }
     _console.write_json(options.json, content)
@@ -174,31 +191,76 @@ def _source(options: LiveOptions) -> LiveSource:
     from asterism.live import open_source
     from asterism.live.replay import Replay
 
-    if (options.source is None) == (options.replay is None):
-        raise AsterismError("give one source: an address such as udp://127.0.0.1:5000, or a recording with --replay FILE.")
+    given = (bool(options.source) and options.replay is None, options.replay is not None, options.cameras is not None)
+    if given.count(True) != 1:
+        raise AsterismError(
+            "give one source: an address such as udp://127.0.0.1:5000, a recording with --replay FILE, or cameras with --cameras FILE."
+        )
     if options.rig is not None:
         return _of_cameras(options, options.rig)
+    if options.cameras is not None or len(_played(options)) > 1:
+        raise AsterismError("points are made of several cameras' images by their rig; add --rig FILE.")
     if options.replay is not None:
         return Replay(options.replay, speed=options.speed, loop=options.loop)
-    return open_source(str(options.source), math.nan if options.rate is None else options.rate)
+    return open_source(_address(options), math.nan if options.rate is None else options.rate)
+
+
+def _address(options: LiveOptions) -> str:
+    first, *others = options.source or [""]
+    if others:
+        raise AsterismError(f"{others[0]}: give one source; several videos are played with --replay.")
+    return first
+
+
+def _played(options: LiveOptions) -> list[Path]:
+    """What is to be played: the file of --replay, and those behind it."""
+    return [] if options.replay is None else [options.replay, *(Path(word) for word in options.source or [])]
 
 
 def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
+    from functools import partial
+
     from asterism.cameras.files import read_rig
-    from asterism.live.blobs import ReplayBlobs, RigSource
+    from asterism.live.blobs import ReplayBlobs, RigProcess, RigSource
     from asterism.live.sources import open_blobs
 
-    rig = read_rig(rig_file)
-    if options.replay is not None:
-        played = ReplayBlobs(options.replay, rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
-        return RigSource(played, rig, waits=True)
-    return RigSource(open_blobs(str(options.source), rig.names, math.nan if options.rate is None else options.rate), rig)
+    rig, played = read_rig(rig_file), _played(options)
+    if options.cameras is not None or len(played) > 1:
+        return _of_images(options, rig, played)
+    if played:
+        blobs = ReplayBlobs(played[0], rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
+        return RigSource(blobs, rig, waits=True)
+    return RigProcess(partial(open_blobs, _address(options), rig.names, math.nan if options.rate is None else options.rate), rig)
+
+
+def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource:
+    """Points of images: of cameras, or of their videos."""
+    import os
+
+    # OpenCV and FFmpeg would repeat on standard error what is said here in one sentence.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    from asterism.live.blobs import RigSource
+    from asterism.live.cameras import load_cameras, with_settings
+    from asterism.live.images import CameraWorkers, WorkerSettings, videos_together
+
+    specs = videos_together(played, rig, options.speed, options.loop) if options.cameras is None else load_cameras(options.cameras)
+    if options.rate is not None:
+        specs = with_settings(specs, {"rate": options.rate})
+    sizes = {camera.name: camera.size for camera in rig if camera.size is not None}
+    settings = WorkerSettings(empty=options.empty, sizes=sizes, in_order="number" if played else "")
+    workers = CameraWorkers(specs, settings, numbered_together=bool(played))
+    try:
+        return RigSource(workers, rig, waits=bool(played))
+    except BaseException:
+        workers.close()
+        raise
 
 
 def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
     from asterism.cli._options import vertical_axis
     from asterism.labelling.marker_model import MarkerModel
-    from asterism.live import Feedback, LiveSession, ToLines, load_feedback, make_labeller, open_outputs, own_findings
+    from asterism.live import Feedback, InOwnThread, LiveSession, ToLines, load_feedback, make_labeller, open_outputs, own_findings
     from asterism.recording import MarkerSet, as_vertical
 
     model = None if options.model is None else MarkerModel.load(options.model)
@@ -218,7 +280,8 @@ def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
     for finding in own_findings([source, *outputs]):
         _console.notice(str(finding))
     if options.lines:
-        outputs.append(ToLines())
+        # A file waits for who reads the lines, a camera system does not.
+        outputs.append(ToLines() if options.replay is not None else InOwnThread(ToLines()))
     # A file can wait until its frames are labelled.
     waits = options.replay is not None
     return LiveSession(source, make, outputs, options.delay, waits=waits, feedback=rules, vertical=up, analysis=analysis)
@@ -301,13 +364,22 @@ def _finish(options: LiveOptions) -> None:
     """Write a session that was not finished."""
     if options.output is None or options.finish is None:
         raise AsterismError("--finish needs the recording to write; add -o FILE.c3d.")
-    _console.check_outputs([options.output], [options.finish], options.overwrite)
+    _console.check_outputs([options.output, _analog_beside(options.output)], [options.finish], options.overwrite)
     _written(options.finish, options.output, options.rate)
 
 
 def _written(kept: Path, output: Path, rate: float | None) -> None:
     from asterism.formats import write
     from asterism.live import recording_of
+    from asterism.live.analog import write_analog
 
-    for lost in write(output, recording_of(kept, rate).recording()):
+    session = recording_of(kept, rate)
+    for lost in write(output, session.recording()):
         _console.notice(f"{output} does not hold {lost}.")
+    if session.analog:
+        write_analog(_analog_beside(output), session.analog, session.times)
+
+
+def _analog_beside(output: Path) -> Path:
+    """Where analog samples are written."""
+    return output.with_suffix(".analog.npz")

@@ -39,6 +39,7 @@ class MeasureLimits(NamedTuple):
     split      see `split_at_saddles`; 1 and more: never
     step       see `grow_from_peaks`; 0: not so
     saturated  grey value from which a pixel is saturated
+    contrast   see `is_distinct`; 0: not asked for
     """
 
     min_area: float
@@ -47,6 +48,7 @@ class MeasureLimits(NamedTuple):
     split: float
     step: float
     saturated: float
+    contrast: float
 
 
 class Pixels(NamedTuple):
@@ -85,6 +87,9 @@ def measure(arrays, components, limits, out, flags):
         # Too large is dropped at once only where components are not grown from peaks: there a large one may hold many small blobs.
         if area < limits.min_area or (area > limits.max_area and limits.step == 0.0):
             continue
+        # Most components of a noisy image are dim, and to part what is dropped afterwards would cost most of the time.
+        if not _exceeds(arrays, components, runs, limits.min_peak):
+            continue
         parts = 1
         # Four pixels and more, because less has no room for two peaks with a saddle.
         large = box.right - box.left + box.lower - box.upper >= 4 and area >= 2 * limits.min_area
@@ -116,6 +121,17 @@ def _extent(components, runs, width):
 
 
 @kernel
+def _exceeds(arrays, components, runs, least):
+    """Returns whether some pixel of a component exceeds its base by more than `least`. O(pixels)."""
+    image, base, rows = arrays.image, arrays.base, components.rows
+    for run in runs:
+        for column in range(components.firsts[run], components.lasts[run] + 1):
+            if float(int(image[rows[run], column]) - int(base[rows[run], column])) > least:
+                return True
+    return False
+
+
+@kernel
 def _measure_parts(arrays, components, runs, area, box, limits, out, flags):
     """The blobs that a component is made of, where it is more than one or all are grown from peaks.
 
@@ -134,6 +150,9 @@ def _measure_parts(arrays, components, runs, area, box, limits, out, flags):
             return parts
     ys, xs, parts_out = ys[:n], xs[:n], out[:parts]
     _sum_parts(arrays, Pixels(weight, ys, xs, label), box, limits.saturated, parts_out, flags)
+    # To share the pixels of a component whose parts are all dropped, as in the noise of compressed images, would cost most of the time.
+    if limits.contrast > 0.0 and not _has_distinct_part(arrays.image, parts_out, box, limits):
+        return 0
     # Blobs that are grown from peaks part where they are, by the method's own rule.
     if limits.step == 0.0 and parts * n <= MOST_SHARED:
         share_pixels(weight, ys, xs, parts_out)
@@ -141,6 +160,44 @@ def _measure_parts(arrays, components, runs, area, box, limits, out, flags):
         parts_out[blob, X] += box.left - 1
         parts_out[blob, Y] += box.upper - 1
     return parts
+
+
+@kernel
+def _has_distinct_part(image, parts, box, limits):
+    """Returns whether some part, in the axes of its box with the border, is a blob that stands out. O(pixels of the parts' boxes)."""
+    for part in parts:
+        fits = limits.min_area <= part[AREA] <= limits.max_area and part[PEAK] > limits.min_peak
+        x, y = part[X] + box.left - 1, part[Y] + box.upper - 1
+        if fits and is_distinct(image, x, y, part[WIDE], part[TALL], limits.contrast):
+            return True
+    return False
+
+
+@kernel
+def is_distinct(image, x, y, wide, tall, contrast):
+    """Returns whether the brightest pixel of a box about (x, y) exceeds the median of those around it, 2 px away, by more than a contrast.
+
+    O(pixels of the box), no allocation.
+    """
+    height, width = image.shape
+    # Two pixels away, because right beside a blob its own soft edge still shines.
+    aside, above = 0.5 * wide, 0.5 * tall
+    left, right = int(x - aside) - 2, math.ceil(x + aside) + 2
+    upper, lower = int(y - above) - 2, math.ceil(y + above) + 2
+    brightest = 0.0
+    for row in range(max(upper + 1, 0), min(lower, height)):
+        for column in range(max(left + 1, 0), min(right, width)):
+            brightest = max(brightest, float(image[row, column]))
+    around = darker = 0
+    for row in range(max(upper, 0), min(lower + 1, height)):
+        # The first and the last row are walked whole, the rows between only at their two ends: the frame of the box.
+        step = 1 if row in (upper, lower) else right - left
+        for column in range(left, right + 1, step):
+            if 0 <= column < width:
+                around += 1
+                darker += image[row, column] < brightest - contrast
+    # More than half darker is the same as a median that is darker, without a sort.
+    return darker > around // 2 or around == 0
 
 
 @kernel

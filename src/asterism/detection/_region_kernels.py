@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.detection._moment_kernels import TALL, WIDE, X, Y
+from asterism.detection._moment_kernels import TALL, WIDE, X, Y, is_distinct
 
 SAMPLE = 4096
 """Grey values of a large component from which its median and quartile are taken, at most."""
@@ -67,23 +65,5 @@ def stands_out(image, blobs, contrast, out):
     OUT out (N,)
     O(pixels of the boxes), no allocation. Twin: tests/twins_detection.py
     """
-    height, width = image.shape
     for i in range(len(blobs)):
-        # Two pixels away, because right beside a blob its own soft edge still shines.
-        aside, above = 0.5 * blobs[i, WIDE], 0.5 * blobs[i, TALL]
-        left, right = int(blobs[i, X] - aside) - 2, math.ceil(blobs[i, X] + aside) + 2
-        upper, lower = int(blobs[i, Y] - above) - 2, math.ceil(blobs[i, Y] + above) + 2
-        brightest = 0.0
-        for row in range(max(upper + 1, 0), min(lower, height)):
-            for column in range(max(left + 1, 0), min(right, width)):
-                brightest = max(brightest, float(image[row, column]))
-        around = darker = 0
-        for row in range(max(upper, 0), min(lower + 1, height)):
-            # The first and the last row are walked whole, the rows between only at their two ends: the frame of the box.
-            step = 1 if row in (upper, lower) else right - left
-            for column in range(left, right + 1, step):
-                if 0 <= column < width:
-                    around += 1
-                    darker += image[row, column] < brightest - contrast
-        # More than half darker is the same as a median that is darker, without a sort.
-        out[i] = darker > around // 2 or around == 0
+        out[i] = is_distinct(image, blobs[i, X], blobs[i, Y], blobs[i, WIDE], blobs[i, TALL], contrast)

@@ -154,6 +154,7 @@ def find_blobs(image: ArrayLike, settings: BlobSettings | None = None) -> ImageB
         split=float(settings.split),
         step=float(settings.step or 0.0),
         saturated=float(saturated_from(grey)),
+        contrast=float(settings.contrast or 0.0),
     )
     # A blob has a peak of its own, and no component has more peaks than pixels.
     bound = int((components.lasts - components.firsts).sum()) + len(components.order)

@@ -14,9 +14,9 @@ from asterism.detection.grey import Grey, grey_of_colour, saturated_from, size_t
 from asterism.detection.thresholds import RULES
 from asterism.errors import AsterismError
 
-MOST_BLOBS = 500
-"""Blobs of one image that are passed on, the heaviest first. A camera that sees a face with 200 markers and a person beside it has half of
-it; twice as many are a lit room, in which the search for points by several cameras would hold all later images back."""
+MOST_BLOBS = 2000
+"""Blobs of one image that are passed on, the heaviest first. A dense suit in a near view has hundreds; half of it cuts one with a lit room
+behind it, and twice as many fill the pipe of all cameras."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +112,7 @@ class RunningDetection:
         few = grey[:: RULES.every, :: RULES.every]
         brightness = float(few.mean())
         self._learn(grey, brightness, time)
+        self._mask_lights(time)
         blobs = find_blobs(grey, self._current)
         whole = (blobs.flags & Flag.AT_BORDER) == 0
         crowded = int(whole.sum()) > MOST_BLOBS
@@ -134,10 +135,17 @@ class RunningDetection:
                 self._learnt = deque(list(self._learnt)[::2], maxlen=CHECKS.sampled)
                 self._step *= 2.0
             self._learnt.append((time, grey.copy()))
+            known = len(self._learnt)
+            # Learnt at 1, 2, 4, 8, 16 and 24 images: those between hardly change what is known, and to learn takes as long as ten searches.
+            if not jumped and known & (known - 1) and known < CHECKS.sampled:
+                return
             some = [image for _, image in self._learnt]
             means = [float(image[:: RULES.every, :: RULES.every].mean()) for image in some]
             self._range = (min(means), max(means))
             self._current = replace(common_thresholds(some, self.settings)[0], mask=self._both_masks())
+
+    def _mask_lights(self, time: float) -> None:
+        """Mask what has shone in the empty room, as soon as that is over."""
         if self._masks and self._begin is not None and time - self._begin >= self.empty and len(self._learnt) >= CHECKS.min_to_mask:
             some = [image for _, image in self._learnt]
             self._mask = static_mask(some, threshold=self._current.threshold, background=self._current.background)

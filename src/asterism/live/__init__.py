@@ -2,16 +2,15 @@
 
 from asterism.live.analysis import AnalysedFrame, FrameAnalysis, LiveAnalysis, LiveEvent
 from asterism.live.angles import AngleOptions
-from asterism.live.blobs import RigSource
 from asterism.live.chain import LabelChain, LabelledFrame, OfModel, make_labeller
 from asterism.live.clock import FrameCount, SourceClock
 from asterism.live.cues import Cue, FeedbackRule
 from asterism.live.datagrams import HostPort, JsonDatagrams, frame_as_json, frame_of_json
 from asterism.live.feedback import Feedback, example_names, load_feedback
 from asterism.live.found import WithFindings, own_findings, session_findings
-from asterism.live.frames import LiveFrame, LiveSource, SourceAbout, SourceEnded
+from asterism.live.frames import LiveFrame, LiveSource, OfCameras, SourceAbout, SourceEnded
 from asterism.live.movement import MovementAnalysis
-from asterism.live.outputs import ToDatagrams, ToLines, labels_as_json
+from asterism.live.outputs import InOwnThread, ToDatagrams, ToLines, labels_as_json
 from asterism.live.recording import KeptSession, LiveRecorder, recording_of
 from asterism.live.replay import Replay
 from asterism.live.running import Health, LiveOutput, LiveSession
@@ -28,6 +27,7 @@ __all__ = [
     "FrameCount",
     "Health",
     "HostPort",
+    "InOwnThread",
     "JsonDatagrams",
     "KeptSession",
     "LabelChain",
@@ -40,9 +40,9 @@ __all__ = [
     "LiveSession",
     "LiveSource",
     "MovementAnalysis",
+    "OfCameras",
     "OfModel",
     "Replay",
-    "RigSource",
     "SourceAbout",
     "SourceClock",
     "SourceEnded",

@@ -40,6 +40,9 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
     if not health.frames:
         mend = "Look whether it sends, to this address and port, and whether a firewall is between."
         found.append(Finding("live-silent", _ERROR, where, f"{where}: no frame came.", mend))
+    if health.before:
+        sentence = f"{where}: {health.before} frames came while the labelling was made, and are no part of the session."
+        found.append(Finding("live-before", _NOTE, where, sentence, "Begin the movement when the first labels are there."))
     if health.lost:
         share = significant(100 * health.lost / (health.lost + health.frames), 2)
         sentence = f"{where}: {health.lost} frames never arrived ({share} %)."

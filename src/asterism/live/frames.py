@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from asterism.live.analog import AnalogSamples
 from asterism.recording import Floats
 
 MOST_POINTS = 2000
@@ -48,6 +49,7 @@ class LiveFrame:
     arrived  s on this machine's `time.monotonic`, when the frame was complete
     points   (n, 3) m in the source's axes, all finite
     names    (n,) labels that the source gave, "" for none; () where it gives none at all
+    analog   what force plates, EMG and the like measured since the frame before
     """
 
     number: int
@@ -55,6 +57,7 @@ class LiveFrame:
     arrived: float
     points: Floats
     names: tuple[str, ...] = ()
+    analog: tuple[AnalogSamples, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -91,3 +94,11 @@ class LiveSource(Protocol):
 
     def close(self) -> None:
         """Let go of the network or the file."""
+
+
+@runtime_checkable
+class OfCameras(Protocol):
+    """A source of frames that are made of what several cameras see."""
+
+    def camera_numbers(self) -> list[dict[str, Any]]:
+        """How each camera does, as plain values; None for what is not known."""

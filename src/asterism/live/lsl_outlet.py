@@ -20,6 +20,9 @@ _KEPT = 2
 """s of samples that are kept for a receiver that is slow; the library drops the oldest. Twice as many are too old; half of them are too few
 for a program that stores them in pieces."""
 
+_OTHERS = 0.5
+"""s in which another session of the same name answers, on this machine. Half of it misses one that is busy; twice as much is a wait."""
+
 
 class ToLsl:
     """Sends labelled frames as streams that any program of the Lab Streaming Layer records.
@@ -47,6 +50,9 @@ class ToLsl:
         self._values: tuple[str, ...] = ()
         self._places: Any = None
         self._numbers: Any = None
+        # Two senders of one identity would be mixed by who receives them.
+        if pylsl.resolve_byprop("source_id", self._identity("events"), timeout=_OTHERS):
+            raise AsterismError(f"{address} is sent by another session on this machine already; give this one another name.")
         # A program that records begins before anything happens.
         self._texts: Any = self._outlet("events", "Markers", [("event", "Marker", "", "")], pylsl.IRREGULAR_RATE, pylsl.cf_string)
         self._on: set[str] = set()
@@ -77,15 +83,15 @@ class ToLsl:
         for event in analysis.events:
             self._texts.push_sample([f"{event.side} {event.kind}".strip()], event.time + ahead)
         for cue in frame.cues:
-            if cue.on != (cue.rule.name in self._on):
+            # What speaks of instants may begin again before it has ended.
+            if cue.began or cue.on != (cue.rule.name in self._on):
                 (self._on.add if cue.on else self._on.discard)(cue.rule.name)
                 self._texts.push_sample([f"{cue.rule.name} {'on' if cue.on else 'off'}"], at)
 
     def _outlet(self, part: str, kind: str, channels: Sequence[tuple[str, str, str, str]], rate: float, form: int | None = None) -> Any:
         """A stream; channels: (label, type, unit, marker) of each."""
         name = f"{self._title} {part}".strip()
-        # Who records finds the stream again when this program was started anew.
-        identity = f"asterism {socket.gethostname()} {name}"
+        identity = self._identity(part)
         info = self._lsl.StreamInfo(name, kind, len(channels), rate, self._lsl.cf_float32 if form is None else form, identity)
         listed = info.desc().append_child("channels")
         for label, of, unit, marker in channels:
@@ -95,6 +101,10 @@ class ToLsl:
                     channel.append_child_value(key, value)
         info.desc().append_child("acquisition").append_child_value("manufacturer", "Asterism")
         return self._lsl.StreamOutlet(info, 0, _KEPT)
+
+    def _identity(self, part: str) -> str:
+        """By which who records finds the stream again when this program was started anew."""
+        return f"asterism {socket.gethostname()} {self._title} {part}".strip()
 
     def close(self) -> None:
         """End the streams."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import threading
 import time
 from collections import deque
@@ -20,8 +19,9 @@ from asterism.findings import Finding, Severity
 from asterism.formats import metres_per_unit
 from asterism.live.clock import SampleNumbers
 from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
+from asterism.live.mocap_channels import ChannelLayout, layout_of_channels
 from asterism.live.packages import packages_for
-from asterism.recording import Floats, Ints
+from asterism.recording import Floats
 
 _FIND = 5.0
 """s in which a stream is sought. Its sender answers within tenths; half of it loses to a busy network, twice as much is a wait."""
@@ -40,11 +40,9 @@ _TO_UNIT = 20
 """Samples by whose size a unit is chosen that is not given. One would do; some show nobody."""
 _STILL = 5
 """Samples in a row after which a channel that should count does not. Half of them may be sent twice; twice as many are wasted."""
+_WHOLE = 8
+"""Points by which the size of a body is judged. Half of them may be a hand; twice as many are never seen of a sparse set."""
 _KEYS = ("name", "type", "host", "source_id", "uid")
-
-_AXIS = re.compile(r"^(?:position|pos)?[ _.:-]?([xyz])$", re.IGNORECASE)
-_AXIS_OF_LABEL = re.compile(r"^(.*?)[ _.:-]?([xyz])$", re.IGNORECASE)
-_COUNTER = re.compile(r"^(?:frame|sample)?[ _-]?(?:number|count|counter|index|no|id)$|^frame$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -80,71 +78,6 @@ class StreamChoice:
         return "lsl://" + self.wanted.get("name", "") + "".join(f" {key}={self.wanted[key]}" for key in _KEYS[1:] if key in self.wanted)
 
 
-@dataclass(frozen=True, eq=False)
-class ChannelLayout:
-    """Which channels of a stream are what.
-
-    columns  (P, 3) the channels of each point's x, y and z
-    names    (P,) what the stream calls the points, "" for nothing
-    unit     of length, as it is written there; None where it is not
-    counter  the channel of a number that grows by one; None for none
-    bodies   rigid bodies, whose places are no markers
-    guessed  whether nothing says which channel is what
-    """
-
-    columns: Ints
-    names: tuple[str, ...]
-    unit: str | None = None
-    counter: int | None = None
-    bodies: int = 0
-    guessed: bool = False
-
-
-def layout_of_channels(channels: list[dict[str, str]], count: int) -> ChannelLayout | None:
-    """The layout of a stream of `count` channels; None where none of them are points.
-
-    channels: what is said of each ("label", "marker", "object", "type", "unit"), by the convention of XDF for motion capture. Where less or
-    nothing is said labels that end in x, y and z are believed, and else all channels in triples.
-    """
-    counter, places, oriented = None, dict[tuple[str, str, int], dict[str, int]](), set[tuple[str, str]]()
-    units = list[str]()
-    for at, channel in enumerate(channels[:count]):
-        label, kind = channel.get("label", ""), channel.get("type", "")
-        axis = _AXIS.match(kind)
-        if axis is None and re.match("orientation|rotation|quat", kind, re.IGNORECASE):
-            oriented.add(_point_key(channel))
-        elif axis is None and counter is None and (_COUNTER.match(label) or _COUNTER.match(kind)):
-            counter = at
-        elif axis is not None or ((not kind or kind.casefold() in ("mocap", "position", "marker")) and _AXIS_OF_LABEL.match(label)):
-            letter = (axis[1] if axis is not None else str(_AXIS_OF_LABEL.match(label)[2])).lower()  # type: ignore[index]
-            key, turn = _point_key(channel), 0
-            while letter in places.get((*key, turn), {}):
-                turn += 1
-            places.setdefault((*key, turn), {})[letter] = at
-            units.append(channel.get("unit", ""))
-    whole = {key: axes for key, axes in places.items() if len(axes) == 3}
-    # What has an orientation is a body; a marker has none.
-    points = {key: axes for key, axes in whole.items() if key[:2] not in oriented}
-    unit = max(set(units), key=units.count) if units else None
-    bodies = len(whole) - len(points)
-    if not points and (bodies or any(channel.get("type") for channel in channels) or count < 3 or (count - (counter is not None)) % 3):
-        return None
-    if not points:
-        left = [at for at in range(count) if at != counter]
-        return ChannelLayout(np.array(left).reshape(-1, 3), ("",) * (len(left) // 3), None, counter, guessed=True)
-    columns = np.array([[axes[letter] for letter in "xyz"] for axes in points.values()])
-    return ChannelLayout(columns, tuple(marker for marker, _, _ in points), unit or None, counter, bodies)
-
-
-def _point_key(channel: Mapping[str, str]) -> tuple[str, str]:
-    """What channels of one point share: its marker, or what is before x, y or z in its label; and its object."""
-    marker, label = channel.get("marker", ""), channel.get("label", "")
-    if not marker and not channel.get("object", ""):
-        found = _AXIS_OF_LABEL.match(label)
-        marker = found[1] if found else label
-    return marker, channel.get("object", "")
-
-
 def _channels_of(info: Any) -> Iterator[dict[str, str]]:
     channel = info.desc().child("channels").child("channel")
     for _ in range(min(info.channel_count(), 4 * MOST_POINTS)):
@@ -166,7 +99,9 @@ class _OpenStream:
     inlet: Any
     info: Any
     layout: ChannelLayout
-    scale: float = 1.0
+    scale: float = math.nan
+    waiting: deque[tuple[Floats, float, float]] = field(default_factory=lambda: deque(maxlen=_TO_UNIT))
+    """samples with their stamps and arrivals, while the unit is not known"""
     correction: float = 0.0
     asked: float = 0.0
     since: float = field(default_factory=time.monotonic)
@@ -201,6 +136,7 @@ class FromLsl:
         self._away = False
         self._layout: ChannelLayout | None = None
         self._unit_findings = list[Finding]()
+        self._size: str | None = None
         info = self._found(_FIND)
         nominal = info.nominal_srate()
         self._rate = rate if math.isfinite(rate) else nominal if 0 < nominal < 1e5 else math.nan
@@ -265,30 +201,29 @@ class FromLsl:
         except RuntimeError:
             self._clock_unknown = True
         stream.asked = time.monotonic()
-        self._settle_unit(stream)
+        if layout.unit is not None:
+            self._settle_unit(stream)
+        # What is believed of the unit is said before the session begins, where anything is sent.
+        until = time.monotonic() + _OPEN
+        while math.isnan(stream.scale) and time.monotonic() < until and not self._closed:
+            try:
+                self._pull(stream, 0.1)
+            except RuntimeError:
+                # lost already, as the next read finds
+                break
         return stream
 
     def _settle_unit(self, stream: _OpenStream) -> None:
-        """Metres per unit: as written, else by the size of what comes first."""
-        samples = list[tuple[Floats, float, float]]()
-        until = time.monotonic() + _OPEN
-        while stream.layout.unit is None and len(samples) < _TO_UNIT and time.monotonic() < until and not self._closed:
-            try:
-                values, stamp = stream.inlet.pull_sample(0.1)
-            except RuntimeError:
-                break
-            if values is not None:
-                samples.append((np.array(values, dtype=np.float64), stamp, time.monotonic()))
-        raw = np.array([sample[stream.layout.columns] for sample, _, _ in samples])
-        raw = raw if len(raw) else np.full((1, 1, 3), np.nan)
-        stream.scale, unit, found = metres_per_unit(self.about.name, stream.layout.unit, raw)
-        name = self.about.name
+        """Metres per unit: as written, else by the size of the samples that wait for it."""
+        columns, unit, name = stream.layout.columns, stream.layout.unit, self.about.name
+        raw = np.array([sample[columns] for sample, _, _ in stream.waiting]) if stream.waiting else np.full((1, 1, 3), np.nan)
+        stream.scale, unit, found = metres_per_unit(name, unit, raw)
         self._unit_findings = [
             Finding("live-unit-assumed", Severity.NOTE, name, f"{name}: {finding.sentence}; lengths are read as {unit}.", finding.mend)
             for finding in found
         ]
-        for sample, stamp, arrived in samples:
-            self._keep(stream, sample, stamp, arrived)
+        while stream.waiting:
+            self._keep(stream, *stream.waiting.popleft())
 
     def read(self, timeout: float) -> LiveFrame | None:
         """The next frame."""
@@ -301,17 +236,17 @@ class FromLsl:
                 if self._stream is None:
                     self._seek(max(0.0, left))
                 else:
-                    self._pull(self._stream, max(0.0, left))
+                    try:
+                        self._pull(self._stream, max(0.0, left))
+                    except RuntimeError:
+                        self._drop()
                 if left <= 0:
                     break
             return self._kept.popleft() if self._kept else None
 
     def _pull(self, stream: _OpenStream, timeout: float) -> None:
-        try:
-            values, stamp = stream.inlet.pull_sample(timeout)
-        except RuntimeError:
-            self._drop()
-            return
+        """Keep the next sample. Raises RuntimeError where the stream is lost."""
+        values, stamp = stream.inlet.pull_sample(timeout)
         now = time.monotonic()
         if now - stream.asked > _CLOCK and not self._clock_unknown:
             stream.asked = now
@@ -319,12 +254,12 @@ class FromLsl:
             with suppress(RuntimeError):
                 stream.correction = stream.inlet.time_correction(0.0)
         if values is not None:
-            stream.since = now
+            stream.since, self._resolver = now, None
             self._keep(stream, np.array(values, dtype=np.float64), stamp, now)
         elif now - stream.since > _SILENT:
             there = {info.uid(): info for info in self._visible()}
             if stream.info.uid() not in there and any(self._same(info) for info in there.values()):
-                self._drop()
+                raise RuntimeError("another stream took its place")
 
     def _drop(self) -> None:
         self._stream, self._away = None, True
@@ -352,12 +287,33 @@ class FromLsl:
         if not math.isfinite(at):
             self.damaged += 1
             return
+        if math.isnan(stream.scale):
+            # A sample that shows nobody says nothing of a unit.
+            raw = sample[layout.columns]
+            if (np.isfinite(raw) & (raw != 0)).all(axis=1).any():
+                stream.waiting.append((sample, stamp, arrived))
+            if len(stream.waiting) == _TO_UNIT:
+                self._settle_unit(stream)
+            return
+        if self._size is None:
+            self._judge_size(layout, sample)
         with np.errstate(over="ignore", invalid="ignore"):
             points = stream.scale * sample[layout.columns]
         there = ((np.abs(points) < FARTHEST).all(axis=1) & (points != 0).any(axis=1)).nonzero()[0]
         names = tuple(layout.names[row] for row in there.tolist()) if any(layout.names) else ()
         self._number = self._next_number(stream, sample, at, arrived)
         self._kept.append(LiveFrame(self._number, at, arrived, points[there], names))
+
+    def _judge_size(self, layout: ChannelLayout, sample: Floats) -> None:
+        """Whether what is written of the unit can be, by the first sample that shows a whole body."""
+        raw = sample[layout.columns]
+        if layout.unit is None or (np.isfinite(raw) & (raw != 0)).all(axis=1).sum() < _WHOLE:
+            return
+        self._size = ""
+        try:
+            metres_per_unit(self.about.name, layout.unit, raw[None])
+        except AsterismError as problem:
+            self._size = str(problem)
 
     def _next_number(self, stream: _OpenStream, sample: Floats, at: float, arrived: float) -> int:
         """What the stream counts itself; where it does not, or stands still, as many more than the last as time says."""
@@ -375,6 +331,9 @@ class FromLsl:
     def findings(self) -> list[Finding]:
         """What was believed, and what happened to the stream."""
         name, found, layout = self.about.name, list(self._unit_findings), self._layout
+        if self._size:
+            mend = "Have its sender write the unit in which it sends."
+            found.append(Finding("live-unit-doubtful", Severity.WARNING, name, self._size, mend))
         if layout is not None and layout.guessed:
             sentence = f"{name}: nothing says what its channels are; they are read as x, y, z of {len(layout.columns)} points."
             mend = "Look whether a body is seen; have the sender describe its channels."

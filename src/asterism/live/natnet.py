@@ -139,7 +139,9 @@ class NatNet:
                     f"port {self.server.port} of this machine, to which Motive sends, is taken by another program; close that, or have "
                     "Motive send to another port (Settings, Streaming)."
                 ) from problem
-            raise
+            # Where it may send to each client alone, nothing is lost yet.
+            if self.server.group_told:
+                raise
 
     def _say(self, kind: int, text: bytes) -> None:
         self._socket.sendto(struct.pack("<HH", kind, len(text)) + text, (self._place.host, self._place.port))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 import socket
 import struct
 import threading
@@ -31,6 +32,8 @@ _GONE = 10.0
 as much a network is flooded for longer."""
 _CLIENTS = 16
 """Clients at once, where each is sent to. Twice as many take 30 MB/s; a multicast group has no limit."""
+_TURN = 0.2
+"""s after which the thread that answers looks whether it shall end. Half and double do as well."""
 _SEEN, _OF_MODEL, _UNLABELLED = 0x02, 0x08, 0x10
 _LABELLED = np.dtype([("id", "<i4"), ("place", "<f4", 3), ("size", "<f4"), ("flags", "<u2"), ("residual", "<f4")])
 _TITLE = b"Asterism\0"
@@ -84,6 +87,8 @@ class ToNatNet:
         self._frames = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._commands.bind((self._place.host, self._place.commands))
+            # A full buffer of the network must not hold the next frame back.
+            self._commands.setblocking(False)
             self._frames.setblocking(False)
             if self._place.group:
                 own = socket.gethostbyname(self._place.host)
@@ -103,7 +108,7 @@ class ToNatNet:
         self._changed = False
         self._last = b""
         self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._answer, name=self.name, daemon=True)
+        self._thread = threading.Thread(target=self._serve, name=self.name, daemon=True)
         self._thread.start()
 
     @property
@@ -127,7 +132,7 @@ class ToNatNet:
             return
         for client in clients:
             # Clients take frames where they sent their commands from, and from where they sent them to.
-            self._commands.sendto(data, socket.MSG_DONTWAIT, client)
+            self._commands.sendto(data, client)
 
     def packet(self, analysed: AnalysedFrame) -> bytes:
         """A frame of data, version 3.1."""
@@ -163,25 +168,22 @@ class ToNatNet:
         ]
         return _message(_FRAME, b"".join(parts))
 
-    def _answer(self) -> None:
+    def _serve(self) -> None:
         """The thread that answers clients."""
-        self._commands.settimeout(0.2)
         while not self._closed.is_set():
+            if not select.select([self._commands], [], [], _TURN)[0]:
+                continue
             try:
                 data, client = self._commands.recvfrom(LARGEST)
-            except TimeoutError:
-                continue
             except OSError:
-                # A client that is gone makes Windows say so here; a closed socket ends the thread.
-                if self._closed.wait(0.05):
-                    return
+                # Windows says here that a client is gone.
                 continue
-            answer = self._answer_to(data, client)
+            answer = self.answer(data, client)
             if answer:
                 with suppress(OSError):
                     self._commands.sendto(answer, client)
 
-    def _answer_to(self, data: bytes, client: Any) -> bytes:
+    def answer(self, data: bytes, client: Any) -> bytes:
         """What is answered to a client's message; nothing to one that is none. Never raises."""
         if len(data) < 4:
             return b""

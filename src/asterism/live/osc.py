@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import socket
 import struct
 from collections.abc import Iterator
 
@@ -31,6 +32,7 @@ class ToOsc:
     /asterism/value/NAME VALUE                     an angle in degrees, or in the unit of the value; left out where it is not known
     /asterism/event/KIND/SIDE TIME DELAY           s since the first frame, and s from then to this frame
     /asterism/cue/NAME ON TONE                     1 while the person is told, else 0; the tone in [0, 1], -1 for none
+    /asterism/cue/NAME/began 1                     in the frame with which it begins
     /asterism/cue/NAME/value VALUE                 left out where it is not known
 
     All numbers but NUMBER and ON are floats of 32 bits, which all programs read; so times begin with 0. A space and what OSC does not allow
@@ -44,6 +46,8 @@ class ToOsc:
         self._build = OscMessageBuilder
         self._socket, self._address = socket_for(place, "osc://127.0.0.1:9000")
         self._socket.setblocking(False)
+        # All machines of a stage may be meant, as by osc://192.168.1.255:9000.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         self._begin: float | None = None
         self._heads: dict[tuple[str, ...], bytes] = {}
         self._words: dict[str, str] = {}
@@ -86,6 +90,8 @@ class ToOsc:
         for cue in frame.cues:
             tone = -1.0 if math.isnan(cue.tone) else cue.tone
             yield self._head("if", "cue", cue.rule.name) + struct.pack(">if", cue.on, tone)
+            if cue.began:
+                yield self._head("i", "cue", cue.rule.name, "began") + struct.pack(">i", 1)
             if abs(cue.value) < _MOST:
                 yield self._head("f", "cue", cue.rule.name, "value") + struct.pack(">f", cue.value)
 

@@ -20,6 +20,7 @@ from qtm_rt.protocol import QTMProtocol
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
+from asterism.live.analog import AnalogSamples
 from asterism.live.camera_frames import LiveBlobs
 from asterism.live.clock import StreamTimes
 from asterism.live.datagrams import HostPort
@@ -31,7 +32,9 @@ PORT = 22223
 """Where QTM speaks this protocol with little-endian numbers: its base port and 1."""
 _VERSIONS = ("1.20", "1.13", "1.8")
 """Of the protocol, asked for in this order. QTM keeps to the version that was asked for, so that later ones change nothing here."""
-_ERROR, _DATA, _NO_MORE_DATA, _ANSWERS = 0, 3, 4, (0, 1, 2)
+_ERROR, _DATA, _NO_MORE_DATA, _EVENT, _ANSWERS = 0, 3, 4, 6, (0, 1, 2)
+_BEGINNINGS = (b"\x01", b"\x03", b"\x08", b"\x0b")
+"""Events after which settings may be others: cameras connected, a capture or a file begun, settings of cameras changed."""
 _PATIENCE = 3.0
 """s for an answer. Half of it loses to a QTM that is calibrating; twice as much is a wait."""
 _QUIET = 2.0
@@ -41,6 +44,8 @@ _AGAIN = 1.0
 """s between two tries to reach a QTM that is gone."""
 _KEPT = 400
 """Packets that wait to be read at most, 2 s at 200 Hz; the oldest are left out, and counted as lost by their numbers."""
+_MOST_ANALOG = 100
+"""Groups of samples that wait for a frame with points at most: those of ten devices in ten packets. Half and double do as well."""
 _TO_STEP = 10
 """Frames by which it is seen whether QTM sends each frame or, as its real-time rate says, each second or third one."""
 
@@ -50,7 +55,7 @@ class _Packets(QTMProtocol):
 
     def __init__(self, take: Callable[[bytes, float], None], gone: Callable[[], None]) -> None:
         super().__init__(on_disconnect=lambda _: gone())
-        self.idle, self.unreadable, self.refused, self.last = False, False, "", time.monotonic()
+        self.idle, self.unreadable, self.changed, self.refused, self.last = False, False, False, "", time.monotonic()
         self._take, self._bytes = take, bytearray()
 
     def data_received(self, data: bytes) -> None:
@@ -67,10 +72,12 @@ class _Packets(QTMProtocol):
             packet = bytes(self._bytes[:size])
             del self._bytes[:size]
             if kind == _DATA:
-                self.idle = False
+                self.changed, self.idle = self.changed or self.idle, False
                 self._take(packet[8:], self.last)
             elif kind == _NO_MORE_DATA:
                 self.idle = True
+            elif kind == _EVENT:
+                self.changed = self.changed or packet[8:9] in _BEGINNINGS
             elif kind in _ANSWERS:
                 self.refused = packet[8:].decode("utf-8", "replace").strip("\0 ")[:200] if kind == _ERROR else self.refused
                 super().data_received(packet)
@@ -196,10 +203,14 @@ class QtmLink:
             raise QRTCommandException("no common version")
         connection = QRTConnection(protocol, timeout=_PATIENCE)
         self.version = (await connection.qtm_version()).decode("utf-8", "replace").removeprefix("QTM Version is ")[:40]
-        with contextlib.suppress(QRTCommandException):
-            self.settings = settings_of_xml(await connection.get_parameters(["general", "3d"]))
+        await self._set(connection)
         protocol.refused = ""
         protocol.send_command(f"streamframes allframes {self._components}", callback=False)
+
+    async def _set(self, connection: QRTConnection) -> None:
+        """Ask for the settings, of which there are none before cameras are connected or a file is open."""
+        with contextlib.suppress(QRTCommandException):
+            self.settings = settings_of_xml(await connection.get_parameters(["general", "3d", "analog"])) or self.settings
 
     async def _watched(self, gone: asyncio.Event) -> None:
         """Return when the connection is gone, or QTM does not answer any more."""
@@ -208,7 +219,11 @@ class QtmLink:
         connection = QRTConnection(protocol, timeout=_PATIENCE)
         while not gone.is_set():
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(gone.wait(), _QUIET / 4)
+                await asyncio.wait_for(gone.wait(), _QUIET / 20)
+            if protocol.changed:
+                protocol.changed = False
+                with contextlib.suppress(OSError):
+                    await self._set(connection)
             if time.monotonic() - protocol.last > _QUIET:
                 try:
                     await connection.qtm_version()
@@ -242,18 +257,22 @@ class Qtm:
     """
 
     def __init__(self, place: HostPort, rate: float = float("nan")) -> None:
-        self._link = QtmLink(place, "3D 3DNoLabels")
+        self._link = QtmLink(place, "3D 3DNoLabels Analog")
+        self._analog: tuple[AnalogSamples, ...] = ()
         self._bad, self._labelled, self._step, self._begin = 0, False, 1, deque[LiveFrame]()
-        settings = self._link.settings
+        self._place, self._rate, self._times = place, rate, StreamTimes(rate)
         try:
             self._seen_begin()
         except BaseException:
             self.close()
             raise
-        self.about = SourceAbout(
-            f"QTM {self._link.version} at {place.host}", rate if rate > 0 else settings.rate / self._step, settings.vertical
-        )
-        self._times = StreamTimes(self.about.rate)
+
+    @property
+    def about(self) -> SourceAbout:
+        """What is known so far: without a measurement QTM tells nothing yet."""
+        settings = self._link.settings
+        rate = self._rate if self._rate > 0 else settings.rate / self._step
+        return SourceAbout(f"QTM {self._link.version} at {self._place.host}", rate, settings.vertical)
 
     def _seen_begin(self) -> None:
         """Look at the first frames, where some come: which step their numbers have."""
@@ -278,6 +297,7 @@ class Qtm:
         if frame is None:
             return None
         number = frame.number // self._step
+        self._times.rate = self.about.rate
         return replace(frame, number=number, time=self._times.of(number, frame.time, frame.arrived))
 
     def _next(self, timeout: float) -> LiveFrame | None:
@@ -286,11 +306,15 @@ class Qtm:
             packet = self._link.read(left)
             if packet is None:
                 continue
-            points = points_of_packet(*packet, self._link.settings.computed)
-            if points is not None:
-                self._labelled = self._labelled or points.labelled > 0
-                return points.frame
-            self._bad += 1
+            points = points_of_packet(*packet, self._link.settings)
+            if points is None:
+                self._bad += 1
+                continue
+            self._labelled = self._labelled or points.labelled > 0
+            self._analog = (*self._analog, *points.analog)[-_MOST_ANALOG:]
+            if points.frame is not None:
+                frame, self._analog = replace(points.frame, analog=self._analog), ()
+                return frame
         return None
 
     def findings(self) -> list[Finding]:
@@ -303,7 +327,7 @@ class Qtm:
             sentence = f"{name}: each {self._step}. frame of the cameras is sent, {self.about.rate:g} per second."
             mend = "For all of them set Project Options, Processing, Real-time actions, to the rate of the cameras."
             found.append(Finding("live-rate-divided", Severity.NOTE, name, sentence, mend))
-        if self.about.vertical is None:
+        if self.about.vertical is None and not self._link.idle:
             found.append(axis_unknown(name, "z"))
         if self._times.made:
             found.append(times_made(name))

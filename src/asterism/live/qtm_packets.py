@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import struct
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from asterism.cameras.files.qualisys import SUBPIXELS
+from asterism.live.analog import AnalogDevice, AnalogSamples
 from asterism.live.camera_frames import LiveBlobs
 from asterism.live.frames import MOST_POINTS, LiveFrame, believable, joined
 from asterism.recording import Floats
@@ -21,6 +22,7 @@ double do as well."""
 _POINT_SIZES = {1: 12, 9: 16, 2: 16, 10: 20}
 """Bytes of a point by the type of its component: with labels and without, each without and with a residual. x, y, z come first in all."""
 _WITH_LABELS = (1, 9)
+_ANALOG = 3
 _BLOBS = 7
 """The type of blobs as the sensor saw them; 8 is without the lens's distortion, which a rig's camera models itself."""
 
@@ -33,20 +35,27 @@ class QtmSettings:
     vertical  (3,) what points up; None where it does not say so
     computed  whether each label is that of a virtual marker, which no camera saw
     cameras   serial numbers, in the order of the 2D data
+    devices   analog devices by their number
     """
 
     rate: float = float("nan")
     vertical: Floats | None = None
     computed: tuple[bool, ...] = ()
     cameras: tuple[str, ...] = ()
+    devices: Mapping[int, AnalogDevice] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        """Whether QTM says anything."""
+        return self.rate > 0 or self.vertical is not None or bool(self.computed or self.cameras)
 
 
 @dataclass(frozen=True, eq=False)
 class QtmPoints:
-    """A frame with the number of its points that QTM gave a label."""
+    """A frame with the number of its points that QTM gave a label; None where only analog samples came."""
 
-    frame: LiveFrame
+    frame: LiveFrame | None
     labelled: int
+    analog: tuple[AnalogSamples, ...] = ()
 
 
 def settings_of_xml(data: bytes) -> QtmSettings:
@@ -73,7 +82,20 @@ def settings_of_xml(data: bytes) -> QtmSettings:
             camera.findtext("Serial", "").strip() or camera.findtext("ID", "").strip() or str(row + 1)
             for row, camera in enumerate(root.iterfind("General/Camera"))
         ),
+        {number: device for number, device in map(_device, root.iterfind("Analog/Device")) if number >= 0},
     )
+
+
+def _device(element: ET.Element) -> tuple[int, AnalogDevice]:
+    """An analog device and its number, -1 where it has none. Versions before 1.12 have labels without channels, and one unit for all."""
+    number, rate = -1, float("nan")
+    with suppress(ValueError):
+        number = int(element.findtext("Device_ID", ""))
+        rate = float(element.findtext("Frequency", "nan"))
+    labels = tuple((label.text or "").strip() for label in element.findall("Channel/Label") or element.findall("Label"))
+    units = tuple((unit.text or "").strip() for unit in element.findall("Channel/Unit"))
+    name = element.findtext("Device_Name", "").strip() or f"device {number}"
+    return number, AnalogDevice(name, rate, labels, units or len(labels) * (element.findtext("Unit", "").strip(),))
 
 
 def _axis(text: str) -> Floats | None:
@@ -94,18 +116,21 @@ def _components(data: bytes) -> Iterator[tuple[int, bytes]]:
         at += size
 
 
-def points_of_packet(data: bytes, arrived: float, computed: tuple[bool, ...] = ()) -> QtmPoints | None:
-    """The points of a data packet (without its 8 bytes of size and type); None where it is damaged, or has no 3D data.
+def points_of_packet(data: bytes, arrived: float, settings: QtmSettings | None = None) -> QtmPoints | None:
+    """The points of a data packet (without its 8 bytes of size and type); None where it is damaged, or has neither 3D nor analog data.
 
-    computed  see `QtmSettings`: these are left out, where there are as many labels as it says
+    Virtual markers of the settings are left out, where there are as many labels as they say.
     Points with and without QTM's labels are joined, each once; missing ones are left out. mm become m.
     """
+    settings = QtmSettings() if settings is None else settings
     try:
         stamp, number, _ = struct.unpack_from("<qII", data)
         with_label, without = np.empty((0, 3)), np.empty((0, 3))
-        found = False
+        found, analog, computed = False, list[AnalogSamples](), settings.computed
         for kind, content in _components(data):
             size = _POINT_SIZES.get(kind)
+            if kind == _ANALOG:
+                analog += _samples(content, settings.devices)
             if size is None:
                 continue
             found = True
@@ -117,9 +142,34 @@ def points_of_packet(data: bytes, arrived: float, computed: tuple[bool, ...] = (
     except (struct.error, ValueError):
         return None
     points = joined(with_label, without)
-    if not found or len(points) > MOST_POINTS:
+    if len(points) > MOST_POINTS or not (found or analog):
         return None
-    return QtmPoints(LiveFrame(number, 1e-6 * stamp, arrived, points), len(with_label))
+    frame = LiveFrame(number, 1e-6 * stamp, arrived, points) if found else None
+    return QtmPoints(frame, len(with_label), tuple(analog))
+
+
+def _samples(content: bytes, devices: Mapping[int, AnalogDevice]) -> Iterator[AnalogSamples]:
+    """The samples of each device: its number, channels and samples, the number of the first one where there are some, and values."""
+    at = 4
+    for _ in range(struct.unpack_from("<I", content)[0]):
+        number, channels, count = struct.unpack_from("<III", content, at)
+        at += 12
+        if not count:
+            continue
+        (first,) = struct.unpack_from("<I", content, at)
+        at += 4
+        if at + 4 * channels * count > len(content):
+            raise ValueError("a device has fewer samples than it says")
+        samples = np.frombuffer(content, dtype="<f4", count=channels * count, offset=at).reshape(channels, count)
+        with np.errstate(invalid="ignore"):
+            values = samples.T.astype(np.float64)
+        at += 4 * channels * count
+        known = devices.get(number)
+        # Channels that are not streamed have a label, too.
+        if known is None or len(known.channels) != channels:
+            name, rate = (f"device {number}", float("nan")) if known is None else (known.name, known.rate)
+            known = AnalogDevice(name, rate, tuple(f"channel {n + 1}" for n in range(channels)), channels * ("",))
+        yield AnalogSamples(known, first, values)
 
 
 def _points(content: bytes, size: int) -> Floats:

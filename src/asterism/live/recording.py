@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.files.journal import Journal
+from asterism.live.analog import KeptAnalog, analog_as_arrays, analog_of_arrays
 from asterism.live.chain import LabelledFrame
 from asterism.live.frames import LiveFrame
 from asterism.recording import NULL, Clouds, Floats, Labelling, Recording
@@ -100,7 +101,7 @@ def _text(text: str) -> NDArray[np.uint8]:
 
 
 def _arrays_of(chunk: _Chunk) -> list[NDArray[Any]]:
-    """Frames: number, time, count; points; labels: number, then the marker of each point, -1 for none, with its confidence."""
+    """Frames: number, time, count; points; labels: number, then the marker of each point, -1 for none, with its confidence; analog."""
     frames, labels = chunk.frames, [each for each in chunk.labels if each.markers]
     marker_of, confidence = [], []
     for each in labels:
@@ -117,6 +118,7 @@ def _arrays_of(chunk: _Chunk) -> list[NDArray[Any]]:
         np.concatenate(marker_of) if labels else np.empty(0, dtype=np.int64),
         np.concatenate(confidence) if labels else np.empty(0),
         _text(json.dumps(list(labels[-1].markers) if labels else [])),
+        *analog_as_arrays([part for each in frames for part in each.analog]),
     ]
 
 
@@ -128,12 +130,16 @@ class KeptSession:
     labelling  their labels live, None where no set was found
     name       of the source
     begun      s since 1970
+    times      (T,) s on the source's clock, NaN for lost frames
+    analog     what devices measured along with them
     """
 
     clouds: Clouds
     labelling: Labelling | None
     name: str
     begun: float
+    times: Floats
+    analog: tuple[KeptAnalog, ...] = ()
 
     def recording(self) -> Recording:
         """The labelled trajectories, points without a label behind them."""
@@ -169,9 +175,12 @@ def recording_of(path: Path, rate: float | None = None) -> KeptSession:
     offsets = np.concatenate([[0], np.cumsum(per_frame)])
     bare = Clouds.from_points([np.empty((0, 3))], rate, head["vertical"])
     clouds = replace(bare, xyz=points, offsets=offsets, columns=np.full(len(points), -1, dtype=np.int64))
-    return KeptSession(
-        clouds, _labelling(chunks, clouds, dict(zip(numbers.tolist(), row.tolist(), strict=True))), head["name"], head["begun"]
-    )
+    of_row = np.full(len(clouds), np.nan)
+    of_row[row] = times
+    labelling = _labelling(chunks, clouds, dict(zip(numbers.tolist(), row.tolist(), strict=True)))
+    # Recordings of earlier versions have none.
+    analog = analog_of_arrays([chunk[7:9] for chunk in chunks if len(chunk) > 7])
+    return KeptSession(clouds, labelling, head["name"], head["begun"], of_row, analog)
 
 
 def _rows(numbers: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -28,6 +28,9 @@ _TIMEOUT = 0.1
 """s after which a reader looks whether it shall stop."""
 _SILENT = 1.0
 """s without a frame after which the source counts as silent: ten frames of the slowest camera."""
+_AT_ONCE = 0.002
+"""s within which a frame that was there already is read; a tenth of a millisecond is usual. Twice as long takes a new frame for an old one
+at 500 Hz; with half of it a busy machine takes an old one for new."""
 _TO_RATE = 30
 """Frames by whose times the rate is found where a source does not say it: an irregular sender's to within 1 %."""
 _LATENCIES = 4096
@@ -61,6 +64,7 @@ class Keeper(Protocol):
 class Health:
     """What is counted while a session runs.
 
+    before     frames that came while the labelling was made, and are no part of the session
     frames, lost, late, restarts  see `FrameCount`
     damaged    packets that could not be read
     dropped    frames that were taken and not labelled, since newer ones waited
@@ -74,6 +78,7 @@ class Health:
     problem    why the session ended early, "" where it did not
     """
 
+    before: int = 0
     frames: int = 0
     lost: int = 0
     late: int = 0
@@ -148,7 +153,9 @@ class LiveSession:
         ]
         try:
             # What can be made before the first frame keeps none of them waiting.
+            begun = time.monotonic()
             self._chain = self._made() if np.isfinite(self._rate) else None
+            self._pass_over(time.monotonic() - begun)
             for thread in threads:
                 thread.start()
             until = time.monotonic() + seconds
@@ -245,6 +252,25 @@ class LiveSession:
                 self._queue.popleft()
                 self._health.dropped += 1
             self._there.notify_all()
+
+    def _pass_over(self, seconds: float) -> None:
+        """Leave out what came while the labelling was made for so many seconds: labels of it would be old, and hold the next ones back."""
+        # What came in a shorter time waits for its labels, as always.
+        if self.waits or seconds <= _QUEUE:
+            return
+        try:
+            for _ in range(math.ceil(2 * seconds * self._rate)):
+                begin = time.monotonic()
+                frame = self.source.read(_AT_ONCE)
+                if frame is None:
+                    return
+                if time.monotonic() - begin > _AT_ONCE / 2:
+                    # It was waited for, so that it is new.
+                    self._take(frame)
+                    return
+                self._health.before += 1
+        except SourceEnded:
+            self._ended = True
 
     def _made(self) -> LabelChain:
         return LabelChain(self.make(self._rate, self.up), self._rate, self.delay)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from urllib.parse import parse_qsl, urlsplit
 
 from asterism.errors import AsterismError
-from asterism.live.blobs.sources import JsonBlobs
 from asterism.live.camera_frames import BlobSource
 from asterism.live.datagrams import HostPort, JsonDatagrams
 from asterism.live.frames import LiveSource
@@ -79,5 +78,7 @@ def open_blobs(address: str, cameras: Sequence[str], rate: float = float("nan"))
         raise AsterismError(
             f"{address} is no source of blobs: an address begins with udp:// or qtm://, and a file is played with --replay FILE."
         )
+    from asterism.live.blobs.sources import JsonBlobs
+
     together = dict(parse_qsl(urlsplit(address).query)).get("together", "")
     return JsonBlobs(host_port(address, "udp://127.0.0.1:5000"), cameras, rate, numbered_together=together in ("1", "true", "yes"))

@@ -118,7 +118,8 @@ def _markers(content: bytes, place: int) -> Floats:
     if count > MOST_POINTS or (count and size < place + 24):
         raise DamagedPacket
     rows = np.frombuffer(content, dtype=np.uint8, count=count * size, offset=4).reshape(count, size)
-    return believable(1e-3 * rows[:, place : place + 24].copy().view("<f8").reshape(-1, 3))
+    with np.errstate(invalid="ignore", over="ignore"):
+        return believable(1e-3 * rows[:, place : place + 24].copy().view("<f8").reshape(-1, 3))
 
 
 def _packet(kind: int, content: bytes) -> bytes:

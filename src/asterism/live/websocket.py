@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import secrets
 import socket
 import threading
 import time
@@ -19,14 +20,12 @@ from asterism.findings import Finding, Severity
 from asterism.live.analysis import AnalysedFrame
 from asterism.live.datagrams import frame_of_json
 from asterism.live.frames import LiveFrame, SourceAbout
-from asterism.live.outputs import labels_as_json
+from asterism.live.outputs import WAITING, labels_as_json
 from asterism.live.packages import packages_for
 
 _LARGEST = 1 << 18
 """Bytes of a message that is believed: twice what the most points that a frame may have take with their names. Half of it refuses verbose
 senders; twice as much only costs memory."""
-_WAITING = 32
-"""Messages that wait at most, 0.16 s at 200 Hz. Half of them are lost while a browser tidies its memory; twice as many show what is old."""
 _BUFFER = 1 << 16
 """Bytes that the system keeps for a receiver that is slow, ten frames of 59 markers. Twice as many make what it shows older by as much; at
 half a frame of many markers waits for its own beginning."""
@@ -50,6 +49,7 @@ class WebSocketPlace:
     listens  whether this side waits for the other
     host, port  of either
     origins  pages whose browser may connect; none by default, since any page that is open in a browser could
+    token    what who connects must know; "" for nothing
     """
 
     address: str
@@ -58,11 +58,12 @@ class WebSocketPlace:
     host: str
     port: int
     origins: tuple[str, ...] = ()
+    token: str = ""
 
 
 def websocket_place(address: str) -> WebSocketPlace:
     """The place that an address means: ws:// or wss:// of who waits for us, ws-listen:// of where we wait. Raises AsterismError."""
-    example = "ws://192.168.1.5:8765, or ws-listen://127.0.0.1:8765 to wait there for the other side"
+    example = "ws://192.168.1.5:8765, or ws-listen://127.0.0.1:8765?token=SECRET to wait there for the other side"
     try:
         parts = urlsplit(address)
         host, port, listens = parts.hostname, parts.port, parts.scheme.lower() == "ws-listen"
@@ -71,8 +72,12 @@ def websocket_place(address: str) -> WebSocketPlace:
     if not host or (listens and port is None):
         raise AsterismError(f"{address} names no host and port; write for example {example}.")
     port = (443 if parts.scheme.lower() == "wss" else 80) if port is None else port
-    origins = tuple(value for key, value in parse_qsl(parts.query) if key == "origin") if listens else ()
-    return WebSocketPlace(address, f"{parts.scheme.lower()}://{host}:{port}{parts.path}", listens, host, port, origins)
+    name, said = f"{parts.scheme.lower()}://{host}:{port}{parts.path}", parse_qsl(parts.query) if listens else []
+    unknown = sorted({key for key, _ in said} - {"origin", "token"})
+    if unknown:
+        raise AsterismError(f"{name}: nothing is known by {unknown[0]}; what can be said is origin and token, as in {example}.")
+    origins = tuple(value for key, value in said if key == "origin")
+    return WebSocketPlace(address, name, listens, host, port, origins, dict(said).get("token", ""))
 
 
 class _Endpoint:
@@ -111,15 +116,14 @@ class _Endpoint:
 
     async def _connect(self) -> None:
         from websockets.asyncio.client import connect
-        from websockets.exceptions import WebSocketException
 
         while True:
             try:
                 async with connect(self.place.address, open_timeout=_PATIENCE, proxy=None, **_LIMITS) as link:
                     await self._hold(link)
                 self.problem = "it was closed by the other side"
-            # The other side may refuse, be no WebSocket, vanish, or send what is too large.
-            except (OSError, TimeoutError, EOFError, ValueError, WebSocketException) as problem:
+            # The other side may refuse, be no WebSocket, vanish, or send what is too large: nothing of it ends the attempts.
+            except Exception as problem:
                 self.problem = str(problem) or type(problem).__name__
             self._tried.set()
             await asyncio.sleep(_AGAIN)
@@ -136,8 +140,15 @@ class _Endpoint:
             with suppress(OSError, WebSocketException):
                 await self._hold(link)
 
+        def known(link: Any, request: Any) -> Any:
+            said = dict(parse_qsl(urlsplit(request.path).query)).get("token", "")
+            if secrets.compare_digest(said.encode(), self.place.token.encode()) or not self.place.token:
+                return None
+            return link.respond(401, "The token is missing or another one.\n")
+
         origins: list[Any] = [None, *self.place.origins]
-        async with serve(taken, sock=self._listening, origins=origins, open_timeout=_PATIENCE, **_LIMITS):
+        limits = {"open_timeout": _PATIENCE, "process_request": known, **_LIMITS}
+        async with serve(taken, sock=self._listening, origins=origins, **limits):
             self._tried.set()
             await asyncio.get_running_loop().create_future()
 
@@ -215,7 +226,7 @@ class FromWebSocket:
     def __init__(self, place: WebSocketPlace, rate: float = float("nan")) -> None:
         self.damaged = 0
         self.about = SourceAbout(f"JSON at {place.name}", rate)
-        self._came: deque[LiveFrame] = deque(maxlen=_WAITING)
+        self._came: deque[LiveFrame] = deque(maxlen=WAITING)
         self._there = threading.Condition()
         self._closed = False
         self._endpoint = _Endpoint(place, self._listen, 1)
@@ -296,7 +307,7 @@ class ToWebSocket:
             data = labels_as_json(frame).decode()
             for receiver in self._receivers:
                 receiver.waiting.append(data)
-                if len(receiver.waiting) > _WAITING:
+                if len(receiver.waiting) > WAITING:
                     receiver.waiting.popleft()
                     self.dropped += 1
                 # One call wakes who waits, however many frames do.

@@ -11,7 +11,7 @@ from asterism._jit import kernel
 from asterism.geometry.shared_kernels import symmetric_inverse
 from asterism.reconstruction._compose_kernels import compose
 from asterism.reconstruction._fit_kernels import add_ray, fit, fit_and_prune, fit_workspace, set_zero
-from asterism.reconstruction._input_kernels import NOISE, frame_arrays, inside_volume
+from asterism.reconstruction._input_kernels import MOST_WORK, NOISE, frame_arrays, inside_volume
 from asterism.reconstruction._order_kernels import ascending
 from asterism.reconstruction._pack_kernels import pack
 from asterism.reconstruction._score_kernels import best_blob, in_view
@@ -69,7 +69,7 @@ def reconstruct_frames(rig, rays, begin, end, out, counts, notes):
         if count == 0:
             continue
         found, count = add_without_shared(rig, frame, found, count)
-        chosen, unproved = pack(found.rays, found.scores, count, blobs)
+        chosen, unproved = pack(found.rays, found.scores, count, blobs, rig.limits[MOST_WORK])
         notes[t - begin, 1] = unproved
         many = _write_chosen(rig, frame, found, chosen, here, out, total)
         counts[t - begin] = many

@@ -17,7 +17,7 @@ from asterism.reconstruction._order_kernels import ascending
 
 NOISE, GAIN, MISSING, LOW, HIGH, LENS = 15, 16, 17, 18, 20, 22
 """Columns of a camera's row in `RigArrays.cameras`, behind 9 of its rotation, 3 of its translation, 3 of its position."""
-PRIOR, GATE, FEWEST, VOLUME_LOW, VOLUME_HIGH = 0, 1, 2, 3, 6
+PRIOR, GATE, FEWEST, VOLUME_LOW, VOLUME_HIGH, MOST_WORK = 0, 1, 2, 3, 6, 9
 """Places in `RigArrays.limits`."""
 LEFT, TOP, PER_X, PER_Y, SIDE, CELLS, FIRST, END = 0, 1, 2, 3, 4, 5, 6, 7
 """Columns of a camera's row in `FrameArrays.grid`."""
@@ -28,7 +28,8 @@ class RigArrays(NamedTuple):
 
     cameras  (C, LENS + lens): rotation (9), translation (3) m, position (3) m; pixel noise px; gain: nats for an explained blob, before
              its residual; missing: nats for a blob that is expected and absent; lowest and highest x, y px of the image; the lens
-    limits   (9,): prior nats for a point; gate in standard deviations; fewest cameras of a point; two corners m of the volume
+    limits   (10,): prior nats for a point; gate in standard deviations; fewest cameras of a point; two corners m of the volume; looks at a
+             rival at most, see `pack`
     pairs    (K, 2) the two cameras of each pair, the most rectangular pair first
     axes     (K, 2, 3) unit vectors that span the plane across the pair's baseline
     """

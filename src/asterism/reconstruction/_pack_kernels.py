@@ -12,7 +12,7 @@ from asterism.reconstruction._order_kernels import ascending
 
 MOST_WORK = 5_000_000
 """How many times the search in one component may look at a rival before it stops with the best set found so far, and how many times the
-exchanges that follow may."""
+exchanges that follow may: some 15 ms, for recordings."""
 TOLERANCE = 1e-9
 """nats: a set must be better by more to replace another, so that rounding does not decide."""
 
@@ -20,15 +20,17 @@ TOLERANCE = 1e-9
 class Packing(NamedTuple):
     """A packing problem of n hypotheses and B blobs.
 
-    rays     (n, C) blob of each camera or -1
-    scores   (n,) > 0
-    starts   (B + 1,), holders: blob b is held by the hypotheses holders[starts[b]:starts[b + 1]]
+    rays       (n, C) blob of each camera or -1
+    scores     (n,) > 0
+    starts     (B + 1,), holders: blob b is held by the hypotheses holders[starts[b]:starts[b + 1]]
+    most_work  looks at a rival, after which the search in one component stops, and the exchanges that follow
     """
 
     rays: np.ndarray
     scores: np.ndarray
     starts: np.ndarray
     holders: np.ndarray
+    most_work: float
 
 
 class Component(NamedTuple):
@@ -43,21 +45,21 @@ class Component(NamedTuple):
 
 
 @kernel
-def pack(rays, scores, count, blobs):
+def pack(rays, scores, count, blobs, most_work):
     """Choose hypotheses of the greatest total score, no two with a blob in common.
 
     IN  rays (n, C) blob numbers below `blobs` or -1; scores (n,) > 0; the first `count` rows count
     Returns chosen (count,) bool, and for how many components the search ended before the choice was proved to be the best.
 
     A hypothesis that is worth no less than the best that its rivals can be worth together is taken at once. What is left falls into
-    components without common blobs, each solved by branch and bound. Within MOST_WORK the choice is the best there is; beyond, it is the
-    best found, improved by exchanges of one for several. O(n log n), and MOST_WORK for each component.
+    components without common blobs, each solved by branch and bound. Within `most_work` the choice is the best there is; beyond, it is the
+    best found, improved by exchanges of one for several. O(n log n), and `most_work` for each component.
     Twins: an integer program (tests/test_reconstruction.py), all sets (tests/test_reconstruction_twins.py)
     """
     # The best come first: early sets are then worth much, and the bound cuts more of the others.
     order = ascending(-scores, count)
     starts, holders = holders_by_blob(rays, order, blobs)
-    problem = Packing(rays, scores, starts, holders)
+    problem = Packing(rays, scores, starts, holders, most_work)
     chosen, open_ = np.zeros(count, np.bool_), np.ones(count, np.bool_)
     # Most hypotheses of a frame have no serious rival, and need no search.
     _take_dominant(problem, order, open_, chosen)
@@ -163,7 +165,7 @@ def _search(problem, component, chosen):
     """Branch and bound over one component, which begins with the greedy choice.
 
     OUT chosen (n,), the best set added
-    Returns whether that set is proved to be the best. O(2^m), at most MOST_WORK looks at rivals.
+    Returns whether that set is proved to be the best. O(2^m), at most `most_work` looks at rivals.
     Twin: all sets (tests/test_reconstruction_twins.py)
 
     Bounds: `depth` counts members that are taken, each once, m at most; path has one more.
@@ -186,7 +188,7 @@ def _search(problem, component, chosen):
         while at < many and blocked[at] != 0:
             at += 1
         # Take it first: with members in order of score the best sets come early.
-        if bound > best_value + TOLERANCE and at < many and work <= MOST_WORK:
+        if bound > best_value + TOLERANCE and at < many and work <= problem.most_work:
             taken[at] = True
             value += scores[members[at]]
             path[depth] = at
@@ -199,7 +201,7 @@ def _search(problem, component, chosen):
             for k in range(many):
                 best[k] = taken[k]
         # Counted in looks, not in seconds, so that every machine stops at the same set.
-        if work > MOST_WORK:
+        if work > problem.most_work:
             proved = False
             break
         going = depth > 0
@@ -288,7 +290,7 @@ def _exchange(problem, component, best):
     """Improve a set while it is worth more to put one member in, its rivals out, and then in what became free.
 
     OUT best (m,) bool, changed in place
-    O(m * rivals^2) a round, about MOST_WORK looks at rivals at most. Twin: tests/twins_reconstruction.py
+    O(m * rivals^2) a round, about `most_work` looks at rivals at most. Twin: tests/twins_reconstruction.py
     """
     many = len(component.members)
     blocked = np.zeros(many, np.int64)
@@ -298,11 +300,11 @@ def _exchange(problem, component, best):
     removed, added = np.empty(many, np.int64), np.empty(many, np.int64)
     improved = True
     work = 0
-    while improved and work <= MOST_WORK:
+    while improved and work <= problem.most_work:
         improved = False
         # A member that lost to a rival by score may win with what else becomes free.
         for k in range(many):
-            if best[k] or work > MOST_WORK:
+            if best[k] or work > problem.most_work:
                 continue
             leaving, lost, looks = _remove_rivals(problem, component, k, best, blocked, removed)
             work += looks

@@ -10,6 +10,7 @@ import numpy as np
 from asterism.cameras import Rig
 from asterism.errors import AsterismError
 from asterism.reconstruction._input_kernels import RigArrays
+from asterism.reconstruction._pack_kernels import MOST_WORK
 from asterism.recording import Blobs, Floats, Ints
 
 _VIEW_CELLS, _VIEW_ROUNDS = 16, 3
@@ -55,8 +56,9 @@ class ReconstructionProblem:
     min_cameras: int
     gate: float
 
-    def arrays(self, model: ObservationModel) -> RigArrays:
-        """Problem and observation model as the kernels take them. Raises AsterismError where all cameras stand in one place."""
+    def arrays(self, model: ObservationModel, most_work: float = MOST_WORK) -> RigArrays:
+        """Problem and observation model as the kernels take them; most_work: see `pack`. Raises AsterismError where all cameras stand in
+        one place."""
         cameras = self.rig.cameras
         lenses = np.zeros((len(cameras), max(len(camera.lens) for camera in cameras)))
         for row, camera in zip(lenses, cameras, strict=True):
@@ -78,7 +80,7 @@ class ReconstructionProblem:
         )
         pairs, axes = _pairs(self.rig)
         prior = math.log(model.points_per_frame / model.space) + 1.5 * math.log(2 * math.pi)
-        limits = np.array([prior, self.gate, self.min_cameras, *self.volume[0], *self.volume[1]])
+        limits = np.array([prior, self.gate, self.min_cameras, *self.volume[0], *self.volume[1], most_work])
         return RigArrays(np.ascontiguousarray(rows), limits, pairs, axes)
 
 

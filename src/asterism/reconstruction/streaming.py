@@ -26,9 +26,15 @@ from asterism.reconstruction.settings import ReconstructionSettings
 from asterism.reconstruction.summary import rig_findings
 from asterism.recording import Blobs, Floats, Ints
 
-_WINDOW = 256
+WINDOW = 256
 """Latest frames that tell the noise and how the cameras fit: at 100 Hz 2.5 s, in which a walking person is in many places. Half of them
 leave a camera that sees 5 markers with few places to be judged by; twice as many cost twice the memory and tell a moved camera later."""
+_WORK = 300_000
+"""Looks at a rival that the choice among a frame's hypotheses may take, see `pack`: about a millisecond. Of 12 cameras of 50 blobs 2
+frames in 100 reach it. Half of it leaves more of these unproved; with twice as much they come a millisecond later."""
+_FIRST_NOISE = 0.2
+"""px that are assumed until the noise is known. Twice as much makes the points of a crowd of blobs take ten times as long, and with half
+of it more of the first points are lost where the noise is larger."""
 _SAME_NOISE = 0.1
 """By how much of it the noise may differ without being taken anew: the share at which the estimate itself ends its rounds."""
 
@@ -38,8 +44,7 @@ class Reconstructor:
 
     rig       the cameras, all with a pose, in the order in which their blobs are given
     settings  of `reconstruct`; the method is the global one, and static lights are not masked, since both need the whole recording
-    model     the observation model; None for one that `learn` estimates from the last frames. Until then the one is used with which
-              `reconstruct` begins its estimate
+    model     the observation model; None for one that `learn` estimates from the last frames. Until then little noise is assumed
 
     `push` and `learn` may run in different threads: `push` never waits for `learn`. Memory is bounded by the last 256 frames.
     Raises AsterismError where fewer than two cameras have a pose, or a setting is out of range.
@@ -71,7 +76,7 @@ class Reconstructor:
         self._state: tuple[ReconstructionProblem, ObservationModel, RigArrays] | None = None
         self._first = model
         self._guard = threading.Lock()
-        self._frames: deque[tuple[BlobRays, FramesPart]] = deque(maxlen=_WINDOW)
+        self._frames: deque[tuple[BlobRays, FramesPart]] = deque(maxlen=WINDOW)
 
     @property
     def model(self) -> ObservationModel | None:
@@ -95,8 +100,8 @@ class Reconstructor:
         state = self._state
         if state is None:
             problem = self._stated(rays.blobs)
-            model = self._first or first_model(problem, rays.blobs.counts, self.settings.noise)[0]
-            self._state = state = problem, model, problem.arrays(model)
+            model = self._first or first_model(problem, rays.blobs.counts, self.settings.noise or _FIRST_NOISE)[0]
+            self._state = state = problem, model, problem.arrays(model, _WORK)
         part = run_global(state[2], rays, 0, 1)
         if np.count_nonzero(counts) >= 2:
             with self._guard:
@@ -121,13 +126,15 @@ class Reconstructor:
         findings = list[Finding]()
         if not self._is_given:
             run = partial(points_and_residuals, rays)
-            newer, known, looked_at = estimate_observation_model(problem, rays.blobs.counts, run, self.settings.noise)
+            # From the noise that is known already, one round is enough where nothing changed.
+            rules = replace(RULES, start_noise=float(model.noise[0]))
+            newer, known, looked_at = estimate_observation_model(problem, rays.blobs.counts, run, self.settings.noise, rules)
             if not known:
                 findings.append(noise_unknown_finding(looked_at))
             if known and not (self.noise_known and _agree(model, newer)):
                 with self._guard:
                     # Residuals are judged by the noise with which their points were made.
-                    self._state, self.noise_known = (problem, newer, problem.arrays(newer)), True
+                    self._state, self.noise_known = (problem, newer, problem.arrays(newer, _WORK)), True
                     self._frames.clear()
                 return (), []
         result = self._result(rays.blobs, [part for _, part in frames], problem, model)

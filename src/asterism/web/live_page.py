@@ -348,7 +348,8 @@ def _app(session: LiveSession, page: ToPage, address: str) -> Any:
     async def follow(socket: WebSocket) -> None:
         await socket.accept()
         up = session.up
-        hello = {"source": session.source.about.name, "up": [0, 0, 1] if up is None else up.tolist(), "address": address}
+        upwards = [0, 0, 1] if up is None else up.tolist()
+        hello = {"source": session.source.about.name, "up": upwards, "address": address, "code": _code_of(address)}
         follower = _Follower(session, page, socket.send_text)
 
         async def listen() -> None:
@@ -377,6 +378,15 @@ def _app(session: LiveSession, page: ToPage, address: str) -> Any:
             WebSocketRoute("/ws", follow),
         ]
     )
+
+
+def _code_of(address: str) -> str:
+    """An address as a QR code, the address of a picture in itself; "" for no address, or where the package for it is not installed."""
+    try:
+        import segno
+    except ModuleNotFoundError:
+        return ""
+    return str(segno.make(address, micro=False).svg_data_uri(omitsize=True)) if address else ""
 
 
 def _plain_health(session: LiveSession, page: ToPage) -> dict[str, Any]:

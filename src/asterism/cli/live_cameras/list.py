@@ -53,12 +53,12 @@ def list(options: ListCamerasOptions) -> None:
         known = [camera.about for camera in group.cameras]
         said = {camera.name: {name: camera.get(name) for name in camera.settings} for camera in group.cameras}
         if options.output is not None:
-            save_cameras(options.output, group.cameras, specs)
+            save_cameras(options.output, specs, group.said())
         group.close()
     else:
         known = abouts
         if options.output is not None:
-            save_cameras(options.output, known, specs)
+            save_cameras(options.output, specs, {about.name: about.said() for about in abouts})
     by_name = {about.name: about for about in known}
     for spec in specs:
         about = by_name.get(spec.name)

@@ -59,7 +59,7 @@ def set(options: SetCamerasOptions) -> None:
     try:
         outcomes = [outcome for outcome in group.outcomes if outcome.setting in asked or not outcome.as_asked]
         if options.output is not None:
-            save_cameras(options.output, group.cameras, specs)
+            save_cameras(options.output, specs, group.said())
     finally:
         group.close()
     findings = [*opening_findings(group), *camera_findings([], outcomes)]

@@ -58,7 +58,7 @@ class RigFrame:
 
 
 @dataclass
-class CameraState:
+class CameraArrivals:
     """What is known of one camera while it runs.
 
     count      images received, lost, late and begun anew, by their numbers
@@ -112,7 +112,7 @@ class ByNumber:
     """
 
     def __init__(self, cameras: int, rate: float = math.nan) -> None:
-        self.cameras = [CameraState() for _ in range(cameras)]
+        self.cameras = [CameraArrivals() for _ in range(cameras)]
         self.delay = 0.0
         self._window = 100 if math.isnan(rate) else max(20, round(rate))
         self._open: dict[int, dict[int, LiveBlobs]] = {}
@@ -204,7 +204,7 @@ class ByTime:
     """
 
     def __init__(self, cameras: int, rate: float = math.nan) -> None:
-        self.cameras = [CameraState() for _ in range(cameras)]
+        self.cameras = [CameraArrivals() for _ in range(cameras)]
         self.delay = 0.0
         self._tracks = [_RecentImages() for _ in range(cameras)]
         self._leader = list(range(cameras))
@@ -381,7 +381,8 @@ class ByTime:
         self.delay = waited
         number = 0
         if self._last is not None:
-            number = self._last[0] + max(1, round((instant - self._last[1]) / self._period))
+            # Where another camera became the reference, up to three quarters of a period more are no lost frame.
+            number = self._last[0] + max(1, math.floor((instant - self._last[1]) / self._period + 0.25))
         self._last = (number, instant)
         return RigFrame(number, instant, arrived, tuple(xy), tuple(sizes), tuple(without))
 

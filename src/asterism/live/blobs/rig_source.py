@@ -15,11 +15,13 @@ import numpy as np
 
 from asterism.cameras import Rig
 from asterism.findings import Finding, Severity
-from asterism.live.blobs.gathering import ByNumber, ByTime, CameraState, RigFrame
+from asterism.live.blobs.gathering import ByNumber, ByTime, CameraArrivals, RigFrame
 from asterism.live.camera_frames import BlobSource, LiveBlobs
+from asterism.live.found import own_findings
 from asterism.live.frames import MOST_POINTS, LiveFrame, SourceAbout, SourceEnded
 from asterism.reconstruction import ReconstructionSettings, Reconstructor
 from asterism.reconstruction.camera_fit import CameraFit
+from asterism.reconstruction.streaming import WINDOW
 from asterism.recording import Floats
 from asterism.recording.display import listed, significant
 
@@ -100,6 +102,8 @@ class RigSource:
         self._source, self.rig, self._waits = source, rig.select(used or rig.names), waits
         self._of = {name: c for c, name in enumerate(self.rig.names)}
         self._reconstructor = Reconstructor(self.rig, settings)
+        # Compiled and loaded before the first frame, which must not wait for it.
+        Reconstructor(self.rig, settings).push([np.array([[0.0, 0.0], [9.0, 9.0]])] * len(self.rig))
         self._gather: ByNumber | ByTime = (ByNumber if source.numbered_together else ByTime)(len(self.rig), source.rate)
         self.about = SourceAbout(name or source.name, source.rate, rig.vertical)
         self.dropped, self.cut, self.no_points = 0, 0, 0
@@ -160,15 +164,16 @@ class RigSource:
 
     def camera_numbers(self) -> list[dict[str, Any]]:
         """The same as plain values; what is not known is None."""
-        rows = [dataclasses.asdict(camera) for camera in self.cameras()]
-        return [
-            {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in row.items()} for row in rows
-        ]
+        return as_plain(self.cameras())
 
     def findings(self) -> list[Finding]:
         """What a person should know of the cameras and their rig."""
         counts = self._counts() if self._frames else []
-        return [*self._names(), *counts, *(finding for finding, times in self._found.values() if times > 1)]
+        own = own_findings([self._source])
+        # What a camera or its process left out never came either, and is told once, by who knows why.
+        told = {finding.where for finding in own if finding.code in ("live-camera-lost", "live-camera-dropped")}
+        counts = [finding for finding in counts if finding.code != "live-camera-lost" or finding.where not in told]
+        return [*own, *self._names(), *counts, *(finding for finding, times in self._found.values() if times > 1)]
 
     def _take(self) -> None:
         """The thread that gathers."""
@@ -178,8 +183,11 @@ class RigSource:
                 blobs = self._source.read(max(1e-4, wait))
                 if blobs is not None:
                     self._push(blobs)
-                # A file that waits has its own time.
-                self._put(time.monotonic() if blobs is None or not self._waits else blobs.arrived)
+                # A file that waits has its own time, which stands still while nothing comes.
+                if not self._waits:
+                    self._put(time.monotonic())
+                elif blobs is not None:
+                    self._put(blobs.arrived)
         except SourceEnded:
             self._put(math.inf)
         except Exception as problem:  # the reader must not wait for ever
@@ -245,11 +253,11 @@ class RigSource:
         return kept
 
     def _watch(self) -> None:
-        """Judge noise and cameras: after the first frames, then at twice as many, and every ten seconds."""
+        """Judge noise and cameras: after the first frames, when the window is full, and every ten seconds."""
         if self._frames < self._next:
             return
         rate = self.about.rate if math.isfinite(self.about.rate) else 100.0
-        self._next = self._frames + max(_FIRST, min(self._frames, round(_EVERY * rate)))
+        self._next = WINDOW if self._frames < WINDOW else self._frames + round(_EVERY * rate)
         if self._waits:
             self._learn(rate)
         elif self._judge is None or not self._judge.is_alive():
@@ -281,26 +289,20 @@ class RigSource:
         return found
 
     def _counts(self) -> list[Finding]:
-        found, warning = [], Severity.WARNING
-        for camera in self.cameras():
+        found, warning, cameras = list[Finding](), Severity.WARNING, self.cameras()
+        cable = "Look at cables and at the network, or lower the rate."
+        silent = [camera.name for camera in cameras if not camera.received]
+        if silent:
+            mend = "Look whether it is switched on, and whether it has this name in the rig."
+            found.append(Finding("live-camera-silent", warning, listed(silent), f"camera {listed(silent)} sent nothing.", mend))
+        if lost := _shares([(camera.name, camera.lost, camera.received + camera.lost) for camera in cameras]):
+            where, said = lost
+            found.append(Finding("live-camera-lost", warning, where, f"images never arrived: {said}.", cable))
+        if late := _shares([(camera.name, camera.late, camera.received + camera.lost) for camera in cameras]):
+            where, said = late
+            found.append(Finding("live-camera-late", warning, where, f"images came too late for their frame: {said}.", cable))
+        for camera in cameras:
             where = camera.name
-            if not camera.received:
-                mend = "Look whether it is switched on, and whether it has this name in the rig."
-                found.append(Finding("live-camera-silent", warning, where, f"camera {where} sent nothing.", mend))
-                continue
-            total = camera.received + camera.lost
-            if camera.lost:
-                sentence = f"camera {where}: {camera.lost} images never arrived ({significant(100 * camera.lost / total, 2)} %)."
-                found.append(
-                    Finding("live-camera-lost", warning, where, sentence, "Look at its cable and at the network, or lower the rate.")
-                )
-            if camera.late:
-                sentence = (
-                    f"camera {where}: {camera.late} images came too late for their frame ({significant(100 * camera.late / total, 2)} %)."
-                )
-                found.append(
-                    Finding("live-camera-late", warning, where, sentence, "Look at its cable and at the network, or lower the rate.")
-                )
             if camera.times_away:
                 sentence = f"camera {where} fell silent {camera.times_away} times{', and is silent now' if camera.away else ''}."
                 found.append(Finding("live-camera-away", warning, where, sentence, "Look at its cable; frames went on without it."))
@@ -316,14 +318,29 @@ class RigSource:
             found.append(
                 Finding("live-many-blobs", warning, where, sentence, "Cover reflections and lamps, or raise the cameras' threshold.")
             )
-        unlinked = sum(camera.unlinked for camera in self.cameras())
+        unlinked = sum(camera.unlinked for camera in cameras)
         if unlinked:
             sentence = f"{where}: cameras are not triggered together, and {unlinked} blobs could not be followed to the instant of a frame."
             found.append(Finding("live-not-followed", Severity.NOTE, where, sentence, "Trigger the cameras together, or raise their rate."))
         return found
 
 
-def _health(name: str, state: CameraState, fit: CameraFit) -> RigCameraHealth:
+def _shares(counts: Sequence[tuple[str, int, int]]) -> tuple[str, str] | None:
+    """The cameras (name, how many, of how many) that have some, and what is said of them; None where none has."""
+    some = [(name, count, total) for name, count, total in counts if count]
+    if not some:
+        return None
+    names = listed([name for name, _, _ in some])
+    return names, listed([f"{count} of camera {name} ({significant(100 * count / total, 2)} %)" for name, count, total in some])
+
+
+def as_plain(cameras: Sequence[RigCameraHealth]) -> list[dict[str, Any]]:
+    """How cameras do, as plain values; None for what is not known."""
+    rows = [dataclasses.asdict(camera) for camera in cameras]
+    return [{key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in row.items()} for row in rows]
+
+
+def _health(name: str, state: CameraArrivals, fit: CameraFit) -> RigCameraHealth:
     count, clock = state.count, state.clock
     last = clock.last_time
     return RigCameraHealth(

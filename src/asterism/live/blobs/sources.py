@@ -25,8 +25,6 @@ with twice as many a datagram would not hold them."""
 _FARTHEST = 1e5
 """px from the image's corner: no image is that large, see `cameras.camera.LARGEST_IMAGE`."""
 _LARGEST_NUMBER = 2**53
-_BUFFER = 1 << 22
-"""Bytes that the system keeps while we are busy: 0.2 s of 12 cameras of 50 blobs at 200 Hz as JSON. The system may allow less."""
 
 
 class ReplayBlobs:
@@ -151,7 +149,7 @@ class JsonBlobs:
         self.damaged = 0
         self.name, self.cameras, self.rate = f"blobs at {place.host}:{place.port}", tuple(cameras), rate
         self.numbered_together = numbered_together
-        self._socket = bound(place, buffer=_BUFFER)
+        self._socket = bound(place)
 
     @property
     def port(self) -> int:

@@ -41,6 +41,13 @@ class CameraAbout:
     rate: float = math.nan
     clock: str = "arrival"
 
+    def said(self) -> dict[str, SettingValue]:
+        """What it says of itself, as plain values by name."""
+        found: dict[str, SettingValue] = {"model": self.model, "serial": self.serial}
+        if any(self.size):
+            found["size"] = "{}x{}".format(*self.size)
+        return {name: value for name, value in found.items() if value}
+
 
 class LiveCamera(ABC):
     """A camera that is open.
@@ -131,6 +138,12 @@ class LiveCamera(ABC):
     def get(self, name: str) -> SettingValue | None:
         """What a setting is, in the unit of `SETTINGS`; None where the camera does not have it or does not say."""
         return self._threshold if name == "threshold" else self.get_own(name) if self.knows(name) else None
+
+    def said(self) -> dict[str, SettingValue]:
+        """What it says of itself and of its settings, as plain values by name."""
+        values = {name: self.get(name) for name in self.settings}
+        known = {name: value for name, value in values.items() if value is not None}
+        return self.about.said() | {"clock": self.about.clock} | known
 
     def set(self, name: str, value: object) -> SettingOutcome:
         """Set a setting, and ask what the camera has then. Raises AsterismError where there is no such setting, or no such value of it."""

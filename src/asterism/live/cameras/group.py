@@ -46,6 +46,10 @@ class CameraGroup:
         """What became of the settings with which they were opened."""
         return [outcome for camera in self.cameras for outcome in camera.outcomes]
 
+    def said(self) -> dict[str, dict[str, SettingValue]]:
+        """What each camera says of itself, by its name."""
+        return {camera.name: camera.said() for camera in self.cameras}
+
     def set(self, name: str, value: SettingValue) -> list[SettingOutcome]:
         """Set a setting on all of them; a camera that is gone costs itself."""
         return [self._set(camera, name, value) for camera in self.cameras]

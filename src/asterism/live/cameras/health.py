@@ -102,10 +102,15 @@ class CameraWatch:
     _blobs: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=1000))
     _began: float = field(default_factory=time.monotonic)
     _arrived: float = math.nan
+    _said_rate: float = math.nan
+    """Images per second that the camera says: asking takes as long as an image, in some."""
     _seen: int = 0
     _since: dict[str, float] = field(default_factory=dict)
     """When a trouble began that goes on, s."""
     _seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_TROUBLES, 0.0))
+
+    def __post_init__(self) -> None:
+        self._said_rate = self.camera.rate
 
     def image(self, image: LiveImage) -> None:
         """Look at an image."""
@@ -121,7 +126,7 @@ class CameraWatch:
         before, self._arrived = self._arrived, image.arrived
         long_enough = image.arrived - self._began > _SECOND
         black = int(image.image.max()) < _BLACK
-        slow = long_enough and self._usual_step() * _SLOW * self.camera.rate > 1.0
+        slow = long_enough and not self.camera.waits and self._usual_step() * _SLOW * self._said_rate > 1.0
         now = {"black": black, "frozen": seen == self._seen and not black, "saturated": white > _SATURATED, "slow": slow}
         self._seen = seen
         for trouble, there in now.items():
@@ -140,8 +145,9 @@ class CameraWatch:
             self._blobs.popleft()
 
     def health(self) -> CameraHealth:
-        """How the camera does now. Asks the camera for its temperature, from the thread that reads it."""
+        """How the camera does now. Asks the camera for its rate and its temperature, from the thread that reads it, so not too often."""
         now, camera = time.monotonic(), self.camera
+        self._said_rate = camera.rate
         mean, white = (float(np.mean([row[k] for row in self._recent])) if self._recent else math.nan for k in (1, 2))
         counts = [count for when, count in self._blobs if when > now - _SECOND]
         return CameraHealth(
@@ -193,7 +199,7 @@ class CameraWatch:
         lasting = {trouble for trouble, since in self._since.items() if now - since > _SECOND}
         for trouble, sentence in _SENTENCES.items():
             if trouble in lasting:
-                return sentence.format(rate=self._rate(now), of=camera.rate, white=100 * self._recent[-1][2])
+                return sentence.format(rate=self._rate(now), of=self._said_rate, white=100 * self._recent[-1][2])
         return ""
 
 

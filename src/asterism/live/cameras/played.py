@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -137,7 +138,9 @@ class PlayedCamera(LiveCamera):
         if due > now and (self._ended.wait(max(0.0, min(due, until) - now)) or time.monotonic() < due):
             return None
         image, self._pending, self._to_pass = self._pending, None, None
-        return LiveImage(image.camera, image.number, image.time, time.monotonic(), image.image)
+        # One that waits comes when it is due, however long somebody made it wait: the same file gives the same times.
+        comes = self._began + image.time / self._factor if self._waits else time.monotonic()
+        return replace(image, arrived=comes)
 
     def _due(self, seconds: float) -> float:
         """s on `time.monotonic` when the image of this time is due."""

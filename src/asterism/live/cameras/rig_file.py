@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,6 @@ from typing import Any
 from asterism.errors import AsterismError
 from asterism.files.atomic import write_atomically
 from asterism.files.toml import read_toml, toml_line
-from asterism.live.cameras.camera import CameraAbout, LiveCamera
 from asterism.live.cameras.opening import CameraSpec
 from asterism.live.cameras.played import path_of
 from asterism.live.cameras.settings import SETTINGS, SettingValue, setting_value
@@ -63,22 +62,20 @@ def _from(folder: Path, address: str) -> str:
     return address if "://" in address else str(folder / address)
 
 
-def save_cameras(path: Path, cameras: Iterable[LiveCamera | CameraAbout], specs: Sequence[CameraSpec] = ()) -> None:
-    """Write cameras to a file that `load_cameras` reads: what was to be set on each, and below `has` what it said that it had.
+def save_cameras(path: Path, specs: Iterable[CameraSpec], said: Mapping[str, Mapping[str, SettingValue]]) -> None:
+    """Write cameras to a file that `load_cameras` reads: what is to be set on each, and below `has` what it said that it had.
 
-    cameras: that are open, or that were found; specs: what was to be set, of cameras that could not be opened, too
+    said: what cameras say of themselves, by their names; of those that could not be opened nothing
     """
-    known = {camera.name: camera for camera in cameras}
     lines = list[str]()
-    for spec in specs or [CameraSpec(camera.name, camera.address) for camera in known.values()]:
-        asked = {name: spec.settings[name] for name in (*SETTINGS, *sorted(set(spec.settings) - set(SETTINGS))) if name in spec.settings}
+    for spec in specs:
         address = spec.address if "://" in spec.address else _absolute(spec.address)
         lines += ["[[camera]]", toml_line("name", spec.name), toml_line("address", address)]
-        lines += [toml_line(name, value) for name, value in asked.items()]
-        camera = known.get(spec.name)
-        said = {} if camera is None else _said(camera)
-        if said:
-            lines += ["", "[camera.has]", *(toml_line(name, value) for name, value in said.items())]
+        # As a person would write them; features of GenICam after what all cameras have.
+        order = [name for name in SETTINGS if name in spec.settings] + sorted(set(spec.settings) - set(SETTINGS))
+        lines += [toml_line(name, spec.settings[name]) for name in order]
+        if said.get(spec.name):
+            lines += ["", "[camera.has]", *(toml_line(name, value) for name, value in said[spec.name].items())]
         lines.append("")
     units = ", ".join(f"{name} in {kind.unit}" for name, kind in SETTINGS.items() if kind.unit)
     write_atomically(path, "\n".join([f"# The cameras of a rig, for `asterism live --cameras`. {units}.", "", *lines]).encode())
@@ -87,17 +84,6 @@ def save_cameras(path: Path, cameras: Iterable[LiveCamera | CameraAbout], specs:
 def _absolute(address: str) -> str:
     path = path_of(address)
     return str(path.absolute()) + address[len(str(path)) :]
-
-
-def _said(camera: LiveCamera | CameraAbout) -> dict[str, object]:
-    """What a camera says of itself."""
-    about = camera if isinstance(camera, CameraAbout) else camera.about
-    said: dict[str, object] = {"model": about.model or None, "serial": about.serial or None}
-    if any(about.size):
-        said["size"] = "{}x{}".format(*about.size)
-    if isinstance(camera, LiveCamera):
-        said |= {"clock": about.clock} | {name: camera.get(name) for name in camera.settings}
-    return {name: value for name, value in said.items() if value is not None}
 
 
 def with_settings(specs: Sequence[CameraSpec], settings: dict[str, SettingValue], names: Sequence[str] = ()) -> list[CameraSpec]:

@@ -15,6 +15,9 @@ _EXACT = 1e-3
 """Share of what was asked by which a camera's own value may differ and still be it: registers of cameras hold whole microseconds, of 4 ms a
 fourth of this. Half of it calls a rate of 29.97 another one than 30; twice as much would hide that a webcam has only some exposures."""
 
+_MOST = float(2**53)
+"""Beyond it a number has no exact value as a float; no setting is half or double as large."""
+
 
 @dataclass(frozen=True)
 class SettingKind:
@@ -79,7 +82,7 @@ def setting_value(name: str, value: object) -> SettingValue:
             raise AsterismError(f"{name} = {str(value).lower()}: give {_wanted(name)}.")
         return value
     if isinstance(value, int | float):
-        if not math.isfinite(value) or (kind is not None and (value < 0 or kind.words is None)):
+        if not abs(value) <= _MOST or (kind is not None and (value < 0 or kind.words is None)):
             raise AsterismError(f"{name} = {value}: give {_wanted(name)}.")
         return float(value)
     if not isinstance(value, str):

@@ -29,6 +29,8 @@ _NOISE = 1.5
 """Grey values of noise at 0 dB."""
 _NOISES = 8
 """Images of noise that follow each other: making a new one for each image takes longer than the image."""
+_MOST_PIXELS = 5_000_000
+"""Its images of noise take 160 MB with so many. Half of them are a usual camera's, twice as many take twice the memory."""
 _GROWS = 0.5
 """Grey value of the dark wall at 4 ms."""
 
@@ -60,6 +62,8 @@ class SimulatedCamera(LiveCamera):
         super().__init__(name, address)
         query = Query(address)
         self._size = size_of(query.text("size", "640x480"))
+        if self._size[0] * self._size[1] > _MOST_PIXELS:
+            raise AsterismError(f"{address}: give a size of at most {_MOST_PIXELS / 1e6:.0f} million pixels.")
         count, seed, self._radius = query.whole("dots", 12), query.whole("seed", 0), query.number("radius", 4.0)
         self._faults = SimulatedFaults(
             query.number("lost", 0.0),

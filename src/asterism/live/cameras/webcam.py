@@ -27,6 +27,11 @@ NETWORK = ("http", "https", "rtsp")
 _PATIENCE = 2
 """s that a driver waits for an image until the camera counts as gone, where OpenCV waits ten. The longest exposure of a webcam is a second:
 half of it would lose such a camera, with twice as much a cable that was out for a moment costs four seconds."""
+_FAILING = 0.5
+"""s of nothing but failures after which a camera is gone; one image that is damaged is passed over.
+
+Half of it reopens a camera for a burst of errors on the bus; with twice as much it is missing for a second longer.
+"""
 _STALE = 1.0
 """s by which a kernel's stamp may be older than the image's arrival and still be of this machine's clock; never newer. Four buffers at 5
 images/s wait for 0.8 s. Half of it doubts a slow camera's clock; twice as much believes one that began a second after this machine's."""
@@ -48,8 +53,11 @@ class OpenCvCamera(LiveCamera):
 
     def __init__(self, name: str, address: str) -> None:
         super().__init__(name, address)
+        # FFmpeg's own lines say of each damaged image what is counted and told here.
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
         import cv2
 
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
         if sys.platform.startswith("linux"):
             os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", str(_PATIENCE))
         scheme, _, where = address.partition("://")
@@ -69,6 +77,7 @@ class OpenCvCamera(LiveCamera):
             capture.release()
             raise AsterismError(f"{address}: {self._why_not()}")
         self._capture = capture
+        self._model, self._serial = ("", "") if self._in_network else webcam_model(self._device)
         self._numbers = NumbersByTime(self._said_rate())
         self._images: deque[LiveImage] = deque(maxlen=BUFFERS)
         self._there = threading.Condition()
@@ -83,9 +92,8 @@ class OpenCvCamera(LiveCamera):
         import cv2
 
         width, height = (int(self._ask(what)) for what in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-        model, serial = ("", "") if self._in_network else webcam_model(self._device)
         size = (max(0, width), max(0, height))
-        return CameraAbout(self.name, self.address, model, serial, size, self._said_rate(), self._clock)
+        return CameraAbout(self.name, self.address, self._model, self._serial, size, self._said_rate(), self._clock)
 
     @property
     def own_settings(self) -> tuple[str, ...]:
@@ -176,6 +184,7 @@ class OpenCvCamera(LiveCamera):
 
     def _fetch(self) -> None:
         """The thread that fetches images as they come."""
+        failing = math.inf
         while self._running:
             # The lock alone would be taken again before who waits for it wakes.
             while self._setting.is_set():
@@ -186,10 +195,16 @@ class OpenCvCamera(LiveCamera):
                 stamp = self._kernel_time(arrived) if there else math.nan
                 there, image = self._capture.retrieve() if there else (False, None)
             if not there or image is None:
-                with self._there:
-                    self._gone = self._running
-                    self._there.notify_all()
-                break
+                failing = min(failing, arrived)
+                if time.monotonic() - failing > _FAILING:
+                    with self._there:
+                        self._gone = self._running
+                        self._there.notify_all()
+                    break
+                time.sleep(_YIELD)
+                continue
+            if failing < math.inf:
+                self.damaged, failing = self.damaged + 1, math.inf
             self._clock = "arrival" if math.isnan(stamp) else "system"
             when = arrived if math.isnan(stamp) else stamp
             found = _grey_or_colour(np.asarray(image))

@@ -58,12 +58,19 @@ class WorkerSettings:
     empty      s during which nobody is in view: see `RunningDetection`
     pictures   newest images per second and camera that are shown, 0 for none: each costs as much as the blobs of two images
     sizes      (width, height) px of cameras by name: other images are not used, since the rig is not theirs
+    in_order   "number" or "time" where the images of all cameras are searched in the order of these, as of videos that wait: the same blobs
+               come in the same order, however fast each is read; "" for as they come
     """
 
     blobs: BlobSettings = field(default_factory=BlobSettings)
     empty: float = 0.0
     pictures: float = 0.0
     sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    in_order: str = ""
+
+    def rank(self, image: LiveImage | LiveBlobs) -> float:
+        """What decides which image is searched first."""
+        return image.number if self.in_order == "number" else image.time if self.in_order else image.arrived
 
 
 @dataclass
@@ -90,6 +97,18 @@ class SearchCounts:
     problem: str = ""
 
 
+@dataclass(frozen=True)
+class SettingOrder:
+    """What is to be set on cameras while they run.
+
+    names  of the cameras
+    """
+
+    setting: str
+    value: SettingValue
+    names: tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class WorkerReady:
     """The process has compiled what it needs, and waits until all have."""
@@ -103,6 +122,7 @@ class CameraReport:
     search    what is counted of the search
     rate      images per second that it says, NaN where it does not
     outcomes  what became of its settings
+    said      what it says of itself and of its settings
     problem   why it is not open, "" where it is
     ended     whether it was a file that was played to its end
     picture   its newest image, where that is shown and due
@@ -113,6 +133,7 @@ class CameraReport:
     search: SearchCounts
     rate: float
     outcomes: tuple[SettingOutcome, ...]
+    said: dict[str, SettingValue]
     problem: str
     ended: bool
     picture: NDArray[Any] | None
@@ -129,6 +150,8 @@ class _CameraReader:
         self.rate = float("nan")
         self.threshold: SettingValue | None = None
         self.outcomes: tuple[SettingOutcome, ...] = ()
+        self.said: dict[str, SettingValue] = {}
+        self.orders: deque[SettingOrder] = deque()
         self.problem, self.ended = "", False
         self._stop, self._at = stop, at
 
@@ -160,9 +183,11 @@ class _CameraReader:
 
     def _read(self, camera: LiveCamera) -> None:
         watch, due = CameraWatch(camera), 0.0
-        self.threshold, self.outcomes = camera.get("threshold"), camera.outcomes
+        self.threshold, self.outcomes, self.said = camera.get("threshold"), camera.outcomes, camera.said()
         try:
             while not self._stop.is_set():
+                while self.orders:
+                    self._set(camera, self.orders.popleft())
                 image = camera.read(_TIMEOUT)
                 if image is not None:
                     watch.blobs(self.blobs)
@@ -173,6 +198,15 @@ class _CameraReader:
                     self.rate, self.problem, self.health, due = camera.rate, "", watch.health(), now + _TELL
         finally:
             self.health = watch.health()
+
+    def _set(self, camera: LiveCamera, order: SettingOrder) -> None:
+        """Set what was asked for while the camera runs; it is told with the next report."""
+        try:
+            outcome = camera.set(order.setting, order.value)
+        except AsterismError as problem:
+            outcome = SettingOutcome(camera.name, order.setting, order.value, None, str(problem))
+        self.outcomes = (*(other for other in self.outcomes if other.setting != order.setting), outcome)
+        self.threshold, self.said = camera.get("threshold"), camera.said()
 
     def _keep(self, image: LiveImage, waits: bool) -> None:
         with self.wake:
@@ -200,6 +234,7 @@ class _CameraSearch:
     def __init__(self, reader: _CameraReader, settings: WorkerSettings, out: Connection[Any, Any]) -> None:
         self._reader, self._settings, self._out = reader, settings, out
         self._detection: RunningDetection | None = None
+        self._threshold: SettingValue | None = None
         self._counts = SearchCounts()
         self._due = self._picture_due = self._spent = self._longest = 0.0
         self._searches = 0
@@ -207,9 +242,10 @@ class _CameraSearch:
     def search(self, image: LiveImage) -> None:
         """Send the blobs of an image; and what is counted, where that is due."""
         begin = time.perf_counter()
-        if self._detection is None:
+        own = self._reader.threshold
+        if self._detection is None or own != self._threshold:
             # A camera's own threshold is a number, "auto", or None for that of all.
-            own, blobs = self._reader.threshold, self._settings.blobs
+            self._threshold, blobs = own, self._settings.blobs
             blobs = blobs if own is None else replace(blobs, threshold=own if isinstance(own, float) else None)
             self._detection = RunningDetection(blobs, self._settings.empty)
         counts, (height, width) = self._counts, image.image.shape[:2]
@@ -251,7 +287,9 @@ class _CameraSearch:
         self._spent, self._longest, self._searches = 0.0, 0.0, 0
         picture = None if image is None else image.image
         name, ended = reader.place.name, reader.ended
-        report = CameraReport(name, reader.health, replace(counts), reader.rate, reader.outcomes, reader.problem, ended, picture)
+        report = CameraReport(
+            name, reader.health, replace(counts), reader.rate, reader.outcomes, reader.said, reader.problem, ended, picture
+        )
         self._out.send(report)
 
 
@@ -272,8 +310,8 @@ def work(places: Sequence[CameraPlace], settings: WorkerSettings, out: Connectio
     with suppress(OSError, EOFError):
         out.send(WorkerReady())
         at = orders.recv()
-        threading.Thread(target=_until_closed, args=(orders, stop, wake), name="orders", daemon=True).start()
         readers = [_CameraReader(place, wake, stop, at) for place in places]
+        threading.Thread(target=_obey, args=(orders, readers, stop, wake), name="orders", daemon=True).start()
         for reader in readers:
             threads.append(threading.Thread(target=reader.run, name=f"camera {reader.place.name}", daemon=True))
             threads[-1].start()
@@ -292,8 +330,10 @@ def _search(readers: Sequence[_CameraReader], settings: WorkerSettings, out: Con
         image, oldest = None, None
         with wake:
             waiting = [reader for reader in readers if reader.images]
-            if waiting:
-                oldest = min(waiting, key=lambda reader: reader.images[0].arrived)
+            if settings.in_order and not all(reader.images or reader.ended for reader in readers):
+                wake.wait(_TIMEOUT)
+            elif waiting:
+                oldest = min(waiting, key=lambda reader: settings.rank(reader.images[0]))
                 image = oldest.next()
                 wake.notify_all()
             elif all(reader.ended for reader in readers):
@@ -309,10 +349,14 @@ def _search(readers: Sequence[_CameraReader], settings: WorkerSettings, out: Con
         search.finish()
 
 
-def _until_closed(orders: Connection[Any, Any], stop: threading.Event, wake: threading.Condition) -> None:
-    """Wait until the parent closes its end or dies; then see to it that this process ends."""
+def _obey(orders: Connection[Any, Any], readers: Sequence[_CameraReader], stop: threading.Event, wake: threading.Condition) -> None:
+    """Pass settings on until the parent closes its end or dies; then see to it that this process ends."""
     with suppress(OSError, EOFError):
-        orders.recv()
+        while True:
+            order = orders.recv()
+            for reader in readers:
+                if isinstance(order, SettingOrder) and reader.place.name in order.names:
+                    reader.orders.append(order)
     stop.set()
     with wake:
         wake.notify_all()

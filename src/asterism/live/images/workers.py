@@ -14,6 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,9 +24,10 @@ from asterism.detection.running import MOST_BLOBS
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.camera_frames import LiveBlobs
-from asterism.live.cameras import CameraHealth, camera_findings
+from asterism.live.cameras import CameraHealth, CameraSpec, SettingOutcome, SettingValue, camera_findings, save_cameras
+from asterism.live.cameras.settings import setting_value
 from asterism.live.frames import SourceEnded
-from asterism.live.images.worker import CameraPlace, CameraReport, SearchCounts, WorkerReady, WorkerSettings, work
+from asterism.live.images.worker import CameraPlace, CameraReport, SearchCounts, SettingOrder, WorkerReady, WorkerSettings, work
 
 _SLICE = 0.1
 """s after which a reader looks whether it shall stop."""
@@ -42,6 +44,9 @@ _HANGS = 10.0
 at double the cameras are blind for as long again."""
 _ENDING = 3.0
 """s in which a process ends by itself: its camera's driver closes in one."""
+_AHEAD = 100
+"""Images by which a process that reads videos may be ahead of another. Half of them stop it at each pause of the system; twice as many hold
+twice the memory."""
 _WAITING = 1000
 """Images' blobs that are kept while the cameras open: four seconds of four webcams. More would be old when they are used."""
 
@@ -58,6 +63,8 @@ class _CameraProcess:
     heard: float
     ready: bool = False
     dead: bool = False
+    pending: deque[LiveBlobs] = field(default_factory=deque)
+    """What waits for the blobs of others that come before."""
 
     @classmethod
     def begin(cls, places: Sequence[CameraPlace], settings: WorkerSettings) -> _CameraProcess:
@@ -91,7 +98,7 @@ class _CameraProcess:
 
 
 @dataclass
-class _CameraState:
+class _CameraProgress:
     """What was reported of a camera by the process that reads it, and what by those before it, which died."""
 
     report: CameraReport | None = None
@@ -120,6 +127,7 @@ class CameraWorkers:
     places    the cameras, such as `CameraSpec`s; names must differ
     settings  how their images are searched
     workers   processes; None: as many as there are cores, at most one for each camera
+    numbered_together  whether equal numbers are one exposure of all cameras, as of videos that were taken together
 
     What crosses a pipe is blobs, not images. A process that cannot keep up searches the newest image of each camera, and counts the others
     as dropped. One that dies or hangs is begun anew, and counted; a camera that is gone is opened again each second. All processes end with
@@ -127,16 +135,22 @@ class CameraWorkers:
     Raises AsterismError where a camera cannot be opened in the first place.
     """
 
-    numbered_together = False
-
-    def __init__(self, places: Sequence[CameraPlace], settings: WorkerSettings | None = None, *, workers: int | None = None) -> None:
+    def __init__(
+        self,
+        places: Sequence[CameraPlace],
+        settings: WorkerSettings | None = None,
+        *,
+        workers: int | None = None,
+        numbered_together: bool = False,
+    ) -> None:
+        self.numbered_together = numbered_together
         self.cameras = tuple(place.name for place in places)
         if not self.cameras or len(set(self.cameras)) < len(self.cameras):
             raise AsterismError(f"cameras are named {', '.join(self.cameras) or '(none)'}; give each camera another name.")
         self._settings = WorkerSettings() if settings is None else settings
         self._settings.blobs.check()
-        self._states = {name: _CameraState() for name in self.cameras}
-        self._waiting: deque[LiveBlobs] = deque(maxlen=_WAITING)
+        self._states = {name: _CameraProgress() for name in self.cameras}
+        self._waiting: deque[LiveBlobs] = deque(maxlen=None if self._settings.in_order else _WAITING)
         self._at: float | None = None
         self._closed, self._reading = threading.Event(), threading.Lock()
         self._last_read = time.monotonic()
@@ -167,6 +181,11 @@ class CameraWorkers:
         """Images of all cameras that could not be read."""
         refused = sum(counts.refused for counts in self.searches().values())
         return refused + sum(health.damaged for health in self.healths())
+
+    @property
+    def begins(self) -> float:
+        """s on `time.monotonic` when files begin to play: see `LiveCamera.start`."""
+        return math.nan if self._at is None else self._at
 
     @property
     def processes(self) -> tuple[int | None, ...]:
@@ -212,10 +231,38 @@ class CameraWorkers:
             for worker in workers:
                 worker.end(max(0.0, until - time.monotonic()))
 
+    def set(self, setting: str, value: object, only: Sequence[str] = ()) -> None:
+        """Set cameras while they run, all or only some; `outcomes` tells what became of it when they have answered.
+
+        A process that is begun anew sets it again. Raises AsterismError where there is no such setting, value or camera.
+        """
+        asked, names = setting_value(setting, value), tuple(only) or self.cameras
+        if not frozenset(names) <= frozenset(self.cameras):
+            raise AsterismError(
+                f"there is no camera {next(name for name in names if name not in self.cameras)}, only {', '.join(self.cameras)}."
+            )
+        with self._reading:
+            for worker in self._workers:
+                worker.places = tuple(_with(place, setting, asked) if place.name in names else place for place in worker.places)
+                # One that has just died is begun anew with it.
+                with suppress(OSError):
+                    worker.orders.send(SettingOrder(setting, asked, names))
+
+    def outcomes(self) -> list[SettingOutcome]:
+        """What became of the settings of all cameras."""
+        return [outcome for state in self._states.values() if state.report is not None for outcome in state.report.outcomes]
+
+    def save(self, path: Path) -> None:
+        """Write the cameras beside a recording: what was to be set on each, and what it said that it had. See `load_cameras`."""
+        places = {place.name: place for worker in self._workers for place in worker.places if isinstance(place, CameraSpec)}
+        said = {name: state.report.said for name, state in self._states.items() if state.report is not None}
+        save_cameras(path, [places[name] for name in self.cameras if name in places], said)
+
     def findings(self) -> list[Finding]:
         """What went wrong with cameras and processes, and how often."""
-        outcomes = [outcome for state in self._states.values() if state.report is not None for outcome in state.report.outcomes]
-        found = list(camera_findings(self.healths(), outcomes))
+        # A camera that has just been opened is not silent yet.
+        has_begun = self._at is not None and time.monotonic() > self._at + _LEAD
+        found = list(camera_findings(self.healths() if has_begun or self._closed.is_set() else (), self.outcomes()))
         for name, state in self._states.items():
             found += _search_findings(name, _search(state), state)
         return found
@@ -249,18 +296,24 @@ class CameraWorkers:
             # Nobody listened: what they said waits in the pipes.
             for worker in self._workers:
                 worker.heard = now
-        pipes = {worker.pipe: worker for worker in self._workers if not worker.dead}
+        pipes = {worker.pipe: worker for worker in self._workers if not worker.dead and len(worker.pending) < _AHEAD}
         for pipe in wait(list(pipes), timeout) if pipes else ():
             worker = pipes[pipe]  # type: ignore[index]
             try:
                 # What is there already is taken at once: each wait costs more than a message.
                 while True:
                     self._told(worker, worker.pipe.recv())
-                    if not worker.pipe.poll():
+                    if len(worker.pending) >= _AHEAD or not worker.pipe.poll():
                         break
             except (EOFError, OSError):
                 self._died(worker)
         self._last_read = now = time.monotonic()
+        # Of videos the next is that of the least number or time, which is known when all processes have sent one.
+        while (first := [worker for worker in self._workers if worker.pending]) and all(
+            worker.pending or worker.dead for worker in self._workers
+        ):
+            worker = min(first, key=lambda worker: self._settings.rank(worker.pending[0]))
+            self._waiting.append(worker.pending.popleft())
         for place, worker in enumerate(self._workers):
             if not worker.dead and worker.ready and now - worker.heard > _HANGS:
                 worker.process.kill()
@@ -275,7 +328,7 @@ class CameraWorkers:
     def _told(self, worker: _CameraProcess, message: object) -> None:
         worker.heard = time.monotonic()
         if isinstance(message, LiveBlobs):
-            self._waiting.append(message)
+            (worker.pending if self._settings.in_order else self._waiting).append(message)
         elif isinstance(message, CameraReport):
             state = self._states[message.camera]
             state.report, state.problem = message, ""
@@ -288,6 +341,9 @@ class CameraWorkers:
     def _died(self, worker: _CameraProcess) -> None:
         worker.dead = True
         worker.end(0.5)
+        if self._settings.in_order and not self._has_ended(worker) and self._at is not None:
+            # From its beginning a video would come again.
+            raise AsterismError(f"the process that plays {_listed(worker.places)} ended {_how(worker.process)}; play it again.")
         for place in worker.places:
             state = self._states[place.name]
             if self._at is not None and not state.has_ended:
@@ -297,6 +353,11 @@ class CameraWorkers:
 
     def _has_ended(self, worker: _CameraProcess) -> bool:
         return worker.dead and all(self._states[place.name].has_ended for place in worker.places)
+
+
+def _with(place: CameraPlace, setting: str, value: SettingValue) -> CameraPlace:
+    """A camera with a setting over its own."""
+    return replace(place, settings={**place.settings, setting: value}) if isinstance(place, CameraSpec) else place
 
 
 def _cores() -> int:
@@ -322,20 +383,22 @@ def _how(process: BaseProcess) -> str:
     return f"by signal {-code}"
 
 
-def _health(state: _CameraState) -> CameraHealth | None:
+def _health(state: _CameraProgress) -> CameraHealth | None:
     """How a camera does, what was counted before its process died added."""
     now, before = None if state.report is None else state.report.health, state.health
     if now is None:
         return before if before is None else replace(before, problem=state.problem or before.problem)
     dropped = 0 if state.report is None else state.report.search.dropped
     now = replace(now, dropped=now.dropped + dropped, problem=state.problem or now.problem)
+    if state.has_ended:
+        now = replace(now, last_seen=0.0, problem="")
     if before is None:
         return now
     counts = {name: getattr(before, name) + getattr(now, name) for name in ("images", "lost", "late", "dropped", "damaged", "reopened")}
     return replace(now, **counts, seconds={trouble: before.seconds[trouble] + spent for trouble, spent in now.seconds.items()})
 
 
-def _search(state: _CameraState) -> SearchCounts:
+def _search(state: _CameraProgress) -> SearchCounts:
     """What is counted of the search, what was counted before the process died added."""
     if state.report is None:
         return state.search
@@ -343,7 +406,7 @@ def _search(state: _CameraState) -> SearchCounts:
     return replace(now, **{name: getattr(before, name) + getattr(now, name) for name in ("searched", "dropped", "refused", "crowded")})
 
 
-def _search_findings(name: str, counts: SearchCounts, state: _CameraState) -> list[Finding]:
+def _search_findings(name: str, counts: SearchCounts, state: _CameraProgress) -> list[Finding]:
     found = list[Finding]()
     if state.restarts:
         times = "once" if state.restarts == 1 else f"{state.restarts} times"

@@ -9,6 +9,7 @@
   const ASLEEP = 2000;   // ms without a word, of which there are two a second: the page slept, and its clock may have stopped
   const PINGS = 8;       // of which the fastest says what the server's clock shows
   const LOG = 1024;      // sounds whose times are kept
+  const WAITING = 2;     // pictures that wait to be drawn: one that comes early is not lost to the next, and none is older than that
 
   // The palette is asked for once a theme: the browser is slow to tell.
   const palette = new Map();
@@ -40,7 +41,7 @@
     constructor() {
       Object.assign(this, { camera: new Asterism.Camera(), up: [0, 0, 1], body: null, newest: null, latencies: [], sounds: new Asterism.Sounds(), drawn: 0 });
       Object.assign(this, { clock: new ServerClock(), curves: new Asterism.Curves(colour), rules: [], heard: Date.now(), log: [], sounded: [], opened: false });
-      Object.assign(this, { drawnAt: [], behind: 0, missed: 0 });
+      Object.assign(this, { drawnAt: [], waiting: [], behind: 0, missed: 0 });
       this.camera.yaw = 0.8;
       this.token = new URLSearchParams(location.search).get("token") || "";
       this.listen();
@@ -146,6 +147,8 @@
       this.ended = false;
       $("tablet").hidden = !news.address;
       $("address").textContent = news.address;
+      $("code").hidden = !news.code;
+      if (news.code) $("code").src = news.code;
       if ($("sound").checked) this.sounds.start($("volume").value / 100);
     }
 
@@ -165,8 +168,8 @@
 
     picture(news) {
       this.say({ seen: news.picture });
-      this.newest = news;
-      this.changed = true;
+      this.waiting.push(news);
+      if (this.waiting.length > WAITING) this.waiting.shift();
       this.latencies.push(news.latency);
       if (this.latencies.length > SHOWN) this.latencies.shift();
       if (this.clock.isKnown) this.behind += 0.05 * (this.clock.at(performance.now()) - news.at - this.behind);
@@ -196,7 +199,7 @@
 
     healthIs(health) {
       this.ended = Boolean(health.ended);
-      const ended = health.problem || (health.ended ? "ended" : health.silent ? "no frames come" : "");
+      const ended = health.problem || (health.ended ? "ended" : health.silent || !health.frames ? "no frames come" : "");
       this.state(ended || `${Math.round(health.rate)} frames/s`, Boolean(ended));
       if (ended) this.sounds.stop();
       const last = this.sounded.length ? this.sounded[this.sounded.length - 1] : this.lastSounded, ms = value => value === null || value === undefined ? "–" : `${value.toFixed(1)} ms`;
@@ -239,7 +242,9 @@
     }
 
     draw() {
-      if (!this.newest || !this.changed) return;
+      const next = this.waiting.shift();
+      if (next) this.newest = next;
+      if (!this.newest || !(next || this.changed)) return;
       this.changed = false;
       this.drawn++;
       this.drawnAt.push(performance.now());

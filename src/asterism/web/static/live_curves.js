@@ -55,7 +55,8 @@
         const [label, box] = [document.createElement("label"), document.createElement("input")];
         Object.assign(box, { type: "checkbox", checked: this.names.includes(name) });
         box.addEventListener("change", () => {
-          this.chosen = [...this.names.filter(other => other !== name), ...(box.checked ? [name] : [])];
+          // What was chosen and is not known now, such as angles before a person was seen, stays chosen.
+          this.chosen = [...(this.chosen || this.names).filter(other => other !== name), ...(box.checked ? [name] : [])];
           try { localStorage.setItem(KEPT, JSON.stringify(this.chosen)); } catch { /* a private window keeps nothing */ }
           this.lay();
         });
