@@ -15,7 +15,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.gait.events import OFF, STRIKE, EventRules, events_by_markers
-from asterism.gait.feet import SIDES, FootColumns, feet_of, foot_columns, markers_of_feet
+from asterism.gait.feet import SIDES, TURNING, FootColumns, feet_of, foot_columns, markers_of_feet
 from asterism.live._step_kernels import followed
 from asterism.live.analysis import LiveEvent
 from asterism.recording import Floats, Recording
@@ -33,6 +33,8 @@ class LiveEventRules:
     jerk         m2/s5, how fast accelerations of a foot change
     jump         m: a point that is farther than this from where it was expected, beside three standard deviations, is another marker's
     jumped       s of such after which the point is where it is seen now
+    exchanged    s at most for which left and right foot are given back each other's places, where each is where the other one goes
+    bends        m/s2 by which a foot's speed may change meanwhile: what a frame that comes late leaves open
     rough        s over which misses tell how far points are off, and times: a stream whose times jitter is as much less certain
     strike_later, off_later  s, from the turning of heel and toe to the event, before the person's own steps tell it
     fall         of the usual swing, and least_fall m, that a heel goes back after it turned, until it has struck; a toe comes forward
@@ -57,11 +59,13 @@ class LiveEventRules:
     jerk: float = 2000.0
     jump: float = 0.05
     jumped: float = 0.15
+    exchanged: float = 1.0
+    bends: float = 10.0
     rough: float = 1.0
     strike_later: float = 0.040
     off_later: float = -0.010
     fall: float = 0.04
-    least_fall: float = 0.01
+    least_fall: float = 0.005
     whole: float = 0.5
     off_soon: float = 0.03
     slow: float = 0.3
@@ -74,6 +78,10 @@ class LiveEventRules:
     pause: float = 0.3
     moved: float = 0.02
     moved_in: float = 0.3
+    lost: float = 0.02
+    latest: float = 0.5
+    fewest: int = 30
+    climbs: float = 0.01
     seen: int = 3
     upright: float = 0.5
     lower: float = 0.01
@@ -82,7 +90,7 @@ class LiveEventRules:
 
 
 class _CarriedPoint:
-    """A point of the body by its markers; while they are hidden, moved as the others of that part move."""
+    """A point of the body by its markers; while they are hidden or wrong, moved as the others of that part move."""
 
     def __init__(self, columns: list[int], others: list[int], rules: LiveEventRules) -> None:
         self._rules = rules
@@ -116,9 +124,9 @@ class _CarriedPoint:
 _ANY = (2.0**2, 20.0**2)
 """(m/s)2 and (m/s2)2, variances of speed and acceleration of a foot of which nothing is known: those of a walk. Three frames later
 nothing is left of them."""
-_LONGEST_EXCHANGED = 1.0
-"""s for which left and right are taken for exchanged after they came past each other within a frame: a labeller finds out sooner. At half,
-some events of an exchange are told; at double, a step or two are missed where it was the exchange that ended."""
+_FARTHEST_MISS, _ROUGHEST = 25.0, 1000.0
+"""Squares of standard deviations that one miss counts at most, and that all together are: 5 of them, and points that are 3 cm off. At half
+and double steps of a stream whose times jitter by 5 ms are told as well."""
 _MOST_KEPT = 4000
 """Frames of feet that are kept: 3 s at 1,000 Hz, 1 MB. At half, faster cameras judge fewer steps; at double the same."""
 _FASTER = 5.0
@@ -165,7 +173,7 @@ class _TurningCurve:
     @property
     def known(self) -> bool:
         """Whether the point is followed."""
-        return self._begun and self._cov[0, 0] < 0.02**2
+        return self._begun and self._cov[0, 0] < self._rules.lost**2
 
     def push(self, time: float, step: float, ahead: float, height: float, hidden: int) -> None:
         """Take a frame; ahead is NaN where the point is not known."""
@@ -202,15 +210,15 @@ class _TurningCurve:
         variance = (rules.noise * (1.0 + hidden)) ** 2 * max(self._rough, 1.0)
         miss = followed(self.state, self._cov, step, rules.jerk, np.array([ahead, height]), variance)
         if math.isfinite(ahead):
-            self._rough += min(step / rules.rough, 1.0) * (self._rough * min(miss * miss, 25.0) - self._rough)
-            self._rough = min(max(self._rough, 1.0), 1000.0)
+            self._rough += min(step / rules.rough, 1.0) * (self._rough * min(miss * miss, _FARTHEST_MISS) - self._rough)
+            self._rough = min(max(self._rough, 1.0), _ROUGHEST)
         now, speed = self.value, self.velocity
         if now < self.low:
             self.low = self.top = now
             self.top_time = time
         elif now > self.top:
             self.top, self.top_time = now, time
-        if before > 0.0 >= speed and now >= self.top - 0.002:
+        if before > 0.0 >= speed and now >= self.top - 2.0 * rules.noise:
             self.top_time = time - step * speed / (speed - before)
 
     def turns_within(self, soon: float, sure: float) -> bool:
@@ -323,14 +331,14 @@ class LiveEvents:
 
     def _begin(self) -> None:
         """A new stream."""
-        self._time = math.nan
+        self._time = self._began = math.nan
         self._ahead = np.full((2, 2), np.nan)
         # A clock that hardly goes on must not fill the memory.
         self._kept: deque[tuple[float, Floats]] = deque(maxlen=_MOST_KEPT)
         self._waiting: deque[_ToldStep] = deque()
         self._learned = -math.inf
         self._floor, self.leg_length, self._upright = math.nan, math.nan, 1.0
-        self._width, self._crossed = math.nan, math.inf
+        self._before, self._speeds, self._exchanged = np.full((2, 2, 3), np.nan), np.zeros((2, 2, 3)), 0.0
         self._pelvis.clear()
         for foot in self.feet.values():
             foot.clear()
@@ -372,7 +380,7 @@ class LiveEvents:
                 self._feet_of(None)
             # What was learned of the person's steps is kept.
             self._begin()
-            step = math.nan
+            self._began, step = time, math.nan
         self._time = time
         before = self._shown
         self._shown = before + (np.isfinite(points[:, 0]) & (before < self.rules.seen))
@@ -382,7 +390,7 @@ class LiveEvents:
                 self._columns = columns
                 self._feet_of(columns)
                 self._begin()
-                self._time, step = time, math.nan
+                self._time, self._began, step = time, time, math.nan
         if not self.feet:
             return []
         return self._frame(time, step, points)
@@ -409,7 +417,7 @@ class LiveEvents:
                 pointing += way
         self._heading(pointing, step)
         self._kept.append((time, row))
-        while self._kept[0][0] < time - sum(self.rules.behind) - self.rules.every - 0.5:
+        while self._kept[0][0] < time - sum(self.rules.behind) - self.rules.every - self.rules.latest:
             self._kept.popleft()
         if not math.isfinite(step):
             return []
@@ -417,8 +425,7 @@ class LiveEvents:
         found = list[LiveEvent]()
         ahead = 2.0 * self._ahead[0] - self._ahead[1]
         ahead = ahead / max(float(np.hypot(*ahead)), 1e-9)
-        if self._exchanged(row, ahead, step):
-            row[:4] = np.nan
+        self._put_right(row, step)
         for foot in self.feet.values():
             at = 0 if foot.side == "L" else 2
             foot.follow(row[at], step)
@@ -443,7 +450,7 @@ class LiveEvents:
         if not math.isfinite(self._ahead[0, 0]) or not math.isfinite(step):
             self._ahead[:] = unit
             return
-        share = 1.0 - math.exp(-step / 0.2)
+        share = 1.0 - math.exp(-step * 2.0 * math.pi * TURNING)
         self._ahead[0] += share * (unit - self._ahead[0])
         self._ahead[1] += share * (self._ahead[0] - self._ahead[1])
 
@@ -451,14 +458,14 @@ class LiveEvents:
         """Follow the floor and the height of the pelvis."""
         lowest = np.nanmin(row[[0, 2], 2]) if np.isfinite(row[[0, 2], 2]).any() else math.nan
         if math.isfinite(lowest):
-            self._floor = lowest if not math.isfinite(self._floor) else min(lowest, self._floor + 0.01 * step)
+            self._floor = lowest if not math.isfinite(self._floor) else min(lowest, self._floor + self.rules.climbs * step)
         if math.isfinite(row[4, 2]) and math.isfinite(self._floor):
             height = float(row[4, 2] - self._floor)
             limb = row[4] - row[[0, 2]]
             limb = limb[np.isfinite(limb[:, 0])].mean(axis=0) if np.isfinite(limb[:, 0]).any() else np.full(3, np.nan)
             if math.isfinite(limb[0]):
                 self._upright += min(step, 1.0) * (float(limb[2]) / max(float(np.linalg.norm(limb)), 1e-9) - self._upright)
-            self.leg_length = height if math.isnan(self.leg_length) else self.leg_length + min(2.0 * step, 1.0) * (height - self.leg_length)
+            self.leg_length = height if math.isnan(self.leg_length) else self.leg_length + min(step, 1.0) * (height - self.leg_length)
 
     def _goes_backwards(self, time: float, pelvis: Floats) -> bool:
         first = next((row[4] for at, row in self._kept if at >= time - self.rules.backwards_in and math.isfinite(row[4, 0])), None)
@@ -469,17 +476,27 @@ class LiveEvents:
         in_the_air = len(self._lifts) > 3 and float(np.median(self._lifts)) < -self.rules.lower
         return bool(way < -self.rules.backwards * self.leg_length) or in_the_air
 
-    def _exchanged(self, row: Floats, ahead: Floats, step: float) -> bool:
-        """Whether left and right foot have each other's names in this frame: they came past each other faster than feet move."""
-        across = row[0, :2] + row[1, :2] - row[2, :2] - row[3, :2]
-        width = 0.5 * float(across[1] * ahead[0] - across[0] * ahead[1])
-        if math.isnan(width):
-            return False
-        self._crossed += step
-        if abs(width - self._width) > self.rules.jump + _FASTER * step:
-            self._crossed = 0.0 if width < 0.0 else math.inf
-        self._width = width
-        return self._crossed < _LONGEST_EXCHANGED
+    def _put_right(self, row: Floats, step: float) -> None:
+        """Give left and right foot their own places again where a frame has each where the other one goes. Writes the row."""
+        feet, before = row[:4].reshape(2, 2, 3), self._before
+        expected = before + step * self._speeds
+        if not np.isfinite(feet).all() or not np.isfinite(expected).all():
+            self._before, self._speeds = feet.copy(), np.zeros_like(feet)
+            return
+        same, other = (float(np.linalg.norm((one - expected).mean(axis=1), axis=1).max()) for one in (feet, feet[::-1]))
+        if same - other > self.rules.jump + self.rules.bends * step**2:
+            self._exchanged += step
+            # Who is wrong for so long was right: then it is what came before that was exchanged.
+            if self._exchanged < self.rules.exchanged:
+                row[:4] = feet[::-1].reshape(4, 3)
+                feet = row[:4].reshape(2, 2, 3)
+            else:
+                for foot in self.feet.values():
+                    foot.clear()
+                before = feet
+        else:
+            self._exchanged = 0.0
+        self._before, self._speeds = feet.copy(), (feet - before) / step
 
     def _told(self, foot: _LiveFoot, kind: str, time: float) -> LiveEvent | None:
         rules, curve = self.rules, foot.curves[kind]
@@ -488,7 +505,7 @@ class LiveEvents:
         usual = foot.usual[kind]
         least = max(self.offline.least_step * usual, self.offline.least_swing * self.leg_length)
         # A stream that begins in mid-swing shows less of it before than after.
-        if max(curve.rise, curve.fall) < least or curve.rise < 0.001:
+        if max(curve.rise, curve.fall) < least or curve.rise < rules.noise:
             return None
         back = curve.fall >= max(rules.fall * usual, rules.least_fall)
         soon = curve.velocity < rules.slow * usual and curve.turns_within(rules.off_soon, rules.sure)
@@ -514,7 +531,10 @@ class LiveEvents:
         foot.last = (kind, at)
         foot.swung(kind, rise)
         self._waiting.append(_ToldStep(foot, kind, turned, at))
-        return LiveEvent(KINDS[kind], _SIDE[foot.side], at, time - at, foot.sd(kind))
+        # What turned before the first frame was not seen to turn, and what is long ago is not told as if it were now.
+        return (
+            None if at < self._began or time - at > rules.latest else LiveEvent(KINDS[kind], _SIDE[foot.side], at, time - at, foot.sd(kind))
+        )
 
     def _stood(self, foot: _LiveFoot, strike: float, off: float) -> None:
         """What a foot that stood says of the floor: the middle of a stance, in which neither heel nor toe turns."""
@@ -537,8 +557,11 @@ class LiveEvents:
         self._waiting = deque(told for told in self._waiting if told.time + self.rules.behind[1] > time)
         self._learned = time
         kept = [(at, row) for at, row in self._kept if at >= due[0].time - self.rules.behind[0]]
+        if len(kept) < self.rules.fewest:
+            return
         times = np.array([at for at, _ in kept])
-        rate = 1.0 / float(np.median(np.diff(times)))
+        # Frames that come in bursts must not make a grid as fine as their times are near.
+        rate = min(1.0 / float(np.median(np.diff(times))), 4.0 * len(kept) / (times[-1] - times[0]))
         rows = np.round((times - times[0]) * rate).astype(int)
         positions = np.full((rows[-1] + 1, 5, 3), np.nan)
         positions[rows] = [row for _, row in kept]
