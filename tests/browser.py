@@ -59,11 +59,17 @@ class Tab:
         self._folder = TemporaryDirectory(ignore_cleanup_errors=True)
         words = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--autoplay-policy=no-user-gesture-required"]
         words += ["--remote-debugging-port=0", f"--user-data-dir={self._folder.name}", f"--window-size={width},{height}", "about:blank"]
-        self._process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
-        assert self._process.stderr is not None
-        line = next(line for line in self._process.stderr if "DevTools listening on" in line)
-        tabs = json.load(urllib.request.urlopen(f"http://{line.split('ws://')[1].split('/')[0]}/json"))
-        target = next(tab for tab in tabs if tab["type"] == "page")
+        # Into a file: a pipe that nobody reads would stop the browser some day.
+        said = Path(self._folder.name) / "said.txt"
+        with said.open("w") as stderr:
+            self._process = subprocess.Popen(words, stderr=stderr)
+        until, target = time.monotonic() + 60.0, None
+        while target is None:
+            assert time.monotonic() < until and self._process.poll() is None, f"Chromium does not start: {said.read_text()[-2000:]}"
+            if (found := re.search(r"DevTools listening on ws://([^/]+)/", said.read_text())) is not None:
+                tabs = json.load(urllib.request.urlopen(f"http://{found[1]}/json"))
+                target = next((tab for tab in tabs if tab["type"] == "page"), None)
+            time.sleep(0.05)
         self._socket = connect(target["webSocketDebuggerUrl"], max_size=None).__enter__()
         self._count = 0
         self.resize(width, height)
@@ -76,22 +82,25 @@ class Tab:
         self._socket.__exit__(kind, problem, trace)
         self._process.kill()
         self._process.wait()
-        if self._process.stderr is not None:
-            self._process.stderr.close()
         self._folder.cleanup()
 
     def call(self, method: str, **given: Any) -> Any:
         """The answer of DevTools."""
-        self._count += 1
-        self._socket.send(json.dumps({"id": self._count, "method": method, "params": given}))
-        while (answer := json.loads(self._socket.recv())).get("id") != self._count:
-            pass
+        answer = self._answer(method, given)
         assert "error" not in answer, answer
         return answer["result"]
 
+    def _answer(self, method: str, given: dict[str, Any]) -> dict[str, Any]:
+        self._count += 1
+        self._socket.send(json.dumps({"id": self._count, "method": method, "params": given}))
+        while (answer := json.loads(self._socket.recv(timeout=600))).get("id") != self._count:
+            pass
+        return dict(answer)
+
     def value(self, code: str) -> Any:
-        """The value of a piece of script, of the promise that it gives, or None where it raises."""
-        return self.call("Runtime.evaluate", expression=code, awaitPromise=True, returnByValue=True)["result"].get("value")
+        """The value of a piece of script, of the promise that it gives, or None where it raises or another page is being opened."""
+        answer = self._answer("Runtime.evaluate", {"expression": code, "awaitPromise": True, "returnByValue": True})
+        return answer.get("result", {}).get("result", {}).get("value")
 
     def wait(self, code: str, seconds: float = 60.0) -> Any:
         """The value of a piece of script as soon as it is true."""

@@ -22,6 +22,7 @@ from models import trained
 import asterism
 from asterism import AsterismError
 from asterism.cli import main
+from asterism.labelling.live.stream import FrameLabels
 from asterism.live import (
     AnalysedFrame,
     FrameCount,
@@ -59,14 +60,16 @@ class Numbers:
         self.pushed: list[int] = []
         self.seconds, self.delay = seconds, delay
 
-    def push(self, points: object) -> asterism.labelling.live.stream.FrameLabels | None:
-        from asterism.labelling.live.stream import FrameLabels
-
+    def push(self, points: object) -> FrameLabels | None:
         time.sleep(self.seconds)
         self.pushed.append(len(np.asarray(points)))
         at = len(self.pushed) - 1 - self.delay
-        if at < 0:
-            return None
+        return None if at < 0 else self.labels(at)
+
+    def flush(self) -> list[FrameLabels]:
+        return [self.labels(at) for at in range(max(0, len(self.pushed) - self.delay), len(self.pushed))]
+
+    def labels(self, at: int) -> FrameLabels:
         count = self.pushed[at]
         return FrameLabels(at, np.array([0 if count > 0 else -1, 1 if count > 1 else -1]), np.array([0.99, 0.98]))
 
@@ -208,6 +211,7 @@ def test_lost_frames_are_empty_pushes_and_never_answers() -> None:
     assert [None if each is None else each.frame.number for each in found] == [None, None, None, None, 4]
     chain.push(frames([400])[0])
     assert len(labeller.pushed) == 8, "after a long silence the stream goes on at once"
+    assert [each.frame.number for each in chain.flush()] == [6, 400], "those that wait at the end have labels, too"
 
 
 @pytest.mark.parametrize("rate", [RATE, math.nan])
@@ -379,9 +383,9 @@ def test_played_frames_have_the_labels_of_the_stream(tmp_path: Path, walks: list
     path, kept = tmp_path / "walk.c3d", Kept()
     asterism.write(path, walks[5].frames(slice(60)))
     health = LiveSession(Replay(path, speed=1000.0), make_labeller(model, None, 5), [kept], 5, waits=True).run()
-    assert health.labelled == 55 and health.dropped == 0
+    assert health.labelled == 60 and health.dropped == 0 and health.jumps == 0
     clouds, stream = asterism.read(path).clouds(), model.stream(RATE, 5)
-    expected = [labels for points in clouds if (labels := stream.push(points)) is not None]
+    expected = [*[labels for points in clouds if (labels := stream.push(points)) is not None], *stream.flush()]
     for got, want in zip(kept.frames, expected, strict=True):
         assert got.frame.number == want.frame
         np.testing.assert_array_equal(got.indices, want.indices)
@@ -421,7 +425,10 @@ def test_a_source_that_sends_nothing_is_told(tmp_path: Path, capsys) -> None:
     assert main(["live"]) == 2 and "give one source" in capsys.readouterr().err
 
 
-def test_ctrl_c_ends_a_session_with_all_that_came(tmp_path: Path, walks: list[Recording], model: asterism.MarkerModel) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "SIGTERM"])
+def test_a_signal_ends_a_session_with_all_that_came(
+    tmp_path: Path, walks: list[Recording], model: asterism.MarkerModel, number: signal.Signals
+) -> None:
     asterism.write(tmp_path / "walk.c3d", walks[5].frames(slice(60)))
     model.save(tmp_path / "walkers.model")
     words = ["--replay", "walk.c3d", "--loop", "--model", "walkers.model", "--lines", "-o", "out.c3d", "--json", "out.json"]
@@ -434,7 +441,8 @@ def test_ctrl_c_ends_a_session_with_all_that_came(tmp_path: Path, walks: list[Re
         assert process.stdout is not None
         for line in process.stdout:
             if '"frame":70' in line:
-                process.send_signal(signal.SIGINT)
+                process.send_signal(number)
+                process.send_signal(number)
                 break
         process.communicate(timeout=60)
         assert process.returncode == 0

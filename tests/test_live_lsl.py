@@ -143,6 +143,27 @@ def test_a_stream_that_is_lost_is_found_again_and_never_another_one(name: str) -
     assert finding.code == "live-reconnected" and "1 times" in finding.sentence
 
 
+def test_a_sender_that_lost_its_power_is_left_for_the_one_that_took_its_place(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("asterism.live.lsl_source._SILENT", 0.05)
+    silent = outlet(name, points_of(["A"], "m"), identity="mine")
+    source = opened(f"lsl://{name}")
+    again = outlet(name, points_of(["A"], "m"), identity="mine")
+    # No goodbye came of the first one, and it does not answer who looks for it.
+    (found,) = (info for info in pylsl.resolve_byprop("name", name, 2, LONG) if info.uid() != source._stream.info.uid())  # type: ignore[union-attr]
+    monkeypatch.setattr(source, "_visible", lambda: [found])
+    limit = time.monotonic() + LONG
+    while not source.findings():
+        assert source.read(0.05) is None and time.monotonic() < limit
+    # opened anew within the next reads, after which samples come
+    came: list[LiveFrame] = []
+    while not came and time.monotonic() < limit:
+        again.push_sample([4.0, 5.0, 6.0])
+        came += [] if (read := source.read(0.05)) is None else [read]
+    source.close()
+    assert came[0].points.tolist() == [[4, 5, 6]] and "found again" in source.findings()[0].sentence
+    del silent
+
+
 def test_two_streams_of_one_name_are_told_apart_by_the_person(name: str) -> None:
     one, two = outlet(name, points_of(["A"], "m"), identity="one"), outlet(name, points_of(["A"], "m"), identity="two")
     belongs = outlet(name, [{"label": "speed"}] * 3, kind="Misc")
@@ -230,10 +251,20 @@ def test_a_clock_that_is_set_back_gives_no_gap_and_real_gaps_are_seen_through_ba
         said = [numbers.next(at, at) for at in stamps]
         assert np.all(np.diff(said) > 0)
         assert said[-1] + 1 - len(said) == pytest.approx((~kept).sum(), abs=0.2 * (~kept).sum() if noise > 0.05 else 4)
+        assert numbers.spread == pytest.approx(noise, abs=0.03) and numbers.late < 5
     # Stamps of a busy sender, four at a time, are no losses.
     numbers = SampleNumbers(100.0)
     said = [numbers.next(at, at) for at in np.repeat(np.arange(2000) * 0.04, 4)]
-    assert said[-1] + 1 - len(said) < 0.01 * len(said)
+    assert said[-1] + 1 - len(said) < 0.01 * len(said) and numbers.spread > 1
+    assert not numbers.is_off
+    # A sender that stops for a while and catches up stamps no gap that nothing explains.
+    numbers, free, stamps = SampleNumbers(200.0), 0.0, list[float]()
+    for due in np.arange(20_000) / 200:
+        free = max(due, free) + 0.0003 + (rng.exponential(0.05) if rng.random() < 0.01 else 0.0)
+        stamps.append(free)
+    said = [numbers.next(at, at) for at in stamps]
+    counted = said[-1] + 1 - len(said)
+    assert 0.6 * counted < numbers.late <= counted and not numbers.is_off
     # A sender that is slower than it says is told.
     numbers = SampleNumbers(100.0)
     said = [numbers.next(at, at) for at in np.arange(1000) / 60]

@@ -130,6 +130,10 @@ def test_a_marker_that_only_the_model_gives_is_no_point() -> None:
     frame = frames.frame(struct.pack("<HH", 7, len(data)) + data, 0.0)
     assert frame is not None and not frames.labelled
     np.testing.assert_allclose(frame.points, [places[0], places[1], places[4]], atol=1e-6)
+    # Nor where the older list tells it, too.
+    twice = frame_of_packet(packet((2, 11), 1, 1.0, SEEN, HIDDEN, [*OTHERS, *HIDDEN]), (2, 11), 0.0)
+    assert twice is not None
+    np.testing.assert_allclose(twice.points, [*SEEN, OTHERS[1]], atol=1e-6)
 
 
 @pytest.mark.parametrize(("told", "sent", "latency"), [((3, 0), (2, 10), True), ((2, 9), (4, 1), False), ((4, 2), (3, 1), False)])
@@ -232,6 +236,17 @@ def taken(source: LiveSource, count: int) -> list[LiveFrame]:
     return frames
 
 
+@pytest.fixture
+def stranger() -> Iterator[socket.socket]:
+    """Another machine, by address."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        try:
+            other.bind(("127.0.0.2", 0))
+        except OSError:
+            pytest.skip("this system has one loopback address only")
+        yield other
+
+
 @pytest.fixture(autouse=True)
 def _short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("asterism.live.natnet._ANSWER", 0.05)
@@ -253,15 +268,15 @@ def test_a_server_that_sends_to_each_client_is_greeted_and_read() -> None:
     assert source.read(0.05) is None
 
 
-def test_a_group_is_joined_on_the_network_that_leads_to_the_server_and_others_in_it_are_told() -> None:
+def test_a_group_is_joined_on_the_network_that_leads_to_the_server_and_others_in_it_are_told(stranger: socket.socket) -> None:
     server = Motive((3, 1), [])
     # Other processes of the tests have another port.
     server.group = ("239.255.42.97", 20_000 + os.getpid() % 20_000)
     source = open_source(f"natnet://127.0.0.1:{server.port}", 100.0)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-        for each, address in ((stranger, "127.0.0.2"), (sender, "127.0.0.1")):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.bind(("127.0.0.1", 0))
+        for each in (stranger, sender):
             each.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
-            each.bind((address, 0))
         for number in range(3):
             stranger.sendto(packet((3, 1), 90 + number, 0.0, OTHERS, [], []), server.group)
             sender.sendto(packet((3, 1), number, number / 100, SEEN, [], []), server.group)
@@ -273,6 +288,21 @@ def test_a_group_is_joined_on_the_network_that_leads_to_the_server_and_others_in
         assert [frame.number for frame in (first, *taken(source, 2))] == [0, 1, 2]
     codes = {finding.code for finding in source.findings()}  # type: ignore[attr-defined]
     assert "live-other-server" in codes
+    source.close()
+    server.socket.close()
+
+
+def test_a_server_that_answers_and_sends_by_two_interfaces_is_heard(monkeypatch: pytest.MonkeyPatch, stranger: socket.socket) -> None:
+    monkeypatch.setattr("asterism.live.natnet._SILENT", 0.0)
+    server = Motive((3, 1), [])
+    source = open_source(f"natnet://127.0.0.1:{server.port}", 100.0)
+    for number in range(3):
+        stranger.sendto(packet((3, 1), number, number / 100, SEEN, [], []), server.client)
+    assert [frame.number for frame in taken(source, 3)] == [0, 1, 2]
+    server.socket.sendto(packet((3, 1), 3, 0.03, SEEN, [], []), server.client)
+    assert [frame.number for frame in taken(source, 1)] == [3]
+    stranger.sendto(packet((3, 1), 4, 0.04, SEEN, [], []), server.client)
+    assert source.read(0.1) is None, "the server itself sends, too"
     source.close()
     server.socket.close()
 
@@ -293,25 +323,25 @@ def test_motive_is_asked_for_its_rate_unit_and_axis() -> None:
     server.socket.close()
 
 
-def test_a_motive_that_was_started_again_is_greeted_again_and_others_are_not_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_motive_that_was_started_again_is_greeted_again_and_others_are_not_heard(
+    monkeypatch: pytest.MonkeyPatch, stranger: socket.socket
+) -> None:
     monkeypatch.setattr("asterism.live.natnet._SILENT", 0.1)
     monkeypatch.setattr("asterism.live.natnet._ALIVE", 0.1)
     first = [packet((3, 0), n, n / 100, SEEN, [], []) for n in range(2)]
     second = [packet((4, 1), n, n / 100, SEEN, [], []) for n in range(3)]
     server = Motive((3, 0), [first])
     source = open_source(f"natnet://127.0.0.1:{server.port}", 100.0)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-        stranger.bind(("127.0.0.2", 0))
-        while server.client == ("", 0):
-            time.sleep(0.01)
-        stranger.sendto(packet((3, 0), 99, 0.99, OTHERS, [], []), server.client)
-        frames = taken(source, 2)
-        server.version, server.packets = (4, 1), [second]
-        frames += taken(source, 3)
-    # The stranger's frame came while the server was not silent.
-    assert [frame.number for frame in frames if frame.number != 99] == [0, 1, 0, 1, 2]
+    while server.client == ("", 0):
+        time.sleep(0.01)
+    stranger.sendto(packet((3, 0), 99, 0.99, OTHERS, [], []), server.client)
+    frames = taken(source, 2)
+    server.version, server.packets = (4, 1), [second]
+    frames += taken(source, 3)
+    assert [frame.number for frame in frames] == [0, 1, 0, 1, 2]
     codes = {finding.code for finding in source.findings()}  # type: ignore[attr-defined]
     assert "live-reconnected" in codes and "live-version" not in codes
+    assert source.others == 1  # type: ignore[attr-defined]
     source.close()
     server.socket.close()
 
@@ -325,6 +355,8 @@ def test_nobody_there_is_told_with_what_to_switch_on(monkeypatch: pytest.MonkeyP
     silent.close()
     with pytest.raises(AsterismError, match="cannot be reached"):
         open_source("natnet://no.such.host.invalid")
+    with pytest.raises(AsterismError, match=r"192.0.2.1 is no address of this machine"):
+        open_source("natnet://127.0.0.1?local=192.0.2.1")
 
 
 def captured(path: Path) -> Iterator[bytes]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import socket
 import struct
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -100,6 +102,41 @@ def test_the_public_client_reads_names_and_places(multicast: bool) -> None:
     suffix = frames[-1].suffix  # type: ignore[attr-defined]
     assert suffix.stamp_camera_mid_exposure <= suffix.stamp_data_received <= suffix.stamp_transmit
     assert [each.suffix.tracked_models_changed for each in frames[:2]] == [True, False]  # type: ignore[attr-defined]
+
+
+_OTHER_CLIENT = """
+import sys, motioncapture
+client = motioncapture.connect("optitrack", {"hostname": "127.0.0.1", "interface_ip": "127.0.0.1", "port_command": sys.argv[1]})
+for _ in range(20):
+    client.waitForNextFrame()
+print("20 frames", len(client.rigidBodies))
+"""
+
+
+def test_a_client_in_another_language_follows_the_group() -> None:
+    pytest.importorskip("motioncapture", reason="the package motioncapture is not installed")
+    output = open_output(f"natnet://127.0.0.1:0?multicast=239.255.42.97&data={20_000 + os.getpid() % 20_000}", ABOUT)
+    assert isinstance(output, ToNatNet)
+    # It holds the interpreter while it waits, so that it needs one of its own.
+    client = subprocess.Popen([sys.executable, "-c", _OTHER_CLIENT, str(output.port)], stdout=subprocess.PIPE, text=True)
+    number = 0
+
+    def ended() -> bool:
+        nonlocal number
+        number += 1
+        output.send(frame(number))
+        # Frames that came in vain: this machine passes no multicast on over its loopback address.
+        return client.poll() is not None or number > 5000
+
+    try:
+        until(ended)
+        if client.poll() is None:
+            pytest.skip("this machine passes no multicast on over its loopback address")
+        assert client.communicate(timeout=LONG)[0] == "20 frames 0\n"
+    finally:
+        client.kill()
+        client.communicate()
+        output.close()
 
 
 def test_our_own_source_reads_it_and_goodbye_ends_it(single: ToNatNet) -> None:

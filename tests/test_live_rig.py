@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
+import json
 import math
+import multiprocessing
+import socket
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from asterism import AsterismError
 from asterism.cameras import Camera, Rig
-from asterism.formats.csv_blobs import write_blobs
-from asterism.live import LiveFrame, RigSource, SourceEnded
-from asterism.live.blobs import ReplayBlobs
+from asterism.cameras.files import write_rig
+from asterism.cli import main
+from asterism.formats.csv_blobs import read_blobs, write_blobs
+from asterism.live import HostPort, LiveFrame, SourceEnded, recording_of
+from asterism.live.blobs import JsonBlobs, ReplayBlobs, RigProcess, RigSource, blobs_as_json, blobs_of_json
+from asterism.live.camera_frames import LiveBlobs
 from asterism.reconstruction import ReconstructionSettings, Reconstructor, reconstruct
 from asterism.recording import Blobs
 
@@ -172,3 +186,210 @@ def test_a_played_file_gives_points_where_the_markers_were(delays: np.ndarray | 
     if delays is not None:
         assert 0.004 < source.delay < 0.006, "the latest camera's image after the instant of the first one"
     assert source.findings() == [] or delays is not None
+
+
+def told(source: RigSource) -> set[str]:
+    return {finding.code for finding in source.findings()}
+
+
+class Played:
+    """A source of the images given, as fast as they are taken."""
+
+    damaged = 0
+    name = "given"
+
+    numbered_together = True
+
+    def __init__(self, images: Iterable[LiveBlobs], cameras: tuple[str, ...], rate: float = 10.0) -> None:
+        # A rate of a tenth, so that the cameras are judged after each hundred frames.
+        self.cameras, self.rate = cameras, rate
+        self._left = iter(images)
+
+    def read(self, timeout: float) -> LiveBlobs:
+        for image in self._left:
+            return image
+        raise SourceEnded
+
+    def close(self) -> None:
+        pass
+
+
+def images(
+    rig: Rig, frames: int, change: Callable[[int, int, np.ndarray], np.ndarray] | None = None, late: tuple[int, int] = (0, 0)
+) -> Iterator[LiveBlobs]:
+    """What the cameras see; change: of frame, camera and its blobs; late: a camera, and by how many frames its images are older."""
+    noise = [Noise(c) for c in range(len(rig))]
+    for t in range(frames):
+        for c, camera in enumerate(rig):
+            xy = noise[c].add(seen_by(camera, walking((t - (late[1] if c == late[0] else 0)) / RATE)))
+            xy = xy if change is None else change(t, c, xy)
+            yield LiveBlobs(camera.name, t, t / RATE, 50.0 + t / RATE, xy, np.full(len(xy), 5.0))
+
+
+def judged(rig: Rig, frames: int = 480, rate: float = 10.0, **more: Any) -> RigSource:
+    """A source after all its frames: judged after 24, 256, and each ten seconds more, by the last 256."""
+    source = RigSource(Played(images(rig, frames, **more), rig.names, rate), rig, ReconstructionSettings(noise=0.2), waits=True)
+    frames_of(source)
+    return source
+
+
+def test_a_camera_that_was_bumped_while_it_runs_is_named() -> None:
+    """3 px are 0.16 degrees. It is said when two judgements agree, so that one moment with few markers says nothing."""
+    source = judged(ring(5), 780, 26.0, change=lambda t, c, xy: xy + 3.0 * (c == 2 and t > 260))
+    found = [finding for finding in source.findings() if finding.code == "reconstruct-camera-misfit"]
+    assert [finding.where for finding in found] == ["c3"]
+    assert source.cameras()[2].seen < 0.1 and min(camera.seen for camera in source.cameras() if camera.name != "c3") > 0.9
+
+
+@pytest.mark.parametrize(
+    ("more", "code"),
+    [
+        ({"late": (1, 2)}, "reconstruct-out-of-step"),
+        ({"change": lambda t, c, xy: xy * [-1.0, 1.0] + [1280.0 * (c == 1), 0.0] if c == 1 else xy}, "reconstruct-camera-misfit"),
+    ],
+    ids=["two frames late", "mirrored"],
+)
+def test_a_camera_that_does_not_fit_is_named(more: dict[str, Any], code: str) -> None:
+    source = judged(ring(5), **more)
+    assert [finding.where for finding in source.findings() if finding.code == code] == ["c2"], source.findings()
+
+
+def test_cameras_that_the_rig_does_not_know_are_named() -> None:
+    rig = ring(4)
+    others = ("c1", "c2", "c3", "left")
+    renamed = (replace(image, camera=others[int(image.camera[1]) - 1]) for image in images(rig, 30))
+    source = RigSource(Played(renamed, others), rig, waits=True)
+    frames = frames_of(source)
+    assert len(frames) == 30 and len(frames[-1].points) == 12, "three cameras are enough"
+    found = {finding.code: finding.sentence for finding in source.findings()}
+    assert "left" in found["live-unknown-camera"] and "c4" in found["live-unknown-camera"]
+
+
+def test_two_cameras_are_enough_and_one_is_none() -> None:
+    rig = ring(6).select(("c1", "c3"))
+    frames = frames_of(RigSource(Played(images(rig, 40), rig.names), rig, waits=True))
+    assert np.median([np.median(misses(frame)) for frame in frames]) < 0.003
+    with pytest.raises(AsterismError, match="two calibrated cameras"):
+        RigSource(Played(images(rig, 1), rig.names), rig.select(("c1",)))
+
+
+def test_a_flood_of_blobs_leaves_the_markers_and_is_told() -> None:
+    rig, rng = ring(4), np.random.default_rng(0)
+
+    def flooded(t: int, c: int, xy: np.ndarray) -> np.ndarray:
+        return np.concatenate([rng.uniform(0, 1000, (1500, 2)), xy]) if t >= 20 and c < 2 else xy
+
+    source = RigSource(Played(images(rig, 30, change=flooded), rig.names), rig, ReconstructionSettings(noise=0.2), waits=True)
+    # As on a machine where 150 blobs of an image fill a frame.
+    for _ in range(100):
+        source.budget.spent(150, 0.8 / source.about.rate)
+    frames = frames_of(source)
+    assert len(frames) == 30
+    # A quarter of the flood's blobs are as large, and markers are where they were a frame before.
+    assert max(np.quantile(misses(frame), 0.75) for frame in frames[2:]) < 0.005
+    assert told(source) >= {"live-many-blobs"} and source.cut == 10 * 2 * (1512 - 150)
+
+
+PORTS = HostPort("127.0.0.1", 0)
+
+
+def test_datagrams_become_points_in_a_process_of_their_own_and_are_kept(tmp_path: Path) -> None:
+    rig = ring(4)
+    source = RigProcess(partial(JsonBlobs, PORTS, rig.names, RATE, numbered_together=True), rig, keep=tmp_path / "walk.blobs")
+    frames = list[LiveFrame]()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sent = list(images(rig, 60))
+        # A process that is busy loses none: each frame is waited for before the next is sent.
+        for t in range(60):
+            for image in sent[4 * t : 4 * t + 4]:
+                sender.sendto(blobs_as_json(image), ("127.0.0.1", source.port))
+            sender.sendto(b"nonsense", ("127.0.0.1", source.port))
+            until = time.monotonic() + 30
+            while len(frames) <= t and time.monotonic() < until:
+                frame = source.read(1.0)
+                frames += [] if frame is None else [frame]
+    source.close()
+    assert [frame.number for frame in frames] == list(range(60))
+    assert np.median([np.median(misses(frame)) for frame in frames]) < 0.002
+    assert source.damaged == 60 and [camera.received for camera in source.cameras()] == [60] * 4
+    assert not multiprocessing.active_children()
+    with pytest.raises(SourceEnded):
+        source.read(0.1)
+    # What was kept gives the same points off line, but for thousandths of a pixel of the datagrams and the noise that is told anew.
+    again = reconstruct(read_blobs(tmp_path / "walk.blobs", rig.names), rig)
+    assert len(again.clouds) == 60 and len(again.clouds[59]) == len(frames[59].points)
+    np.testing.assert_allclose(np.sort(again.clouds[59], axis=0), np.sort(frames[59].points, axis=0), atol=1e-5)
+    with pytest.raises(AsterismError, match="no live recording"):
+        recording_of(tmp_path / "walk.blobs")
+    assert len(read_blobs(tmp_path / "walk.blobs")) == 60, "asking whether it is something else clears nothing"
+
+
+def refused(*_: object) -> JsonBlobs:
+    raise AsterismError("the camera is in use.")
+
+
+def test_a_source_that_cannot_be_opened_says_why_and_leaves_no_process() -> None:
+    with pytest.raises(AsterismError, match="the camera is in use"):
+        RigProcess(refused, ring(3))
+    assert not multiprocessing.active_children()
+
+
+GOOD = b'{"camera":"c1","frame":3,"time":0.5,"blobs":[[10.5,20.25,6],[1,2],[NaN,3],[1e300,4],[5,6,-1]]}'
+
+
+def test_blobs_go_through_a_datagram() -> None:
+    read = blobs_of_json(GOOD, 2.0)
+    assert read is not None and (read.camera, read.number, read.time, read.arrived) == ("c1", 3, 0.5, 2.0)
+    assert read.xy.tolist() == [[10.5, 20.25], [1.0, 2.0], [5.0, 6.0]]
+    np.testing.assert_array_equal(read.sizes, [6.0, np.nan, np.nan])
+    again = blobs_of_json(blobs_as_json(read), 2.0)
+    assert again is None or again.xy.tolist() == read.xy.tolist()
+    bare = replace(read, sizes=np.full(3, np.nan), xy=read.xy)
+    assert blobs_of_json(blobs_as_json(bare), 2.0) is not None
+
+
+@settings(max_examples=300)
+@given(st.data())
+def test_damaged_blobs_give_an_image_or_none(data: st.DataObject) -> None:
+    damaged = bytearray(GOOD)
+    for _ in range(data.draw(st.integers(1, 6))):
+        at = data.draw(st.integers(0, max(0, len(damaged) - 1)))
+        damaged[at : at + data.draw(st.integers(0, 4))] = data.draw(st.binary(max_size=4))
+    read = blobs_of_json(bytes(damaged), 0.0)
+    assert read is None or (
+        np.isfinite(read.xy).all() and math.isfinite(read.time) and len(read.sizes) == len(read.xy) and read.xy.shape[1] == 2
+    )
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"[]", b"[" * 50_000, b'{"camera":"c","frame":1,"time":0}', b'{"camera":["c"],"frame":1,"time":0,"blobs":[]}',
+     b'{"camera":"c","frame":true,"time":0,"blobs":[]}', b'{"camera":"c","frame":1,"time":1e999,"blobs":[]}',
+     b'{"camera":"c","frame":1,"time":0,"blobs":[[1]]}', b'{"camera":"c","frame":1,"time":0,"blobs":[[1,2,3,4]]}',
+     b'{"camera":"c","frame":1,"time":0,"blobs":{"a":1}}', b'{"camera":"c","frame":1,"time":0,"blobs":["ab"]}',
+     b'{"camera":"c","frame":1,"time":0,"blobs":[[[1],[2]]]}',
+     b'{"camera":"c","frame":1,"time":0,"blobs":[' + b",".join([b"[1,2]"] * 2001) + b"]}"],
+)  # fmt: skip
+def test_what_are_no_blobs_is_none(data: bytes) -> None:
+    assert blobs_of_json(data, 0.0) is None
+
+
+def test_blobs_and_a_rig_are_labelled_in_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = ring(3)
+    write_rig(rig, tmp_path / "rig.toml")
+    write_blobs(recorded(rig, 30), tmp_path / "blobs.csv")
+    words = [
+        "live",
+        "--replay",
+        str(tmp_path / "blobs.csv"),
+        "--speed",
+        "1e5",
+        "--rig",
+        str(tmp_path / "rig.toml"),
+        "--markers",
+        "helen-hayes",
+    ]
+    assert main([*words, "--no-analysis", "--json", "-", "-o", str(tmp_path / "out.c3d")]) in (0, 1)
+    content = json.loads(capsys.readouterr().out)
+    assert content["labelled"] == 30 and [camera["received"] for camera in content["cameras"]] == [30] * 3
+    assert main([*words, str(tmp_path / "blobs.csv")]) == 2

@@ -14,8 +14,10 @@ import pytest
 from asterism import AsterismError
 from asterism.live import (
     AnalysedFrame,
+    FrameAnalysis,
     InOwnThread,
     LabelledFrame,
+    LiveEvent,
     LiveFrame,
     SourceAbout,
     frame_as_json,
@@ -171,12 +173,14 @@ def test_an_output_that_waits_for_ever_loses_frames_and_holds_nobody_back() -> N
     output = InOwnThread(stuck)
     output.send(analysed(0))
     assert begun.wait(LONG)
+    step = FrameAnalysis(events=(LiveEvent("heel strike", "left", 0.05, 0.01),))
     for number in range(1, 100):
-        output.send(analysed(number))
+        output.send(AnalysedFrame(analysed(number).labelled, step) if number == 5 else analysed(number))
     assert output.name == "stuck" and output.dropped == 67
     free.set()
     output.close()
-    assert stuck.got == [0, *range(68, 100), -1] and output.dropped == 67
+    assert stuck.got == [0, 5, *range(69, 100), -1], "an event is not lost"
+    assert output.dropped == 67
 
 
 def test_frames_go_from_one_session_to_another() -> None:

@@ -24,7 +24,7 @@ from asterism.live import (
     make_labeller,
 )
 from asterism.live.chain import MakeLabeller
-from asterism.recording import Clouds
+from asterism.recording import Clouds, Recording
 from asterism.web.live_page import ToPage, serve_live
 from asterism.web.serving import PageAddress
 from benchmarks.benchmark_run import BenchmarkRun
@@ -86,7 +86,7 @@ def tone(benchmark: BenchmarkRun) -> Iterator[Figure]:
     truth = next(iter(walks(subject, GAIT_BODY)))
     clouds = sample(truth, Condition(3, 3), 0).clouds
     count = 3000 if benchmark.quick else 22_000
-    rules = Feedback([FeedbackRule(name, "height", (name,), above=0.12, hysteresis=0.02, sound="beep") for name in FEET])
+    rules = Feedback([_passes(truth, name) for name in FEET])
     source = JsonDatagrams(HostPort("127.0.0.1", 0), RATE)
     with _shown(source, make_labeller(model, None, 0), rules) as (tab, session, page):
         tab.value("document.getElementById('sound').click()")
@@ -174,6 +174,12 @@ def _shown(source: LiveSource, make: MakeLabeller, rules: Feedback) -> Iterator[
         session.stop()
         running.join()
         stop()
+
+
+def _passes(truth: Recording, name: str) -> FeedbackRule:
+    """A beep as a marker passes the middle of its heights."""
+    heights = truth.positions[:, truth.labels.index(name), 2]
+    return FeedbackRule(name, "height", (name,), above=float(np.nanmin(heights) + np.nanmax(heights)) / 2, hysteresis=0.02, sound="beep")
 
 
 def _lines(clouds: Clouds, count: int, rate: float) -> list[bytes]:

@@ -25,32 +25,41 @@ ABOUT = SourceAbout("benchmark", RATE)
 
 
 def outputs(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """59 markers and 20 values at 200 Hz to each kind of output, somebody receiving: processor time a frame, here and in all threads."""
+    """59 markers and 20 values at 200 Hz to each kind of output, somebody receiving: processor time a frame, and how late it is.
+
+    Needs a quiet machine.
+    """
     # Of all that the library of LSL could use this machine only; it reads this as it is loaded.
     config = Path(tempfile.gettempdir()) / f"asterism-lsl-{os.getpid()}.cfg"
     config.write_text("[multicast]\nResolveScope = machine\n[lab]\nKnownPeers = {127.0.0.1}\n[log]\nlevel = -3\n")
     os.environ["LSLAPICFG"] = str(config)
-    count = 200 if benchmark.quick else 4000
+    count = 100 if benchmark.quick else 2000
     frames = [_frame(n) for n in range(count)]
     for name, address, receive in _receivers():
+        arrivals = list[float]()
         with ExitStack() as stack:
-            output = open_output(address(stack), ABOUT)
+            output = open_output(address(stack, arrivals), ABOUT)
             stack.callback(output.close)
             output.send(_frame(-1))
-            receive(output, stack)
-            begin, own = time.process_time(), 0.0
+            receive(output, stack, arrivals)
+            spent, own, sent = time.process_time(), 0.0, list[float]()
+            begin = time.monotonic() + 0.1
             for n, frame in enumerate(frames):
+                time.sleep(max(0.0, begin + n / RATE - time.monotonic()))
                 before = time.thread_time()
+                sent.append(time.monotonic())
                 output.send(frame)
                 own += time.thread_time() - before
-                # Faster than 200 Hz, and not so fast that a receiver cannot follow.
-                if n % 10 == 9:
-                    time.sleep(0.01)
-            spent = time.process_time() - begin
-            row = f"live out, {MARKERS} markers and {VALUES} values, {name}"
-            yield Figure(f"{row}: processor time a frame, in the thread that labels", "< 0.25", 1000 * own / count, "ms", count)
-            yield Figure(f"{row}: in all threads, with the receiver", "none", 1000 * spent / count, "ms", count)
-            yield Figure(f"{row}: frames left out", "none", int(getattr(output, "dropped", 0)), "frames", count)
+            time.sleep(0.1)
+            spent = time.process_time() - spent
+        # What came first after a frame was sent is its own: they are 5 ms apart.
+        came = np.searchsorted(arrivals, sent)
+        late = np.array([arrivals[at] - when for at, when in zip(came.tolist(), sent, strict=True) if at < len(arrivals)])
+        row = f"live out, {MARKERS} markers and {VALUES} values, {name}"
+        yield Figure(f"{row}: processor time a frame, in the thread that labels", "< 0.25", 1000 * own / count, "ms", count)
+        yield Figure(f"{row}: in all threads, with the receiver", "none", 1000 * spent / count, "ms", count)
+        yield Figure(f"{row}: sent to received, p99", "< 2", 1000 * float(np.quantile(late, 0.99)), "ms", len(late))
+        yield Figure(f"{row}: frames that did not come", "<= 0", count - len(late) + int(getattr(output, "dropped", 0)), "frames", count)
     config.unlink(missing_ok=True)
 
 
@@ -66,70 +75,76 @@ def _frame(n: int) -> AnalysedFrame:
     return AnalysedFrame(labelled, FrameAnalysis({f"left angle {value}": 10.0 + value for value in range(VALUES)}))
 
 
-Receiver = tuple[str, Callable[[ExitStack], str], Callable[[Any, ExitStack], None]]
+Receiver = tuple[str, Callable[[ExitStack, list[float]], str], Callable[[Any, ExitStack, list[float]], None]]
 
 
 def _receivers() -> list[Receiver]:
     """Name, address once a receiver is ready, and what receives once the output is open."""
     stream = f"benchmark {uuid.uuid4().hex[:8]}"
     return [
-        ("JSON over UDP", lambda stack: f"udp://127.0.0.1:{_udp(stack)}", lambda output, stack: None),
-        ("OSC", lambda stack: f"osc://127.0.0.1:{_udp(stack)}", lambda output, stack: None),
-        ("JSON over WebSocket", lambda stack: "ws-listen://127.0.0.1:0", _page),
-        ("LSL", lambda stack: f"lsl://{stream}", lambda output, stack: _inlet(stream, stack)),
-        ("NatNet", lambda stack: "natnet://127.0.0.1:0?unicast=1", _client),
+        ("JSON over UDP", lambda stack, arrivals: f"udp://127.0.0.1:{_udp(stack, arrivals)}", lambda *_: None),
+        ("OSC", lambda stack, arrivals: f"osc://127.0.0.1:{_udp(stack, arrivals)}", lambda *_: None),
+        ("JSON over WebSocket", lambda *_: "ws-listen://127.0.0.1:0", _page),
+        ("LSL", lambda *_: f"lsl://{stream}", lambda output, stack, arrivals: _inlet(stream, stack, arrivals)),
+        ("NatNet", lambda *_: "natnet://127.0.0.1:0?unicast=1", _client),
     ]
 
 
-def _drain(receiving: socket.socket, stack: ExitStack) -> None:
-    receiving.settimeout(0.1)
-    _thread(lambda: receiving.recv(65_536), stack)
-
-
-def _udp(stack: ExitStack) -> int:
+def _udp(stack: ExitStack, arrivals: list[float]) -> int:
     receiving = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
     receiving.bind(("127.0.0.1", 0))
-    _drain(receiving, stack)
+    receiving.settimeout(0.1)
+    _receive(lambda: receiving.recv(65_536), stack, arrivals)
     return int(receiving.getsockname()[1])
 
 
-def _page(output: Any, stack: ExitStack) -> None:
+def _page(output: Any, stack: ExitStack, arrivals: list[float]) -> None:
     from websockets.sync.client import connect
 
     link = stack.enter_context(connect(f"ws://127.0.0.1:{output.port}", proxy=None, close_timeout=0.1))
     while not output.receivers:
         time.sleep(0.01)
-    _thread(lambda: link.recv(0.1), stack)
+    _receive(lambda: link.recv(0.1), stack, arrivals)
 
 
-def _inlet(stream: str, stack: ExitStack) -> None:
+def _inlet(stream: str, stack: ExitStack, arrivals: list[float]) -> None:
     import pylsl
 
     inlet = pylsl.StreamInlet(pylsl.resolve_byprop("name", stream, timeout=10.0)[0], as_numpy=True)
     inlet.open_stream(10.0)
-    _thread(lambda: inlet.pull_sample(0.1), stack)
+    _receive(lambda: inlet.pull_sample(0.1)[0], stack, arrivals)
 
 
-def _client(output: Any, stack: ExitStack) -> None:
+def _client(output: Any, stack: ExitStack, arrivals: list[float]) -> None:
     client = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
     client.sendto(struct.pack("<HH", 0, 5) + b"Ping\0", ("127.0.0.1", output.port))
     client.settimeout(10.0)
     client.recv(65_536)
-    _drain(client, stack)
+    client.settimeout(0.1)
+
+    def take() -> bytes:
+        # Who says nothing for ten seconds is sent nothing any more.
+        if len(arrivals) % 200 == 199:
+            client.sendto(struct.pack("<HH", 10, 1) + b"\0", ("127.0.0.1", output.port))
+        return client.recv(65_536)
+
+    _receive(take, stack, arrivals)
 
 
-def _thread(take: Callable[[], object], stack: ExitStack) -> None:
-    """Take what comes until the end."""
+def _receive(take: Callable[[], object], stack: ExitStack, arrivals: list[float]) -> None:
+    """Take what comes until the end, and when it came."""
     ended = threading.Event()
 
     def run() -> None:
         while not ended.is_set():
             try:
-                take()
+                came = take()
             except TimeoutError:
                 continue
             except Exception:
                 return
+            if came is not None:
+                arrivals.append(time.monotonic())
 
     thread = threading.Thread(target=run)
     thread.start()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -145,7 +146,7 @@ def live(options: LiveOptions) -> None:
     _clinical.given_measures(options.measure)
     inputs = [*_played(options), options.cameras, options.model, options.static, options.rig, *_clinical.measure_files(options.measure)]
     analog = None if options.output is None else _analog_beside(options.output)
-    _console.check_outputs([options.output, analog, options.json], inputs, options.overwrite)
+    _console.check_outputs([options.output, analog, _cameras_beside(options), options.json], inputs, options.overwrite)
     if unfinished is not None and unfinished.exists():
         raise AsterismError(
             f"{unfinished} is there from a session that was not finished; write it with --finish {unfinished} -o FILE.c3d, or remove it."
@@ -165,7 +166,12 @@ def live(options: LiveOptions) -> None:
     parts = [source, *session.outputs, session.analysis, session.feedback]
     findings = session_findings(health, source.about.name, recorder, parts)
     if recorder is not None and unfinished is not None and options.output is not None and recorder.kept:
-        _written(unfinished, options.output, options.rate)
+        try:
+            _written(unfinished, options.output, options.rate)
+        except BaseException as problem:
+            # Whatever hinders it, nothing that was recorded is lost.
+            _console.notice(f"{options.output} was not written; {unfinished} has all: --finish {unfinished} -o {options.output} writes it.")
+            raise problem
         unfinished.unlink()
     elif unfinished is not None:
         unfinished.unlink(missing_ok=True)
@@ -230,7 +236,20 @@ def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
     if played:
         blobs = ReplayBlobs(played[0], rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
         return RigSource(blobs, rig, waits=True)
-    return RigProcess(partial(open_blobs, _address(options), rig.names, math.nan if options.rate is None else options.rate), rig)
+    opened = partial(open_blobs, _address(options), rig.names, math.nan if options.rate is None else options.rate)
+    return RigProcess(opened, rig, keep=_kept_blobs(options))
+
+
+def _kept_blobs(options: LiveOptions) -> Path | None:
+    """Where blobs are kept beside what is recorded; a file that is there is overwritten only where that was asked for."""
+    if options.output is None:
+        return None
+    from asterism.formats.kept_blobs import KEPT_SUFFIX
+
+    kept = options.output.with_suffix(KEPT_SUFFIX)
+    _console.check_new(kept, options.overwrite)
+    kept.unlink(missing_ok=True)
+    return kept
 
 
 def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource:
@@ -250,8 +269,11 @@ def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource
     sizes = {camera.name: camera.size for camera in rig if camera.size is not None}
     settings = WorkerSettings(empty=options.empty, sizes=sizes, in_order="number" if played else "")
     workers = CameraWorkers(specs, settings, numbered_together=bool(played))
+    beside = _cameras_beside(options)
     try:
-        return RigSource(workers, rig, waits=bool(played))
+        if beside is not None:
+            workers.save(beside)
+        return RigSource(workers, rig, waits=bool(played), keep=None if played else _kept_blobs(options))
     except BaseException:
         workers.close()
         raise
@@ -317,11 +339,34 @@ def _run(session: LiveSession, options: LiveOptions) -> Health:
     if sys.stderr.isatty():
         threading.Thread(target=_tell, args=(session, told), daemon=True).start()
     try:
-        return session.run(math.inf if options.seconds is None else options.seconds)
+        with _ended_by_signals(session):
+            return session.run(math.inf if options.seconds is None else options.seconds)
     finally:
         told.set()
         if stop_page is not None:
             stop_page()
+
+
+@contextmanager
+def _ended_by_signals(session: LiveSession) -> Iterator[None]:
+    """Ctrl-C and SIGTERM, by which services and containers are stopped, end the session with all that came, however often they come."""
+    import signal
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    wanted = [signal.SIGINT, signal.SIGTERM]
+    # Who started this in the background may have it ignore Ctrl-C.
+    before = {number: signal.getsignal(number) for number in wanted}
+    for number in wanted:
+        if before[number] is not signal.SIG_IGN:
+            signal.signal(number, lambda *_: session.stop())
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            if handler is not None:
+                signal.signal(number, handler)
 
 
 def _tell(session: LiveSession, ended: threading.Event) -> None:
@@ -378,6 +423,11 @@ def _written(kept: Path, output: Path, rate: float | None) -> None:
         _console.notice(f"{output} does not hold {lost}.")
     if session.analog:
         write_analog(_analog_beside(output), session.analog, session.times)
+
+
+def _cameras_beside(options: LiveOptions) -> Path | None:
+    """Where it is written what was set on cameras, and what they had; None where none are set, or nothing is recorded."""
+    return None if options.output is None or options.cameras is None else options.output.with_suffix(".cameras.toml")
 
 
 def _analog_beside(output: Path) -> Path:

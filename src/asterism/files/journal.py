@@ -8,6 +8,7 @@ import os
 import struct
 import zlib
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +120,14 @@ class Journal:
         except (OSError, AsterismError) as problem:
             # Work that can be done and not be kept is done.
             self.lost = getattr(problem, "strerror", None) or str(problem)
+
+
+def is_journal_of(path: Path, work: str) -> bool:
+    """Whether a file holds steps of this work: asked before a file is opened, which clears steps of other work."""
+    begin = _MAGIC + hashlib.sha256(work.encode("utf-8", "surrogateescape")).digest()
+    with suppress(OSError), open(path, "rb") as stream:
+        return stream.read(len(begin)) == begin
+    return False
 
 
 def _next(stream: io.BufferedRandom) -> bytes | None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from asterism.errors import AsterismError, guarded_reading
 from asterism.files.atomic import utf8, write_atomically
 from asterism.files.text import cell_text, cells_of, decoded, delimiter_of, lines_of, name_of_cell, number_of, read_bytes, some_of
+from asterism.formats.kept_blobs import KEPT_SUFFIX, read_kept_blobs
 from asterism.recording import Blobs, Floats, Ints
 from asterism.recording.arrays import checked_rate
 
@@ -35,6 +36,8 @@ _CLOCK_JITTER = 1e-6
 def read_blobs(path: str | Path, cameras: Sequence[str] | None = None, rate: float | None = None) -> Blobs:
     """The blobs of a 2D CSV file with the columns frame, camera, x, y (px) and perhaps size (px) and time (s).
 
+    A file that ends in .blobs is what a live session kept, see `kept_blobs`.
+
     cameras  names in the rig's order; the column `camera` holds names or numbers. Without them, the cameras are those that the
              file mentions
     rate     frames per second; else what the file's comments say, else by its times, else 100
@@ -44,6 +47,8 @@ def read_blobs(path: str | Path, cameras: Sequence[str] | None = None, rate: flo
     not a number, a camera is unknown or its number ambiguous, a camera has two times for one frame, or the file breaks off.
     """
     wanted_rate = None if rate is None else checked_rate(rate)
+    if Path(path).suffix.lower() == KEPT_SUFFIX:
+        return read_kept_blobs(Path(path), None if cameras is None else tuple(cameras), wanted_rate)
     with guarded_reading(path):
         return _blobs(Path(path), None if cameras is None else tuple(cameras), wanted_rate)
 

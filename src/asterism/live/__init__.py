@@ -2,6 +2,7 @@
 
 from asterism.live.analysis import AnalysedFrame, FrameAnalysis, LiveAnalysis, LiveEvent
 from asterism.live.angles import AngleOptions
+from asterism.live.blobs import RigSource
 from asterism.live.chain import LabelChain, LabelledFrame, OfModel, make_labeller
 from asterism.live.clock import FrameCount, SourceClock
 from asterism.live.cues import Cue, FeedbackRule
@@ -43,6 +44,7 @@ __all__ = [
     "OfCameras",
     "OfModel",
     "Replay",
+    "RigSource",
     "SourceAbout",
     "SourceClock",
     "SourceEnded",

@@ -32,6 +32,9 @@ class Labeller(Protocol):
     def push(self, points: ArrayLike) -> FrameLabels | None:
         """The labels of the frame some pushes ago."""
 
+    def flush(self) -> list[FrameLabels]:
+        """The labels of the last frames, for which `push` has given none yet, oldest first."""
+
 
 MakeLabeller = Callable[[float, Floats | None], Labeller]
 """A labeller for a rate (frames per second) and a vertical (3,), None where the source does not say what is up."""
@@ -47,6 +50,10 @@ class OfModel:
     def push(self, points: ArrayLike) -> FrameLabels | None:
         """See `Stream.push`."""
         return self._stream.push(points)
+
+    def flush(self) -> list[FrameLabels]:
+        """See `Stream.flush`."""
+        return self._stream.flush()
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,18 +105,33 @@ class LabelChain:
                 self._pushed(None)
         return self._pushed(frame)
 
+    def flush(self) -> list[LabelledFrame]:
+        """The labels of the frames that wait, when no frame comes any more."""
+        last = [] if self._labeller.marker_set is None else self._labeller.flush()
+        # Frames from before the marker set was found have none.
+        labels: list[FrameLabels | None] = [*[None] * (len(self._waiting) - len(last)), *last]
+        found = [self._with(of, each) for of, each in zip(self._waiting, labels, strict=True) if of is not None]
+        self._waiting.clear()
+        return found
+
+    @property
+    def refusal(self) -> str:
+        """Why no marker set could be found yet; "" where that was not tried."""
+        return str(getattr(self._labeller, "refusal", ""))
+
     def _pushed(self, frame: LiveFrame | None) -> LabelledFrame | None:
         self._waiting.append(frame)
         labels = self._labeller.push(np.empty((0, 3)) if frame is None else frame.points)
         if len(self._waiting) <= self._delay:
             return None
         of = self._waiting.popleft()
-        if of is None:
-            return None
+        return None if of is None else self._with(of, labels)
+
+    def _with(self, frame: LiveFrame, labels: FrameLabels | None) -> LabelledFrame:
         markers = self._labeller.marker_set
         if labels is None or markers is None:
-            return LabelledFrame(of, (), np.empty(0, dtype=np.int64), np.empty(0), time.monotonic())
-        return LabelledFrame(of, markers.names, labels.indices, labels.confidence, time.monotonic())
+            return LabelledFrame(frame, (), np.empty(0, dtype=np.int64), np.empty(0), time.monotonic())
+        return LabelledFrame(frame, markers.names, labels.indices, labels.confidence, time.monotonic())
 
 
 def make_labeller(model: MarkerModel | None, markers: str | None, delay: int) -> MakeLabeller:

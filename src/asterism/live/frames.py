@@ -32,12 +32,13 @@ def believable(points: Floats) -> Floats:
         return points[(np.abs(points) < FARTHEST).all(axis=1)]
 
 
-def joined(first: Floats, second: Floats) -> Floats:
-    """(n, 3) m, points of two lists that may tell the same ones twice, each once. All are finite."""
-    if not len(first) or not len(second):
-        return second if len(second) else first
-    apart, _ = cKDTree(first).query(second, p=np.inf)
-    return np.concatenate([first, second[apart > _SAME]])
+def joined(first: Floats, second: Floats, hidden: Floats | None = None) -> Floats:
+    """(n, 3) m, points of two lists that may tell the same ones twice, each once, without hidden ones in the second. All are finite."""
+    known = first if hidden is None else np.concatenate([first, hidden])
+    if len(known) and len(second):
+        apart, _ = cKDTree(known).query(second, p=np.inf)
+        second = second[apart > _SAME]
+    return np.concatenate([first, second]) if len(second) else first
 
 
 @dataclass(frozen=True, eq=False)

@@ -348,6 +348,17 @@ class FromLsl:
             said, true = self._rate, self._numbers.measured_rate
             sentence = f"{name} has not {said:g} samples/s but {true:.4g}; the difference counts as lost."
             found.append(Finding("live-rate", Severity.WARNING, name, sentence, "Give the true rate with --rate."))
+        elif self._numbers.spread > 1 / 6 and (layout is None or layout.counter is None):
+            sentence = (
+                f"{name}: its time stamps scatter by {self._numbers.spread:.0%} of a frame, so that single lost samples are not noticed."
+            )
+            found.append(
+                Finding("live-stamps", Severity.NOTE, name, sentence, "Have the sender stamp when a frame is taken, or count frames.")
+            )
+        if self._numbers.late >= 1 and (layout is None or layout.counter is None):
+            sentence = f"{name}: about {self._numbers.late:.0f} of the frames that count as lost came late, all at once."
+            mend = "Its sender stops and catches up; close other programs there, and have it stamp when a frame is taken."
+            found.append(Finding("live-caught-up", Severity.NOTE, name, sentence, mend))
         if self._clock_unknown:
             sentence = f"{name}: its clock could not be compared with this machine's; its own times are used."
             found.append(Finding("live-clock", Severity.NOTE, name, sentence, "Let a firewall pass the UDP ports 16571 to 16604."))

@@ -110,6 +110,11 @@ class Change:
         self._begin = self._mean = math.nan
         self._seen: deque[tuple[float, float]] = deque(maxlen=_MOST_SAMPLES)
 
+    @property
+    def has_start(self) -> bool:
+        """Whether it knows the first seconds."""
+        return self.against == "start" and not math.isnan(self._mean)
+
     def push(self, time: float, value: float) -> float:
         """The change; NaN until so many seconds were seen."""
         if math.isnan(value):

@@ -56,8 +56,8 @@ class NatNet:
 
     def __init__(self, place: HostPort, local: str = "", rate: float = float("nan")) -> None:
         self.damaged, self.others, self._again, self._known = 0, 0, 0, set[str]()
-        self._place, self._local, self._sender = place, local, ""
-        self._early = deque[tuple[bytes, float]](maxlen=_EARLY)
+        self._place, self._local, self._sender, self._stand_in, self._own = place, local, "", "", False
+        self._early = deque[tuple[bytes, str, float]](maxlen=_EARLY)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
         self._sockets = [self._socket]
@@ -68,6 +68,8 @@ class NatNet:
             told, scale, axis = (self._asked(question, layout) for question, layout in _QUESTIONS)
         except OSError as problem:
             self.close()
+            if problem.errno == errno.EADDRNOTAVAIL:
+                raise AsterismError(f"{local} is no address of this machine; give its own in the network of Motive, or none.") from problem
             raise AsterismError(f"{place.host}: cannot be reached ({problem}); look at the address and the network.") from problem
         except AsterismError:
             self.close()
@@ -110,7 +112,7 @@ class NatNet:
                 time.sleep(min(left, 0.2))
                 continue
             if data[:2] == struct.pack("<H", FRAME):
-                self._early.append((data, time.monotonic()))
+                self._early.append((data, sender, time.monotonic()))
             yield data, sender
 
     def _asked(self, question: bytes, layout: str) -> float | None:
@@ -151,11 +153,11 @@ class NatNet:
         until = time.monotonic() + timeout
         while (left := until - time.monotonic()) > 0:
             try:
-                data, arrived = self._early.popleft() if self._early else self._received(left)
+                data, sender, arrived = self._early.popleft() if self._early else self._received(left)
             except (OSError, ValueError):
                 # closed meanwhile
                 return None
-            if data[:2] != struct.pack("<H", FRAME):
+            if data[:2] != struct.pack("<H", FRAME) or not self._is_ours(sender, arrived):
                 continue
             frame = self._frames.frame(data, arrived)
             if frame is None:
@@ -165,8 +167,8 @@ class NatNet:
             return replace(frame, time=at)
         return None
 
-    def _received(self, left: float) -> tuple[bytes, float]:
-        """The next packet of this server, and when it came; b"" for none."""
+    def _received(self, left: float) -> tuple[bytes, str, float]:
+        """The next packet, who sent it, and when it came; b"" for none."""
         now = time.monotonic()
         silent = now - self._heard > _SILENT
         if now - self._said > _ALIVE and (silent or not self.server.group or not self.server.group_told):
@@ -174,28 +176,31 @@ class NatNet:
             self._say(_CONNECT if silent else _KEEP_ALIVE, b"Ping\0" if silent else b"\0")
         ready, _, _ = select.select(self._sockets, [], [], min(left, _ALIVE))
         if not ready:
-            return b"", now
+            return b"", "", now
         data, (sender, *_) = ready[0].recvfrom(LARGEST)
-        arrived = time.monotonic()
         server = server_of_packet(data)
         if server is not None and sender == self._sender and silent and server != self.server:
             # It was started again, and with other settings.
             self.server = server
             self._frames = NatNetFrames(server.stream, self._scale)
             self._join()
-        if data[:2] != struct.pack("<H", FRAME):
-            return b"", arrived
-        if sender != self._sender:
-            # Who answers and who sends may be two network interfaces of one machine, so that another is taken where this one is silent.
-            if not silent or sender in self._known:
-                self.others += 1
-                self._known.add(sender)
-                return b"", arrived
-            self._sender = sender
-        if silent:
-            self._again += 1
+        return data, sender, time.monotonic()
+
+    def _is_ours(self, sender: str, arrived: float) -> bool:
+        """Whether a frame is of the server that answered, or of who stands in for it."""
+        silent = arrived - self._heard > _SILENT
+        self._again += silent and self._own and sender == self._sender
+        if sender == self._sender:
+            self._own = True
+        elif self._own or not (silent or self._stand_in) or self._stand_in not in ("", sender):
+            self.others += 1
+            self._known.add(sender)
+            return False
+        else:
+            # Who answers and who sends may be two network interfaces of one machine: another is heard where this one never sent a frame.
+            self._stand_in = sender
         self._heard = arrived
-        return data, arrived
+        return True
 
     def findings(self) -> list[Finding]:
         """What a person should know of it so far."""

@@ -124,12 +124,12 @@ class _StreamLayout:
         return (6,) if self.version < (3, 0) else (30,) if self.version < _SIZES else (38, 30)
 
 
-_STREAM_LAYOUTS = tuple(
-    _StreamLayout(version, latency)
-    for version in (_SIZES, (3, 0), (2, 11), (2, 9), (2, 7), (2, 6), (2, 5))
-    for latency in ((False,) if version >= (3, 0) else (True, False))
+_STREAM_LAYOUTS = (
+    *map(_StreamLayout, (_SIZES, (3, 0))),
+    *(_StreamLayout(version, latency) for latency in (True, False) for version in ((2, 11), (2, 9), (2, 7), (2, 6), (2, 5))),
 )
-"""All that differ in where something stands; versions between have the layout of the one before."""
+"""All that differ in where something stands; versions between have the layout of the one before. 2.6 with a latency is as long as 2.7
+without, so that those with one come first: so C++ reads them, and Motive is C++."""
 
 
 @dataclass
@@ -244,7 +244,7 @@ def _frame(packet: _Packet, layout: _StreamLayout, arrived: float, scale: float)
     others = packet.records(part.count, part.each(12))[:, :12].copy().view("<f4").reshape(-1, 3)
     part.end()
     _pass_over_bodies(packet, layout)
-    seen, labelled = _seen_markers(packet, layout)
+    seen, hidden, labelled = _markers(packet, layout)
     # Force plates since 2.9, devices since 2.11: a number, and channels with their samples.
     for _ in range((version >= (2, 9)) + (version >= (2, 11))):
         part = _Part(packet, layout, 8)
@@ -257,7 +257,7 @@ def _frame(packet: _Packet, layout: _StreamLayout, arrived: float, scale: float)
     at = float(packet.take("<d" if version >= (2, 7) else "<f")[0])
     # Numbers of a damaged packet may be none, and to convert them is then told as a warning.
     with np.errstate(invalid="ignore"):
-        points = joined(believable(scale * seen.astype(np.float64)), believable(scale * others.astype(np.float64)))
+        points = joined(*(believable(scale * each.astype(np.float64)) for each in (seen, others, hidden)))
     return LiveFrame(number, at, arrived, points), labelled
 
 
@@ -312,8 +312,8 @@ def _pass_over_bodies(packet: _Packet, layout: _StreamLayout) -> None:
         part.end()
 
 
-def _seen_markers(packet: _Packet, layout: _StreamLayout) -> tuple[np.ndarray, bool]:
-    """(n, 3) m, markers that cameras saw, of the list that versions since 2.3 have; whether one of them has a label."""
+def _markers(packet: _Packet, layout: _StreamLayout) -> tuple[np.ndarray, np.ndarray, bool]:
+    """(n, 3) markers that cameras saw and hidden ones, of the list that versions since 2.3 have; whether a seen one has a label."""
     version = layout.version
     part = _Part(packet, layout, 20)
     size = part.each(20 + (2 if version >= (2, 6) else 0) + (4 if version >= (3, 0) else 0))
@@ -323,10 +323,11 @@ def _seen_markers(packet: _Packet, layout: _StreamLayout) -> tuple[np.ndarray, b
     # The upper half of a number is that of the body to which the marker belongs.
     of_body = markers[:, 2:4].any(axis=1)
     if version < (2, 6):
-        return places, bool(of_body.any())
+        return places, places[:0], bool(of_body.any())
     flags = markers[:, 20]
-    seen = (flags & _OCCLUDED == 0) & ((flags & _BY_CAMERAS != 0) | (flags & _BY_MODEL == 0))
-    return places[seen], bool((of_body & (flags & _UNLABELLED == 0)).any())
+    hidden = flags & _OCCLUDED != 0
+    seen = ~hidden & ((flags & _BY_CAMERAS != 0) | (flags & _BY_MODEL == 0))
+    return places[seen], places[hidden], bool((of_body & (flags & _UNLABELLED == 0)).any())
 
 
 def _rigid_body(packet: _Packet, version: tuple[int, int]) -> None:

@@ -7,7 +7,7 @@ import math
 import sys
 import threading
 from collections import deque
-from typing import Any, TextIO
+from typing import Any, TextIO, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from asterism.live.analysis import AnalysedFrame, LiveEvent
 from asterism.live.cues import Cue
 from asterism.live.datagrams import LARGEST, HostPort, socket_for
 from asterism.live.running import LiveOutput
+
+T = TypeVar("T")
 
 
 def labels_as_json(analysed: AnalysedFrame) -> bytes:
@@ -93,16 +95,31 @@ class ToDatagrams:
         self._socket.close()
 
 
+def leave_one_out(waiting: deque[tuple[bool, T]]) -> None:
+    """Leave the oldest out of what waits; of what says something that no later frame says, (True, ...), only where all do."""
+    for at, (matters, _) in enumerate(waiting):
+        if not matters:
+            del waiting[at]
+            return
+    waiting.popleft()
+
+
+def tells_more(frame: AnalysedFrame) -> bool:
+    """Whether a frame says what no later one does: events, cues that begin."""
+    return bool(frame.analysis.events) or any(cue.began for cue in frame.cues)
+
+
 class InOwnThread:
     """Passes frames on to an output that may have to wait, in a thread of its own, so that nobody waits for it.
 
-    Where it takes them too slowly the oldest that waits is left out, and counted in `dropped`; so is one that it does not take.
+    Where it takes them too slowly the oldest that waits is left out, one with events last, and counted in `dropped`; so is one that it does
+    not take.
     """
 
     def __init__(self, output: LiveOutput) -> None:
         self.name, self.dropped = str(getattr(output, "name", type(output).__name__)), 0
         self._output, self._ended = output, False
-        self._waiting: deque[AnalysedFrame] = deque()
+        self._waiting: deque[tuple[bool, AnalysedFrame]] = deque()
         self._there = threading.Condition()
         self._thread = threading.Thread(target=self._pass_on, name=self.name, daemon=True)
         self._thread.start()
@@ -110,9 +127,9 @@ class InOwnThread:
     def send(self, frame: AnalysedFrame) -> None:
         """Put a frame into the queue."""
         with self._there:
-            self._waiting.append(frame)
+            self._waiting.append((tells_more(frame), frame))
             if len(self._waiting) > WAITING:
-                self._waiting.popleft()
+                leave_one_out(self._waiting)
                 self.dropped += 1
             self._there.notify()
 
@@ -123,7 +140,7 @@ class InOwnThread:
                     self._there.wait()
                 if not self._waiting:
                     return
-                frame = self._waiting.popleft()
+                _, frame = self._waiting.popleft()
             try:
                 self._output.send(frame)
             except OSError:

@@ -103,6 +103,7 @@ class QtmLink:
         self._packets = deque[tuple[bytes, float]](maxlen=_KEPT)
         self._there, self._opened = threading.Condition(), threading.Event()
         self._problem = ""
+        self._failed: Exception | None = None
         self._protocol: _Packets | None = None
         self._loop = asyncio.new_event_loop()
         self._task = self._loop.create_task(self._serve())
@@ -119,7 +120,9 @@ class QtmLink:
         return self._protocol is not None and self._protocol.idle
 
     def read(self, timeout: float) -> tuple[bytes, float] | None:
-        """The next data packet, and when it arrived; None where none came in time."""
+        """The next data packet, and when it arrived; None where none came in time. Raises what ended the connection for good."""
+        if self._failed is not None:
+            raise self._failed
         with self._there:
             if not self._packets:
                 self._there.wait(timeout)
@@ -138,6 +141,8 @@ class QtmLink:
         try:
             with contextlib.suppress(asyncio.CancelledError):
                 self._loop.run_until_complete(self._task)
+        except Exception as problem:  # told by whoever reads: a thread that ends is not seen
+            self._failed = problem
         finally:
             self._opened.set()
             self._loop.close()

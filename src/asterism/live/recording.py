@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.files.journal import Journal
+from asterism.files.journal import Journal, is_journal_of
 from asterism.live.analog import KeptAnalog, analog_as_arrays, analog_of_arrays
 from asterism.live.chain import LabelledFrame
 from asterism.live.frames import LiveFrame
@@ -151,7 +151,7 @@ def recording_of(path: Path, rate: float | None = None) -> KeptSession:
 
     rate: frames per second, None for what the times show. Raises AsterismError where the file is no live recording, or holds no frame.
     """
-    if not path.is_file():
+    if not is_journal_of(path, _WORK):
         raise AsterismError(f"{path} is no live recording; give the file that --record named.")
     journal = Journal(path, _WORK)
     try:

@@ -71,8 +71,9 @@ class Health:
     labelled   frames with their labels
     unsent     frames that an output did not take, by the output's name
     jumps      times that the source's clock was set
+    searched   s from the first frame until the marker set was known and labels could be given, 0 where it was known before
     rate       frames per second, of the last second
-    latency    (p50, p99.9) s from a frame's arrival to its labels, of the last thousands
+    latency    (p50, p99.9) s from a frame's arrival to its labels, of the last thousands that came after `searched`
     delay      s longer than the fastest frame that the last one was on its way
     silent     s since the last frame
     problem    why the session ended early, "" where it did not
@@ -88,6 +89,7 @@ class Health:
     labelled: int = 0
     unsent: dict[str, int] = field(default_factory=dict)
     jumps: int = 0
+    searched: float = 0.0
     rate: float = 0.0
     latency: tuple[float, float] = (float("nan"), float("nan"))
     delay: float = 0.0
@@ -139,6 +141,9 @@ class LiveSession:
     _latencies: deque[float] = field(default_factory=lambda: deque(maxlen=_LATENCIES))
     _rate: float = float("nan")
     _chain: LabelChain | None = None
+    _first: float | None = None
+    _ready: float | None = None
+    _searches: bool = False
     _failed: Exception | None = None
 
     def run(self, seconds: float = math.inf) -> Health:
@@ -238,7 +243,9 @@ class LiveSession:
     def _take(self, frame: LiveFrame) -> None:
         if not self._count.takes(frame.number):
             return
-        self._health.delay = self._clock.delay(frame.time, frame.arrived)
+        # A source that waits was held back by us: its clock and ours say nothing of each other.
+        if not self.waits:
+            self._health.delay = self._clock.delay(frame.time, frame.arrived)
         self._arrivals.append(frame.arrived)
         if self.keeper is not None:
             self.keeper.frame(frame)
@@ -285,9 +292,11 @@ class LiveSession:
                     return
                 self._chain = self._made()
             for frame in begin:
-                self._labelled(self._chain, frame)
+                self._passed_on(self._chain.push(frame))
             while (next_frame := self._wait()) is not None:
-                self._labelled(self._chain, next_frame)
+                self._passed_on(self._chain.push(next_frame))
+            for found in self._chain.flush():
+                self._passed_on(found)
         except Exception as problem:  # told by the thread that waits
             self._failed = problem
         finally:
@@ -317,12 +326,18 @@ class LiveSession:
             self._there.notify_all()
             return frame
 
-    def _labelled(self, chain: LabelChain, frame: LiveFrame) -> None:
-        found = chain.push(frame)
+    def _passed_on(self, found: LabelledFrame | None) -> None:
         if found is None:
             return
         self._health.labelled += 1
-        self._latencies.append(found.done - found.frame.arrived)
+        self._first = found.frame.arrived if self._first is None else self._first
+        if found.markers and self._ready is None:
+            # Frames that waited while the set was sought say nothing of those that follow.
+            self._ready = found.done
+            self._health.searched = max(0.0, found.done - self._first) if self._searches else 0.0
+        self._searches = self._searches or not found.markers
+        if not self._searches or (self._ready is not None and found.frame.arrived >= self._ready):
+            self._latencies.append(found.done - found.frame.arrived)
         if self.keeper is not None:
             self.keeper.labelled(found)
         analysis = NOTHING if self.analysis is None else self.analysis.push(found)

@@ -20,7 +20,7 @@ from asterism.findings import Finding, Severity
 from asterism.live.analysis import AnalysedFrame
 from asterism.live.datagrams import frame_of_json
 from asterism.live.frames import LiveFrame, SourceAbout
-from asterism.live.outputs import WAITING, labels_as_json
+from asterism.live.outputs import WAITING, labels_as_json, leave_one_out, tells_more
 from asterism.live.packages import packages_for
 
 _LARGEST = 1 << 18
@@ -156,6 +156,8 @@ class _Endpoint:
         own = link.transport.get_extra_info("socket")
         with suppress(OSError):
             own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
+            # Else the system waits up to 40 ms whether more is to be sent.
+            own.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.connected += 1
         self.made += 1
         self._tried.set()
@@ -268,16 +270,17 @@ class FromWebSocket:
 
 @dataclass(eq=False)
 class _Receiver:
-    """Messages that wait for one receiver, oldest first."""
+    """Messages that wait for one receiver, oldest first, each with whether it says what no later one does."""
 
-    waiting: deque[str] = field(default_factory=deque)
+    waiting: deque[tuple[bool, str]] = field(default_factory=deque)
     there: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class ToWebSocket:
     """Sends each labelled frame as JSON, one a message, to who waits at a place, or to all who connect there.
 
-    Each receiver has a short queue of its own. Where it takes frames too slowly the oldest is left out, and counted in `dropped`.
+    Each receiver has a short queue of its own. Where it takes frames too slowly the oldest is left out, one with events last, and counted
+    in `dropped`.
     Raises AsterismError where the package is missing, or this machine cannot wait there.
     """
 
@@ -304,11 +307,11 @@ class ToWebSocket:
             if not self._receivers:
                 self.dropped += not self._listens
                 return
-            data = labels_as_json(frame).decode()
+            message = (tells_more(frame), labels_as_json(frame).decode())
             for receiver in self._receivers:
-                receiver.waiting.append(data)
+                receiver.waiting.append(message)
                 if len(receiver.waiting) > WAITING:
-                    receiver.waiting.popleft()
+                    leave_one_out(receiver.waiting)
                     self.dropped += 1
                 # One call wakes who waits, however many frames do.
                 if len(receiver.waiting) == 1:
@@ -338,7 +341,7 @@ class ToWebSocket:
             receiver.there.clear()
             while receiver.waiting:
                 with self._guard:
-                    data = receiver.waiting.popleft()
+                    _, data = receiver.waiting.popleft()
                 await link.send(data)
 
     def findings(self) -> list[Finding]:

@@ -114,8 +114,8 @@ class Reconstructor:
         """Estimate the observation model by the last frames, and judge how each camera fits the others.
 
         rate: frames per second, for what the findings say. Returns how each camera fits, in the rig's order, and what makes the rig
-        suspect, as of `asterism.reconstruction.summary`; nothing where the frames are too few or the model has just changed. Takes some
-        tenths of a second for 12 cameras of 50 blobs, half of it in kernels that hold no other thread up.
+        suspect, as of `asterism.reconstruction.summary`; nothing where the frames are too few or the noise is known for the first time.
+        Takes some tenths of a second for 12 cameras of 50 blobs, half of it in kernels that hold no other thread up.
         """
         with self._guard:
             frames, state = list(self._frames), self._state
@@ -123,23 +123,24 @@ class Reconstructor:
             return (), []
         rays = _joined([rays for rays, _ in frames], rate)
         problem, model = self._stated(rays.blobs), state[1]
-        findings = list[Finding]()
+        newer, known, looked_at = model, self.noise_known, 0
         if not self._is_given:
             run = partial(points_and_residuals, rays)
             # From the noise that is known already, one round is enough where nothing changed.
             rules = replace(RULES, start_noise=float(model.noise[0]))
             newer, known, looked_at = estimate_observation_model(problem, rays.blobs.counts, run, self.settings.noise, rules)
-            if not known:
-                findings.append(noise_unknown_finding(looked_at))
-            if known and not (self.noise_known and _agree(model, newer)):
-                with self._guard:
+        first = known and not self.noise_known
+        if known and (first or not _agree(model, newer)):
+            with self._guard:
+                self._state, self.noise_known = (problem, newer, problem.arrays(newer, _WORK)), True
+                if not np.array_equal(newer.noise, model.noise):
                     # Residuals are judged by the noise with which their points were made.
-                    self._state, self.noise_known = (problem, newer, problem.arrays(newer, _WORK)), True
                     self._frames.clear()
-                return (), []
+        if first:
+            return (), []
         result = self._result(rays.blobs, [part for _, part in frames], problem, model)
         fits = fit_of_cameras(result, self.rig)
-        return fits, [*findings, *rig_findings(result, self.rig, fits)]
+        return fits, [*([] if known else [noise_unknown_finding(looked_at)]), *rig_findings(result, self.rig, fits)]
 
     def _stated(self, blobs: Blobs) -> ReconstructionProblem:
         bounds, corners = image_bounds(blobs, self.rig), self.settings.corners

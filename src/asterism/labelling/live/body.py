@@ -15,17 +15,18 @@ from asterism.recording import Floats
 
 @dataclass(frozen=True)
 class LiveRules:
-    """When a stream adapts the body model to the person that it sees. Chosen on gait subjects left out of the training.
+    """When a stream adapts the body model to the person that it sees. Chosen on simulated people and on `movement`, by virtual people.
 
-    min_margin   nats; labels with at least this margin are learned from
-    min_share    share of the markers that a frame must label with this margin
+    min_margin   nats; labels with at least this margin are learned from. With half of it a tenth more labels are wrong; with twice as much
+                 a person whom virtual people stand for is hardly learned
+    min_share    share of the markers that a frame must label with this margin; a third of them does as well
     adapt_after  numbers of frames after which the model is adapted; after the last one it stays as it is
     noise_std    m, standard deviation of a marker beyond what the adapted model explains: more than for a whole recording, which shows all
                  poses
     """
 
-    min_margin: float = 20.0
-    min_share: float = 0.6
+    min_margin: float = 10.0
+    min_share: float = 0.5
     adapt_after: tuple[int, ...] = (3, 6, 12, 24)
     noise_std: float = 0.008
 

@@ -317,15 +317,8 @@ class Stream:
         live.add(self._pushed, np.where(certain[:, None], frame.xyz[point_of], np.nan), int(pose))
 
     def _search(self, frame: _Frame) -> Ints:
-        """The best labelling of the frame that a search finds without knowing the past: (M,). For large marker sets the search is short."""
+        """The best labelling of the frame that a search finds without knowing the past: (M,)."""
         labeller, settings = self._model.labeller, frame.settings
-        if self._is_large:
-            settings = settings._replace(
-                votes_needed=1,
-                extra_anchors=1,
-                max_votes_needed=2,
-                proposals_per_anchor=min(2, settings.proposals_per_anchor),
-            )
         order = np.argsort(-frame.xyz[:, 2], kind="stable")
         counters = np.zeros(4, dtype=np.int64)
         model = FrameModel(labeller.solvers, labeller.anchors, labeller.body, settings, labeller.twins)

@@ -45,10 +45,13 @@ class LiveTwins:
         self._so_far = np.minimum(self._so_far, np.maximum(lead, 0.0))
         if self._done.all():
             self._done[:] = False
-            # a frame that shows fewer of the same markers says less, and takes nothing back
+            mean = self._so_far if self.lead is None else 0.5 * (self.lead + self._so_far)
+            mean = np.where(np.isfinite(mean), mean, self._so_far)
+            # a frame that shows fewer of the same markers says less: it takes nothing back, and adds where it says more
             if self.lead is None or self._begun_with >= self._labelled:
-                mean = self._so_far if self.lead is None else 0.5 * (self.lead + self._so_far)
-                self.lead, self._labelled = np.where(np.isfinite(mean), mean, self._so_far), self._begun_with
+                self.lead, self._labelled = mean, self._begun_with
+            else:
+                self.lead = np.maximum(self.lead, np.where(np.isfinite(mean), mean, 0.0))
         return None if twin is None else twin[0]
 
     def limits(self, markers: int) -> Floats:

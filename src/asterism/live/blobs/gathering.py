@@ -119,16 +119,16 @@ class ByNumber:
         self._begun: dict[int, float] = {}
         self._gone: int | None = None
 
-    def push(self, camera: int, blobs: LiveBlobs) -> None:
-        """Take the blobs of a camera."""
+    def push(self, camera: int, blobs: LiveBlobs) -> float | None:
+        """Take the blobs of a camera. Returns when they were taken on the common clock, NaN while that is not known; None if not new."""
         state, restarts = self.cameras[camera], self.cameras[camera].count.restarts
         if not state.takes(blobs):
-            return
+            return None
         usual = self._usual()
         # Numbers of a camera that counts otherwise than most say nothing about its exposure.
         if abs(blobs.number - usual) > self._window:
             state.late += 1
-            return
+            return None
         behind = 0 if self._gone is None else self._gone - usual
         if behind > self._window or (behind > 0 and state.count.restarts > restarts):
             # Most cameras began anew.
@@ -139,8 +139,9 @@ class ByNumber:
             self._begun.pop(next(iter(self._begun)))
         if self._gone is not None and blobs.number <= self._gone:
             state.late += 1
-            return
+            return blobs.time
         self._open.setdefault(blobs.number, {})[camera] = blobs
+        return blobs.time
 
     def _usual(self) -> int:
         """The number at which most cameras are."""
@@ -215,20 +216,20 @@ class ByTime:
         self._chosen, self._first = -math.inf, math.inf
         self._period = 1 / rate
 
-    def push(self, camera: int, blobs: LiveBlobs) -> None:
-        """Take the blobs of a camera."""
+    def push(self, camera: int, blobs: LiveBlobs) -> float | None:
+        """Take the blobs of a camera. Returns when they were taken on the common clock, NaN while that is not known; None if not new."""
         state, track, jumps = self.cameras[camera], self._tracks[camera], self.cameras[camera].clock.jumps
         if not state.takes(blobs):
-            return
+            return None
         if state.clock.jumps > jumps:
             self._leave(camera)
         if track.stamps and blobs.time <= track.stamps[-1][1]:
             state.late += 1
-            return
+            return None
         track.stamps.append((blobs.number, blobs.time))
         if not track.joined:
             if len(track.stamps) < _FEWEST:
-                return
+                return math.nan
             self._join(camera)
         at = self._common(camera, blobs.time)
         state.lag.add(blobs.arrived, max(0.0, blobs.arrived - self._arrival(camera, at)))
@@ -242,6 +243,7 @@ class ByTime:
         if camera == self._reference and at > self._newest + 0.5 * track.period:
             self._instants.append(at)
             self._newest = at
+        return at
 
     def ready(self, now: float) -> Iterator[RigFrame]:
         """The frames that are whole, or waited long enough, oldest first. now: s on this machine's clock."""
@@ -378,7 +380,8 @@ class ByTime:
             xy[c], sizes[c], unlinked, last = at
             self.cameras[c].unlinked += unlinked
             arrived, waited = max(arrived, last.arrived), max(waited, last.time - instant)
-        self.delay = waited
+        # The mean of some ten frames.
+        self.delay += (waited - self.delay) * (0.1 if self._last is not None else 1.0)
         number = 0
         if self._last is not None:
             # Where another camera became the reference, up to three quarters of a period more are no lost frame.

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -58,17 +59,22 @@ class RigProcess:
     """What `RigSource` is, with its work in another process, so that neither waits for the other's Python.
 
     open_blobs  opens the source of blobs there
-    rig, settings, name  as of `RigSource`
+    rig, settings, name, keep  as of `RigSource`
 
     Frames come through a pipe, each a few kilobytes. What is taken is said, so that where this process is too slow frames are dropped
     there, and counted, and what comes through is never old. Raises AsterismError where the source cannot be opened.
     """
 
-    def __init__(self, open_blobs: OpenBlobs, rig: Rig, settings: ReconstructionSettings | None = None, *, name: str = "") -> None:
+    def __init__(
+        self, open_blobs: OpenBlobs, rig: Rig, settings: ReconstructionSettings | None = None, *, name: str = "", keep: Path | None = None
+    ) -> None:
         servers = "forkserver" in multiprocessing.get_all_start_methods()
         context: Any = multiprocessing.get_context("forkserver" if servers else "spawn")
+        if servers:
+            # What each process begins with is imported once.
+            context.set_forkserver_preload([__name__])
         self._pipe, there = context.Pipe()
-        self._process = context.Process(target=_serve, args=(there, open_blobs, rig, settings, name), name="live rig")
+        self._process = context.Process(target=_serve, args=(there, open_blobs, rig, settings, name, keep), name="live rig")
         self._process.start()
         # With our copy open, the end of the process would not end the pipe.
         there.close()
@@ -151,14 +157,16 @@ class RigProcess:
         return None
 
 
-def _serve(pipe: Connection[Any, Any], open_blobs: OpenBlobs, rig: Rig, settings: ReconstructionSettings | None, name: str) -> None:
+def _serve(
+    pipe: Connection[Any, Any], open_blobs: OpenBlobs, rig: Rig, settings: ReconstructionSettings | None, name: str, keep: Path | None
+) -> None:
     """Send frames until the source ends, or the pipe says or shows that nobody wants them."""
     # Ctrl-C reaches all processes of a terminal: the first one decides.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     blobs = source = None
     try:
         blobs = open_blobs()
-        source = RigSource(blobs, rig, settings, name=name)
+        source = RigSource(blobs, rig, settings, name=name, keep=keep)
     except Exception as problem:
         if blobs is not None:
             blobs.close()

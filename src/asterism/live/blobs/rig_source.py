@@ -9,16 +9,20 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from asterism.cameras import Rig
 from asterism.findings import Finding, Severity
+from asterism.formats.kept_blobs import KeptImage
+from asterism.live.blobs.budget import BlobBudget, telling
 from asterism.live.blobs.gathering import ByNumber, ByTime, CameraArrivals, RigFrame
+from asterism.live.blobs.recorder import BlobRecorder
 from asterism.live.camera_frames import BlobSource, LiveBlobs
 from asterism.live.found import own_findings
-from asterism.live.frames import MOST_POINTS, LiveFrame, SourceAbout, SourceEnded
+from asterism.live.frames import MOST_POINTS, LiveFrame, OfCameras, SourceAbout, SourceEnded
 from asterism.reconstruction import ReconstructionSettings, Reconstructor
 from asterism.reconstruction.camera_fit import CameraFit
 from asterism.reconstruction.streaming import WINDOW
@@ -34,9 +38,6 @@ _FIRST = 24
 _EVERY = 10.0
 """s between two judgements of how the cameras fit, at most: they take a thirtieth of one core then. Half of it takes twice as much, and
 with twice as much a bumped camera is told twenty seconds later."""
-_SHARE = 0.8
-"""Share of a frame's period that making its points may take, before blobs are left out. With all of it a frame that takes longer delays
-those after it; half of it leaves blobs out that there was time for."""
 
 
 @dataclass(frozen=True)
@@ -83,20 +84,30 @@ class RigSource:
     waits     whether the source waits until its frames are taken: a file can, a camera cannot. Then noise and cameras are judged in line,
               so
               that the same file gives the same points
+    name      instead of the source's
+    keep      where the blobs are kept as they come, for `asterism reconstruct`; None for nowhere
 
     One thread takes blobs and gathers them to frames (see `gathering`), the caller's reconstructs, a third judges noise and cameras every
     ten seconds. Where frames come faster than their points are made, the oldest that waits is dropped and counted. Where a frame has so
     many blobs that making its points would take longer than a frame, blobs are left out, those first that are far from where points were
     just now, then the smallest, and counted.
 
-    Raises AsterismError where the rig has fewer than two posed cameras of the source.
+    Raises AsterismError where fewer than two cameras of the rig have a pose, or the file to keep exists.
     """
 
     def __init__(
-        self, source: BlobSource, rig: Rig, settings: ReconstructionSettings | None = None, *, waits: bool = False, name: str = ""
+        self,
+        source: BlobSource,
+        rig: Rig,
+        settings: ReconstructionSettings | None = None,
+        *,
+        waits: bool = False,
+        name: str = "",
+        keep: Path | None = None,
     ) -> None:
         known = [camera.name for camera in rig if camera.posed and (not source.cameras or camera.name in source.cameras)]
         self._unknown = {name: 0 for name in source.cameras if name not in rig.names}
+        self._all = rig.names
         self._unposed = [camera.name for camera in rig if not camera.posed]
         used = known if len(known) >= 2 else [camera.name for camera in rig if camera.posed]
         self._source, self.rig, self._waits = source, rig.select(used or rig.names), waits
@@ -115,8 +126,9 @@ class RigSource:
         self._found: dict[tuple[str, str], tuple[Finding, int]] = {}
         self._next, self._frames = _FIRST, 0
         self._points: Floats = np.empty((0, 3))
-        self._cost = 0.0
+        self.budget = BlobBudget(source.rate)
         self._judge: threading.Thread | None = None
+        self._recorder = None if keep is None else BlobRecorder(keep, self.rig.names, source.rate, source.numbered_together)
         self._thread = threading.Thread(target=self._take, name="live blobs", daemon=True)
         self._thread.start()
 
@@ -156,6 +168,8 @@ class RigSource:
         for thread in (self._thread, self._judge):
             if thread is not None and thread is not threading.current_thread():
                 thread.join(timeout=5.0)
+        if self._recorder is not None:
+            self._recorder.close()
 
     def cameras(self) -> list[RigCameraHealth]:
         """How each camera does, in the rig's order."""
@@ -163,8 +177,9 @@ class RigSource:
         return [_health(name, state, fit) for name, state, fit in zip(self.rig.names, self._gather.cameras, fits, strict=True)]
 
     def camera_numbers(self) -> list[dict[str, Any]]:
-        """The same as plain values; what is not known is None."""
-        return as_plain(self.cameras())
+        """The same as plain values, with what the source itself says of each; what is not known is None."""
+        own = {numbers["camera"]: numbers for numbers in self._source.camera_numbers()} if isinstance(self._source, OfCameras) else {}
+        return [{**rig, "images": own[rig["name"]]} if rig["name"] in own else rig for rig in as_plain(self.cameras())]
 
     def findings(self) -> list[Finding]:
         """What a person should know of the cameras and their rig."""
@@ -200,7 +215,9 @@ class RigSource:
     def _push(self, blobs: LiveBlobs) -> None:
         camera = self._of.get(blobs.camera)
         if camera is not None:
-            self._gather.push(camera, blobs)
+            at = self._gather.push(camera, blobs)
+            if at is not None and self._recorder is not None:
+                self._recorder.add(KeptImage(camera, blobs.number, at, blobs.xy, blobs.sizes))
         elif len(self._unknown) < MOST_POINTS or blobs.camera in self._unknown:
             self._unknown[blobs.camera] = self._unknown.get(blobs.camera, 0) + 1
 
@@ -220,10 +237,8 @@ class RigSource:
         xy = self._bounded(frame)
         begin = time.perf_counter()
         points = self._reconstructor.push(xy).points
-        blobs = max(len(each) for each in xy)
-        if blobs:
-            # Pairs of blobs grow with the square of a camera's blobs; the average forgets a pause of the system within ten frames.
-            self._cost += 0.1 * ((time.perf_counter() - begin) / blobs**2 - self._cost)
+        if not self._waits:
+            self.budget.spent(max(len(each) for each in xy), time.perf_counter() - begin)
         self._points = points
         self._frames += 1
         self.no_points += not len(points)
@@ -232,23 +247,14 @@ class RigSource:
 
     def _bounded(self, frame: RigFrame) -> Sequence[Floats]:
         """The blobs of a frame, no more of each camera than there is time for."""
-        if self._waits or not math.isfinite(self.about.rate) or self._cost <= 0:
-            most = MOST_POINTS
-        else:
-            # Never fewer than a suit of markers.
-            most = max(100, int(math.sqrt(_SHARE / self.about.rate / self._cost)))
+        most = self.budget.most or MOST_POINTS
         if max(len(each) for each in frame.xy) <= most:
             return frame.xy
         kept = list[Floats]()
-        for c, (xy, sizes) in enumerate(zip(frame.xy, frame.sizes, strict=True)):
+        for camera, xy, sizes in zip(self.rig, frame.xy, frame.sizes, strict=True):
             if len(xy) > most:
-                places = self.rig[c].project(self._points)
-                places = places[np.isfinite(places).all(axis=1)]
-                apart = np.linalg.norm(xy[:, None] - places[None], axis=2).min(axis=1) if len(places) else np.zeros(len(xy))
-                expected = np.argsort(apart, kind="stable")[: min(len(places), most)]
-                rest = np.setdiff1d(np.argsort(-np.nan_to_num(sizes), kind="stable"), expected, assume_unique=True)
                 self.cut += len(xy) - most
-                xy = xy[np.sort(np.concatenate([expected, rest[: most - len(expected)]]))]
+                xy = xy[telling(xy, sizes, camera.project(self._points), most)]
             kept.append(xy)
         return kept
 
@@ -270,16 +276,18 @@ class RigSource:
             return
         self._fits = fits
         now = {(finding.code, finding.where): finding for finding in findings}
-        # Said when two judgements in a row found it: one may be of a moment in which few markers were seen.
-        self._found = {
-            key: (now.get(key, finding), times + (key in now)) for key, (finding, times) in self._found.items() if times > 1 or key in now
-        } | {key: (finding, 1) for key, finding in now.items() if key not in self._found}
+        # Said when two judgements in a row found it: one may be of a moment in which few markers were seen. What is said of a camera stays
+        # said; what is said of all holds while it is found, since a room may be empty for a while.
+        kept = {key: found for key, found in self._found.items() if key in now or (found[0].where and found[1] > 1)}
+        self._found = {key: (now.get(key, finding), times + (key in now)) for key, (finding, times) in kept.items()} | {
+            key: (finding, 1) for key, finding in now.items() if key not in kept
+        }
 
     def _names(self) -> list[Finding]:
         found = []
         others = [name for name, count in self._unknown.items()]
         if others:
-            sentence = f"{self.about.name}: the rig has no camera {listed(others)}; it has {listed(self.rig.names)}."
+            sentence = f"{self.about.name}: the rig has no camera {listed(others)}; it has {listed(self._all, 12)}."
             mend = "Call the cameras by one name in the stream and in the rig."
             found.append(Finding("live-unknown-camera", Severity.WARNING, listed(others), sentence, mend))
         if self._unposed:
@@ -291,7 +299,8 @@ class RigSource:
     def _counts(self) -> list[Finding]:
         found, warning, cameras = list[Finding](), Severity.WARNING, self.cameras()
         cable = "Look at cables and at the network, or lower the rate."
-        silent = [camera.name for camera in cameras if not camera.received]
+        # Those too of which the source does not know.
+        silent = [name for name in self._all if name not in self._unposed and name not in {c.name for c in cameras if c.received}]
         if silent:
             mend = "Look whether it is switched on, and whether it has this name in the rig."
             found.append(Finding("live-camera-silent", warning, listed(silent), f"camera {listed(silent)} sent nothing.", mend))
@@ -318,6 +327,10 @@ class RigSource:
             found.append(
                 Finding("live-many-blobs", warning, where, sentence, "Cover reflections and lamps, or raise the cameras' threshold.")
             )
+        kept = self._recorder
+        if kept is not None and (kept.problem or kept.left_out):
+            sentence = kept.problem or f"{kept.path}: {kept.left_out} images were not recorded, since the disk was busy."
+            found.append(Finding("live-not-recorded", Severity.ERROR, where, sentence, "Make space, or record to another disk."))
         unlinked = sum(camera.unlinked for camera in cameras)
         if unlinked:
             sentence = f"{where}: cameras are not triggered together, and {unlinked} blobs could not be followed to the instant of a frame."

@@ -129,10 +129,15 @@ def _table(rows: list[Any]) -> Floats:
         return np.empty((0, 3))
     widths = {len(row) for row in rows}
     if widths == {2}:
-        return np.column_stack([np.array(rows, dtype=np.float64).reshape(-1, 2), np.full(len(rows), np.nan)])
-    if not widths <= {2, 3}:
+        table = np.array(rows, dtype=np.float64)
+        table = np.column_stack([table, np.full(len(table), np.nan)])
+    elif widths <= {2, 3}:
+        table = np.array([[*row, np.nan][:3] for row in rows], dtype=np.float64)
+    else:
         raise ValueError
-    return np.array([[*row, np.nan][:3] for row in rows], dtype=np.float64).reshape(-1, 3)
+    if table.shape != (len(rows), 3):
+        raise ValueError
+    return table
 
 
 class JsonBlobs:

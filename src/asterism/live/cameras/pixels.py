@@ -8,19 +8,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.detection.grey import saturated_from
 from asterism.errors import AsterismError
 
 
-def eight_bits(image: NDArray[Any], bits: int | None = None) -> NDArray[np.uint8]:
-    """An image of 8 to 16 bits as one of 8: the lower bits are left out.
-
-    bits: of the camera; None where it is not known: all 16, or as many as the brightest pixel fills
-    """
+def eight_bits(image: NDArray[Any], bits: int) -> NDArray[np.uint8]:
+    """An image of 8 to 16 bits as one of 8: the lower ones are left out."""
     if image.dtype == np.uint8:
         return image
-    used = int(saturated_from(image)).bit_length() if bits is None else bits
-    return np.minimum(np.right_shift(image, max(0, used - 8)), 255).astype(np.uint8)
+    return np.minimum(np.right_shift(image, max(0, bits - 8)), 255).astype(np.uint8)
+
+
+class DepthByImages:
+    """Makes images of 8 bits of those that have 16 and use fewer, as many as the brightest pixel of all so far needs.
+
+    Cameras have 10, 12, 14 or 16 bits. One that shows nothing bright at first is taken for one of fewer, until it does.
+    """
+
+    def __init__(self) -> None:
+        self._bits = 10
+
+    def eight_bits(self, image: NDArray[Any]) -> NDArray[np.uint8]:
+        """The next image, of uint8 or uint16."""
+        while image.dtype != np.uint8 and self._bits < 16 and int(image.max()) >> self._bits:
+            self._bits += 2
+        return eight_bits(image, self._bits)
 
 
 def grey_of(pixel_format: str, pixels: NDArray[Any]) -> NDArray[np.uint8]:

@@ -18,7 +18,7 @@ from asterism.errors import AsterismError
 from asterism.live.camera_frames import LiveImage
 from asterism.live.cameras.addresses import Query
 from asterism.live.cameras.camera import BUFFERS, CameraAbout, LiveCamera
-from asterism.live.cameras.pixels import eight_bits
+from asterism.live.cameras.pixels import DepthByImages
 from asterism.live.cameras.settings import SettingValue
 from asterism.live.frames import SourceEnded
 from asterism.recording import Floats
@@ -48,7 +48,7 @@ class PlayedCamera(LiveCamera):
         times = query.text("times", "")
         query.check_all_used()
         self._source = open_source(self._path)
-        self._given_rate = math.nan
+        self._given_rate, self._depth = math.nan, DepthByImages()
         self._stamps = None if not times else _stamps(Path(times), name, len(self._source))
         self._images: Iterator[tuple[int, LiveImage | None]] = iter(())
         self._size = (0, 0)
@@ -164,7 +164,7 @@ class PlayedCamera(LiveCamera):
                     yield place, None
                     continue
                 self._size = (grey.shape[1], grey.shape[0])
-                yield place, LiveImage(self.name, added + number, later + last, 0.0, eight_bits(grey))
+                yield place, LiveImage(self.name, added + number, later + last, 0.0, self._depth.eight_bits(grey))
             if not self._loop or number < 0:
                 return
             later, added = later + last + 1.0 / self._rate, added + number + 1

@@ -19,7 +19,7 @@ from asterism.live.camera_frames import LiveImage
 from asterism.live.cameras.camera import BUFFERS, CameraAbout, CameraGone, LiveCamera
 from asterism.live.cameras.found_webcams import webcam_model
 from asterism.live.cameras.numbering import NumbersByTime
-from asterism.live.cameras.pixels import eight_bits
+from asterism.live.cameras.pixels import DepthByImages
 from asterism.live.cameras.settings import SettingValue, size_of
 
 NETWORK = ("http", "https", "rtsp")
@@ -78,6 +78,7 @@ class OpenCvCamera(LiveCamera):
             raise AsterismError(f"{address}: {self._why_not()}")
         self._capture = capture
         self._model, self._serial = ("", "") if self._in_network else webcam_model(self._device)
+        self._depth = DepthByImages()
         self._numbers = NumbersByTime(self._said_rate())
         self._images: deque[LiveImage] = deque(maxlen=BUFFERS)
         self._there = threading.Condition()
@@ -207,7 +208,7 @@ class OpenCvCamera(LiveCamera):
                 self.damaged, failing = self.damaged + 1, math.inf
             self._clock = "arrival" if math.isnan(stamp) else "system"
             when = arrived if math.isnan(stamp) else stamp
-            found = _grey_or_colour(np.asarray(image))
+            found = _grey_or_colour(np.asarray(image), self._depth)
             if found is None:
                 self.damaged += 1
                 continue
@@ -293,7 +294,7 @@ def _four_letters(code: float) -> str | None:
     return letters.decode() if all(32 < letter < 127 for letter in letters) else None
 
 
-def _grey_or_colour(image: NDArray[Any]) -> NDArray[np.uint8] | None:
+def _grey_or_colour(image: NDArray[Any], depth: DepthByImages) -> NDArray[np.uint8] | None:
     """An image as OpenCV gives it, as 8 bits grey or BGR; None where it is neither, as JPEG that was not decoded."""
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[..., 0]
@@ -303,7 +304,7 @@ def _grey_or_colour(image: NDArray[Any]) -> NDArray[np.uint8] | None:
         # Of YUYV the first of two is the brightness.
         return np.ascontiguousarray(image[..., 0])
     if image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3):
-        return eight_bits(image)
+        return depth.eight_bits(image)
     return None
 
 

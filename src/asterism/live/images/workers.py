@@ -9,9 +9,9 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field, replace
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -75,7 +75,8 @@ class _CameraProcess:
         names = ", ".join(place.name for place in places)
         process = context.Process(target=work, args=(tuple(places), settings, out, theirs), name=f"cameras {names}", daemon=True)
         try:
-            process.start()
+            with _interrupts_held():
+                process.start()
         except BaseException:
             pipe.close()
             orders.close()
@@ -126,7 +127,7 @@ class CameraWorkers:
 
     places    the cameras, such as `CameraSpec`s; names must differ
     settings  how their images are searched
-    workers   processes; None: as many as there are cores, at most one for each camera
+    workers   processes, at most one for each camera; None: as many as there are cores. Machine vision cameras have one each
     numbered_together  whether equal numbers are one exposure of all cameras, as of videos that were taken together
 
     What crosses a pipe is blobs, not images. A process that cannot keep up searches the newest image of each camera, and counts the others
@@ -155,11 +156,9 @@ class CameraWorkers:
         self._closed, self._reading = threading.Event(), threading.Lock()
         self._last_read = time.monotonic()
         self._workers: list[_CameraProcess] = []
-        groups = min(len(places), _cores() if workers is None else max(workers, 1))
         try:
-            # Dealt like cards, since cameras that stand side by side see equally much.
-            for group in range(groups):
-                self._workers.append(_CameraProcess.begin(places[group::groups], self._settings))
+            for group in _grouped(places, _cores() if workers is None else max(workers, 1)):
+                self._workers.append(_CameraProcess.begin(group, self._settings))
             self._open()
         except BaseException:
             self.close()
@@ -199,6 +198,11 @@ class CameraWorkers:
     def searches(self) -> dict[str, SearchCounts]:
         """What is counted of the search, by the camera's name."""
         return {name: _search(state) for name, state in self._states.items()}
+
+    def camera_numbers(self) -> list[dict[str, Any]]:
+        """How each camera that was opened does, and its search, as plain values; None for what is not known."""
+        searches = self.searches()
+        return [_plain({**asdict(health), "search": asdict(searches[health.camera])}) for health in self.healths()]
 
     def pictures(self) -> dict[str, NDArray[Any]]:
         """The newest image of each camera, where they are shown: see `WorkerSettings.pictures`."""
@@ -358,6 +362,42 @@ class CameraWorkers:
 def _with(place: CameraPlace, setting: str, value: SettingValue) -> CameraPlace:
     """A camera with a setting over its own."""
     return replace(place, settings={**place.settings, setting: value}) if isinstance(place, CameraSpec) else place
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """A process that begins here is not reached by Ctrl-C while it imports: it says nothing, and this one decides."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing import resource_tracker
+
+    # Each process is begun after this helper of Python's, whose own beginning would let interrupts through again.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _grouped(places: Sequence[CameraPlace], processes: int) -> list[list[CameraPlace]]:
+    """The cameras of each process: dealt like cards, since those that stand side by side see equally much.
+
+    Each machine vision camera has its own: a producer that is loaded once a process finds a camera again only while it has no other open.
+    """
+    alone = [place for place in places if str(getattr(place, "address", "")).startswith("genicam://")]
+    others = [place for place in places if place not in alone]
+    groups = min(len(others), processes)
+    return [[place] for place in alone] + [others[group::groups] for group in range(groups)]
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    """Values as JSON has them."""
+    return {
+        key: _plain(value) if isinstance(value, dict) else None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in values.items()
+    }
 
 
 def _cores() -> int:

@@ -9,6 +9,7 @@
   const ASLEEP = 2000;   // ms without a word, of which there are two a second: the page slept, and its clock may have stopped
   const PINGS = 8;       // of which the fastest says what the server's clock shows
   const LOG = 1024;      // sounds whose times are kept
+  const NUMBERS = 6;     // pictures from one change of numbers to the next
   const WAITING = 2;     // pictures that wait to be drawn: one that comes early is not lost to the next, and none is older than that
 
   // The palette is asked for once a theme: the browser is slow to tell.
@@ -105,7 +106,7 @@
       socket.addEventListener("open", () => { isOpen = true; this.clock.forget(); for (let n = 0; n < 3; n++) this.ping(); });
       socket.addEventListener("message", event => this.told(event.data));
       socket.addEventListener("close", async () => {
-        this.sounds.stop();
+        this.sounds.quiet();
         this.clock.forget();
         if (!this.ended) this.state("no connection", true);
         // A server of another session knows this address no more; who asks on and on gets no other answer.
@@ -201,7 +202,7 @@
       this.ended = Boolean(health.ended);
       const ended = health.problem || (health.ended ? "ended" : health.silent || !health.frames ? "no frames come" : "");
       this.state(ended || `${Math.round(health.rate)} frames/s`, Boolean(ended));
-      if (ended) this.sounds.stop();
+      if (ended) this.sounds.quiet();
       const last = this.sounded.length ? this.sounded[this.sounded.length - 1] : this.lastSounded, ms = value => value === null || value === undefined ? "–" : `${value.toFixed(1)} ms`;
       this.lastSounded = last;
       const rows = { frames: health.frames, lost: health.lost, "late or twice": health.late, damaged: health.damaged, "left out": health.dropped,
@@ -255,10 +256,11 @@
       const at = points.map(point => this.camera.project(...point));
       this.bones(pen, at);
       this.points(pen, at);
-      this.latency();
-      this.curves.draw();
-      this.showRules();
-      this.tellMissing();
+      // Numbers change ten times a second: nobody reads sixty, and each costs the browser a new layout.
+      const isTurn = this.drawn % NUMBERS === 1;
+      this.curves.draw(isTurn);
+      this.showRules(isTurn);
+      if (isTurn) { this.latency(); this.tellMissing(); }
     }
 
     // All points of a side in one path: hundreds of them are drawn as fast as ten.
@@ -330,18 +332,19 @@
     }
 
     // Every text that is told, in the colour of its rule; the edge of the picture in the first one's, to be seen from afar.
-    showRules() {
+    showRules(withNumbers) {
       const told = [];
       this.rules.forEach((rule, n) => {
         const cue = this.newest.cues[n];
         if (!cue) return;
-        if (rule.value.textContent !== cue[1]) rule.value.textContent = cue[1];
+        if (withNumbers && rule.value.textContent !== cue[1]) rule.value.textContent = cue[1];
         if (rule.row.classList.contains("on") !== Boolean(cue[2])) rule.row.classList.toggle("on");
-        if (cue[4]) told.push([cue[4], rule.colour]);
+        if (cue[4]) told.push([cue[4], rule.colour, n]);
       });
-      const words = JSON.stringify(told);
-      if (words === this.words) return;
-      this.words = words;
+      // Another rule is shown at once, another number of the same one with the numbers.
+      const [words, which] = [JSON.stringify(told), told.map(each => each[2]).join()];
+      if (words === this.words || (which === this.which && !withNumbers)) return;
+      Object.assign(this, { words, which });
       $("words").replaceChildren(...told.slice(0, 3).map(([text, tint]) => {
         const line = document.createElement("div");
         line.textContent = text;

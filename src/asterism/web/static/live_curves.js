@@ -97,13 +97,13 @@
       if (this.ticks.length > TICKS) this.ticks.shift();
     }
 
-    draw() {
+    draw(withNumbers) {
       if (!this.count) return;
       const first = Math.max(0, this.count - SAMPLES), end = this.times[(this.count - 1) % SAMPLES];
-      for (const chart of this.charts.values()) this.chart(chart, first, end);
+      for (const chart of this.charts.values()) this.chart(chart, first, end, withNumbers);
     }
 
-    chart(chart, first, end) {
+    chart(chart, first, end, withNumbers) {
       const { canvas, lines, unit, bounds } = chart, [pen, width, height] = Asterism.penOf(canvas);
       if (!width) return;
       let low = Infinity, high = -Infinity;
@@ -112,7 +112,7 @@
         if (value < low) low = value;
         if (value > high) high = value;
       }
-      chart.values.forEach((element, n) => {
+      if (withNumbers) chart.values.forEach((element, n) => {
         const text = shown(this.rows[lines[n].row][(this.count - 1) % SAMPLES], unit);
         if (element.textContent !== text) element.textContent = text;
       });

@@ -25,6 +25,11 @@
 
     stop() {
       this.on = false;
+      this.quiet();
+    }
+
+    // Ends what sounds now; what begins later is heard.
+    quiet() {
       for (const name of [...(this.tones || new Map()).keys()]) this.tone(name, null);
     }
 
