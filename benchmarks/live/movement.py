@@ -167,6 +167,10 @@ class _GivenLabels:
         self._pushed += 1
         return FrameLabels(self._pushed - 1, np.where(seen, np.cumsum(seen) - 1, -1), seen.astype(float))
 
+    def flush(self) -> list[FrameLabels]:
+        """Each frame had its labels at once."""
+        return []
+
     def close(self) -> None:
         """Nothing is open."""
 
