@@ -18,6 +18,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.formats import metres_per_unit
 from asterism.live.clock import SampleNumbers
+from asterism.live.found import axis_unknown, labels_given
 from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
 from asterism.live.mocap_channels import ChannelLayout, layout_of_channels
 from asterism.live.packages import packages_for
@@ -330,7 +331,10 @@ class FromLsl:
 
     def findings(self) -> list[Finding]:
         """What was believed, and what happened to the stream."""
-        name, found, layout = self.about.name, list(self._unit_findings), self._layout
+        name, layout = self.about.name, self._layout
+        found = [axis_unknown(name, "z"), *self._unit_findings]
+        if layout is not None and any(layout.names):
+            found.append(labels_given(name))
         if self._size:
             mend = "Have its sender write the unit in which it sends."
             found.append(Finding("live-unit-doubtful", Severity.WARNING, name, self._size, mend))

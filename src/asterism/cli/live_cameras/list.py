@@ -62,7 +62,7 @@ def list(options: ListCamerasOptions) -> None:
     by_name = {about.name: about for about in known}
     for spec in specs:
         about = by_name.get(spec.name)
-        size = "" if about is None or not any(about.size) else "{} x {}".format(*about.size)
+        size = "" if about is None or not any(about.size) else f"{about.size[0]} x {about.size[1]}"
         rate = "" if about is None or math.isnan(about.rate) else f"{about.rate:g} Hz"
         has = ", ".join(f"{name} {setting_text(name, value)}" for name, value in said.get(spec.name, {}).items() if value is not None)
         model, serial = ("", "") if about is None else (about.model, about.serial)

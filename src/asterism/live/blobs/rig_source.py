@@ -22,7 +22,7 @@ from asterism.live.blobs.gathering import ByNumber, ByTime, CameraArrivals, RigF
 from asterism.live.blobs.recorder import BlobRecorder
 from asterism.live.camera_frames import BlobSource, LiveBlobs
 from asterism.live.found import own_findings
-from asterism.live.frames import MOST_POINTS, LiveFrame, OfCameras, SourceAbout, SourceEnded
+from asterism.live.frames import MOST_POINTS, CameraControl, LiveFrame, OfCameras, SourceAbout, SourceEnded
 from asterism.reconstruction import ReconstructionSettings, Reconstructor
 from asterism.reconstruction.camera_fit import CameraFit
 from asterism.reconstruction.streaming import WINDOW
@@ -180,6 +180,11 @@ class RigSource:
         """The same as plain values, with what the source itself says of each; what is not known is None."""
         own = {numbers["camera"]: numbers for numbers in self._source.camera_numbers()} if isinstance(self._source, OfCameras) else {}
         return [{**rig, "images": own[rig["name"]]} if rig["name"] in own else rig for rig in as_plain(self.cameras())]
+
+    @property
+    def control(self) -> CameraControl | None:
+        """Where the cameras are set; None where they are another program's."""
+        return self._source if isinstance(self._source, CameraControl) else None
 
     def findings(self) -> list[Finding]:
         """What a person should know of the cameras and their rig."""

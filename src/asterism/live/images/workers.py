@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from asterism.detection.running import MOST_BLOBS
 from asterism.errors import AsterismError
+from asterism.files.plain import as_json
 from asterism.findings import Finding, Severity
 from asterism.live.camera_frames import LiveBlobs
-from asterism.live.cameras import CameraHealth, CameraSpec, SettingOutcome, SettingValue, camera_findings, save_cameras
+from asterism.live.cameras import CameraHealth, CameraSpec, SettingOutcome, camera_findings, save_cameras
 from asterism.live.cameras.settings import setting_value
 from asterism.live.frames import SourceEnded
 from asterism.live.images.worker import CameraPlace, CameraReport, SearchCounts, SettingOrder, WorkerReady, WorkerSettings, work
@@ -47,6 +48,8 @@ _ENDING = 3.0
 _AHEAD = 100
 """Images by which a process that reads videos may be ahead of another. Half of them stop it at each pause of the system; twice as many hold
 twice the memory."""
+_ORDERS = 32
+"""Settings that wait until they are passed on, a tenth of a second: more than a person asks for; half and double do as well."""
 _WAITING = 1000
 """Images' blobs that are kept while the cameras open: four seconds of four webcams. More would be old when they are used."""
 
@@ -155,6 +158,7 @@ class CameraWorkers:
         self._at: float | None = None
         self._closed, self._reading = threading.Event(), threading.Lock()
         self._last_read = time.monotonic()
+        self._orders: deque[SettingOrder] = deque(maxlen=_ORDERS)
         self._workers: list[_CameraProcess] = []
         try:
             for group in _grouped(places, _cores() if workers is None else max(workers, 1)):
@@ -202,7 +206,7 @@ class CameraWorkers:
     def camera_numbers(self) -> list[dict[str, Any]]:
         """How each camera that was opened does, and its search, as plain values; None for what is not known."""
         searches = self.searches()
-        return [_plain({**asdict(health), "search": asdict(searches[health.camera])}) for health in self.healths()]
+        return [as_json({**asdict(health), "search": asdict(searches[health.camera])}) for health in self.healths()]
 
     def pictures(self) -> dict[str, NDArray[Any]]:
         """The newest image of each camera, where they are shown: see `WorkerSettings.pictures`."""
@@ -245,12 +249,21 @@ class CameraWorkers:
             raise AsterismError(
                 f"there is no camera {next(name for name in names if name not in self.cameras)}, only {', '.join(self.cameras)}."
             )
-        with self._reading:
-            for worker in self._workers:
-                worker.places = tuple(_with(place, setting, asked) if place.name in names else place for place in worker.places)
-                # One that has just died is begun anew with it.
-                with suppress(OSError):
-                    worker.orders.send(SettingOrder(setting, asked, names))
+        # The thread that reads does it: it alone begins processes anew.
+        self._orders.append(SettingOrder(setting, asked, names))
+
+    def camera_states(self) -> list[dict[str, Any]]:
+        """How each camera does, what it has, and what of its settings is not as it was asked, as plain values."""
+        healths = {health.camera: as_json(asdict(health)) for health in self.healths()}
+        outcomes = [outcome for outcome in self.outcomes() if not outcome.as_asked]
+        return [
+            {
+                **healths.get(name, {"camera": name, "problem": state.problem or "it is not open yet."}),
+                "has": {} if state.report is None else state.report.said,
+                "told": [str(outcome) for outcome in outcomes if outcome.camera == name],
+            }
+            for name, state in self._states.items()
+        ]
 
     def outcomes(self) -> list[SettingOutcome]:
         """What became of the settings of all cameras."""
@@ -293,8 +306,17 @@ class CameraWorkers:
             if state.report is not None and state.report.health is None and state.report.problem:
                 raise AsterismError(f"camera {name}: {state.report.problem}")
 
+    def _pass_on(self, order: SettingOrder) -> None:
+        for worker in self._workers:
+            worker.places = tuple(_with(place, order) if place.name in order.names else place for place in worker.places)
+            # One that has just died is begun anew with it.
+            with suppress(OSError):
+                worker.orders.send(order)
+
     def _take(self, timeout: float) -> bool:
         """Take what the processes have sent; False where all have ended with their cameras."""
+        while self._orders:
+            self._pass_on(self._orders.popleft())
         now = time.monotonic()
         if now - self._last_read > 1.0:
             # Nobody listened: what they said waits in the pipes.
@@ -359,9 +381,9 @@ class CameraWorkers:
         return worker.dead and all(self._states[place.name].has_ended for place in worker.places)
 
 
-def _with(place: CameraPlace, setting: str, value: SettingValue) -> CameraPlace:
+def _with(place: CameraPlace, order: SettingOrder) -> CameraPlace:
     """A camera with a setting over its own."""
-    return replace(place, settings={**place.settings, setting: value}) if isinstance(place, CameraSpec) else place
+    return replace(place, settings={**place.settings, order.setting: order.value}) if isinstance(place, CameraSpec) else place
 
 
 @contextmanager
@@ -390,14 +412,6 @@ def _grouped(places: Sequence[CameraPlace], processes: int) -> list[list[CameraP
     others = [place for place in places if place not in alone]
     groups = min(len(others), processes)
     return [[place] for place in alone] + [others[group::groups] for group in range(groups)]
-
-
-def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    """Values as JSON has them."""
-    return {
-        key: _plain(value) if isinstance(value, dict) else None if isinstance(value, float) and not math.isfinite(value) else value
-        for key, value in values.items()
-    }
 
 
 def _cores() -> int:
