@@ -256,7 +256,7 @@ def test_a_clock_that_is_set_or_a_long_gap_makes_up_no_repetition(jump: float) -
 
 
 @given(
-    st.lists(st.tuples(st.floats(0, 3), st.one_of(st.just(math.nan), st.floats(-1e6, 1e6))), max_size=120),
+    st.lists(st.tuples(st.floats(0, 3), st.floats()), max_size=120),
     st.sampled_from(["highest", "lowest", "range", "tempo", ""]),
     st.sampled_from(["", "start", "before"]),
 )
@@ -268,7 +268,7 @@ def test_no_series_of_values_breaks_a_rule(series: list[tuple[float, float]], ea
         frame = LabelledFrame(LiveFrame(n, now, 0.0, np.zeros((0, 3))), (), np.empty(0, dtype=int), np.empty(0), 0.0)
         for cue in feedback.judge(frame, FrameAnalysis({"x": value, "left y": value, "right y": -value})):
             assert math.isnan(cue.tone) or 0 <= cue.tone <= 1
-            assert not cue.began or cue.on
+            assert (not cue.began or cue.on) and not math.isinf(cue.value)
 
 
 def test_names_that_a_session_lacks_are_said_once_with_the_near_ones() -> None:

@@ -290,6 +290,8 @@ class Feedback:
         unit = rule.unit or ("" if rule.each == "tempo" else analysis.units.get(rule.of, ""))
         if state.change is not None and is_new:
             value = state.change.push(now, value)
+        # Sides that cancel out have no symmetry, and JSON no infinity.
+        value = value if math.isfinite(value) else math.nan
         if rule.is_moment:
             return self._moment(state, value, is_new, unit)
         # Back after a while, it is something new.
