@@ -120,7 +120,7 @@ class RigSource:
         self.dropped, self.cut, self.no_points = 0, 0, 0
         self._queue: deque[RigFrame] = deque()
         self._there = threading.Condition()
-        self._ended = False
+        self._ended = self._wanted = False
         self._failed: Exception | None = None
         self._fits: tuple[CameraFit, ...] = ()
         self._found: dict[tuple[str, str], tuple[Finding, int]] = {}
@@ -146,6 +146,7 @@ class RigSource:
         """The points of the next frame; None where none came within so many seconds. Raises SourceEnded."""
         until = time.monotonic() + timeout
         with self._there:
+            self._wanted = True
             while not self._queue:
                 if self._ended:
                     if self._failed is not None:
@@ -156,10 +157,10 @@ class RigSource:
                     return None
                 self._there.wait(left)
             frame = self._queue.popleft()
-            # However slow this is, what is shown is not old.
+            # However slow this is, what is shown is not old. What waited for the first call is dropped, too, and nobody's.
             while not self._waits and self._queue and time.monotonic() - frame.arrived > _QUEUE:
                 frame = self._queue.popleft()
-                self.dropped += 1
+                self.dropped += self._frames > 0
             self._there.notify_all()
         return self._reconstructed(frame)
 
@@ -238,7 +239,8 @@ class RigSource:
                 self._queue.append(frame)
                 while len(self._queue) > most and not self._waits:
                     self._queue.popleft()
-                    self.dropped += 1
+                    # Frames that come before the first one is asked for are nobody's.
+                    self.dropped += self._wanted
                 self._there.notify_all()
 
     def _reconstructed(self, frame: RigFrame) -> LiveFrame:
