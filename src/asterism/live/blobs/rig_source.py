@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
+import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -281,6 +284,10 @@ class RigSource:
             self._judge.start()
 
     def _learn(self, rate: float) -> None:
+        if not self._waits and sys.platform == "linux":
+            # Frames first: on Linux each thread has a priority of its own.
+            with suppress(OSError):
+                os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 10)
         fits, findings = self._reconstructor.learn(rate)
         if not fits:
             return
