@@ -267,6 +267,17 @@ def test_what_cannot_be_opened_is_said() -> None:
         CameraWorkers([CameraSpec("left", "simulated://"), CameraSpec("right", "nowhere.mp4")], workers=1)
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="cameras have other addresses")
+def test_a_camera_that_is_not_there_costs_itself() -> None:
+    workers = CameraWorkers([CameraSpec("left", "simulated://?size=160x120"), CameraSpec("gone", "camera://97")], workers=1)
+    try:
+        assert until(workers, lambda: workers.searches()["left"].searched > 5)
+        assert [(found.code, found.where) for found in workers.findings()] == [("live-camera-not-opened", "gone")]
+        assert "no such camera" in str(workers.camera_states()[1]["problem"])
+    finally:
+        workers.close()
+
+
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are looked up in /proc")
 def test_nothing_is_left_behind_when_the_first_process_is_killed(tmp_path: Path) -> None:
     script = tmp_path / "run.py"
