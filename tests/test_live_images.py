@@ -136,6 +136,14 @@ def test_light_that_changes_is_learnt_at_once() -> None:
     assert found == [8] * 40
     assert [len(running.find(np.zeros(SIZE[::-1], np.uint8), number / 60.0).blobs) for number in range(80, 100)] == [0] * 20
     assert [len(running.find(scene(number), number / 60.0).blobs) for number in range(100, 140)] == [8] * 40
+    # The sun falls on the floor, beside the markers.
+    spot = np.zeros(SIZE[::-1], np.uint8)
+    cv2.ellipse(spot, (70, 230), (75, 14), 0, 0, 360, 255, -1)
+    found = [
+        len(running.find(np.maximum(scene(number, dots=5), cv2.GaussianBlur(spot, (0, 0), 2)), number / 60.0).blobs)
+        for number in range(140, 180)
+    ]
+    assert found == [5] * 40
 
 
 def test_lights_of_the_empty_room_are_masked() -> None:
@@ -257,6 +265,17 @@ def test_what_cannot_be_opened_is_said() -> None:
         CameraWorkers([CameraSpec("left", "a"), CameraSpec("left", "b")])
     with pytest.raises(AsterismError, match=r"camera right: .*nowhere\.mp4"):
         CameraWorkers([CameraSpec("left", "simulated://"), CameraSpec("right", "nowhere.mp4")], workers=1)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="cameras have other addresses")
+def test_a_camera_that_is_not_there_costs_itself() -> None:
+    workers = CameraWorkers([CameraSpec("left", "simulated://?size=160x120"), CameraSpec("gone", "camera://97")], workers=1)
+    try:
+        assert until(workers, lambda: workers.searches()["left"].searched > 5)
+        assert [(found.code, found.where) for found in workers.findings()] == [("live-camera-not-opened", "gone")]
+        assert "no such camera" in str(workers.camera_states()[1]["problem"])
+    finally:
+        workers.close()
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are looked up in /proc")

@@ -340,5 +340,11 @@ def test_channels_are_read_by_what_is_said_of_them() -> None:
     assert layout_of_channels(body, 7) is None, "a body is no marker"
     labels = layout_of_channels([{"label": f"{name}{axis}"} for name in ("head.", "foot.") for axis in "zyx"], 6)
     assert labels is not None and labels.columns.tolist() == [[2, 1, 0], [5, 4, 3]] and labels.names == ("head", "foot")
+    before = layout_of_channels([{"label": f"{axis}.{name}", "type": f"Position{axis}"} for axis in "xyz" for name in ("head", "x")], 6)
+    assert before is not None and before.columns.tolist() == [[0, 2, 4], [1, 3, 5]] and before.names == ("head", "x")
+    alone = layout_of_channels(points_of(["Ball"], "m", of="object"), 3)
+    assert alone is not None and alone.names == ("Ball",), "an object without an orientation is a point"
+    mouse = [{"label": f"Mouse{axis}", "type": f"Position{axis}", "unit": "pixels"} for axis in "XY"]
+    assert layout_of_channels([*mouse, {"label": "buttons", "type": "Buttons"}], 3) is None
     assert layout_of_channels([], 7) is None and layout_of_channels([{"label": "frame"}], 7) is not None
     assert StreamChoice.of("lsl://?type=MoCap").fits({"type": "mocap"}) and not StreamChoice.of("lsl://Walk").fits({"name": "walk"})

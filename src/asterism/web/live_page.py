@@ -18,7 +18,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.live import AnalysedFrame, LabelledFrame, LiveSession
+from asterism.live import AnalysedFrame, LabelledFrame, LiveSession, own_findings
 from asterism.live.frames import CameraControl, WithCameraControl
 from asterism.live.outputs import cue_as_json, event_as_json
 from asterism.recording.sides import marker_sides
@@ -412,6 +412,11 @@ def _code_of(address: str) -> str:
     return str(segno.make(address, micro=False).svg_data_uri(omitsize=True)) if address else ""
 
 
+def _warnings(session: LiveSession) -> list[str]:
+    """What the source has to say while it runs, as of a camera that was bumped."""
+    return [finding.sentence for finding in own_findings([session.source]) if finding.severity > Severity.NOTE]
+
+
 def _plain_health(session: LiveSession, page: ToPage) -> dict[str, Any]:
     health = session.health()
     p50, p999 = health.latency
@@ -427,6 +432,6 @@ def _plain_health(session: LiveSession, page: ToPage) -> dict[str, Any]:
         "p999": None if np.isnan(p999) else round(1000 * p999, 2),
         "not sounded": page.late,
         "problem": health.problem,
-        "problems": [] if session.feedback is None else session.feedback.problems,
+        "problems": [*([] if session.feedback is None else session.feedback.problems), *_warnings(session)],
         "ended": session.has_ended,
     }
