@@ -43,10 +43,12 @@ def watched(
         ({"points": np.concatenate([BODY, BODY + [1.0, 0.0, 0.0]])}, ["live-second-body"]),
         ({"points": BODY, "refusal": "no shipped set is like it."}, ["live-no-set"]),
         ({"points": BODY, "comes": 240.0, "slower": 240.0}, ["live-rate"]),
+        ({"points": BODY[:8]}, ["live-few-points"]),
+        ({"points": BODY[:, [0, 2, 1]]}, ["live-vertical"]),
         ({"points": BODY, "slower": 60.0}, ["live-rate-changed"]),
         ({"points": BODY, "comes": 95.0, "slower": 104.0}, []),
     ],
-    ids=["well", "none", "mm", "m", "others", "wand", "flood", "two", "no-set", "rate", "slower", "busy"],
+    ids=["well", "none", "mm", "m", "others", "wand", "flood", "two", "no-set", "rate", "other-set", "lying", "slower", "busy"],
 )
 def test_what_is_wrong_with_all_frames_is_said_within_seconds_and_at_the_end(what: dict, codes: list[str]) -> None:
     assert watched(**what) == (codes, codes)

@@ -33,9 +33,16 @@ _RATE_OFF = 0.1
 and pauses of a busy machine move the rate of 2 s by a twentieth; twice as much hides 100 called 120."""
 
 
+_TALLER = 1.5
+"""Times as far that points spread along another axis as along what is up, before it is told: a stride is as long as legs are high. Half of it
+is a person with spread arms; twice as much hides a crouching one."""
+_LASTING = 10**9
+"""Times that count for what is reported however short it was: more than a session has."""
+
+
 @dataclass(frozen=True)
 class _Look:
-    """A frame: its number and arrival, points, spread (3,) m of the middle four fifths, labels given, markers of the set, refusal."""
+    """A frame: its number and arrival, points, spread (3,) m of the middle four fifths, labels given, markers of the set, whether they fit, refusal."""
 
     number: int
     arrived: float
@@ -43,6 +50,7 @@ class _Look:
     spread: Floats
     labelled: int
     markers: int
+    fits: bool
     refusal: str
 
 
@@ -64,6 +72,8 @@ class SessionWatch:
     _next: int = 0
     _rate: float = 0.0
     _judged: int = 0
+    _wrong: int = 0
+    """of the judged ones, those in which something was wrong"""
     _times: dict[str, int] = field(default_factory=dict)
     _last: dict[str, Finding] = field(default_factory=dict)
     _kept_rate: bool = False
@@ -80,84 +90,100 @@ class SessionWatch:
         points = found.frame.points
         spread = np.diff(np.quantile(points, (0.1, 0.9), axis=0), axis=0)[0] if len(points) else np.zeros(3)
         labelled = int((found.indices >= 0).sum())
-        self._looks.append(_Look(found.frame.number, found.frame.arrived, len(points), spread, labelled, len(found.markers), refusal))
+        self._looks.append(
+            _Look(found.frame.number, found.frame.arrived, len(points), spread, labelled, len(found.markers), found.fits, refusal)
+        )
         if len(self._looks) == _LOOKS:
             self._judge(rate)
             self._looks.clear()
 
     def findings(self) -> list[Finding]:
-        """What was wrong for most of the session, or ever where that is enough."""
+        """What was wrong, if something was for most of the session, or once where that is enough."""
         if not self._judged and len(self._looks) >= _LOOKS // 4:
             # A session of less than 2 s is judged by what it had.
             self._judge(self._rate)
-        return [finding for code, finding in self._last.items() if self._times[code] > self._judged / 2]
+        wrong = self._wrong > self._judged / 2
+        return [finding for code, finding in self._last.items() if self._times[code] >= (min(2, self._judged) if wrong else _LASTING)]
 
     def _judge(self, rate: float) -> None:
         self._judged += 1
+        self._any_point = self._any_point or any(look.points for look in self._looks)
+        found = [self._of_rate(rate) if self.timed else None, self._of_points()]
+        self._wrong += any(each is not None for each in found)
+        for finding in found:
+            if finding is not None:
+                self._say(finding, lasting=finding.code == "live-rate-changed")
+
+    def _of_points(self) -> Finding | None:
         looks = self._looks
         points, labelled = (float(np.median([getattr(look, name) for look in looks])) for name in ("points", "labelled"))
         spread, markers = np.median([look.spread for look in looks], axis=0), looks[-1].markers
-        self._any_point = self._any_point or any(look.points for look in looks)
-        if self.timed:
-            self._judge_rate(rate)
         if not self._any_point:
             mend = "Look whether the system streams its points. In millimetres that are called metres, they are beyond what is believed."
-            self._say(Finding("live-no-points", Severity.WARNING, self.name, f"{self.name}: its frames have no points.", mend))
-        elif points >= 3 and not _NEAR < spread.max() < _FAR:
+            return Finding("live-no-points", Severity.WARNING, self.name, f"{self.name}: its frames have no points.", mend)
+        if points >= 3 and not _NEAR < spread.max() < _FAR:
             sentence = f"{self.name}: the points of a frame lie within {significant(float(spread.max()), 2)} m, which no body does."
-            self._say(
-                Finding("live-unit", Severity.WARNING, self.name, sentence, "Look at the unit in which it sends, and in which it says so.")
-            )
-        elif not markers:
-            if looks[-1].refusal:
-                sentence = f"{self.name}: no marker set was found yet. {looks[-1].refusal}"
-                self._say(Finding("live-no-set", Severity.WARNING, self.name, sentence, "Name the set with --markers, or give a --model."))
-        elif points and labelled < _FEW_LABELS * min(points, markers):
-            self._say(self._unlike(points, labelled, spread, markers))
-        elif points > 3 * markers + _LOOKS:
+            mend = "Look at the unit in which it sends, and at the one that it says."
+            return Finding("live-unit", Severity.WARNING, self.name, sentence, mend)
+        if not markers:
+            if not looks[-1].refusal:
+                return None
+            sentence = f"{self.name}: no marker set was found yet. {looks[-1].refusal}"
+            return Finding("live-no-set", Severity.WARNING, self.name, sentence, "Name the set with --markers, or give a --model.")
+        if points > 3 * markers + _LOOKS:
             sentence = f"{self.name}: frames have {points:.0f} points, the marker set has {markers}."
-            self._say(Finding("live-many-points", Severity.WARNING, self.name, sentence, "Cover reflections, or mask them in the cameras."))
-        elif min(labelled, points - labelled) > 0.7 * markers:
+            return Finding("live-many-points", Severity.WARNING, self.name, sentence, "Cover reflections, or mask them in the cameras.")
+        fits = 2 * sum(look.fits for look in looks) >= len(looks)
+        if points and (not fits or points < 0.5 * markers or labelled < _FEW_LABELS * min(points, markers)):
+            return self._unlike(points, labelled, spread, markers)
+        if min(labelled, points - labelled) > 0.7 * markers:
             sentence = f"{self.name}: {points - labelled:.0f} points are left over beside a body of {labelled:.0f}; one person is labelled."
-            self._say(Finding("live-second-body", Severity.NOTE, self.name, sentence, "Have one person in view, or label the recording."))
+            return Finding("live-second-body", Severity.NOTE, self.name, sentence, "Have one person in view, or label the recording.")
+        axis, times = self._taller(spread)
+        if points and times > _TALLER:
+            sentence = f"{self.name}: the points spread {significant(times, 2)} times as far along {axis} as along what is held for up."
+            mend = f"Say --vertical {axis} if that is up; who lies down spreads so, too."
+            return Finding("live-vertical", Severity.NOTE, self.name, sentence, mend)
+        return None
+
+    def _taller(self, spread: Floats) -> tuple[str, float]:
+        """The axis along which the points spread most, and how many times as far as along what is up."""
+        up = np.array([0.0, 0.0, 1.0]) if self.up is None else np.abs(self.up)
+        return "xyz"[int(spread.argmax())], float(spread.max() / max(spread @ up, 1e-9))
 
     def _unlike(self, points: float, labelled: float, spread: Floats, markers: int) -> Finding:
         """Points that are nearly all without a label."""
         sentence = f"{self.name}: {labelled:.0f} of {markers} markers have a label, in frames of {points:.0f} points."
-        up = np.array([0.0, 0.0, 1.0]) if self.up is None else np.abs(self.up)
-        tallest = int(spread.argmax())
         if points < 0.5 * markers:
-            return Finding(
-                "live-few-points", Severity.WARNING, self.name, sentence, "Look whether the person is in view, and wears this set."
-            )
-        if spread[tallest] > 1.5 * spread @ up:
-            axis = "xyz"[tallest]
+            mend = "Look whether the person is in view, and wears this set."
+            return Finding("live-few-points", Severity.WARNING, self.name, sentence, mend)
+        axis, times = self._taller(spread)
+        if times > _TALLER:
             mend = f"They are tallest along {axis}: say --vertical {axis} if that is up, else give the model of these markers."
         else:
             mend = "Give the model, or the set, of the markers that are worn."
         return Finding("live-other-markers", Severity.WARNING, self.name, sentence, mend)
 
-    def _judge_rate(self, rate: float) -> None:
+    def _of_rate(self, rate: float) -> Finding | None:
         first, last = self._looks[0], self._looks[-1]
         frames, seconds = last.number - first.number, last.arrived - first.arrived
         if frames <= 0 or seconds <= 0:
-            return
+            return None
         seen = frames / seconds
         if abs(seen / rate - 1.0) <= _RATE_OFF:
             self._kept_rate = True
-            return
+            return None
         sentence = f"{self.name}: {significant(seen, 3)} frames come a second, not {significant(rate, 3)}."
         if self._kept_rate:
             mend = "Cameras that have more to see may be slower: lower their rate until it is held."
-            self._say(Finding("live-rate-changed", Severity.WARNING, self.name, sentence, mend), lasting=True)
-        else:
-            mend = f"Say --rate {significant(seen, 3)}, or look at what it sends: speeds are taken from the rate."
-            self._say(Finding("live-rate", Severity.WARNING, self.name, sentence, mend))
+            return Finding("live-rate-changed", Severity.WARNING, self.name, sentence, mend)
+        mend = f"Say --rate {significant(seen, 3)}, or look at what it sends: speeds are taken from the rate."
+        return Finding("live-rate", Severity.WARNING, self.name, sentence, mend)
 
     def _say(self, finding: Finding, *, lasting: bool = False) -> None:
         """Tell it at its second time, since a person may just walk in; lasting: at once, and it is reported however short it was."""
         code = finding.code
-        self._times[code] = self._times.get(code, 0) + (10**9 if lasting else 1)
+        self._times[code] = self._times.get(code, 0) + (_LASTING if lasting else 1)
         if (lasting and code not in self._last) or (not lasting and self._times[code] == 2):
             self.tell(finding)
         self._last[code] = finding
