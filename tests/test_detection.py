@@ -249,7 +249,7 @@ def test_pixels_of_overlapping_blobs_are_shared_as_by_the_twin(seed: int) -> Non
     out[:, [moments.X, moments.Y]] = places + rng.uniform(-1, 1, (3, 2))
     out[:, [moments.XX, moments.YY, moments.WEIGHT]] = [4.0, 4.0, 1000.0]
     expected = twins_detection.shared(weight[ys, xs], np.stack([xs, ys], axis=1), out[:, [moments.X, moments.Y]], 4.0, moments.SETTLED_PX)
-    moments.share_pixels(weight, ys, xs, out)
+    moments.share_pixels(weight, ys, xs, 10**9, out)
     assert np.allclose(out[:, [moments.X, moments.Y]], expected, atol=1e-9)
 
 

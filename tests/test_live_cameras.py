@@ -14,12 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import Tab, needs_chromium
 
 from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.files.toml import read_toml
 from asterism.findings import Severity
-from asterism.live import SourceEnded
+from asterism.live import LiveFrame, LiveSession, SourceAbout, SourceEnded
 from asterism.live.camera_frames import LiveImage
 from asterism.live.cameras import (
     CameraGone,
@@ -42,6 +43,7 @@ from asterism.live.cameras.machine_vision import found_genicam
 from asterism.live.cameras.numbering import NumbersByTime
 from asterism.live.cameras.pixels import grey_of
 from asterism.live.cameras.reopening import ReopeningCamera
+from asterism.live.cameras.settings import setting_value
 from asterism.live.cameras.simulated import SimulatedCamera
 
 cv2 = pytest.importorskip("cv2")
@@ -309,7 +311,7 @@ def watched(shown: list[LiveImage], rate: float = 10.0) -> CameraHealth:
     for given in shown:
         watch.image(given)
         watch.blobs(given.number % 3)
-    return watch.health()
+    return watch.health(shown[-1].arrived + 0.01)
 
 
 @pytest.mark.parametrize(
@@ -323,8 +325,7 @@ def watched(shown: list[LiveImage], rate: float = 10.0) -> CameraHealth:
     ],
 )
 def test_troubles_of_a_camera_are_told_one_by_one(trouble, grey, number, step):
-    now = time.monotonic()
-    shown = [replace(image(number(n), n * step, now - 3 + n * step, grey), number=n) for n in range(int(3 / step))]
+    shown = [replace(image(number(n), n * step, 50 + n * step, grey), number=n) for n in range(int(3 / step))]
     health = watched(shown)
     told = [kind for kind, seconds in health.seconds.items() if seconds > 1]
     assert told == ([trouble] if trouble else [])
@@ -334,10 +335,9 @@ def test_troubles_of_a_camera_are_told_one_by_one(trouble, grey, number, step):
 
 
 def test_the_drift_of_a_camera_s_clock_and_its_lost_images_are_told():
-    now = time.monotonic()
     rng = np.random.default_rng(0)
     kept = [n for n in range(400) if n % 50 != 7]
-    shown = [image(n, 0.1 * n * (1 + 80e-6), now - 40 + 0.1 * n + rng.exponential(1e-3)) for n in kept]
+    shown = [image(n, 0.1 * n * (1 + 80e-6), 50 + 0.1 * n + rng.exponential(1e-3)) for n in kept]
     health = watched(shown)
     assert abs(health.drift - 80) < 3 * health.drift_sd < 45 and health.lost == 8
     assert [found.code for found in camera_findings([health])] == ["live-camera-lost"]
@@ -697,3 +697,77 @@ def test_a_session_does_not_overwrite_what_cameras_had_in_another(capsys, tmp_pa
     words = ["live", "--cameras", str(rig_file), "--rig", str(tmp_path / "none.toml"), "-o", str(tmp_path / "walk.c3d")]
     assert main(words) == 2 and "walk.cameras.toml exists" in capsys.readouterr().err
     assert main([*words, "--overwrite"]) == 2 and "none.toml" in capsys.readouterr().err
+
+
+class Watched:
+    """A session's source whose cameras say that one is black, and keep what is set."""
+
+    about = SourceAbout("2 cameras", 60.0)
+    damaged = 0
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[str, object]] = []
+        self.control = self
+
+    def read(self, timeout: float) -> LiveFrame | None:
+        return None
+
+    def close(self) -> None:
+        pass
+
+    def camera_numbers(self) -> list[dict[str, object]]:
+        return []
+
+    def camera_states(self) -> list[dict[str, object]]:
+        told = [f"left: {name} is not set." for name, _ in self.asked]
+        seen = {"rate": 60.0, "lost": 0, "brightness": 9.5, "saturated": 0.0, "blobs": None, "problem": "its images are black."}
+        return [
+            {"camera": "left", **seen, "has": {"exposure": 4.0}, "told": told},
+            {"camera": "right", "problem": "", "has": {"exposure": 2.0}, "told": []},
+        ]
+
+    def set(self, setting: str, value: object) -> None:
+        self.asked.append((setting, setting_value(setting, value)))
+
+
+@pytest.fixture
+def served() -> Iterator[tuple[Watched, str]]:
+    pytest.importorskip("uvicorn", reason="the extra web is not installed")
+    from asterism.web.live_page import ToPage, serve_live
+    from asterism.web.serving import PageAddress
+
+    source, page, said = Watched(), ToPage(), list[str]()
+    stop = serve_live(LiveSession(source, lambda rate, up: None, [page]), page, PageAddress(), said.append)
+    yield source, said[0].rpartition(" ")[2]
+    stop()
+
+
+def test_the_page_sets_cameras_but_not_what_changes_their_calibration(served):
+    connect = pytest.importorskip("websockets.sync.client").connect
+    source, address = served
+    with connect(address.replace("http", "ws").replace("/?", "/ws?")) as socket:
+
+        def next_of(kind: str) -> object:
+            return next(news[kind] for news in iter(lambda: json.loads(socket.recv(timeout=60)), None) if kind in news)
+
+        assert [camera["problem"] for camera in next_of("cameras")] == ["its images are black.", ""]
+        for words in ('{"set": 3}', '{"set": {"size": "8x8", "rate": 9, "ReverseX": true}}', '{"set": {"exposure": "4000us"}}'):
+            socket.send(words)
+        socket.send('{"set": {"gain": "loud"}}')
+        assert "gain = loud" in next_of("refused")
+        assert source.asked == [("exposure", 4.0)]
+
+
+@needs_chromium
+def test_the_page_shows_cameras_and_what_became_of_what_was_set(served, tmp_path):
+    pytest.importorskip("websockets", reason="the tests talk to Chromium by a socket")
+    source, address = served
+    with Tab(address, 800, 900) as tab:
+        tab.wait("document.querySelectorAll('#cameras tbody tr').length === 3")
+        words = tab.value("document.getElementById('cameras').textContent")
+        assert "its images are black." in words and "–" in words
+        assert tab.value("document.querySelector('#cameras [name=exposure]').placeholder") == "4, 2"
+        tab.value("document.querySelector('#cameras [name=gain]').value = ' 6 '")
+        tab.value("document.querySelector('#cameras button').click()")
+        tab.wait("document.getElementById('cameras').textContent.includes('gain is not set.')")
+    assert source.asked == [("gain", 6.0)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import threading
 import time
 import urllib.error
@@ -36,9 +37,12 @@ from asterism.live import (
     LiveFrame,
     LiveSession,
     MovementAnalysis,
+    example_names,
     labels_as_json,
     load_feedback,
+    measures,
 )
+from asterism.live.feedback import _KEYS
 from asterism.recording import Floats
 
 NAMES = ("LTHI", "LKNE", "LANK", "RANK")
@@ -218,6 +222,20 @@ def test_a_change_is_seen_against_the_first_seconds_or_the_last(against: str, sh
         last = cue.value
         said += [n / 100] if cue.began else []
     assert said == [4.0] and last == pytest.approx(shown, abs=1e-9)
+    # Hidden for two seconds: the start is still known, the seconds before are not.
+    back = feedback.judge(labelled(leg(90), number=1200), FrameAnalysis({"trunk flexion": 25.0}))[0]
+    assert back.value == pytest.approx(20.0) if against == "start" else math.isnan(back.value)
+
+
+@pytest.mark.parametrize(("which", "expected"), [("highest", 40.0), ("lowest", -40.0), ("range", 80.0), ("tempo", None)])
+def test_a_movement_slower_than_what_is_kept_has_its_values_and_no_time(
+    monkeypatch: pytest.MonkeyPatch, which: str, expected: float | None
+) -> None:
+    monkeypatch.setattr(measures, "_MOST_SAMPLES", 50)
+    repetitions = measures.Repetitions(which, 10.0)
+    found = [repetitions.push(n / 100, 40 * math.sin(n / 300)) for n in range(6000)]
+    known = [value for value in found if not math.isnan(value)]
+    assert known == [] if expected is None else known[-1] == pytest.approx(expected, abs=0.01)
 
 
 def test_what_must_last_and_what_is_held() -> None:
@@ -238,7 +256,7 @@ def test_a_clock_that_is_set_or_a_long_gap_makes_up_no_repetition(jump: float) -
 
 
 @given(
-    st.lists(st.tuples(st.floats(0, 3), st.one_of(st.just(math.nan), st.floats(-1e6, 1e6))), max_size=120),
+    st.lists(st.tuples(st.floats(0, 3), st.floats()), max_size=120),
     st.sampled_from(["highest", "lowest", "range", "tempo", ""]),
     st.sampled_from(["", "start", "before"]),
 )
@@ -250,7 +268,7 @@ def test_no_series_of_values_breaks_a_rule(series: list[tuple[float, float]], ea
         frame = LabelledFrame(LiveFrame(n, now, 0.0, np.zeros((0, 3))), (), np.empty(0, dtype=int), np.empty(0), 0.0)
         for cue in feedback.judge(frame, FrameAnalysis({"x": value, "left y": value, "right y": -value})):
             assert math.isnan(cue.tone) or 0 <= cue.tone <= 1
-            assert not cue.began or cue.on
+            assert (not cue.began or cue.on) and not math.isinf(cue.value)
 
 
 def test_names_that_a_session_lacks_are_said_once_with_the_near_ones() -> None:
@@ -367,6 +385,33 @@ def test_rules_are_read_and_wrong_ones_named(tmp_path: Path) -> None:
             load_feedback(path)
 
 
+def test_the_rules_of_the_docs_are_rules(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "live.md").read_text(encoding="utf-8")
+    blocks = [block for block in re.findall(r"```toml\n(.*?)```", page, re.DOTALL) if "[[rule]]" in block]
+    (tmp_path / "docs.toml").write_text("\n".join(blocks), encoding="utf-8")
+    assert len(load_feedback(tmp_path / "docs.toml")) >= 3
+    assert all(f"`{name}`" in page for name in example_names())
+
+
+@given(
+    st.dictionaries(
+        st.sampled_from([*_KEYS, "else"]),
+        st.sampled_from(['"left knee flexion"', '"heel strike"', '"beep"', '"start"', '"highest"', '""', '["A", "B"]', "[]", "{a = 1}"])
+        | st.sampled_from(["-1", "0", "3", "0.5", "1e400", "nan", "true", "1979-05-27", "10000000000000000000000"]),
+        max_size=9,
+    )
+)
+def test_any_table_is_a_rule_or_refused_in_one_sentence(tmp_path_factory: pytest.TempPathFactory, table: dict[str, str]) -> None:
+    path = tmp_path_factory.getbasetemp() / "any.toml"
+    path.write_text("[[rule]]\n" + "\n".join(f"{key} = {value}" for key, value in table.items()), encoding="utf-8")
+    try:
+        rules = load_feedback(path)
+    except AsterismError as problem:
+        assert str(problem).startswith(f"{path}, rule 1: ") and str(problem).endswith(".")
+    else:
+        assert Feedback(rules).judge(labelled(leg(90)), FrameAnalysis({"left knee flexion": 3.0}))[0].rule == rules[0]
+
+
 def test_what_is_told_goes_out_with_the_labels() -> None:
     class Heard(Kept):
         def __init__(self) -> None:
@@ -416,7 +461,9 @@ def test_a_slow_page_gets_the_newest_frame_and_every_beep() -> None:
     assert body is not None and body["sides"] == ["left", "left", "left", "right"] and [0, 1] in [sorted(bone) for bone in body["bones"]]
 
 
-HEALTH = dict.fromkeys(("rate", "frames", "lost", "late", "damaged", "dropped", "p50", "p999", "not sounded"), 0) | {"problems": []}
+HEALTH: dict[str, Any] = dict.fromkeys(("rate", "frames", "lost", "late", "damaged", "dropped", "p50", "p999", "not sounded"), 0) | {
+    "problems": []
+}
 MOMENT = """globalThis.hear = (name, age) => {
   const live = Asterism.live, at = live.clock.at(performance.now()) - age, cue = { name, sound: "beep" };
   live.told(JSON.stringify({ sent: at, moments: [{ cue, at, done: at, time: 0 }] }));
@@ -441,12 +488,16 @@ def test_a_tablet_reads_the_address_with_its_camera(tmp_path: Path) -> None:
             tab.wait("document.getElementById('code').complete && document.getElementById('code').src")
             tab.value("document.documentElement.dataset.theme = 'dark', document.getElementById('tablet').open = true")
             tab.wait("document.getElementById('state').textContent === 'no frames come'")
+            tab.value("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")  # it is laid out
             tab.picture(tmp_path / "page.png")
             assert tab.value("document.getElementById('address').textContent") == address
     finally:
         stop()
     assert "nothing is encrypted" in said[1]
-    assert cv2.QRCodeDetector().detectAndDecode(cv2.imread(str(tmp_path / "page.png")))[0] == address
+    picture = cv2.imread(str(tmp_path / "page.png"))
+    # OpenCV fails at one code in fifty in one size.
+    sizes = [picture, cv2.resize(picture, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC)]
+    assert address in [cv2.QRCodeDetectorAruco().detectAndDecode(size)[0] for size in sizes]
 
 
 class Listener:
@@ -549,7 +600,9 @@ def test_the_page_shows_counts_words_and_markers() -> None:
             tab.wait("document.getElementById('rules').innerText.includes('0.40 m')")
             tab.wait("document.getElementById('missing').textContent === 'none'")
             assert tab.value("Asterism.live.sounds.on") is None, "silent until somebody asks for sound"
-            tab.value("document.getElementById('sound').click()")
+            tab.value("document.getElementById('sound').click(); globalThis.loud = Asterism.live.sounds.gain.gain.value")
+            tab.wait("Asterism.live.sounds.gain.gain.value > 0.01")
+            assert tab.value("Math.max(loud, Asterism.live.sounds.gain.gain.value)") < 0.021, "a fiftieth of the full scale at first"
             tab.wait("Asterism.live.sounds.context.state === 'running' && Asterism.live.clock.isKnown")
             tab.value(MOMENT)
             # A fresh one sounds, one of a minute ago does not; after a sleep none does until the clock is known again.
@@ -558,6 +611,9 @@ def test_the_page_shows_counts_words_and_markers() -> None:
             assert tab.value("[hear('d', 0), hear('d', 0), Asterism.live.missed]") == [2, 2, 2], "no second beep at once"
             tab.value(f"Asterism.live.healthIs({json.dumps(HEALTH | {'silent': True})})")
             assert tab.value("hear('e', 0)") == 3, "a pause of the cameras does not switch the sound off"
+            assert tab.value("Asterism.live.sounds.tone('t', 0.5)")
+            tab.wait("Asterism.live.sounds.tones.get('t')[1].gain.value > 0.2")
+            tab.wait("Asterism.live.sounds.tones.get('t')[1].gain.value < 0.01")  # a tone that nobody keeps up ends
             tab.resize(390, 844, is_phone=True)
             before = tab.value("[Asterism.live.camera.yaw, Asterism.live.camera.zoom]")
             for kind, apart in (("touchStart", 20), ("touchMove", 60), ("touchEnd", None)):

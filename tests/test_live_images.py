@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -9,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -18,15 +19,20 @@ import numpy as np
 import pytest
 
 from asterism import AsterismError
+from asterism.cameras.files import read_rig, write_rig
+from asterism.cli import main
 from asterism.detection import BlobSettings, DetectionSettings, RunningDetection, detect
 from asterism.detection.running import MOST_BLOBS
 from asterism.files.toml import read_toml
+from asterism.live.blobs import RigSource
 from asterism.live.camera_frames import LiveBlobs, LiveImage
 from asterism.live.cameras import CameraHealth, CameraSpec, LiveCamera, load_cameras
 from asterism.live.cameras.reopening import ReopeningCamera
 from asterism.live.cameras.simulated import SimulatedCamera
-from asterism.live.frames import SourceEnded
-from asterism.live.images import CameraWorkers, WorkerSettings
+from asterism.live.frames import LiveFrame, SourceEnded
+from asterism.live.images import CameraWorkers, WorkerSettings, videos_together
+from asterism.reconstruction import reconstruct
+from asterism.simulation.cameras import ImagingSettings, render_images, ring_rig, simulate_wand
 
 SIZE = (320, 240)
 PATIENCE = 60.0
@@ -253,6 +259,17 @@ def test_what_cannot_be_opened_is_said() -> None:
         CameraWorkers([CameraSpec("left", "simulated://"), CameraSpec("right", "nowhere.mp4")], workers=1)
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="cameras have other addresses")
+def test_a_camera_that_is_not_there_costs_itself() -> None:
+    workers = CameraWorkers([CameraSpec("left", "simulated://?size=160x120"), CameraSpec("gone", "camera://97")], workers=1)
+    try:
+        assert until(workers, lambda: workers.searches()["left"].searched > 5)
+        assert [(found.code, found.where) for found in workers.findings()] == [("live-camera-not-opened", "gone")]
+        assert "no such camera" in str(workers.camera_states()[1]["problem"])
+    finally:
+        workers.close()
+
+
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are looked up in /proc")
 def test_nothing_is_left_behind_when_the_first_process_is_killed(tmp_path: Path) -> None:
     script = tmp_path / "run.py"
@@ -277,3 +294,64 @@ def test_nothing_is_left_behind_when_the_first_process_is_killed(tmp_path: Path)
         assert time.monotonic() < end
         time.sleep(0.02)
     assert "resource_tracker" not in process.communicate(timeout=PATIENCE)[1]
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Path]:
+    """A waved wand as three cameras film it, and their rig."""
+    root, rng = tmp_path_factory.mktemp("filmed"), np.random.default_rng(4)
+    rig = ring_rig(cameras=3, size=(320, 256), rng=np.random.default_rng(1))
+    blobs, _ = simulate_wand(rig, settings=ImagingSettings(noise=0.0, merging=False), frames=40, rng=rng, rate=50.0)
+    blobs = replace(blobs, sizes=np.full(len(blobs.xy), 6.0))
+    for c, name in enumerate(rig.names):
+        saved(root / name, list(render_images(blobs, c, (320, 256), rng=np.random.default_rng(c))))
+    write_rig(rig, root / "rig.toml")
+    return [root / name for name in rig.names], root / "rig.toml"
+
+
+def test_from_images_to_points_as_off_line(filmed: tuple[list[Path], Path]) -> None:
+    folders, rig_file = filmed
+    rig = read_rig(rig_file)
+    expected = reconstruct(detect(folders, rig=rig).blobs, rig).clouds
+    workers = CameraWorkers(
+        videos_together(folders, rig, speed=math.inf), WorkerSettings(in_order="number"), workers=1, numbered_together=True
+    )
+    source, frames = RigSource(workers, rig, waits=True), list[LiveFrame]()
+    try:
+        with suppress(SourceEnded):
+            while True:
+                frame = source.read(PATIENCE)
+                assert frame is not None
+                frames.append(frame)
+        assert source.findings() == []
+    finally:
+        source.close()
+    assert [frame.number for frame in frames] == list(range(40))
+    # Thresholds and noise are learnt on the way, so that points differ by hundredths of a pixel, and single weak ones are not there.
+    apart = [
+        np.linalg.norm(points[:, None] - frame.points[None], axis=2).min(axis=1, initial=9.0)
+        for frame, points in zip(frames, expected, strict=True)
+    ]
+    assert np.median(np.concatenate(apart)) < 1e-3
+    assert (np.concatenate(apart) < 5e-3).mean() > 0.9
+    assert sum(len(frame.points) for frame in frames) == pytest.approx(sum(len(points) for points in expected), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--replay", "0", "1"], "add --rig FILE"),
+        (["0", "1", "--rig", "rig"], "several videos are played with --replay"),
+        (["--replay", "0", "nowhere.avi", "--rig", "rig"], "nowhere.avi does not exist"),
+        (["--cameras", "cameras.toml"], "add --rig FILE"),
+        (["--replay", "0", "1", "--cameras", "cameras.toml", "--rig", "rig"], "give one source"),
+        (["--replay", "0", "1", "--speed", "-1", "--rig", "rig"], "plays nothing"),
+    ],
+)
+def test_what_cannot_be_played_is_said(
+    filmed: tuple[list[Path], Path], capsys: pytest.CaptureFixture[str], words: list[str], said: str
+) -> None:
+    folders, rig_file = filmed
+    places = {"0": str(folders[0]), "1": str(folders[1]), "rig": str(rig_file)}
+    assert main(["live", *(places.get(word, word) for word in words)]) == 2
+    assert said in " ".join(capsys.readouterr().err.split())

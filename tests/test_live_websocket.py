@@ -149,7 +149,9 @@ def test_a_receiver_that_sleeps_loses_frames_and_holds_nobody_back() -> None:
                 break
         assert got == list(range(len(got))), "who keeps up gets each frame"
         assert output.dropped > 0 and len(output._receivers[0].waiting) <= 32
-    output.close()
+        # Nor does it hold back the end: it takes no goodbye.
+        output.close()
+        assert not output._endpoint._thread.is_alive()
 
 
 def test_an_output_that_waits_for_ever_loses_frames_and_holds_nobody_back() -> None:

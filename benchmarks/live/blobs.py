@@ -17,12 +17,15 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from asterism.cameras import Camera
+from asterism.cameras.files import read_rig
+from asterism.formats import read
 from asterism.live import AnalysedFrame, AngleOptions, HostPort, LiveSession, MovementAnalysis, make_labeller
 from asterism.live.blobs import JsonBlobs, RigProcess
+from asterism.reconstruction import Reconstructor, reconstruct
 from asterism.recording import Floats, Recording
-from asterism.simulation.cameras import ring_rig
+from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, walker_capsules
 from benchmarks.benchmark_run import BenchmarkRun
-from benchmarks.data import GAIT_BODY
+from benchmarks.data import GAIT_BODY, folder
 from benchmarks.figures import Figure
 from benchmarks.recordings.walks import full_body_subjects, unseen_model, walks
 
@@ -194,3 +197,38 @@ class _Sender:
     def __exit__(self, *_: object) -> None:
         self._thread.join()
         self._folder.cleanup()
+
+
+def agreement(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """Twelve Vicon cameras and a real walk, frame by frame against the whole recording at once: which points differ, and which are
+    right."""
+    place = folder() / "cameras" / "vicon-rig-walk"
+    rig, recording = read_rig(place / "walking_1.xcp"), read(place / "walking_1.c3d")
+    recording = recording.frames(slice(0, 150)) if benchmark.quick else recording
+    imaging, body = ImagingSettings(noise=0.3, strays=0.3), walker_capsules(recording)
+    seen, shows = simulate_blobs(rig, recording.positions, imaging, body=body, rng=np.random.default_rng(0), rate=recording.rate)
+    whole = reconstruct(seen, rig)
+    one, frames = Reconstructor(rig.select(seen.cameras)), list[Floats]()
+    for t in range(len(seen)):
+        frames.append(one.push([seen.of(t, c) for c in range(len(seen.cameras))]).points)
+        if t in (24, 256) or (t > 256 and t % 1000 == 0):
+            one.learn(recording.rate)
+    row = "live, vicon-rig-walk frame by frame"
+    both = [(live, off) for live, off in zip(frames[24:], list(whole.clouds)[24:], strict=True) if len(off)]
+    apart = np.concatenate([np.linalg.norm(off[:, None] - live[None], axis=2).min(axis=1, initial=1.0) for live, off in both])
+    yield Figure(
+        f"{row}: points of the recording at once, there within 0.1 mm", ">= 99", 100 * float((apart < 1e-4).mean()), "%", len(apart)
+    )
+    more = sum(len(live) - len(off) for live, off in both)
+    yield Figure(f"{row}: points more", "none", 1000 * more / len(apart), "per 1,000 points", len(apart))
+    for name, clouds in (("frame by frame", frames), ("at once", list(whole.clouds))):
+        two, near = 0, 0
+        for t, points in list(enumerate(clouds))[24:]:
+            here = shows[seen.offsets[t * len(seen.cameras)] : seen.offsets[(t + 1) * len(seen.cameras)]]
+            markers = np.flatnonzero(np.bincount(here[here >= 0], minlength=recording.positions.shape[1]) >= 2)
+            truth = recording.positions[t, markers]
+            two, near = (
+                two + len(markers),
+                near + int((np.linalg.norm(truth[:, None] - points[None], axis=2).min(axis=1, initial=1.0) < 1e-3).sum()),
+            )
+        yield Figure(f"live, vicon-rig-walk {name}: markers that two cameras see, found within 1 mm", "none", 100 * near / two, "%", two)

@@ -42,7 +42,10 @@ def strikes(benchmark: BenchmarkRun) -> Iterator[Figure]:
         parts = {kind: _Apart() for kind in KINDS.values()}
         for path in sorted(folder().glob(pattern))[: 2 if benchmark.quick else None]:
             recording = _bare(asterism.read(path))
-            walking, found = find_events(recording), _played(recording, MovementAnalysis(AngleOptions(waits=True)))[0]
+            walking, found = (
+                find_events(recording),
+                _played(recording, MovementAnalysis(AngleOptions(vertical=recording.vertical, waits=True)))[0],
+            )
             for label, kind in KINDS.items():
                 for part in (parts[kind], whole[kind]):
                     part.add(recording, walking, found, label, kind)
@@ -61,7 +64,9 @@ def angles(benchmark: BenchmarkRun) -> Iterator[Figure]:
         recording = _bare(asterism.read(path))
         measures = gathered_measures(recording, static)[0] if static is not None else None
         outputs = clinical_angles(recording, measures=measures, static=static).outputs
-        found, seconds = _played(recording, MovementAnalysis(AngleOptions(static, None, lambda _, m=measures: (m, ()), waits=True)))
+        found, seconds = _played(
+            recording, MovementAnalysis(AngleOptions(static, None, lambda _, m=measures: (m, ()), recording.vertical, waits=True))
+        )
         spent += seconds
         for name, curve in outputs.items():
             for column in range(3):
@@ -161,6 +166,10 @@ class _GivenLabels:
         seen = np.isfinite(self._recording.positions[self._pushed, :, 0])
         self._pushed += 1
         return FrameLabels(self._pushed - 1, np.where(seen, np.cumsum(seen) - 1, -1), seen.astype(float))
+
+    def flush(self) -> list[FrameLabels]:
+        """Each frame had its labels at once."""
+        return []
 
     def close(self) -> None:
         """Nothing is open."""

@@ -347,6 +347,7 @@ def _run(session: LiveSession, options: LiveOptions) -> Health:
         page = ToPage()
         session.outputs = [*session.outputs, page]
         stop_page = serve_live(session, page, PageAddress(options.host, options.port), _console.notice)
+    threading.Thread(target=_warn, args=(session, told), daemon=True).start()
     if sys.stderr.isatty():
         threading.Thread(target=_tell, args=(session, told), daemon=True).start()
     try:
@@ -356,6 +357,18 @@ def _run(session: LiveSession, options: LiveOptions) -> Health:
         told.set()
         if stop_page is not None:
             stop_page()
+
+
+def _warn(session: LiveSession, ended: threading.Event) -> None:
+    """What the source finds wrong, as of a camera that was bumped, when it is found; the end repeats it, with all that was counted."""
+    from asterism.live import own_findings
+
+    said = {(finding.code, finding.where) for finding in own_findings([session.source])}
+    while not ended.wait(1.0):
+        for finding in own_findings([session.source]):
+            if finding.severity > Severity.NOTE and (finding.code, finding.where) not in said:
+                said.add((finding.code, finding.where))
+                _console.notice(str(finding))
 
 
 @contextmanager

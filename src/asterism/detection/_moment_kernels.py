@@ -40,6 +40,7 @@ class MeasureLimits(NamedTuple):
     step       see `grow_from_peaks`; 0: not so
     saturated  grey value from which a pixel is saturated
     contrast   see `is_distinct`; 0: not asked for
+    sharings   see `share_pixels`
     """
 
     min_area: float
@@ -49,6 +50,7 @@ class MeasureLimits(NamedTuple):
     step: float
     saturated: float
     contrast: float
+    sharings: int
 
 
 class Pixels(NamedTuple):
@@ -155,7 +157,7 @@ def _measure_parts(arrays, components, runs, area, box, limits, out, flags):
         return 0
     # Blobs that are grown from peaks part where they are, by the method's own rule.
     if limits.step == 0.0 and parts * n <= MOST_SHARED:
-        share_pixels(weight, ys, xs, parts_out)
+        share_pixels(weight, ys, xs, limits.sharings, parts_out)
     for blob in range(parts):
         parts_out[blob, X] += box.left - 1
         parts_out[blob, Y] += box.upper - 1
@@ -296,28 +298,30 @@ def _to_central_moments(blob):
 
 
 @kernel
-def share_pixels(weight, ys, xs, out):
+def share_pixels(weight, ys, xs, most, out):
     """Share the pixels (n,) of blobs that overlap by a mixture of round Gaussians, one per blob: expectation and maximization in turn.
 
+    IN  most: sweeps times pixels times blobs at most
     OUT out (blobs, COLUMNS): moments and weights, begun from those of the parts that the blobs were cut into
     O(sweeps n blobs), until no centre moves by SETTLED_PX, MOST_SWEEPS at most. Twin: tests/twins_detection.py
     """
     blobs = len(out)
-    share = np.empty(blobs)
+    share, spreads, peaks = np.empty(blobs), np.empty(blobs), np.empty(blobs)
     sums = np.empty((blobs, COLUMNS))
-    for _ in range(MOST_SWEEPS):
+    for _ in range(min(MOST_SWEEPS, max(1, most // max(1, len(ys) * blobs)))):
         for blob in range(blobs):
+            # Round, although blobs may not be: with free axes, one of two blobs could stretch over the other.
+            spreads[blob] = 0.5 * (out[blob, XX] + out[blob, YY]) + LEAST_SPREAD
+            peaks[blob] = out[blob, WEIGHT] / spreads[blob]
             for k in range(COLUMNS):
                 sums[blob, k] = 0.0
         for i in range(len(ys)):
             x, y = float(xs[i]), float(ys[i])
             total = 0.0
             for blob in range(blobs):
-                # Round, although blobs may not be: with free axes, one of two blobs could stretch over the other.
-                spread = 0.5 * (out[blob, XX] + out[blob, YY]) + LEAST_SPREAD
                 dx, dy = x - out[blob, X], y - out[blob, Y]
                 # The tiny addend gives a pixel that is far from all of them to someone, instead of dividing by zero.
-                share[blob] = out[blob, WEIGHT] / spread * math.exp(-0.5 * (dx * dx + dy * dy) / spread) + 1e-300
+                share[blob] = peaks[blob] * math.exp(-0.5 * (dx * dx + dy * dy) / spreads[blob]) + 1e-300
                 total += share[blob]
             for blob in range(blobs):
                 w = weight[ys[i], xs[i]] * share[blob] / total

@@ -83,6 +83,7 @@ class RunningDetection:
 
     def __post_init__(self) -> None:
         self.settings.check()
+        self.settings = replace(self.settings, quick=True)
         self._current, self._masks = self.settings, self.empty > 0
 
     @property

@@ -135,14 +135,15 @@ class LiveAngles:
         mend = "Wear a set that the models know (docs/motion.md), or leave angles out with --no-analysis."
         return [Finding("live-no-angles", Severity.NOTE, "angles", f"No angles were given: {self._refusal}", mend)]
 
-    def push(self, time: float, markers: tuple[str, ...], points: Floats) -> Floats:
-        """(N,) degrees of `names`, by the markers (M, 3) m of a frame at `time` s, NaN where one is missing."""
+    def push(self, time: float, markers: tuple[str, ...], points: Floats) -> dict[str, float]:
+        """Degrees of each angle, by the markers (M, 3) m of a frame at `time` s; NaN where one is missing, {} while no model is made."""
         if markers != self._markers:
             self._begin_with(markers)
         if self._tries < len(_BEGIN) and len(markers):
             self._collect(time, points)
+        # Read once: another thread may have made one meanwhile.
         made = self._made
-        return np.empty(0) if made is None else made.push(points)
+        return {} if made is None else dict(zip(made.names, made.push(points).tolist(), strict=True))
 
     def _begin_with(self, markers: tuple[str, ...]) -> None:
         """Another set of markers is another person."""
@@ -179,7 +180,7 @@ class LiveAngles:
         """Take a model that knows as much as the one before: a clinical one, whose sizes more frames tell better; a skeleton stays."""
         try:
             made = _frame_angles(recording, self._options, self._seconds)
-        except AsterismError as problem:
+        except Exception as problem:  # a body that no model can be made of must not end the labels
             self._refusal = str(problem)
             return
         # A skeleton that is fitted anew would turn all angles by some degrees.

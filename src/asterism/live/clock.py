@@ -125,6 +125,7 @@ class SampleNumbers:
 
     rate    frames per second that the source says it has
     jumps   times that its clock was set
+    late    about how many that counted as lost came after all: of a sender that stops, catches up, and stamps frames as it sends them
 
     A frame has the next number, unless its time stamp is later than the spread of the time stamps explains. So a sender that stamps badly
     has few gaps, and one that stamps well has one for each frame that is lost. O(1) a frame, bounded memory.
@@ -136,6 +137,9 @@ class SampleNumbers:
 
     rate: float
     jumps: int = 0
+    late: float = 0.0
+    _missing: float = 0.0
+    """lost ones of the latest frames"""
     _steps: deque[float] = field(default_factory=lambda: deque(maxlen=_STEPS))
     _last: tuple[float, float] | None = None
     _number: int = 0
@@ -153,9 +157,17 @@ class SampleNumbers:
 
     @property
     def measured_rate(self) -> float:
-        """Frames per second, by the median of the latest steps; NaN before there are enough."""
-        middle = float(np.median(self._steps)) if len(self._steps) == _STEPS else float("nan")
-        return 1.0 / middle if middle > 0 else float("nan")
+        """Frames per second, by the latest steps; NaN before there are enough."""
+        step = self._step() if len(self._steps) == _STEPS else float("nan")
+        return 1.0 / step if step > 0 else float("nan")
+
+    def _step(self) -> float:
+        """s from frame to frame: of the median and the mean of the latest steps that which is nearer to what is said.
+
+        Losses move the mean alone, and stamps of a sender that stops and catches up the median alone; another rate moves both.
+        """
+        steps = np.array(self._steps)
+        return min(float(np.median(steps)), float(np.mean(steps)), key=lambda step: abs(step * self.rate - 1.0))
 
     @property
     def is_off(self) -> bool:
@@ -179,8 +191,13 @@ class SampleNumbers:
         self._due += step / self._period
         if (ahead := self._due - self._number) > 0.5 + 3.0 * self._spread:
             self._number += round(ahead)
-        # Stamps that come too soon take nothing back, and leave no debt that hides the next loss.
-        self._due = max(self._due, self._number - 0.5 - 3.0 * self._spread)
+            self._missing += round(ahead)
+        # Stamps that come too soon take no number back, and leave no debt that hides the next loss.
+        debt = max(0.0, self._number - 0.5 - 3.0 * self._spread - self._due)
+        self._due += debt
+        late = min(debt, self._missing)
+        self.late += late
+        self._missing = (1.0 - _FORGET) * (self._missing - late)
         self._due += _FORGET * (self._number - self._due)
         return self._number
 
@@ -189,11 +206,10 @@ class SampleNumbers:
         self._since += 1
         if self._since % (_STEPS // 4):
             return
-        steps = np.array(self._steps)
-        middle = float(np.median(steps))
-        self._period = middle if abs(middle * self.rate - 1.0) < _TIMING else 1.0 / self.rate
+        step = self._step()
+        self._period = step if abs(step * self.rate - 1.0) < _TIMING else 1.0 / self.rate
         # Nine in ten steps of a normal distribution are within 1.645 standard deviations; a step has the errors of two stamps.
-        self._spread = float(np.quantile(np.abs(steps / self._period - 1.0), 0.9)) / (1.645 * 2**0.5)
+        self._spread = float(np.quantile(np.abs(np.array(self._steps) / self._period - 1.0), 0.9)) / (1.645 * 2**0.5)
 
 
 @dataclass

@@ -175,8 +175,11 @@ def _check(rule: FeedbackRule, where: str) -> None:
 class _RuleState:
     """What a rule remembers from frame to frame.
 
-    times          s; of the last frame, the last known value, the beginning of its condition, and until when it is told
-    value          of the last event or repetition, told until the next
+    frame, known  s, when the last frame was, and the last value
+    since, until  s, from when on its condition holds, and until when it is told
+    value         of the last event or repetition
+    on            whether it is told
+    count, event  events so far, and s, when the last one was
     """
 
     rule: FeedbackRule
@@ -188,6 +191,7 @@ class _RuleState:
     on: bool = False
     count: int = 0
     event: float = math.nan
+    change: Change | None = None
 
     def __post_init__(self) -> None:
         self.begin_anew()
@@ -199,7 +203,9 @@ class _RuleState:
         self.until, self.on = -math.inf, False
         self.repetitions = {side: Repetitions(rule.each, rule.swing) for side in ("", "left", "right")} if rule.each else {}
         self.symmetry = LiveSymmetry(rule.last)
-        self.change = Change(rule.change, rule.over) if rule.change else None
+        # What a value was at the start stays true while a marker is hidden.
+        if rule.change and not (self.change is not None and self.change.has_start):
+            self.change = Change(rule.change, rule.over)
 
 
 @dataclass
@@ -284,6 +290,8 @@ class Feedback:
         unit = rule.unit or ("" if rule.each == "tempo" else analysis.units.get(rule.of, ""))
         if state.change is not None and is_new:
             value = state.change.push(now, value)
+        # Sides that cancel out have no symmetry, and JSON no infinity.
+        value = value if math.isfinite(value) else math.nan
         if rule.is_moment:
             return self._moment(state, value, is_new, unit)
         # Back after a while, it is something new.

@@ -98,8 +98,28 @@ class LiveSource(Protocol):
 
 
 @runtime_checkable
+class CameraControl(Protocol):
+    """Cameras that are watched and set while they run."""
+
+    def camera_states(self) -> list[dict[str, Any]]:
+        """How each camera does, what it has, and what became of what was set, as plain values."""
+
+    def set(self, setting: str, value: object) -> None:
+        """Set all cameras; what became of it is in their states. Raises AsterismError where there is no such setting or value."""
+
+
+@runtime_checkable
 class OfCameras(Protocol):
     """A source of frames that are made of what several cameras see."""
 
     def camera_numbers(self) -> list[dict[str, Any]]:
         """How each camera does, as plain values; None for what is not known."""
+
+
+@runtime_checkable
+class WithCameraControl(Protocol):
+    """A source of frames whose cameras may be this program's."""
+
+    @property
+    def control(self) -> CameraControl | None:
+        """Where they are set; None where they are another program's."""

@@ -18,6 +18,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.formats import metres_per_unit
 from asterism.live.clock import SampleNumbers
+from asterism.live.found import axis_unknown, labels_given
 from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
 from asterism.live.mocap_channels import ChannelLayout, layout_of_channels
 from asterism.live.packages import packages_for
@@ -330,7 +331,10 @@ class FromLsl:
 
     def findings(self) -> list[Finding]:
         """What was believed, and what happened to the stream."""
-        name, found, layout = self.about.name, list(self._unit_findings), self._layout
+        name, layout = self.about.name, self._layout
+        found = [axis_unknown(name, "z"), *self._unit_findings]
+        if layout is not None and any(layout.names):
+            found.append(labels_given(name))
         if self._size:
             mend = "Have its sender write the unit in which it sends."
             found.append(Finding("live-unit-doubtful", Severity.WARNING, name, self._size, mend))
@@ -355,6 +359,10 @@ class FromLsl:
             found.append(
                 Finding("live-stamps", Severity.NOTE, name, sentence, "Have the sender stamp when a frame is taken, or count frames.")
             )
+        if self._numbers.late >= 1 and (layout is None or layout.counter is None):
+            sentence = f"{name}: about {self._numbers.late:.0f} of the frames that count as lost came late, all at once."
+            mend = "Its sender stops and catches up; close other programs there, and have it stamp when a frame is taken."
+            found.append(Finding("live-caught-up", Severity.NOTE, name, sentence, mend))
         if self._clock_unknown:
             sentence = f"{name}: its clock could not be compared with this machine's; its own times are used."
             found.append(Finding("live-clock", Severity.NOTE, name, sentence, "Let a firewall pass the UDP ports 16571 to 16604."))

@@ -34,6 +34,11 @@ class TurningPoints:
         self._rising: bool | None = None
         self._high = self._low = (math.nan, math.nan)
 
+    @property
+    def low(self) -> float:
+        """The lowest value since the last highest one."""
+        return self._low[1]
+
     def push(self, time: float, value: float) -> TurningPoint | None:
         """The turning point that is sure with this value; None where none is."""
         if not value <= self._high[1]:
@@ -70,15 +75,14 @@ class Repetitions:
 
     def push(self, time: float, value: float) -> float:
         """What the repetition that ends with this value comes to; NaN where none ends."""
-        turn = self._turns.push(time, value)
+        low, turn = self._turns.low, self._turns.push(time, value)
         if self.which in ("highest", "lowest"):
             return turn.value if turn is not None and turn.is_high == (self.which == "highest") else math.nan
         self._seen.append((time, value))
         found = math.nan
         if turn is not None and turn.is_high:
-            way = [each for each in self._seen if each[0] <= turn.time]
-            self._low, self._top = min(v for _, v in way), turn.value
-            self._rise = _way_time(way, self._low, self._top)
+            self._low, self._top = low, turn.value
+            self._rise = _way_time([each for each in self._seen if each[0] <= turn.time], self._low, self._top)
             found = self._top - self._low if self.which == "range" else math.nan
         elif self.which == "tempo" and not math.isnan(self._rise):
             # Told as soon as the value is back near where it came from, or turns before.
@@ -109,6 +113,11 @@ class Change:
         self.against, self.over = against, over
         self._begin = self._mean = math.nan
         self._seen: deque[tuple[float, float]] = deque(maxlen=_MOST_SAMPLES)
+
+    @property
+    def has_start(self) -> bool:
+        """Whether it knows the first seconds."""
+        return self.against == "start" and not math.isnan(self._mean)
 
     def push(self, time: float, value: float) -> float:
         """The change; NaN until so many seconds were seen."""

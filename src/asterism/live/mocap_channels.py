@@ -12,6 +12,7 @@ from asterism.recording import Ints
 
 _AXIS = re.compile(r"^(?:position|pos)?[ _.:-]?([xyz])$", re.IGNORECASE)
 _AXIS_OF_LABEL = re.compile(r"^(.*?)[ _.:-]?([xyz])$", re.IGNORECASE)
+_BEFORE_LABEL = re.compile(r"^([xyz])[ _.:-](.+)$", re.IGNORECASE)
 _ORIENTATION = re.compile(r"orientation|rotation|quat", re.IGNORECASE)
 _COUNTER = re.compile(r"^(?:(?:frame|sample)[ _-]?(?:number|count|counter|index|no|id)|frame|counter)$", re.IGNORECASE)
 _ANY = ("", "mocap", "position", "marker")
@@ -64,7 +65,7 @@ def layout_of_channels(channels: Sequence[Mapping[str, str]], count: int) -> Cha
     if points:
         columns = np.array([[axes[letter] for letter in "xyz"] for axes in points.values()])
         unit = max(set(units), key=units.count)
-        return ChannelLayout(columns, tuple(marker for marker, _, _ in points), unit or None, counter, len(whole) - len(points))
+        return ChannelLayout(columns, tuple(marker or of for marker, of, _ in points), unit or None, counter, len(whole) - len(points))
     left = [at for at in range(count) if at != counter]
     if whole or any(channel.get("type") for channel in channels) or not left or len(left) % 3:
         return None
@@ -81,9 +82,11 @@ def _axis_of(channel: Mapping[str, str]) -> str:
 
 
 def _point_key(channel: Mapping[str, str]) -> tuple[str, str]:
-    """What channels of one point share: its marker, or what is before x, y or z in its label; and its object."""
+    """What channels of one point share: its marker and its object, or its label without the x, y or z at one of its ends."""
     marker, of, label = channel.get("marker", ""), channel.get("object", ""), channel.get("label", "")
-    if not marker and not of:
-        found = _AXIS_OF_LABEL.match(label)
-        marker = found[1] if found else label
-    return marker, of
+    if marker or of:
+        return marker, of
+    if before := _BEFORE_LABEL.match(label):
+        return before[2], ""
+    after = _AXIS_OF_LABEL.match(label)
+    return (after[1] if after else label), ""

@@ -31,9 +31,8 @@ class MovementAnalysis:
         points = np.full((len(markers), 3), np.nan)
         given = frame.indices >= 0
         points[given] = frame.frame.points[frame.indices[given]]
-        angles = self.angles.push(time, markers, points)
+        values = self.angles.push(time, markers, points)
         events = self.events.push(time, markers, rotate_z_up(points, self._up))
-        values = dict(zip(self.angles.names, angles.tolist(), strict=True))
         if self.events.feet:
             values |= self.steps.push(time, events, self.events)
         if values.keys() != self._units.keys():

@@ -7,6 +7,7 @@ import math
 import sys
 import threading
 from collections import deque
+from functools import lru_cache
 from typing import Any, TextIO, TypeVar
 
 import numpy as np
@@ -19,6 +20,8 @@ from asterism.live.running import LiveOutput
 T = TypeVar("T")
 
 
+# Several outputs send the same text of a frame.
+@lru_cache(maxsize=1)
 def labels_as_json(analysed: AnalysedFrame) -> bytes:
     """A labelled frame as `frame_of_json` reads frames, with the confidence of each label, the latency in ms, angles, events and cues."""
     frame = analysed.labelled

@@ -217,6 +217,8 @@ class LiveSession:
             self._count.late,
             self._count.restarts,
         )
+        # What a source left out itself, and tells, was not lost on the way.
+        health.lost = max(0, health.lost - int(getattr(self.source, "dropped", 0)))
         health.damaged, health.jumps = self.source.damaged, self._clock.jumps
         health.unsent = {}
         for output in self.outputs:

@@ -36,6 +36,8 @@ _AGAIN = 1.0
 """s between two attempts to connect. Half of it fills the log of who refuses; twice as long delays what comes back."""
 _PATIENCE = 2.0
 """s in which a connection is made, or given up until the next attempt. Radio needs tenths; twice as long makes sessions end late."""
+_GOODBYE = 0.5
+"""s in which the other side may answer a goodbye. Radio needs tenths; twice as long makes sessions end late."""
 _MOST_RECEIVERS = 16
 """Receivers at once: the screens of a laboratory. Each costs a buffer; half and double of it do as well."""
 
@@ -93,6 +95,7 @@ class _Endpoint:
             import websockets.asyncio.server  # noqa: F401
         self.place, self._talk, self._most = place, talk, most
         self.connected, self.made, self.refused, self.problem = 0, 0, 0, ""
+        self._links = set[Any]()
         self._tried = threading.Event()
         self._listening = _listening(place) if place.listens else None
         self.port = place.port if self._listening is None else int(self._listening.getsockname()[1])
@@ -158,6 +161,7 @@ class _Endpoint:
             own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
             # Else the system waits up to 40 ms whether more is to be sent.
             own.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._links.add(link)
         self.connected += 1
         self.made += 1
         self._tried.set()
@@ -165,6 +169,7 @@ class _Endpoint:
             await self._talk(link)
         finally:
             self.connected -= 1
+            self._links.discard(link)
 
     def findings(self) -> list[Finding]:
         """That nobody was reached, that a connection was made again, that somebody was sent away."""
@@ -180,10 +185,16 @@ class _Endpoint:
             found.append(Finding("live-refused", Severity.WARNING, name, sentence, "Give each sender an address of its own."))
         return found
 
+    def _end(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
+        # Who takes nothing any more takes no goodbye either, which would be waited for.
+        self.loop.call_later(_GOODBYE, lambda: [link.transport.abort() for link in self._links])
+
     def close(self) -> None:
         """End all connections and the thread."""
         with suppress(RuntimeError):
-            self.loop.call_soon_threadsafe(lambda: self._task and self._task.cancel())
+            self.loop.call_soon_threadsafe(self._end)
         self._thread.join(timeout=2 * _PATIENCE)
         if self._listening is not None:
             self._listening.close()
@@ -200,7 +211,7 @@ _LIMITS: dict[str, Any] = {
     "max_size": _LARGEST,
     "ping_interval": _PULSE,
     "ping_timeout": _PULSE,
-    "close_timeout": 0.5,
+    "close_timeout": _GOODBYE,
 }
 
 
@@ -333,7 +344,8 @@ class ToWebSocket:
             telling.cancel()
             with self._guard:
                 self._receivers.remove(receiver)
-                self.dropped += len(receiver.waiting)
+                # Who goes of their own will loses nothing.
+                self.dropped += 0 if self._listens else len(receiver.waiting)
 
     async def _pass_on(self, link: Any, receiver: _Receiver) -> None:
         while True:

@@ -18,7 +18,8 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.live import AnalysedFrame, LabelledFrame, LiveSession
+from asterism.live import AnalysedFrame, LabelledFrame, LiveSession, own_findings
+from asterism.live.frames import CameraControl, WithCameraControl
 from asterism.live.outputs import cue_as_json, event_as_json
 from asterism.recording.sides import marker_sides
 from asterism.report.skeleton import marker_bones
@@ -38,6 +39,8 @@ _STALE = 0.5
 radio network that pauses; with twice as much the next step is there."""
 _MOMENTS = 200
 """Events and beginnings that wait for pages: seconds of them in a fast run with ten rules."""
+_SETTABLE = ("exposure", "gain", "threshold")
+"""What a page can set on cameras: what does not change their calibration, nor when they take their images."""
 _SOUNDED = 4096
 """Sounds whose latency is kept, so that one in a hundred is forty."""
 _LONGEST = 60_000.0
@@ -241,7 +244,7 @@ def serve_live(session: LiveSession, page: ToPage, place: PageAddress, say: Call
     thread.start()
     say(f"The page is at {address}")
     if is_open:
-        say("Whoever has this address and reaches this machine can see the session, and nothing is encrypted on the way.")
+        say("Whoever has this address and reaches this machine sees the session and sets its cameras, and nothing is encrypted on the way.")
 
     def stop() -> None:
         server.should_exit = True
@@ -317,6 +320,8 @@ class _Follower:
         if now >= self._health_at + _HEALTH or (self.session.has_ended and not self._told_end):
             self._health_at, self._told_end = now, self.session.has_ended
             await self._say({"health": _plain_health(self.session, self.page)})
+            if (control := _camera_control(self.session)) is not None:
+                await self._say({"cameras": control.camera_states()})
 
     async def told(self, text: str) -> None:
         """Take what the page says; what is not understood is passed over."""
@@ -333,6 +338,19 @@ class _Follower:
         if isinstance(news.get("ping"), int | float):
             await self._say({"pong": news["ping"], "now": _ms(time.monotonic())})
         self.page.sounded(news.get("sounded"))
+        if isinstance(news.get("set"), dict):
+            await self._set(news["set"])
+
+    async def _set(self, asked: dict[str, Any]) -> None:
+        """Set cameras as the page asks; what became of it comes with their states."""
+        control = _camera_control(self.session)
+        for name, value in asked.items():
+            if control is None or name not in _SETTABLE:
+                continue
+            try:
+                control.set(name, value)
+            except AsterismError as problem:
+                await self._say({"refused": str(problem)})
 
     async def _say(self, content: dict[str, Any]) -> None:
         await self.send(json.dumps(content, separators=(",", ":")))
@@ -380,6 +398,11 @@ def _app(session: LiveSession, page: ToPage, address: str) -> Any:
     )
 
 
+def _camera_control(session: LiveSession) -> CameraControl | None:
+    """Where the cameras of a session are set; None where there are none, or another program has them."""
+    return session.source.control if isinstance(session.source, WithCameraControl) else None
+
+
 def _code_of(address: str) -> str:
     """An address as a QR code, the address of a picture in itself; "" for no address, or where the package for it is not installed."""
     try:
@@ -387,6 +410,11 @@ def _code_of(address: str) -> str:
     except ModuleNotFoundError:
         return ""
     return str(segno.make(address, micro=False).svg_data_uri(omitsize=True)) if address else ""
+
+
+def _warnings(session: LiveSession) -> list[str]:
+    """What the source has to say while it runs, as of a camera that was bumped."""
+    return [finding.sentence for finding in own_findings([session.source]) if finding.severity > Severity.NOTE]
 
 
 def _plain_health(session: LiveSession, page: ToPage) -> dict[str, Any]:
@@ -404,6 +432,6 @@ def _plain_health(session: LiveSession, page: ToPage) -> dict[str, Any]:
         "p999": None if np.isnan(p999) else round(1000 * p999, 2),
         "not sounded": page.late,
         "problem": health.problem,
-        "problems": [] if session.feedback is None else session.feedback.problems,
+        "problems": [*([] if session.feedback is None else session.feedback.problems), *_warnings(session)],
         "ended": session.has_ended,
     }

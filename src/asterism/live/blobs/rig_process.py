@@ -34,9 +34,9 @@ _TAKEN, _STOP = b"T", b"S"
 """What is said to the process: a frame was taken; nobody wants more."""
 _REPORT = 0.5
 """s between two reports of the process. Half of it costs twice the messages; at twice as much a page shows what was a second ago."""
-_ON_THE_WAY = 0.05
-"""s of frames that may be on their way between the processes. Half of it drops frames at each pause of the system; with twice as much,
-what is shown by a machine that is too slow is a fifth of a second old."""
+_ON_THE_WAY = 3
+"""Frames that may be on their way between the processes: one that is read, one that waits, one that is written. With one, each waits for
+the other; twice as many are old where this process is too slow."""
 _TIMEOUT = 0.1
 """s after which the process looks whether it shall stop."""
 _ENDING = 5.0
@@ -48,6 +48,7 @@ class RigReport:
     """What the process says of itself: what of `RigSource` other than frames is asked for."""
 
     damaged: int
+    dropped: int
     delay: float
     cameras: list[RigCameraHealth]
     findings: list[Finding]
@@ -74,7 +75,7 @@ class RigProcess:
             # What each process begins with is imported once.
             context.set_forkserver_preload([__name__])
         self._pipe, there = context.Pipe()
-        self._process = context.Process(target=_serve, args=(there, open_blobs, rig, settings, name, keep), name="live rig")
+        self._process = context.Process(target=_serve, args=(there, open_blobs, rig, settings, name, keep), name="live rig", daemon=True)
         self._process.start()
         # With our copy open, the end of the process would not end the pipe.
         there.close()
@@ -94,6 +95,11 @@ class RigProcess:
     def damaged(self) -> int:
         """Packets or images that could not be read."""
         return 0 if self._report is None else self._report.damaged
+
+    @property
+    def dropped(self) -> int:
+        """Frames whose points were not made, since newer ones waited."""
+        return 0 if self._report is None else self._report.dropped
 
     @property
     def delay(self) -> float:
@@ -183,28 +189,25 @@ def _serve(
 def _frames(pipe: Connection[Any, Any], source: RigSource) -> str:
     """Send frames until the end. Returns what went wrong."""
     told, on_the_way = -math.inf, 0
-    most = max(3, round(_ON_THE_WAY * source.about.rate)) if math.isfinite(source.about.rate) else 3
     while True:
-        while pipe.poll(0):
+        while pipe.poll(_TIMEOUT if on_the_way >= _ON_THE_WAY else 0):
             if pipe.recv_bytes() == _STOP:
                 return ""
             on_the_way -= 1
         try:
-            frame = source.read(_TIMEOUT)
+            frame = None if on_the_way >= _ON_THE_WAY else source.read(_TIMEOUT)
         except SourceEnded:
             return ""
         except Exception as problem:
             return str(problem) if isinstance(problem, AsterismError) else f"{type(problem).__name__}: {problem}"
-        if frame is not None and on_the_way < most:
+        if frame is not None:
             pipe.send_bytes(b"F" + _HEAD.pack(frame.number, frame.time, frame.arrived) + np.ascontiguousarray(frame.points).tobytes())
             on_the_way += 1
-        elif frame is not None:
-            source.dropped += 1
         if time.monotonic() - told > _REPORT:
             told = time.monotonic()
             _tell(pipe, source)
 
 
 def _tell(pipe: Connection[Any, Any], source: RigSource, *, ended: bool = False, problem: str = "") -> None:
-    report = RigReport(source.damaged, source.delay, source.cameras(), source.findings(), ended, problem)
+    report = RigReport(source.damaged, source.dropped, source.delay, source.cameras(), source.findings(), ended, problem)
     pipe.send_bytes(b"R" + pickle.dumps(report))

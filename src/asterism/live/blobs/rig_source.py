@@ -22,7 +22,7 @@ from asterism.live.blobs.gathering import ByNumber, ByTime, CameraArrivals, RigF
 from asterism.live.blobs.recorder import BlobRecorder
 from asterism.live.camera_frames import BlobSource, LiveBlobs
 from asterism.live.found import own_findings
-from asterism.live.frames import MOST_POINTS, LiveFrame, SourceAbout, SourceEnded
+from asterism.live.frames import MOST_POINTS, CameraControl, LiveFrame, OfCameras, SourceAbout, SourceEnded
 from asterism.reconstruction import ReconstructionSettings, Reconstructor
 from asterism.reconstruction.camera_fit import CameraFit
 from asterism.reconstruction.streaming import WINDOW
@@ -156,6 +156,10 @@ class RigSource:
                     return None
                 self._there.wait(left)
             frame = self._queue.popleft()
+            # However slow this is, what is shown is not old.
+            while not self._waits and self._queue and time.monotonic() - frame.arrived > _QUEUE:
+                frame = self._queue.popleft()
+                self.dropped += 1
             self._there.notify_all()
         return self._reconstructed(frame)
 
@@ -177,16 +181,21 @@ class RigSource:
         return [_health(name, state, fit) for name, state, fit in zip(self.rig.names, self._gather.cameras, fits, strict=True)]
 
     def camera_numbers(self) -> list[dict[str, Any]]:
-        """The same as plain values; what is not known is None."""
-        return as_plain(self.cameras())
+        """The same as plain values, with what the source itself says of each; what is not known is None."""
+        own = {numbers["camera"]: numbers for numbers in self._source.camera_numbers()} if isinstance(self._source, OfCameras) else {}
+        return [{**rig, "images": own[rig["name"]]} if rig["name"] in own else rig for rig in as_plain(self.cameras())]
+
+    @property
+    def control(self) -> CameraControl | None:
+        """Where the cameras are set; None where they are another program's."""
+        return self._source if isinstance(self._source, CameraControl) else None
 
     def findings(self) -> list[Finding]:
         """What a person should know of the cameras and their rig."""
-        counts = self._counts() if self._frames else []
         own = own_findings([self._source])
         # What a camera or its process left out never came either, and is told once, by who knows why.
         told = {finding.where for finding in own if finding.code in ("live-camera-lost", "live-camera-dropped")}
-        counts = [finding for finding in counts if finding.code != "live-camera-lost" or finding.where not in told]
+        counts = self._counts(told) if self._frames else []
         return [*own, *self._names(), *counts, *(finding for finding, times in self._found.values() if times > 1)]
 
     def _take(self) -> None:
@@ -295,7 +304,7 @@ class RigSource:
             found.append(Finding("reconstruct-no-pose", Severity.WARNING, listed(self._unposed), sentence, mend))
         return found
 
-    def _counts(self) -> list[Finding]:
+    def _counts(self, lost_told: set[str]) -> list[Finding]:
         found, warning, cameras = list[Finding](), Severity.WARNING, self.cameras()
         cable = "Look at cables and at the network, or lower the rate."
         # Those too of which the source does not know.
@@ -303,10 +312,11 @@ class RigSource:
         if silent:
             mend = "Look whether it is switched on, and whether it has this name in the rig."
             found.append(Finding("live-camera-silent", warning, listed(silent), f"camera {listed(silent)} sent nothing.", mend))
-        if lost := _shares([(camera.name, camera.lost, camera.received + camera.lost) for camera in cameras]):
+        totals = [(camera, camera.received + camera.lost) for camera in cameras]
+        if lost := _shares([(camera.name, camera.lost, total) for camera, total in totals if camera.name not in lost_told]):
             where, said = lost
             found.append(Finding("live-camera-lost", warning, where, f"images never arrived: {said}.", cable))
-        if late := _shares([(camera.name, camera.late, camera.received + camera.lost) for camera in cameras]):
+        if late := _shares([(camera.name, camera.late, total) for camera, total in totals]):
             where, said = late
             found.append(Finding("live-camera-late", warning, where, f"images came too late for their frame: {said}.", cable))
         for camera in cameras:

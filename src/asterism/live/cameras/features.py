@@ -17,7 +17,6 @@ _NUMBERS: dict[str, tuple[tuple[str, float], ...]] = {
 _AUTOMATIC = {"exposure": "ExposureAuto", "gain": "GainAuto"}
 _RESULTING = ("ResultingFrameRate", "AcquisitionResultingFrameRate", "ResultingFrameRateAbs")
 _TEMPERATURES = ("DeviceTemperature", "DeviceTemperatureRaw")
-_REFUSES = "the camera does not take it ({}); it may be fixed while another setting is automatic, or while images run."
 
 
 class Features:
@@ -147,7 +146,10 @@ class Features:
             else:
                 node.value = value
         except self._failed as problem:
-            raise AsterismError(_REFUSES.format(str(problem).partition(" : ")[0].strip(" ."))) from problem
+            why = str(problem).partition(" : ")[0].strip(" .")
+            raise AsterismError(
+                f"the camera does not take it ({why}); it may be fixed while another setting is automatic, or while images run."
+            ) from problem
         except TypeError:
             raise AsterismError(f"{name} cannot be {value}.") from None
 

@@ -144,9 +144,12 @@ class CameraWatch:
         while self._blobs[0][0] < self._arrived - _SECOND:
             self._blobs.popleft()
 
-    def health(self) -> CameraHealth:
-        """How the camera does now. Asks the camera for its rate and its temperature, from the thread that reads it, so not too often."""
-        now, camera = time.monotonic(), self.camera
+    def health(self, at: float | None = None) -> CameraHealth:
+        """How the camera does at a time, s on `time.monotonic`, None for now.
+
+        Asks the camera for its rate and its temperature, from the thread that reads it, so not too often.
+        """
+        now, camera = time.monotonic() if at is None else at, self.camera
         self._said_rate = camera.rate
         mean, white = (float(np.mean([row[k] for row in self._recent])) if self._recent else math.nan for k in (1, 2))
         counts = [count for when, count in self._blobs if when > now - _SECOND]

@@ -20,7 +20,7 @@ from asterism.detection.blobs import BlobSettings
 from asterism.detection.running import RunningDetection
 from asterism.errors import AsterismError
 from asterism.live.camera_frames import LiveBlobs, LiveImage
-from asterism.live.cameras import CameraHealth, CameraWatch, LiveCamera, SettingOutcome, SettingValue
+from asterism.live.cameras import CameraGone, CameraHealth, CameraWatch, LiveCamera, SettingOutcome, SettingValue
 from asterism.live.frames import SourceEnded
 
 _TIMEOUT = 0.1
@@ -124,6 +124,7 @@ class CameraReport:
     outcomes  what became of its settings
     said      what it says of itself and of its settings
     problem   why it is not open, "" where it is
+    is_missing whether that is since it is not there, and may come
     ended     whether it was a file that was played to its end
     picture   its newest image, where that is shown and due
     """
@@ -135,6 +136,7 @@ class CameraReport:
     outcomes: tuple[SettingOutcome, ...]
     said: dict[str, SettingValue]
     problem: str
+    is_missing: bool
     ended: bool
     picture: NDArray[Any] | None
 
@@ -152,7 +154,7 @@ class _CameraReader:
         self.outcomes: tuple[SettingOutcome, ...] = ()
         self.said: dict[str, SettingValue] = {}
         self.orders: deque[SettingOrder] = deque()
-        self.problem, self.ended = "", False
+        self.problem, self.is_missing, self.ended = "", False, False
         self._stop, self._at = stop, at
 
     def run(self) -> None:
@@ -163,6 +165,7 @@ class _CameraReader:
                     camera = self.place.ready()
                 # A driver may raise anything: it is told, and the other cameras go on.
                 except Exception as problem:
+                    self.is_missing = isinstance(problem, CameraGone)
                     self.problem = str(problem) if isinstance(problem, AsterismError) else f"{type(problem).__name__}: {problem}"
                     self._stop.wait(_AGAIN)
                     continue
@@ -288,7 +291,16 @@ class _CameraSearch:
         picture = None if image is None else image.image
         name, ended = reader.place.name, reader.ended
         report = CameraReport(
-            name, reader.health, replace(counts), reader.rate, reader.outcomes, reader.said, reader.problem, ended, picture
+            name,
+            reader.health,
+            replace(counts),
+            reader.rate,
+            reader.outcomes,
+            reader.said,
+            reader.problem,
+            reader.is_missing,
+            ended,
+            picture,
         )
         self._out.send(report)
 

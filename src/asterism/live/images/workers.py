@@ -9,9 +9,9 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field, replace
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from asterism.detection.running import MOST_BLOBS
 from asterism.errors import AsterismError
+from asterism.files.plain import as_json
 from asterism.findings import Finding, Severity
 from asterism.live.camera_frames import LiveBlobs
-from asterism.live.cameras import CameraHealth, CameraSpec, SettingOutcome, SettingValue, camera_findings, save_cameras
+from asterism.live.cameras import CameraHealth, CameraSpec, SettingOutcome, camera_findings, save_cameras
 from asterism.live.cameras.settings import setting_value
 from asterism.live.frames import SourceEnded
 from asterism.live.images.worker import CameraPlace, CameraReport, SearchCounts, SettingOrder, WorkerReady, WorkerSettings, work
@@ -47,6 +48,8 @@ _ENDING = 3.0
 _AHEAD = 100
 """Images by which a process that reads videos may be ahead of another. Half of them stop it at each pause of the system; twice as many hold
 twice the memory."""
+_ORDERS = 32
+"""Settings that wait until they are passed on, a tenth of a second: more than a person asks for; half and double do as well."""
 _WAITING = 1000
 """Images' blobs that are kept while the cameras open: four seconds of four webcams. More would be old when they are used."""
 
@@ -75,7 +78,8 @@ class _CameraProcess:
         names = ", ".join(place.name for place in places)
         process = context.Process(target=work, args=(tuple(places), settings, out, theirs), name=f"cameras {names}", daemon=True)
         try:
-            process.start()
+            with _interrupts_held():
+                process.start()
         except BaseException:
             pipe.close()
             orders.close()
@@ -116,6 +120,11 @@ class _CameraProgress:
         return self.report is not None and (self.report.health is not None or bool(self.report.problem) or self.report.ended)
 
     @property
+    def is_closed(self) -> bool:
+        """Whether it could not be opened so far."""
+        return self.report is not None and self.report.health is None and bool(self.report.problem)
+
+    @property
     def has_ended(self) -> bool:
         """Whether it was played to its end."""
         return self.report is not None and self.report.ended
@@ -126,13 +135,14 @@ class CameraWorkers:
 
     places    the cameras, such as `CameraSpec`s; names must differ
     settings  how their images are searched
-    workers   processes; None: as many as there are cores, at most one for each camera
+    workers   processes, at most one for each camera; None: as many as there are cores. Machine vision cameras have one each
     numbered_together  whether equal numbers are one exposure of all cameras, as of videos that were taken together
 
     What crosses a pipe is blobs, not images. A process that cannot keep up searches the newest image of each camera, and counts the others
     as dropped. One that dies or hangs is begun anew, and counted; a camera that is gone is opened again each second. All processes end with
     this one, however it ends. In a script that is run, the line `if __name__ == "__main__":` must guard what makes this.
-    Raises AsterismError where a camera cannot be opened in the first place.
+    Raises AsterismError where no camera can be opened in the first place, or where what is asked for makes no sense, such as a file that is
+    not there.
     """
 
     def __init__(
@@ -154,12 +164,11 @@ class CameraWorkers:
         self._at: float | None = None
         self._closed, self._reading = threading.Event(), threading.Lock()
         self._last_read = time.monotonic()
+        self._orders: deque[SettingOrder] = deque(maxlen=_ORDERS)
         self._workers: list[_CameraProcess] = []
-        groups = min(len(places), _cores() if workers is None else max(workers, 1))
         try:
-            # Dealt like cards, since cameras that stand side by side see equally much.
-            for group in range(groups):
-                self._workers.append(_CameraProcess.begin(places[group::groups], self._settings))
+            for group in _grouped(places, _cores() if workers is None else max(workers, 1)):
+                self._workers.append(_CameraProcess.begin(group, self._settings))
             self._open()
         except BaseException:
             self.close()
@@ -199,6 +208,11 @@ class CameraWorkers:
     def searches(self) -> dict[str, SearchCounts]:
         """What is counted of the search, by the camera's name."""
         return {name: _search(state) for name, state in self._states.items()}
+
+    def camera_numbers(self) -> list[dict[str, Any]]:
+        """How each camera that was opened does, and its search, as plain values; None for what is not known."""
+        searches = self.searches()
+        return [as_json({**asdict(health), "search": asdict(searches[health.camera])}) for health in self.healths()]
 
     def pictures(self) -> dict[str, NDArray[Any]]:
         """The newest image of each camera, where they are shown: see `WorkerSettings.pictures`."""
@@ -241,12 +255,24 @@ class CameraWorkers:
             raise AsterismError(
                 f"there is no camera {next(name for name in names if name not in self.cameras)}, only {', '.join(self.cameras)}."
             )
-        with self._reading:
-            for worker in self._workers:
-                worker.places = tuple(_with(place, setting, asked) if place.name in names else place for place in worker.places)
-                # One that has just died is begun anew with it.
-                with suppress(OSError):
-                    worker.orders.send(SettingOrder(setting, asked, names))
+        # The thread that reads does it: it alone begins processes anew.
+        self._orders.append(SettingOrder(setting, asked, names))
+
+    def camera_states(self) -> list[dict[str, Any]]:
+        """How each camera does, what it has, and what of its settings is not as it was asked, as plain values."""
+        healths = {health.camera: as_json(asdict(health)) for health in self.healths()}
+        outcomes = [outcome for outcome in self.outcomes() if not outcome.as_asked]
+        return [
+            {
+                **healths.get(
+                    name,
+                    {"camera": name, "problem": state.problem or (state.report.problem if state.report else "") or "it is not open yet."},
+                ),
+                "has": {} if state.report is None else state.report.said,
+                "told": [str(outcome) for outcome in outcomes if outcome.camera == name],
+            }
+            for name, state in self._states.items()
+        ]
 
     def outcomes(self) -> list[SettingOutcome]:
         """What became of the settings of all cameras."""
@@ -265,6 +291,10 @@ class CameraWorkers:
         found = list(camera_findings(self.healths() if has_begun or self._closed.is_set() else (), self.outcomes()))
         for name, state in self._states.items():
             found += _search_findings(name, _search(state), state)
+            if state.is_closed and state.report is not None:
+                sentence = f"camera {name}: {state.report.problem}"
+                mend = "The others go on without it; it takes part when it comes."
+                found.append(Finding("live-camera-not-opened", Severity.ERROR, name, sentence, mend))
         return found
 
     def _open(self) -> None:
@@ -285,12 +315,23 @@ class CameraWorkers:
             if time.monotonic() > begin + _OPENING:
                 raise AsterismError(f"camera {', '.join(silent)} does not answer; look at its cable and its power.")
             self._take(_SLICE)
-        for name, state in self._states.items():
-            if state.report is not None and state.report.health is None and state.report.problem:
-                raise AsterismError(f"camera {name}: {state.report.problem}")
+        # A camera that is not there costs itself, and takes part when it comes; what is wrong in what was asked for costs all.
+        closed = {name: state.report for name, state in self._states.items() if state.report is not None and state.is_closed}
+        for name, report in closed.items():
+            if len(closed) == len(self._states) or not report.is_missing:
+                raise AsterismError(f"camera {name}: {report.problem}")
+
+    def _pass_on(self, order: SettingOrder) -> None:
+        for worker in self._workers:
+            worker.places = tuple(_with(place, order) if place.name in order.names else place for place in worker.places)
+            # One that has just died is begun anew with it.
+            with suppress(OSError):
+                worker.orders.send(order)
 
     def _take(self, timeout: float) -> bool:
         """Take what the processes have sent; False where all have ended with their cameras."""
+        while self._orders:
+            self._pass_on(self._orders.popleft())
         now = time.monotonic()
         if now - self._last_read > 1.0:
             # Nobody listened: what they said waits in the pipes.
@@ -355,9 +396,37 @@ class CameraWorkers:
         return worker.dead and all(self._states[place.name].has_ended for place in worker.places)
 
 
-def _with(place: CameraPlace, setting: str, value: SettingValue) -> CameraPlace:
+def _with(place: CameraPlace, order: SettingOrder) -> CameraPlace:
     """A camera with a setting over its own."""
-    return replace(place, settings={**place.settings, setting: value}) if isinstance(place, CameraSpec) else place
+    return replace(place, settings={**place.settings, order.setting: order.value}) if isinstance(place, CameraSpec) else place
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """A process that begins here is not reached by Ctrl-C while it imports: it says nothing, and this one decides."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing import resource_tracker
+
+    # Each process is begun after this helper of Python's, whose own beginning would let interrupts through again.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _grouped(places: Sequence[CameraPlace], processes: int) -> list[list[CameraPlace]]:
+    """The cameras of each process: dealt like cards, since those that stand side by side see equally much.
+
+    Each machine vision camera has its own: a producer that is loaded once a process finds a camera again only while it has no other open.
+    """
+    alone = [place for place in places if str(getattr(place, "address", "")).startswith("genicam://")]
+    others = [place for place in places if place not in alone]
+    groups = min(len(others), processes)
+    return [[place] for place in alone] + [others[group::groups] for group in range(groups)]
 
 
 def _cores() -> int:

@@ -43,6 +43,7 @@
       Object.assign(this, { camera: new Asterism.Camera(), up: [0, 0, 1], body: null, newest: null, latencies: [], sounds: new Asterism.Sounds(), drawn: 0 });
       Object.assign(this, { clock: new ServerClock(), curves: new Asterism.Curves(colour), rules: [], heard: Date.now(), log: [], sounded: [], opened: false });
       Object.assign(this, { drawnAt: [], waiting: [], behind: 0, missed: 0 });
+      this.cameras = new Asterism.Cameras($("cameras"), settings => this.say({ set: settings }));
       this.camera.yaw = 0.8;
       this.token = new URLSearchParams(location.search).get("token") || "";
       this.listen();
@@ -50,10 +51,14 @@
       $("volume").addEventListener("input", () => this.sounds.volume($("volume").value / 100));
       this.theme();
       this.touch($("body"));
-      // A page that was put to sleep gets its sound back from the system only when it asks.
-      document.addEventListener("visibilitychange", () => {
-        if (document.visibilityState === "visible" && $("sound").checked) this.sounds.start($("volume").value / 100);
-      });
+      // A page that was put to sleep gets its sound back from the system only when it asks, and so a screen that stays on, where that is allowed.
+      const awake = () => {
+        if (document.visibilityState !== "visible") return;
+        if ($("sound").checked) this.sounds.start($("volume").value / 100);
+        navigator.wakeLock?.request("screen").catch(() => {});
+      };
+      document.addEventListener("visibilitychange", awake);
+      awake();
       new ResizeObserver(() => { this.changed = true; }).observe($("stage"));
       setInterval(() => this.ping(), 1000);
       const frame = () => { this.draw(); requestAnimationFrame(frame); };
@@ -138,6 +143,8 @@
       else if (news.pong !== undefined) this.clock.pong(news.pong, news.now);
       else if (news.health) this.healthIs(news.health);
       else if (news.names) this.named(news.names);
+      else if (news.cameras) this.cameras.are(news.cameras);
+      else if (news.refused !== undefined) this.cameras.refused(news.refused);
       else if (news.body) this.body = news.body;
       else if (news.source !== undefined) this.hello(news);
     }

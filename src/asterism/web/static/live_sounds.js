@@ -16,6 +16,8 @@
       this.context.resume();
       if (!this.gain) {
         this.gain = this.context.createGain();
+        // Its own value at first would be the full scale.
+        this.gain.gain.value = 0;
         this.gain.connect(this.context.destination);
         Object.assign(this, { tones: new Map(), begun: new Map(), beeps: 0 });
       }
