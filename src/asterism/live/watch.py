@@ -34,15 +34,15 @@ and pauses of a busy machine move the rate of 2 s by a twentieth; twice as much 
 
 
 _TALLER = 1.5
-"""Times as far that points spread along another axis as along what is up, before it is told: a stride is as long as legs are high. Half of it
-is a person with spread arms; twice as much hides a crouching one."""
-_LASTING = 10**9
-"""Times that count for what is reported however short it was: more than a session has."""
+"""Times as far that points spread along another axis as along what is up, before it is told: a stride is as long as legs are high. Half
+of it is a person with spread arms; twice as much hides a crouching one."""
+_KEPT = ("live-labels-given", "live-unit", "live-rate-changed")
+"""What is reported at the end also where it was wrong for a part of the session."""
 
 
 @dataclass(frozen=True)
 class _Look:
-    """A frame: its number and arrival, points, spread (3,) m of the middle four fifths, labels given, markers of the set, whether they fit, refusal."""
+    """A frame: number, arrival, points, spread (3,) m of the middle four fifths of them, labels, markers of the set, whether they fit it."""
 
     number: int
     arrived: float
@@ -82,7 +82,7 @@ class SessionWatch:
     def add(self, found: LabelledFrame, rate: float, refusal: str = "") -> None:
         """Take a labelled frame; refusal: why no marker set was found yet."""
         if any(found.frame.names):
-            self._say(labels_given(self.name), lasting=True)
+            self._say(labels_given(self.name), at=1)
         self._next -= 1
         if self._next > 0:
             return
@@ -102,8 +102,8 @@ class SessionWatch:
         if not self._judged and len(self._looks) >= _LOOKS // 4:
             # A session of less than 2 s is judged by what it had.
             self._judge(self._rate)
-        wrong = self._wrong > self._judged / 2
-        return [finding for code, finding in self._last.items() if self._times[code] >= (min(2, self._judged) if wrong else _LASTING)]
+        wrong, often = self._wrong > self._judged / 2, min(2, self._judged)
+        return [finding for code, finding in self._last.items() if code in _KEPT or (wrong and self._times[code] >= often)]
 
     def _judge(self, rate: float) -> None:
         self._judged += 1
@@ -112,7 +112,7 @@ class SessionWatch:
         self._wrong += any(each is not None for each in found)
         for finding in found:
             if finding is not None:
-                self._say(finding, lasting=finding.code == "live-rate-changed")
+                self._say(finding)
 
     def _of_points(self) -> Finding | None:
         looks = self._looks
@@ -180,10 +180,11 @@ class SessionWatch:
         mend = f"Say --rate {significant(seen, 3)}, or look at what it sends: speeds are taken from the rate."
         return Finding("live-rate", Severity.WARNING, self.name, sentence, mend)
 
-    def _say(self, finding: Finding, *, lasting: bool = False) -> None:
-        """Tell it at its second time, since a person may just walk in; lasting: at once, and it is reported however short it was."""
+    def _say(self, finding: Finding, at: int = 2) -> None:
+        """Tell it at its second time, since a person may just walk in; at: another one."""
         code = finding.code
-        self._times[code] = self._times.get(code, 0) + (_LASTING if lasting else 1)
-        if (lasting and code not in self._last) or (not lasting and self._times[code] == 2):
+        self._times[code] = self._times.get(code, 0) + 1
+        if self._times[code] == at:
             self.tell(finding)
-        self._last[code] = finding
+        if self._times[code] >= at or self._judged < at:
+            self._last[code] = finding
