@@ -136,6 +136,14 @@ def test_light_that_changes_is_learnt_at_once() -> None:
     assert found == [8] * 40
     assert [len(running.find(np.zeros(SIZE[::-1], np.uint8), number / 60.0).blobs) for number in range(80, 100)] == [0] * 20
     assert [len(running.find(scene(number), number / 60.0).blobs) for number in range(100, 140)] == [8] * 40
+    # The sun falls on the floor, beside the markers.
+    spot = np.zeros(SIZE[::-1], np.uint8)
+    cv2.ellipse(spot, (70, 230), (75, 14), 0, 0, 360, 255, -1)
+    found = [
+        len(running.find(np.maximum(scene(number, dots=5), cv2.GaussianBlur(spot, (0, 0), 2)), number / 60.0).blobs)
+        for number in range(140, 180)
+    ]
+    assert found == [5] * 40
 
 
 def test_lights_of_the_empty_room_are_masked() -> None:

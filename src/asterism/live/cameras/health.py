@@ -237,7 +237,8 @@ def _of_one(health: CameraHealth) -> Iterator[Finding]:
     if health.lost:
         share = significant(100 * health.lost / (health.lost + health.images), 2)
         sentence = f"{who} {health.lost} images never arrived ({share} %)."
-        yield Finding("live-camera-lost", Severity.WARNING, name, sentence, f"{_USB}, or lower its rate or its size.")
+        mend = "Look at its cable." if health.reopened else f"{_USB}, or lower its rate or its size."
+        yield Finding("live-camera-lost", Severity.WARNING, name, sentence, mend)
     if health.dropped:
         sentence = f"{who} {health.dropped} images were not fetched in time."
         yield Finding("live-camera-dropped", Severity.WARNING, name, sentence, "Close other programs, or lower its rate.")
