@@ -42,7 +42,7 @@ _KEPT = ("live-labels-given", "live-unit", "live-rate-changed")
 
 @dataclass(frozen=True)
 class _Look:
-    """A frame: number, arrival, points, spread (3,) m of the middle four fifths of them, labels, markers of the set, whether they fit it."""
+    """A frame: number, arrival, points, spread (3,) m of their middle four fifths, labels, markers of the set, whether they fit it."""
 
     number: int
     arrived: float
@@ -103,7 +103,7 @@ class SessionWatch:
             # A session of less than 2 s is judged by what it had.
             self._judge(self._rate)
         wrong, often = self._wrong > self._judged / 2, min(2, self._judged)
-        return [finding for code, finding in self._last.items() if code in _KEPT or (wrong and self._times[code] >= often)]
+        return [finding for code, finding in self._last.items() if self._times[code] >= often and (wrong or code in _KEPT)]
 
     def _judge(self, rate: float) -> None:
         self._judged += 1
@@ -186,5 +186,4 @@ class SessionWatch:
         self._times[code] = self._times.get(code, 0) + 1
         if self._times[code] == at:
             self.tell(finding)
-        if self._times[code] >= at or self._judged < at:
-            self._last[code] = finding
+        self._last[code] = finding
