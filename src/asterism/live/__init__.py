@@ -17,6 +17,7 @@ from asterism.live.replay import Replay
 from asterism.live.running import Health, LiveOutput, LiveSession
 from asterism.live.sending import open_output, open_outputs
 from asterism.live.sources import host_port, open_source
+from asterism.live.watch import SessionWatch
 
 __all__ = [
     "AnalysedFrame",
@@ -45,6 +46,7 @@ __all__ = [
     "OfModel",
     "Replay",
     "RigSource",
+    "SessionWatch",
     "SourceAbout",
     "SourceClock",
     "SourceEnded",

@@ -24,7 +24,8 @@ _NOTE, _WARNING, _ERROR = Severity.NOTE, Severity.WARNING, Severity.ERROR
 
 def own_findings(parts: Iterable[object]) -> list[Finding]:
     """What sources and outputs say themselves."""
-    return [finding for part in parts if isinstance(part, WithFindings) for finding in part.findings()]
+    said = {(each.code, each.where): each for part in parts if isinstance(part, WithFindings) for each in part.findings()}
+    return list(said.values())
 
 
 def session_findings(health: Health, where: str, recorder: LiveRecorder | None = None, parts: Iterable[object] = ()) -> list[Finding]:
