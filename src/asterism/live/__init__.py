@@ -101,6 +101,6 @@ def __getattr__(name: str) -> Any:
     """Import a name when it is first used: the processes that read cameras or make points need no labelling, and start in half the time."""
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'asterism.live' has no attribute {name!r}")
-    value = getattr(import_module(f"asterism.live.{_MODULE_OF[name]}"), name)
+    value = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
     globals()[name] = value
     return value
