@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from asterism.findings import Finding, Severity
-from asterism.live.recording import LiveRecorder
-from asterism.live.running import Health
 from asterism.recording.display import significant
+
+if TYPE_CHECKING:
+    from asterism.live.recording import LiveRecorder
+    from asterism.live.running import Health
 
 
 @runtime_checkable
