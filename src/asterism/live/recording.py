@@ -152,11 +152,11 @@ def recording_of(path: Path, rate: float | None = None) -> KeptSession:
     rate: frames per second, None for what the times show. Raises AsterismError where the file is no live recording, or holds no frame.
     """
     if not is_journal_of(path, _WORK):
-        raise AsterismError(f"{path} is no live recording; give the file that --record named.")
+        raise AsterismError(f"{path} is no live recording; give the file that a session left beside its output, FILE.c3d.live.")
     journal = Journal(path, _WORK)
     try:
         if journal.other or not journal.kept:
-            raise AsterismError(f"{path} is no live recording; give the file that --record named.")
+            raise AsterismError(f"{path} is no live recording; give the file that a session left beside its output, FILE.c3d.live.")
         steps = [journal.step(list) for _ in range(journal.kept)]
     finally:
         journal.close()
