@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -363,7 +364,7 @@ def test_a_port_that_is_taken_is_told() -> None:
 
 def recorded(path: Path, numbers: list[int]) -> LiveRecorder:
     recorder, chain = LiveRecorder(path, "given", None), LabelChain(Numbers(), RATE)
-    for n, frame in enumerate(frames(numbers)):
+    for n, frame in enumerate(replace(frame, arrived=50.0 + n / RATE) for n, frame in enumerate(frames(numbers))):
         recorder.frame(frame)
         found = chain.push(frame)
         assert found is not None
@@ -386,11 +387,19 @@ def test_a_recording_holds_all_frames_with_their_labels(tmp_path: Path) -> None:
         LiveRecorder(tmp_path / "walk.live", "given", None)
 
 
+def test_labels_stay_with_their_frames_where_numbers_begin_anew(tmp_path: Path) -> None:
+    recorded(tmp_path / "walk.live", [*range(30), *range(20)])
+    kept = recording_of(tmp_path / "walk.live")
+    assert len(kept.clouds) == 50 and kept.labelling is not None
+    assert (kept.labelling.indices == [0, 1]).all(), "all frames have their own labels"
+
+
 def test_a_recording_that_was_cut_anywhere_keeps_what_was_written_before(tmp_path: Path) -> None:
     recorded(tmp_path / "whole.live", list(range(100)))
     whole = (tmp_path / "whole.live").read_bytes()
     before = 0
-    for end in np.linspace(len(whole) // 8, len(whole), 30).astype(int):
+    # In the name of the file's kind, in the heads of steps, in their arrays, and between them.
+    for end in [0, 5, 17, 30, 49, 52, 60, *np.linspace(100, len(whole), 30).astype(int)]:
         cut = tmp_path / "cut.live"
         cut.write_bytes(whole[:end])
         try:
@@ -399,6 +408,7 @@ def test_a_recording_that_was_cut_anywhere_keeps_what_was_written_before(tmp_pat
             assert "holds no frame" in str(problem) or "no live recording" in str(problem)
             kept = 0
         assert kept >= before and kept % 20 == 0
+        assert cut.read_bytes() == whole[:end], "what is read is not changed"
         before = kept
     assert before == 100
 

@@ -167,7 +167,7 @@ def live(options: LiveOptions) -> None:
         source.close()
         if recorder is not None:
             recorder.close()
-    parts = [source, *session.outputs, session.analysis, session.feedback]
+    parts = [source, *session.outputs, session.analysis, session.feedback, session.watch]
     findings = session_findings(health, source.about.name, recorder, parts)
     if recorder is not None and unfinished is not None and options.output is not None and recorder.kept:
         try:
@@ -289,7 +289,17 @@ def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource
 def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
     from asterism.cli._options import vertical_axis
     from asterism.labelling.marker_model import MarkerModel
-    from asterism.live import Feedback, InOwnThread, LiveSession, ToLines, load_feedback, make_labeller, open_outputs, own_findings
+    from asterism.live import (
+        Feedback,
+        InOwnThread,
+        LiveSession,
+        SessionWatch,
+        ToLines,
+        load_feedback,
+        make_labeller,
+        open_outputs,
+        own_findings,
+    )
     from asterism.recording import MarkerSet, as_vertical
 
     model = None if options.model is None else MarkerModel.load(options.model)
@@ -313,7 +323,8 @@ def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
         outputs.append(ToLines() if options.replay is not None else InOwnThread(ToLines()))
     # A file can wait until its frames are labelled.
     waits = options.replay is not None
-    return LiveSession(source, make, outputs, options.delay, waits=waits, feedback=rules, vertical=up, analysis=analysis)
+    watch = SessionWatch(source.about.name, up, not waits, lambda finding: _console.notice(str(finding)))
+    return LiveSession(source, make, outputs, options.delay, waits=waits, feedback=rules, vertical=up, analysis=analysis, watch=watch)
 
 
 def _analysis(options: LiveOptions, up: Floats | None) -> LiveAnalysis | None:

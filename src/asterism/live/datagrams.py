@@ -6,13 +6,15 @@ import json
 import math
 import socket
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
+from asterism.live.clock import StreamTimes
+from asterism.live.found import times_made
 from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
 
 LARGEST = 65_507
@@ -67,8 +69,7 @@ def _read(data: bytes, arrived: float) -> LiveFrame | str:
     for key in ("frame", "time", "points"):
         if key not in content:
             return f"it has no {key}"
-    number, at, unit, rows, names = (content.get(key) for key in ("frame", "time", "unit", "points", "names"))
-    unit, names = "m" if "unit" not in content else unit, [] if "names" not in content else names
+    number, at, rows, unit, names = content["frame"], content["time"], content["points"], content.get("unit", "m"), content.get("names", [])
     if type(number) is not int or abs(number) > _LARGEST_NUMBER:
         return "its frame is no whole number below 2^53"
     # Text and true would become numbers: a sender that mixes them is wrong, and is told.
@@ -105,11 +106,21 @@ class HostPort:
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
 
 
+_OTHERS = 16
+"""Other senders that are told by their addresses; more are counted together."""
+_GONE = 1.0
+"""s of silence of the sender after which another one is heard: it was begun anew, or another machine took over. With half of it a pause of
+the network brings in a stranger; with twice as much a sender that was begun anew is missed for 2 s."""
+
+
 class JsonDatagrams:
     """A source of frames that arrive as JSON, see `frame_of_json`.
 
     place  where to listen
     rate   frames per second that the sender was told to send
+
+    One sender is heard. Another address takes its place where it goes on with the very next frame, as a program does that opens a socket
+    for each, or where the one that is heard has been silent for a second. Frames of others are counted by address, and never mixed in.
     Raises AsterismError where the address is none of this machine's, or the port is taken.
     """
 
@@ -117,6 +128,10 @@ class JsonDatagrams:
         self.damaged, self._why = 0, ""
         self.about = SourceAbout(f"JSON at {place}", rate)
         self._socket = bound(place)
+        self._times = StreamTimes(rate)
+        self._heard: str = ""
+        self._last, self._at = 0, -math.inf
+        self._others = dict[str, int]()
 
     @property
     def port(self) -> int:
@@ -129,24 +144,41 @@ class JsonDatagrams:
         while (left := until - time.monotonic()) > 0:
             self._socket.settimeout(left)
             try:
-                data = self._socket.recv(LARGEST + 1)
+                data, sender = self._socket.recvfrom(LARGEST + 1)
             except OSError:
                 # nothing came, or the socket was closed meanwhile
                 return None
             frame = frame_of_json(data, time.monotonic())
-            if frame is not None:
-                return frame
-            self.damaged += 1
-            self._why = self._why or why_damaged(data)
+            if frame is None:
+                self.damaged += 1
+                self._why = self._why or why_damaged(data)
+            elif self._hears(f"{sender[0]}:{sender[1]}", frame):
+                return replace(frame, time=self._times.of(frame.number, frame.time, frame.arrived))
         return None
 
     def findings(self) -> list[Finding]:
-        """What is wrong with the first datagram that could not be read."""
-        return damaged_json(self.about.name, self._why)
+        """Other senders, frames without times, and what is wrong with the first datagram that could not be read."""
+        found, where = [times_made(self.about.name)] if self._times.made else [], self.about.name
+        if self._others:
+            others = ", ".join(f"{address} ({count} frames)" for address, count in self._others.items())
+            sentence = f"{where}: several programs send to it. {self._heard} is heard; these were not: {others}."
+            mend = "Stop the others, or give each a port of its own."
+            found.append(Finding("live-other-sender", Severity.WARNING, where, sentence, mend))
+        return [*found, *damaged_json(where, self._why)]
 
     def close(self) -> None:
         """Stop listening."""
         self._socket.close()
+
+    def _hears(self, sender: str, frame: LiveFrame) -> bool:
+        """Whether this is the sender that is heard."""
+        goes_on = not self._heard or frame.number == self._last + 1 or frame.arrived - self._at > _GONE
+        if sender != self._heard and not goes_on:
+            key = sender if sender in self._others or len(self._others) < _OTHERS else "others"
+            self._others[key] = self._others.get(key, 0) + 1
+            return False
+        self._heard, self._last, self._at = sender, frame.number, frame.arrived
+        return True
 
 
 def socket_for(place: HostPort, example: str) -> tuple[socket.socket, Any]:

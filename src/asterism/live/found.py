@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from asterism.findings import Finding, Severity
-from asterism.live.recording import LiveRecorder
-from asterism.live.running import Health
 from asterism.recording.display import significant
+
+if TYPE_CHECKING:
+    from asterism.live.recording import LiveRecorder
+    from asterism.live.running import Health
 
 
 @runtime_checkable
@@ -24,7 +26,8 @@ _NOTE, _WARNING, _ERROR = Severity.NOTE, Severity.WARNING, Severity.ERROR
 
 def own_findings(parts: Iterable[object]) -> list[Finding]:
     """What sources and outputs say themselves."""
-    return [finding for part in parts if isinstance(part, WithFindings) for finding in part.findings()]
+    said = {(each.code, each.where): each for part in parts if isinstance(part, WithFindings) for each in part.findings()}
+    return list(said.values())
 
 
 def session_findings(health: Health, where: str, recorder: LiveRecorder | None = None, parts: Iterable[object] = ()) -> list[Finding]:

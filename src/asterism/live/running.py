@@ -53,6 +53,13 @@ class LiveOutput(Protocol):
         """Finish."""
 
 
+class Watch(Protocol):
+    """What looks whether the whole of the frames can be right."""
+
+    def add(self, found: LabelledFrame, rate: float, refusal: str = "") -> None:
+        """Take a labelled frame; refusal: why no marker set was found yet."""
+
+
 class Keeper(Protocol):
     """Where frames are recorded, as they come and as they are labelled."""
 
@@ -130,6 +137,7 @@ class LiveSession:
     analysis    finds angles and events; None for none
     feedback    what the person is told
     vertical    (3,) what points up; None for what the source says
+    watch       looks whether the whole of the frames can be right; None for nothing
     waits       whether the source waits until there is room for its next frame: a file can, a camera cannot
 
     Where frames come faster than they are labelled, the oldest that waits is dropped and counted: what is shown is never old.
@@ -145,6 +153,7 @@ class LiveSession:
     analysis: LiveAnalysis | None = None
     feedback: Feedback | None = None
     vertical: Floats | None = None
+    watch: Watch | None = None
     _queue: deque[LiveFrame] = field(default_factory=deque)
     _there: threading.Condition = field(default_factory=threading.Condition)
     _ended: bool = False
@@ -367,6 +376,8 @@ class LiveSession:
         self._searches = self._searches or not found.markers
         if not self._searches or (self._ready is not None and found.frame.arrived >= self._ready):
             self._latencies.append(found.done - found.frame.arrived)
+        if self.watch is not None and self._chain is not None:
+            self.watch.add(found, self._rate, self._chain.refusal)
         if self.keeper is not None:
             self.keeper.labelled(found)
         analysis = NOTHING if self.analysis is None else self.analysis.push(found)
