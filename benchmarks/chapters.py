@@ -26,7 +26,8 @@ _SCRIPTS = {
     "motion": "paper.toy gait.knee clinical.plug_in_gait angles.sparse angles.dense coverage.coverage "
     "skeleton.opensim_ik skeleton.kinematics_speed skeleton.skeleton retarget.retarget",
     "gait": "events.events events.peers gaps.gaps kinetics.kinetics parameters.parameters bands.bands speed.speed page.page",
-    "live": "rows.packets rows.killed damaged.damaged rows.soak blobs.blobs blobs.agreement share.share movement.strikes movement.angles "
+    "live": "rows.packets rows.killed damaged.damaged rows.soak blobs.blobs blobs.agreement share.share "
+    "movement.strikes movement.steps movement.angles "
     "page.tone page.page streams.outputs webcams.webcams",
     "house": "startup.startup install.install install.ci process.process process.cluster",
 }

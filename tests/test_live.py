@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from models import trained
 import asterism
 from asterism import AsterismError
 from asterism.cli import main
+from asterism.findings import Severity
 from asterism.labelling.live.stream import FrameLabels
 from asterism.live import (
     AnalysedFrame,
@@ -267,6 +269,20 @@ def test_times_that_do_not_grow_need_a_rate() -> None:
         LiveSession(Given(still, math.nan), lambda rate, up: Numbers(), waits=True).run()
 
 
+def test_times_in_milliseconds_are_told() -> None:
+    came = [LiveFrame(n, 10.0 * n, n / RATE, np.zeros((1, 3))) for n in range(40)]
+    with pytest.raises(AsterismError, match="send seconds"):
+        LiveSession(Given(came, math.nan), lambda rate, up: Numbers()).run()
+    health = LiveSession(Given(came), lambda rate, up: Numbers()).run()
+    assert "live-times" in {finding.code for finding in session_findings(health, "there")}
+
+
+def test_numbers_that_stand_still_are_told() -> None:
+    health = LiveSession(Given(frames([7] * 10)), lambda rate, up: Numbers()).run()
+    (finding,) = [finding for finding in session_findings(health, "there") if finding.code == "live-late"]
+    assert finding.severity == Severity.WARNING and "one higher" in finding.mend
+
+
 def test_datagrams_go_in_labelled_and_out() -> None:
     came = JsonDatagrams(HostPort("127.0.0.1", 0), RATE)
     sink = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -296,6 +312,49 @@ def test_an_address_that_is_none_says_what_one_is(address: str) -> None:
         open_source(address)
 
 
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [
+        ({"time": "0.1"}, "time"),
+        ({"frame": 1.5}, "frame"),
+        ({"unit": "inch"}, "unit"),
+        ({"points": {"LASI": [1, 2, 3]}}, "points"),
+        ({"points": [[True, 1, 2]]}, "points"),
+        ({"points": [[900, 1, 2], [1300, 1, 0], [2, 3, 1100]]}, "unit"),
+        ({"names": "LASI"}, "names"),
+    ],
+)
+def test_a_sender_is_told_what_is_wrong_with_its_frames(changed: dict[str, object], why: str) -> None:
+    whole = {"frame": 1, "time": 0.1, "points": [[1, 2, 3]]}
+    source = JsonDatagrams(HostPort("127.0.0.1", 0), RATE)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for content in ({**whole, **changed}, whole):
+            sender.sendto(json.dumps(content).encode(), ("127.0.0.1", source.port))
+        assert source.read(10.0) is not None and source.damaged == 1
+        (finding,) = source.findings()
+    source.close()
+    assert finding.code == "live-format" and why in finding.sentence
+
+
+def test_a_session_says_that_it_gave_no_labels() -> None:
+    class Unsure(Numbers):
+        def labels(self, at: int) -> FrameLabels:
+            return FrameLabels(at, np.full(2, -1), np.zeros(2))
+
+    class Unknown(Unsure):
+        marker_set = None
+
+    def found(labeller: Numbers, points: int = 2) -> list[str]:
+        frames = [LiveFrame(at, at / RATE, time.monotonic(), np.ones((points, 3))) for at in range(10)]
+        session = LiveSession(Given(frames), lambda *_: labeller)
+        return [finding.sentence for finding in session_findings(session.run(), "there") if finding.code == "live-no-labels"]
+
+    assert not found(Numbers())
+    assert "10 of the 10" in found(Unsure())[0]
+    assert "no marker set was found" in found(Unknown())[0]
+    assert "as many points" in found(Numbers(), 0)[0]
+
+
 def test_a_port_that_is_taken_is_told() -> None:
     first = JsonDatagrams(HostPort("127.0.0.1", 0))
     with pytest.raises(AsterismError, match="cannot be listened to"):
@@ -305,7 +364,7 @@ def test_a_port_that_is_taken_is_told() -> None:
 
 def recorded(path: Path, numbers: list[int]) -> LiveRecorder:
     recorder, chain = LiveRecorder(path, "given", None), LabelChain(Numbers(), RATE)
-    for n, frame in enumerate(frames(numbers)):
+    for n, frame in enumerate(replace(frame, arrived=50.0 + n / RATE) for n, frame in enumerate(frames(numbers))):
         recorder.frame(frame)
         found = chain.push(frame)
         assert found is not None
@@ -328,11 +387,19 @@ def test_a_recording_holds_all_frames_with_their_labels(tmp_path: Path) -> None:
         LiveRecorder(tmp_path / "walk.live", "given", None)
 
 
+def test_labels_stay_with_their_frames_where_numbers_begin_anew(tmp_path: Path) -> None:
+    recorded(tmp_path / "walk.live", [*range(30), *range(20)])
+    kept = recording_of(tmp_path / "walk.live")
+    assert len(kept.clouds) == 50 and kept.labelling is not None
+    assert (kept.labelling.indices == [0, 1]).all(), "all frames have their own labels"
+
+
 def test_a_recording_that_was_cut_anywhere_keeps_what_was_written_before(tmp_path: Path) -> None:
     recorded(tmp_path / "whole.live", list(range(100)))
     whole = (tmp_path / "whole.live").read_bytes()
     before = 0
-    for end in np.linspace(len(whole) // 8, len(whole), 30).astype(int):
+    # In the name of the file's kind, in the heads of steps, in their arrays, and between them.
+    for end in [0, 5, 17, 30, 49, 52, 60, *np.linspace(100, len(whole), 30).astype(int)]:
         cut = tmp_path / "cut.live"
         cut.write_bytes(whole[:end])
         try:
@@ -341,6 +408,7 @@ def test_a_recording_that_was_cut_anywhere_keeps_what_was_written_before(tmp_pat
             assert "holds no frame" in str(problem) or "no live recording" in str(problem)
             kept = 0
         assert kept >= before and kept % 20 == 0
+        assert cut.read_bytes() == whole[:end], "what is read is not changed"
         before = kept
     assert before == 100
 
@@ -458,3 +526,18 @@ def test_a_signal_ends_a_session_with_all_that_came(
 def test_a_format_that_cannot_be_written_is_refused_before_a_session_begins(tmp_path: Path, capsys) -> None:
     assert main(["live", "udp://127.0.0.1:0", "--rate", "100", "-o", str(tmp_path / "x.txt")]) == 2
     assert "no format has the suffix .txt" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["udp://127.0.0.1:0", "-o", "."], "suffix"),
+        (["udp://127.0.0.1:0", "--rate", "0"], "no rate"),
+        (["udp://127.0.0.1:0", "--host", "0.0.0.0"], "--page"),
+        (["udp://127.0.0.1:0", "--replay", "walk.c3d"], "two sources"),
+    ],
+    ids=["a folder", "rate", "host", "two"],
+)
+def test_what_cannot_be_meant_is_refused(words: list[str], told: str, capsys) -> None:
+    assert main(["live", *words]) == 2
+    assert told in capsys.readouterr().err

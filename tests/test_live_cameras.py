@@ -322,6 +322,8 @@ def watched(shown: list[LiveImage], rate: float = 10.0) -> CameraHealth:
         ("saturated", 255, lambda n: n, 0.1),
         ("slow", 90, lambda n: n, 0.2),
         ("", 90, lambda n: n, 0.1),
+        # Each image comes twice.
+        ("", 90, lambda n: n // 2, 0.1),
     ],
 )
 def test_troubles_of_a_camera_are_told_one_by_one(trouble, grey, number, step):

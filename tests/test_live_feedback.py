@@ -488,6 +488,7 @@ def test_a_tablet_reads_the_address_with_its_camera(tmp_path: Path) -> None:
             tab.wait("document.getElementById('code').complete && document.getElementById('code').src")
             tab.value("document.documentElement.dataset.theme = 'dark', document.getElementById('tablet').open = true")
             tab.wait("document.getElementById('state').textContent === 'no frames come'")
+            tab.value("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")  # it is laid out
             tab.picture(tmp_path / "page.png")
             assert tab.value("document.getElementById('address').textContent") == address
     finally:

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -98,6 +99,8 @@ class _Odd(SimulatedCamera):
             return image
         if self.how == "dies":
             os._exit(3)
+        if self.how == "hangs":
+            threading.Event().wait()
         if self.how == "fails":
             raise RuntimeError("the driver has a fault")
         return LiveImage(image.camera, image.number, image.time, image.arrived, image.image[:60].copy())
@@ -136,6 +139,14 @@ def test_light_that_changes_is_learnt_at_once() -> None:
     assert found == [8] * 40
     assert [len(running.find(np.zeros(SIZE[::-1], np.uint8), number / 60.0).blobs) for number in range(80, 100)] == [0] * 20
     assert [len(running.find(scene(number), number / 60.0).blobs) for number in range(100, 140)] == [8] * 40
+    # The sun falls on the floor, beside the markers.
+    spot = np.zeros(SIZE[::-1], np.uint8)
+    cv2.ellipse(spot, (70, 230), (75, 14), 0, 0, 360, 255, -1)
+    found = [
+        len(running.find(np.maximum(scene(number, dots=5), cv2.GaussianBlur(spot, (0, 0), 2)), number / 60.0).blobs)
+        for number in range(140, 180)
+    ]
+    assert found == [5] * 40
 
 
 def test_lights_of_the_empty_room_are_masked() -> None:
@@ -244,10 +255,13 @@ def test_a_process_that_is_killed_is_begun_anew(odd: CameraWorkers) -> None:
 
 
 def test_a_camera_that_fails_is_opened_again_and_the_others_go_on() -> None:
-    workers = CameraWorkers([Odd("fault", "fails"), CameraSpec("gone", "simulated://?size=160x120&gone=0.3&gone-for=0.2")], workers=1)
+    gone = CameraSpec("gone", "simulated://?size=160x120&gone=0.3&gone-for=0.2")
+    workers = CameraWorkers([Odd("fault", "fails"), Odd("hung", "hangs"), gone], workers=1)
     try:
-        until(workers, lambda: len(workers.healths()) == 2 and all(health.reopened for health in workers.healths()))
+        until(workers, lambda: {health.camera for health in workers.healths() if health.reopened} == {"fault", "gone"})
         assert {found.where for found in workers.findings() if found.code == "live-camera-reopened"} == {"fault", "gone"}
+        until(workers, lambda: "does not answer" in health_of(workers, "hung").problem)
+        assert ("live-camera-silent", "hung") in {(found.code, found.where) for found in workers.findings()}
     finally:
         workers.close()
 
@@ -257,6 +271,17 @@ def test_what_cannot_be_opened_is_said() -> None:
         CameraWorkers([CameraSpec("left", "a"), CameraSpec("left", "b")])
     with pytest.raises(AsterismError, match=r"camera right: .*nowhere\.mp4"):
         CameraWorkers([CameraSpec("left", "simulated://"), CameraSpec("right", "nowhere.mp4")], workers=1)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="cameras have other addresses")
+def test_a_camera_that_is_not_there_costs_itself() -> None:
+    workers = CameraWorkers([CameraSpec("left", "simulated://?size=160x120"), CameraSpec("gone", "camera://97")], workers=1)
+    try:
+        assert until(workers, lambda: workers.searches()["left"].searched > 5)
+        assert [(found.code, found.where) for found in workers.findings()] == [("live-camera-not-opened", "gone")]
+        assert "no such camera" in str(workers.camera_states()[1]["problem"])
+    finally:
+        workers.close()
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are looked up in /proc")
@@ -344,3 +369,11 @@ def test_what_cannot_be_played_is_said(
     places = {"0": str(folders[0]), "1": str(folders[1]), "rig": str(rig_file)}
     assert main(["live", *(places.get(word, word) for word in words)]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
+
+
+def test_each_public_name_of_the_room_is_found_when_it_is_used() -> None:
+    from asterism import live
+
+    assert [name for name in live.__all__ if getattr(live, name).__module__.split(".")[:2] != ["asterism", "live"]] == []
+    with pytest.raises(AttributeError, match="no attribute 'Nothing'"):
+        _ = live.Nothing

@@ -139,8 +139,8 @@ def events_of(positions: Floats, times: Floats | None = None) -> list[LiveEvent]
     return told_of(Recording(positions, walk().labels, 100.0), times)
 
 
-def test_who_squats_stands_or_goes_backwards_makes_no_step() -> None:
-    """Feet on the spot while the pelvis goes forth and back by 15 cm; and the walk from its end to its begin, also on a treadmill."""
+def test_who_squats_lies_or_goes_backwards_makes_no_step() -> None:
+    """Feet on the spot while the pelvis goes forth and back by 15 cm; a walk with another axis up; one backwards, also on a treadmill."""
     time = np.arange(600) / 100.0
     still = np.repeat(walk().positions[:1], 600, axis=0)
     hips = [walk().labels.index(name) for name in ("LASI", "RASI", "SACR")]
@@ -150,6 +150,9 @@ def test_who_squats_stands_or_goes_backwards_makes_no_step() -> None:
     assert events_of(squat + np.random.default_rng(0).normal(0.0, 0.0005, squat.shape)) == []
     backwards = walk().positions[::-1].copy()
     assert not [event for event in events_of(backwards) if event.time > 1.0]
+    events, lying = LiveEvents(), walk().positions[:, :, [2, 0, 1]]
+    assert not any(events.push(float(time), walk().labels, points) for time, points in zip(walk().times, lying, strict=True))
+    assert [finding.code for finding in events.findings()] == ["live-not-upright"]
     # The floor moves as the person does: the pelvis stays, and only the feet tell.
     backwards[:, :, :2] -= np.linspace(backwards[0, hips, :2].mean(axis=0), backwards[-1, hips, :2].mean(axis=0), 600)[:, None]
     assert not [event for event in events_of(backwards) if event.time > 3.0]

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 import asterism
-from asterism.gait import Walking, find_events
+from asterism.gait import PARAMETERS, Walking, cycles_of, find_events, parameters_of
 from asterism.gait.events import OFF, STRIKE
 from asterism.labelling.live.stream import FrameLabels
 from asterism.live import AnalysedFrame, AngleOptions, LabelledFrame, LiveFrame, LiveSession, MovementAnalysis, SourceAbout, SourceEnded
@@ -53,6 +53,31 @@ def strikes(benchmark: BenchmarkRun) -> Iterator[Figure]:
             yield from part.figures(f"live, {kind} told, {group}", "none", "none")
     for kind, part in whole.items():
         yield from part.figures(f"live, {kind} told, all", "< 60" if kind == "heel strike" else "none", "<= 0")
+
+
+def steps(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """Cadence, speed and steps as they are shown after a strike, against those of the whole recording."""
+    apart: dict[str, list[float]] = {"cadence": [], "walking speed": [], "step length": [], "step time": []}
+    for pattern in ("gait/*/straight.c3d", "gait-events/treadmill/*.c3d"):
+        for path in sorted(folder().glob(pattern))[: 2 if benchmark.quick else None]:
+            recording = _bare(asterism.read(path))
+            walking = find_events(recording)
+            found = _played(recording, MovementAnalysis(AngleOptions(vertical=recording.vertical, waits=True)))[0]
+            for one in parameters_of(walking, cycles_of(walking)):
+                name = one.name if one.name in ("cadence", "walking speed") else f"{'left' if one.side == 'L' else 'right'} {one.name}"
+                # After the strike has been told, and before the next one.
+                shown = found[min(round((one.ends + 0.1) * recording.rate), len(found) - 1)].values.get(name, np.nan)
+                if one.name in apart and np.isfinite(shown):
+                    apart[one.name].append(abs(shown - one.value))
+    for name, errors in apart.items():
+        for words, share in (("median", 0.5), ("p95", 0.95)):
+            yield Figure(
+                f"live, {name}: difference from the whole recording's, {words}",
+                "none",
+                float(np.quantile(errors, share)),
+                PARAMETERS[name],
+                len(errors),
+            )
 
 
 def angles(benchmark: BenchmarkRun) -> Iterator[Figure]:

@@ -130,7 +130,19 @@ def is_journal_of(path: Path, work: str) -> bool:
     return False
 
 
-def _next(stream: io.BufferedRandom) -> bytes | None:
+def steps_of(path: Path, work: str) -> list[Arrays]:
+    """The whole steps of this work that a file holds, up to the first one that is damaged or cut off; none where it is no such file.
+
+    The file is only read: one that another run still writes to, or whose end is damaged, stays as it is.
+    """
+    if not is_journal_of(path, work):
+        return []
+    with open(path, "rb") as stream:
+        stream.seek(len(_MAGIC) + hashlib.sha256().digest_size)
+        return [_arrays(content) for content in iter(lambda: _next(stream), None)]
+
+
+def _next(stream: io.BufferedRandom | io.BufferedReader) -> bytes | None:
     """The bytes of the step that begins here; None at the end, and where it is not whole."""
     head = stream.read(_HEAD.size)
     if len(head) < _HEAD.size:

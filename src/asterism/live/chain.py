@@ -65,6 +65,7 @@ class LabelledFrame:
     indices     (M,) each marker's place among the points, -1 for none
     confidence  (M,) in [0, 1] that this is right
     done        s on this machine's `time.monotonic`, when the labels were there
+    fits        whether the last seconds show what the model was trained on
     """
 
     frame: LiveFrame
@@ -72,6 +73,7 @@ class LabelledFrame:
     indices: Ints
     confidence: Floats
     done: float
+    fits: bool = True
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -131,7 +133,7 @@ class LabelChain:
         markers = self._labeller.marker_set
         if labels is None or markers is None:
             return LabelledFrame(frame, (), np.empty(0, dtype=np.int64), np.empty(0), time.monotonic())
-        return LabelledFrame(frame, markers.names, labels.indices, labels.confidence, time.monotonic())
+        return LabelledFrame(frame, markers.names, labels.indices, labels.confidence, time.monotonic(), labels.fits)
 
 
 def make_labeller(model: MarkerModel | None, markers: str | None, delay: int) -> MakeLabeller:

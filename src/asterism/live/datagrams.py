@@ -6,18 +6,22 @@ import json
 import math
 import socket
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
+from asterism.live.clock import StreamTimes
+from asterism.live.found import times_made
 from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
 
 LARGEST = 65_507
 """Bytes of the largest UDP datagram."""
 _METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _LARGEST_NUMBER = 2**53
+_COORDINATE = {int, float, type(None)}
 
 
 def frame_as_json(frame: LiveFrame) -> bytes:
@@ -34,20 +38,59 @@ def frame_of_json(data: bytes, arrived: float) -> LiveFrame | None:
     {"frame": 12, "time": 0.12, "unit": "mm", "points": [[x, y, z], ...], "names": ["LASI", "", ...]}: unit is m, cm or mm, m where it is
     left out; names may be left out. A point with null or NaN is a missing one.
     """
+    read = _read(data, arrived)
+    return read if isinstance(read, LiveFrame) else None
+
+
+def why_damaged(data: bytes) -> str:
+    """What is wrong with a datagram that `frame_of_json` does not take, for a person who writes a sender; "" where nothing is."""
+    read = _read(data, 0.0)
+    return read if isinstance(read, str) else ""
+
+
+def damaged_json(where: str, why: str) -> list[Finding]:
+    """What `why_damaged` said of the first frame that could not be read; nothing for ""."""
+    mend = "Send frames as docs/live.md says, JSON."
+    return (
+        [Finding("live-format", Severity.WARNING, where, f"{where}: of the first packet that could not be read, {why}.", mend)]
+        if why
+        else []
+    )
+
+
+def _read(data: bytes, arrived: float) -> LiveFrame | str:
+    """The frame, or what is wrong with it."""
     try:
         content = json.loads(data.decode("utf-8"))
-        number, at, scale, rows = content["frame"], float(content["time"]), _METRES[content.get("unit", "m")], content["points"]
-        names = content.get("names", [])
-        if type(number) is not int or abs(number) > _LARGEST_NUMBER or not math.isfinite(at) or len(rows) > MOST_POINTS:
-            return None
-        if not isinstance(names, list) or len(names) not in (0, len(rows)) or not all(isinstance(name, str) for name in names):
-            return None
-        points = np.array(rows, dtype=np.float64).reshape(-1, 3) if rows else np.empty((0, 3))
-        if len(points) != len(rows):
-            return None
-    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
-        return None
+    except (ValueError, RecursionError):
+        return "it is no JSON in UTF-8 without a byte order mark, or was cut"
+    if not isinstance(content, dict):
+        return "it is no object with frame, time and points"
+    for key in ("frame", "time", "points"):
+        if key not in content:
+            return f"it has no {key}"
+    number, at, rows, unit, names = content["frame"], content["time"], content["points"], content.get("unit", "m"), content.get("names", [])
+    if type(number) is not int or abs(number) > _LARGEST_NUMBER:
+        return "its frame is no whole number below 2^53"
+    # Text and true would become numbers: a sender that mixes them is wrong, and is told.
+    if type(at) not in (int, float) or not abs(at) < math.inf:
+        return "its time is no number"
+    if not isinstance(unit, str) or unit not in _METRES:
+        return "its unit is not m, cm or mm"
+    if not isinstance(rows, list) or len(rows) > MOST_POINTS:
+        return f"its points are no list of at most {MOST_POINTS} [x, y, z]"
+    if not all(isinstance(row, list) and len(row) == 3 and {type(value) for value in row} <= _COORDINATE for row in rows):
+        return "one of its points is not [x, y, z] in numbers or null"
+    if not isinstance(names, list) or len(names) not in (0, len(rows)) or not all(isinstance(name, str) for name in names):
+        return "its names are not one text for each point"
+    try:
+        points, at, scale = np.array(rows, dtype=np.float64).reshape(-1, 3), float(at), _METRES[unit]
+    except OverflowError:
+        return "one of its numbers is too large"
     there = np.nonzero((np.abs(scale * points) < FARTHEST).all(axis=1))[0]
+    # Millimetres that are called metres: such a frame is not an empty room.
+    if 2 * len(there) < np.isfinite(points).all(axis=1).sum():
+        return f"most of its points are farther than {FARTHEST:g} m, so that its unit is wrong or missing"
     kept = tuple(names[row] for row in there.tolist()) if names else ()
     return LiveFrame(number, at, arrived, scale * points[there], kept)
 
@@ -59,19 +102,36 @@ class HostPort:
     host: str
     port: int
 
+    def __str__(self) -> str:
+        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+
+
+_OTHERS = 16
+"""Other senders that are told by their addresses; more are counted together."""
+_GONE = 1.0
+"""s of silence of the sender after which another one is heard: it was begun anew, or another machine took over. With half of it a pause of
+the network brings in a stranger; with twice as much a sender that was begun anew is missed for 2 s."""
+
 
 class JsonDatagrams:
     """A source of frames that arrive as JSON, see `frame_of_json`.
 
     place  where to listen
     rate   frames per second that the sender was told to send
+
+    One sender is heard. Another address takes its place where it goes on with the very next frame, as a program does that opens a socket
+    for each, or where the one that is heard has been silent for a second. Frames of others are counted by address, and never mixed in.
     Raises AsterismError where the address is none of this machine's, or the port is taken.
     """
 
     def __init__(self, place: HostPort, rate: float = float("nan")) -> None:
-        self.damaged = 0
-        self.about = SourceAbout(f"JSON at {place.host}:{place.port}", rate)
+        self.damaged, self._why = 0, ""
+        self.about = SourceAbout(f"JSON at {place}", rate)
         self._socket = bound(place)
+        self._times = StreamTimes(rate)
+        self._heard: str = ""
+        self._last, self._at = 0, -math.inf
+        self._others = dict[str, int]()
 
     @property
     def port(self) -> int:
@@ -84,19 +144,41 @@ class JsonDatagrams:
         while (left := until - time.monotonic()) > 0:
             self._socket.settimeout(left)
             try:
-                data = self._socket.recv(LARGEST + 1)
+                data, sender = self._socket.recvfrom(LARGEST + 1)
             except OSError:
                 # nothing came, or the socket was closed meanwhile
                 return None
             frame = frame_of_json(data, time.monotonic())
-            if frame is not None:
-                return frame
-            self.damaged += 1
+            if frame is None:
+                self.damaged += 1
+                self._why = self._why or why_damaged(data)
+            elif self._hears(f"{sender[0]}:{sender[1]}", frame):
+                return replace(frame, time=self._times.of(frame.number, frame.time, frame.arrived))
         return None
+
+    def findings(self) -> list[Finding]:
+        """Other senders, frames without times, and what is wrong with the first datagram that could not be read."""
+        found, where = [times_made(self.about.name)] if self._times.made else [], self.about.name
+        if self._others:
+            others = ", ".join(f"{address} ({count} frames)" for address, count in self._others.items())
+            sentence = f"{where}: several programs send to it. {self._heard} is heard; these were not: {others}."
+            mend = "Stop the others, or give each a port of its own."
+            found.append(Finding("live-other-sender", Severity.WARNING, where, sentence, mend))
+        return [*found, *damaged_json(where, self._why)]
 
     def close(self) -> None:
         """Stop listening."""
         self._socket.close()
+
+    def _hears(self, sender: str, frame: LiveFrame) -> bool:
+        """Whether this is the sender that is heard."""
+        goes_on = not self._heard or frame.number == self._last + 1 or frame.arrived - self._at > _GONE
+        if sender != self._heard and not goes_on:
+            key = sender if sender in self._others or len(self._others) < _OTHERS else "others"
+            self._others[key] = self._others.get(key, 0) + 1
+            return False
+        self._heard, self._last, self._at = sender, frame.number, frame.arrived
+        return True
 
 
 def socket_for(place: HostPort, example: str) -> tuple[socket.socket, Any]:
@@ -105,7 +187,7 @@ def socket_for(place: HostPort, example: str) -> tuple[socket.socket, Any]:
         family, kind, _, _, address = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
         return socket.socket(family, kind), address
     except (OSError, OverflowError) as problem:
-        raise AsterismError(f"{place.host}:{place.port} is no address; write for example {example}.") from problem
+        raise AsterismError(f"{place} is no address; write for example {example}.") from problem
 
 
 def bound(place: HostPort, *, buffer: int = 1 << 20) -> socket.socket:
@@ -117,7 +199,7 @@ def bound(place: HostPort, *, buffer: int = 1 << 20) -> socket.socket:
     except OSError as problem:
         listening.close()
         raise AsterismError(
-            f"{place.host}:{place.port} cannot be listened to ({problem.strerror}): another program has the port, or the address is not of "
+            f"{place} cannot be listened to ({problem.strerror}): another program has the port, or the address is not of "
             "this machine. Give another one."
         ) from problem
     return listening

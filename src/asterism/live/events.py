@@ -14,8 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 from asterism.gait.events import OFF, STRIKE, EventRules, events_by_markers
 from asterism.gait.feet import SIDES, TURNING, FootColumns, feet_of, foot_columns, markers_of_feet
+from asterism.geometry import fit_rigid
 from asterism.live._step_kernels import followed
 from asterism.live.analysis import LiveEvent
 from asterism.recording import Floats, Recording
@@ -108,8 +110,9 @@ class _CarriedPoint:
 
     def clear(self) -> None:
         """Nothing is known of where it is."""
-        self._before = np.full((len(self._all), 3), np.nan)
+        self._before = self._template = np.full((len(self._all), 3), np.nan)
         self.place, self.hidden, self._strange = np.full(3, np.nan), 0, 0.0
+        self._place_in_template = self.place
 
     def push(self, points: Floats, step: float) -> Floats:
         """(3,) m, by the markers (M, 3) m of a frame, s after the one before; NaN where none of them is known."""
@@ -124,12 +127,25 @@ class _CarriedPoint:
             place[:] = np.nan
         else:
             self._strange = 0.0
-        self.hidden = self.hidden + 1 if math.isnan(place[0]) else 0
-        self.place = carried if self.hidden else place
         self._before = now
-        return self.place
+        if not math.isnan(place[0]):
+            self.place, self.hidden = place, 0
+            self._template, self._place_in_template = now, place
+            return place
+        self.hidden += 1
+        both = np.isfinite(self._template[:, 0]) & np.isfinite(now[:, 0])
+        if both.sum() >= _LEAST:
+            # Three of them say how the foot has turned, too.
+            turn, shift = fit_rigid(self._template[both], now[both])
+            off = np.abs(self._template[both] @ turn.T + shift - now[both]).max()
+            # One that is no marker of this foot would turn it.
+            carried = turn @ self._place_in_template + shift if off < 0.5 * self._rules.jump else carried
+        self.place = carried
+        return carried
 
 
+_LEAST = 3
+"""Markers that place a foot: two leave a turn open."""
 _ANY = (2.0**2, 20.0**2)
 """(m/s)2 and (m/s2)2, variances of speed and acceleration of a foot of which nothing is known: those of a walk. Three frames later
 nothing is left of them."""
@@ -199,12 +215,13 @@ class _TurningCurve:
             else:
                 self._strange = 0.0
                 if back and not self.known:
-                    # Nobody knows what it did meanwhile; how far it had gone before counts.
-                    self.state[:, 1:] = 0.0
-                    self._cov[:] = np.diag([rules.noise**2, *_ANY])
-                if back:
-                    # What was carried while it was hidden drifts: the place is new, the speed is not.
+                    # Nobody knows what it did meanwhile.
+                    self.clear()
+                elif back:
+                    # What was carried while it was hidden drifts: the place is new; speed, and how far it has gone, are not.
+                    drift = ahead - expected
                     self.state[0, 0], self.state[1, 0] = ahead - step * self.state[0, 1], height - step * self.state[1, 1]
+                    self.low, self.top = self.low + self._sign * drift, self.top + self._sign * drift
         self._hidden = hidden
         if not self._begun:
             if not math.isfinite(ahead):
@@ -336,7 +353,10 @@ class LiveEvents:
         self._columns: FootColumns | None = None
         self.feet: dict[str, _LiveFoot] = {}
         self._pelvis = _CarriedPoint([], [], self.rules)
+        self._walked = self._lay = 0.0
         self._begin()
+        # Compiled before the first frame, which must not wait for it.
+        followed(np.zeros((2, 3)), np.eye(3), 0.01, self.rules.jerk, np.zeros(2), self.rules.noise**2)
 
     def _begin(self) -> None:
         """A new stream."""
@@ -346,7 +366,7 @@ class LiveEvents:
         self._kept: deque[tuple[float, Floats]] = deque(maxlen=_MOST_KEPT)
         self._waiting: deque[_ToldStep] = deque()
         self._learned = -math.inf
-        self._floor, self.leg_length, self._upright = math.nan, math.nan, 1.0
+        self._floor = self.leg_length = self._upright = math.nan
         self._before, self._speeds, self._exchanged = np.full((2, 2, 3), np.nan), np.zeros((2, 2, 3)), 0.0
         self._pelvis.clear()
         for foot in self.feet.values():
@@ -354,6 +374,13 @@ class LiveEvents:
         self._slid: deque[float] = deque(maxlen=self.rules.steps)
         self._floors: deque[Floats] = deque(maxlen=self.rules.steps)
         self._lifts: deque[float] = deque(maxlen=self.rules.steps)
+
+    def findings(self) -> list[Finding]:
+        """That no steps could be told of somebody who lay."""
+        if self._lay <= max(self._walked, 1.0):
+            return []
+        sentence = f"For {self._lay:.0f} s the person lay, or another axis points up: no strikes and offs were told of it."
+        return [Finding("live-not-upright", Severity.NOTE, "steps", sentence, "Say what points up with --vertical, as in --vertical y.")]
 
     @property
     def on_treadmill(self) -> bool:
@@ -464,17 +491,17 @@ class LiveEvents:
         self._ahead[1] += share * (self._ahead[0] - self._ahead[1])
 
     def _size(self, row: Floats, step: float) -> None:
-        """Follow the floor and the height of the pelvis."""
-        lowest = np.nanmin(row[[0, 2], 2]) if np.isfinite(row[[0, 2], 2]).any() else math.nan
-        if math.isfinite(lowest):
-            self._floor = lowest if not math.isfinite(self._floor) else min(lowest, self._floor + self.rules.climbs * step)
-        if math.isfinite(row[4, 2]) and math.isfinite(self._floor):
-            height = float(row[4, 2] - self._floor)
-            limb = row[4] - row[[0, 2]]
-            limb = limb[np.isfinite(limb[:, 0])].mean(axis=0) if np.isfinite(limb[:, 0]).any() else np.full(3, np.nan)
-            if math.isfinite(limb[0]):
-                self._upright += min(step, 1.0) * (float(limb[2]) / max(float(np.linalg.norm(limb)), 1e-9) - self._upright)
-            self.leg_length = height if math.isnan(self.leg_length) else self.leg_length + min(step, 1.0) * (height - self.leg_length)
+        """Follow the floor, the height of the pelvis, and whether it is above the feet."""
+        heels = row[[0, 2]][np.isfinite(row[[0, 2], 0])]
+        if not len(heels) or math.isnan(row[4, 0]):
+            return
+        lowest, limb, share = float(heels[:, 2].min()), row[4] - heels.mean(axis=0), min(step, 1.0)
+        self._floor = lowest if math.isnan(self._floor) else min(lowest, self._floor + self.rules.climbs * step)
+        height, upright = float(row[4, 2]) - self._floor, float(limb[2]) / max(float(np.linalg.norm(limb)), 1e-9)
+        self.leg_length = height if math.isnan(self.leg_length) else self.leg_length + share * (height - self.leg_length)
+        self._upright = upright if math.isnan(self._upright) else self._upright + share * (upright - self._upright)
+        lies = self._upright < self.rules.upright
+        self._walked, self._lay = self._walked + step * (not lies), self._lay + step * lies
 
     def _goes_backwards(self, time: float, pelvis: Floats) -> bool:
         first = next((row[4] for at, row in self._kept if at >= time - self.rules.backwards_in and math.isfinite(row[4, 0])), None)

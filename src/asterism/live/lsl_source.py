@@ -23,6 +23,7 @@ from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
 from asterism.live.mocap_channels import ChannelLayout, layout_of_channels
 from asterism.live.packages import packages_for
 from asterism.recording import Floats
+from asterism.recording.display import significant
 
 _FIND = 5.0
 """s in which a stream is sought. Its sender answers within tenths; half of it loses to a busy network, twice as much is a wait."""
@@ -349,8 +350,8 @@ class FromLsl:
             sentence = f"{name} has no rate, so that samples which are lost are not noticed."
             found.append(Finding("live-irregular", Severity.NOTE, name, sentence, "Give its rate with --rate where it has one."))
         elif self._numbers.is_off and (layout is None or layout.counter is None):
-            said, true = self._rate, self._numbers.measured_rate
-            sentence = f"{name} has not {said:g} samples/s but {true:.4g}; the difference counts as lost."
+            said, true = significant(self._rate, 4), significant(self._numbers.measured_rate, 4)
+            sentence = f"{name} has not {said} samples/s but {true}; the difference counts as lost."
             found.append(Finding("live-rate", Severity.WARNING, name, sentence, "Give the true rate with --rate."))
         elif self._numbers.spread > 1 / 6 and (layout is None or layout.counter is None):
             sentence = (

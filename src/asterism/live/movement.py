@@ -40,5 +40,5 @@ class MovementAnalysis:
         return FrameAnalysis(values, self._units, tuple(events))
 
     def findings(self) -> list[Finding]:
-        """What a person should know of the angles."""
-        return self.angles.findings()
+        """What a person should know of angles and steps."""
+        return [*self.angles.findings(), *self.events.findings()]

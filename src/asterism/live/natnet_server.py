@@ -68,8 +68,8 @@ class NatNetPlace:
             known = False
         if not known:
             raise AsterismError(
-                f"{address} is no address of a NatNet server; write for example natnet://192.168.1.20 (this machine's), with ?unicast=1 to "
-                "send to each client alone, or ?multicast=239.255.42.99&data=1511."
+                f"{address} is no address at which frames can be sent as Motive does; write for example natnet://192.168.1.20 (this "
+                "machine's), with ?unicast=1 to send to each client alone, or ?multicast=239.255.42.99&data=1511."
             )
         return cls(host, commands, group, data)
 

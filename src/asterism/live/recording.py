@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.files.journal import Journal, is_journal_of
+from asterism.files.journal import Journal, steps_of
 from asterism.live.analog import KeptAnalog, analog_as_arrays, analog_of_arrays
 from asterism.live.chain import LabelledFrame
 from asterism.live.frames import LiveFrame
@@ -22,6 +22,8 @@ from asterism.recording import NULL, Clouds, Floats, Labelling, Recording
 _EVERY = 0.25
 """s of frames that are written together. A kill loses them: half of what a person would miss; half of it again doubles the writes."""
 _WORK = "asterism live 1"
+_ARRIVALS = 9
+"""Place of the labels' arrivals among the arrays of a chunk."""
 SUFFIX = ".live"
 
 
@@ -101,7 +103,10 @@ def _text(text: str) -> NDArray[np.uint8]:
 
 
 def _arrays_of(chunk: _Chunk) -> list[NDArray[Any]]:
-    """Frames: number, time, count; points; labels: number, then the marker of each point, -1 for none, with its confidence; analog."""
+    """Frames: number, count, times; points; labels: number, the marker of each point, -1 for none, its confidence; analog; labels: arrival.
+
+    Numbers begin anew with their sender, and arrivals do not: they tell which frame labels are of.
+    """
     frames, labels = chunk.frames, [each for each in chunk.labels if each.markers]
     marker_of, confidence = [], []
     for each in labels:
@@ -119,6 +124,7 @@ def _arrays_of(chunk: _Chunk) -> list[NDArray[Any]]:
         np.concatenate(confidence) if labels else np.empty(0),
         _text(json.dumps(list(labels[-1].markers) if labels else [])),
         *analog_as_arrays([part for each in frames for part in each.analog]),
+        np.array([each.frame.arrived for each in labels], dtype=np.float64),
     ]
 
 
@@ -151,21 +157,15 @@ def recording_of(path: Path, rate: float | None = None) -> KeptSession:
 
     rate: frames per second, None for what the times show. Raises AsterismError where the file is no live recording, or holds no frame.
     """
-    if not is_journal_of(path, _WORK):
-        raise AsterismError(f"{path} is no live recording; give the file that --record named.")
-    journal = Journal(path, _WORK)
-    try:
-        if journal.other or not journal.kept:
-            raise AsterismError(f"{path} is no live recording; give the file that --record named.")
-        steps = [journal.step(list) for _ in range(journal.kept)]
-    finally:
-        journal.close()
+    steps = steps_of(path, _WORK)
+    if not steps:
+        raise AsterismError(f"{path} is no live recording; give the file that a session left beside its output, FILE.c3d.live.")
     head = json.loads(bytes(steps[0][0]))
     chunks = steps[1:]
     if not chunks or not sum(len(chunk[0]) for chunk in chunks):
         raise AsterismError(f"{path} holds no frame: the source sent none while it was recorded.")
     numbers, counts = np.concatenate([chunk[0] for chunk in chunks]).T
-    times = np.concatenate([chunk[1] for chunk in chunks])[:, 0]
+    times, arrived = np.concatenate([chunk[1] for chunk in chunks]).T
     points = np.concatenate([chunk[2] for chunk in chunks])
     row = _rows(numbers)
     step = np.diff(times)[np.diff(row) == 1]
@@ -177,7 +177,10 @@ def recording_of(path: Path, rate: float | None = None) -> KeptSession:
     clouds = replace(bare, xyz=points, offsets=offsets, columns=np.full(len(points), -1, dtype=np.int64))
     of_row = np.full(len(clouds), np.nan)
     of_row[row] = times
-    labelling = _labelling(chunks, clouds, dict(zip(numbers.tolist(), row.tolist(), strict=True)))
+    # Recordings of earlier versions know their frames by number only.
+    by_number = any(len(chunk) <= _ARRIVALS for chunk in chunks)
+    row_of = dict(zip((numbers if by_number else arrived).tolist(), row.tolist(), strict=True))
+    labelling = _labelling(chunks, clouds, row_of, by_number)
     # Recordings of earlier versions have none.
     analog = analog_of_arrays([chunk[7:9] for chunk in chunks if len(chunk) > 7])
     return KeptSession(clouds, labelling, head["name"], head["begun"], of_row, analog)
@@ -190,17 +193,18 @@ def _rows(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.concatenate([[0], np.cumsum(steps)])
 
 
-def _labelling(chunks: list[list[NDArray[Any]]], clouds: Clouds, row_of: dict[int, int]) -> Labelling | None:
+def _labelling(chunks: list[list[NDArray[Any]]], clouds: Clouds, row_of: dict[float, int], by_number: bool) -> Labelling | None:
     names: list[str] = next((found for chunk in reversed(chunks) if (found := json.loads(bytes(chunk[6])))), [])
     if not names:
         return None
     indices, confidence = np.full((len(clouds), len(names)), NULL, dtype=np.int64), np.zeros((len(clouds), len(names)))
     for chunk in chunks:
         first = 0
-        for number, count in chunk[3].tolist():
+        keys = chunk[3][:, 0] if by_number else chunk[_ARRIVALS]
+        for key, count in zip(keys.tolist(), chunk[3][:, 1].tolist(), strict=True):
             markers, sure = chunk[4][first : first + count], chunk[5][first : first + count]
             first += count
-            row, given = row_of.get(number), np.nonzero(markers >= 0)[0]
-            if row is not None:
+            row, given = row_of.get(key), np.nonzero(markers >= 0)[0]
+            if row is not None and count == clouds.counts[row]:
                 indices[row, markers[given]], confidence[row, markers[given]] = given, sure[given]
     return Labelling(indices, confidence, tuple(names))

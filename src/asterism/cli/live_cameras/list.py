@@ -40,6 +40,7 @@ def list(options: ListCamerasOptions) -> None:
     is opened. Write a file with -o, give each camera its name in the rig there, and use it with --cameras.
     """
     from asterism.live.cameras import SETTINGS, CameraGroup, CameraSpec, save_cameras
+    from asterism.live.cameras.addresses import without_password
     from asterism.live.cameras.settings import setting_text
 
     _console.check_outputs([options.output, options.json], [options.cameras], options.overwrite)
@@ -66,7 +67,7 @@ def list(options: ListCamerasOptions) -> None:
         rate = "" if about is None or math.isnan(about.rate) else f"{about.rate:g} Hz"
         has = ", ".join(f"{name} {setting_text(name, value)}" for name, value in said.get(spec.name, {}).items() if value is not None)
         model, serial = ("", "") if about is None else (about.model, about.serial)
-        rows.append([spec.name, spec.address, model, serial, size, rate, *([has] if options.settings else [])])
+        rows.append([spec.name, without_password(spec.address), model, serial, size, rate, *([has] if options.settings else [])])
     if options.json != "-":
         columns = ["name", "address", "model", "serial", "size", "rate", *(["has"] if options.settings else [])]
         if rows:
@@ -78,7 +79,7 @@ def list(options: ListCamerasOptions) -> None:
     content = {
         "command": "live cameras list",
         "cameras": [
-            {"name": spec.name, "address": spec.address, "asked": dict(spec.settings), "has": said.get(spec.name, {})}
+            {"name": spec.name, "address": without_password(spec.address), "asked": dict(spec.settings), "has": said.get(spec.name, {})}
             | (dataclasses.asdict(by_name[spec.name]) if spec.name in by_name else {})
             for spec in specs
         ],

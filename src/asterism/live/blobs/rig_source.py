@@ -78,6 +78,10 @@ class RigCameraHealth:
     systematic: float
 
 
+_NOT_COME = ("live-camera-lost", "live-camera-dropped", "live-camera-silent", "live-camera-not-opened")
+"""What a camera says itself of images that did not come: the same is not told again."""
+
+
 class RigSource:
     """The points that calibrated cameras show, one frame after the other.
 
@@ -198,7 +202,7 @@ class RigSource:
         """What a person should know of the cameras and their rig."""
         own = own_findings([self._source])
         # What a camera or its process left out never came either, and is told once, by who knows why.
-        told = {finding.where for finding in own if finding.code in ("live-camera-lost", "live-camera-dropped")}
+        told = {finding.where for finding in own if finding.code in _NOT_COME}
         counts = self._counts(told) if self._frames else []
         return [*own, *self._names(), *counts, *(finding for finding, times in self._found.values() if times > 1)]
 
@@ -313,16 +317,17 @@ class RigSource:
             found.append(Finding("reconstruct-no-pose", Severity.WARNING, listed(self._unposed), sentence, mend))
         return found
 
-    def _counts(self, lost_told: set[str]) -> list[Finding]:
+    def _counts(self, told: set[str]) -> list[Finding]:
         found, warning, cameras = list[Finding](), Severity.WARNING, self.cameras()
         cable = "Look at cables and at the network, or lower the rate."
         # Those too of which the source does not know.
-        silent = [name for name in self._all if name not in self._unposed and name not in {c.name for c in cameras if c.received}]
+        known = {*self._unposed, *told, *(camera.name for camera in cameras if camera.received)}
+        silent = [name for name in self._all if name not in known]
         if silent:
             mend = "Look whether it is switched on, and whether it has this name in the rig."
             found.append(Finding("live-camera-silent", warning, listed(silent), f"camera {listed(silent)} sent nothing.", mend))
         totals = [(camera, camera.received + camera.lost) for camera in cameras]
-        if lost := _shares([(camera.name, camera.lost, total) for camera, total in totals if camera.name not in lost_told]):
+        if lost := _shares([(camera.name, camera.lost, total) for camera, total in totals if camera.name not in told]):
             where, said = lost
             found.append(Finding("live-camera-lost", warning, where, f"images never arrived: {said}.", cable))
         if late := _shares([(camera.name, camera.late, total) for camera, total in totals]):

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from urllib.parse import parse_qsl
 
 from asterism.errors import AsterismError
 from asterism.live.cameras.settings import setting_value
+
+
+def without_password(address: str) -> str:
+    """An address as it may be shown.
+
+    >>> without_password("rtsp://lab:secret@192.168.1.7/stream")
+    'rtsp://lab:…@192.168.1.7/stream'
+    """
+    return re.sub(r"(://[^/@:]*:)[^/]*@", r"\1…@", address)
 
 
 class Query:

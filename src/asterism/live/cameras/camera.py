@@ -17,7 +17,7 @@ system; with twice as many an image is a seventh of a second old at 60 Hz before
 
 
 class CameraGone(AsterismError):
-    """A camera that was open gives no images any more: its cable is out, or it has no power."""
+    """A camera is not there, or not any more: its cable is out, it has no power, or another program has it."""
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ class CameraHealth:
     drift, drift_sd  millionths by which its clock is faster than this machine's, with its standard deviation; NaN where it has no clock, or
                 before it is known
     last_seen   s since its last image, infinite before the first
-    seconds     s of its images that were "black", "frozen" (the same again and again), "saturated" or "slow"
+    seconds     s of its images that were "black", "frozen" (the same again and again), "saturated" or "slow" for more than one
     problem     what is wrong now, "" where nothing is
     """
 
@@ -133,9 +133,11 @@ class CameraWatch:
             if not there:
                 self._since.pop(trouble, None)
                 continue
-            self._since.setdefault(trouble, image.arrived)
-            if not math.isnan(before):
-                self._seconds[trouble] += min(image.arrived - before, _SECOND)
+            since = self._since.setdefault(trouble, image.arrived)
+            lasts = image.arrived - since
+            # What is there in each second image, as in a stream that shows each twice, is none.
+            if lasts > _SECOND:
+                self._seconds[trouble] += lasts if before - since <= _SECOND else min(image.arrived - before, _SECOND)
         self._clock.observe(image.time, image.arrived)
 
     def blobs(self, count: int) -> None:
@@ -237,7 +239,8 @@ def _of_one(health: CameraHealth) -> Iterator[Finding]:
     if health.lost:
         share = significant(100 * health.lost / (health.lost + health.images), 2)
         sentence = f"{who} {health.lost} images never arrived ({share} %)."
-        yield Finding("live-camera-lost", Severity.WARNING, name, sentence, f"{_USB}, or lower its rate or its size.")
+        mend = "Look at its cable." if health.reopened else f"{_USB}, or lower its rate or its size."
+        yield Finding("live-camera-lost", Severity.WARNING, name, sentence, mend)
     if health.dropped:
         sentence = f"{who} {health.dropped} images were not fetched in time."
         yield Finding("live-camera-dropped", Severity.WARNING, name, sentence, "Close other programs, or lower its rate.")

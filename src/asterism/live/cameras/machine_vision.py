@@ -9,7 +9,7 @@ import threading
 import time
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
+from urllib.parse import quote, unquote
 
 import numpy as np
 
@@ -221,12 +221,12 @@ class _Producers:
             if len(fitting) != 1:
                 there = ", ".join(f"{number} ({model})" for _, number, model in known) or "none"
                 what = f"no camera {serial}" if serial else "more than one camera"
-                raise AsterismError(f"genicam://{serial}: the producers show {what}; there are: {there}.")
+                raise CameraGone(f"genicam://{serial}: the producers show {what}; there are: {there}.")
             info, number, model = fitting[0]
             try:
                 acquirer = harvester.create(info)
             except gentl.GenericException as problem:
-                raise AsterismError(
+                raise CameraGone(
                     f"genicam://{serial} does not open ({_first_line(problem)}); close the program that has it, or look at its cable."
                 ) from problem
             self._open.add(id(camera))
@@ -309,8 +309,8 @@ _PRODUCERS = _Producers()
 
 def found_genicam(producer: str = "") -> list[CameraAbout]:
     """The cameras that GenTL producers show. Raises AsterismError where there is no producer, or harvesters is not installed."""
-    words = f"?cti={producer}" if producer else ""
+    words = f"?cti={quote(producer)}" if producer else ""
     return [
-        CameraAbout(f"{model or 'camera'}-{serial}", f"genicam://{serial}{words}", model, serial)
+        CameraAbout(f"{model or 'camera'}-{serial}", f"genicam://{quote(serial, safe='')}{words}", model, serial)
         for serial, model in _PRODUCERS.found(producer)
     ]

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 from asterism.errors import AsterismError
 from asterism.live.camera_frames import LiveImage
+from asterism.live.cameras.addresses import without_password
 from asterism.live.cameras.camera import CameraAbout, CameraGone, LiveCamera
 from asterism.live.cameras.settings import SettingOutcome, SettingValue
 from asterism.live.frames import SourceEnded
@@ -121,7 +122,7 @@ class ReopeningCamera(LiveCamera):
             self._quiet_since = image.arrived
             return self._going_on(image)
         if self._started and not self._closed.is_set() and time.monotonic() - self._quiet_since > self._patience(inner):
-            self._lose(f"{self.name} ({self.address}) gives no images; look at its cable and its power.")
+            self._lose(f"{self.name} ({without_password(self.address)}) gives no images; look at its cable and its power.")
         return None
 
     def _patience(self, inner: LiveCamera) -> float:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.live.camera_frames import LiveImage
+from asterism.live.cameras.addresses import without_password
 from asterism.live.cameras.camera import BUFFERS, CameraAbout, CameraGone, LiveCamera
 from asterism.live.cameras.found_webcams import webcam_model
 from asterism.live.cameras.numbering import NumbersByTime
@@ -75,7 +76,7 @@ class OpenCvCamera(LiveCamera):
             raise AsterismError(f"{address}: give the number of the camera, as in camera://0.")
         if not capture.isOpened():
             capture.release()
-            raise AsterismError(f"{address}: {self._why_not()}")
+            raise CameraGone(f"{without_password(address)}: {self._why_not()}")
         self._capture = capture
         self._model, self._serial = ("", "") if self._in_network else webcam_model(self._device)
         self._depth = DepthByImages()
@@ -94,7 +95,7 @@ class OpenCvCamera(LiveCamera):
 
         width, height = (int(self._ask(what)) for what in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
         size = (max(0, width), max(0, height))
-        return CameraAbout(self.name, self.address, self._model, self._serial, size, self._said_rate(), self._clock)
+        return CameraAbout(self.name, without_password(self.address), self._model, self._serial, size, self._said_rate(), self._clock)
 
     @property
     def own_settings(self) -> tuple[str, ...]:
@@ -180,7 +181,7 @@ class OpenCvCamera(LiveCamera):
             if self._images:
                 return self._images.popleft()
             if self._gone:
-                raise CameraGone(f"{self.name} ({self.address}) gives no images any more; look at its cable.")
+                raise CameraGone(f"{self.name} ({without_password(self.address)}) gives no images any more; look at its cable.")
             return None
 
     def _fetch(self) -> None:
@@ -247,7 +248,7 @@ class OpenCvCamera(LiveCamera):
     def _why_not(self) -> str:
         """Why it could not be opened, and what to do."""
         if self._in_network:
-            return "no video comes from there; look whether it opens in a browser on this machine."
+            return "no video comes from there; look whether a browser or a video player opens it on this machine."
         if not sys.platform.startswith("linux"):
             return "there is no such camera, or another program has it; asterism live cameras list shows what is there."
         if not self._device.exists():

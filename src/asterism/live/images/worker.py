@@ -20,7 +20,7 @@ from asterism.detection.blobs import BlobSettings
 from asterism.detection.running import RunningDetection
 from asterism.errors import AsterismError
 from asterism.live.camera_frames import LiveBlobs, LiveImage
-from asterism.live.cameras import CameraHealth, CameraWatch, LiveCamera, SettingOutcome, SettingValue
+from asterism.live.cameras import CameraGone, CameraHealth, CameraWatch, LiveCamera, SettingOutcome, SettingValue
 from asterism.live.frames import SourceEnded
 
 _TIMEOUT = 0.1
@@ -34,6 +34,9 @@ _OLD = 0.02
 program run; at double an image is searched when its labels should be there, 40 ms after it came."""
 _QUEUE = 8
 """Images of a camera that wait at most: 20 ms at 400 Hz. A slower camera never has as many; at double a fast one holds twice the memory."""
+_HANGS = 3.0
+"""s after which a driver that was asked for an image within a tenth of one, and has not come back, is said to hang. Half of it is a machine
+that swaps; at double the person looks for the fault elsewhere for longer."""
 _LEAVING = 2.0
 """s after which a process whose parent is gone ends in any case: a driver may hang while its camera is closed. Half of it breaks off one
 that only takes its time; at double a camera that is begun anew finds its device taken for longer."""
@@ -124,6 +127,7 @@ class CameraReport:
     outcomes  what became of its settings
     said      what it says of itself and of its settings
     problem   why it is not open, "" where it is
+    is_missing whether that is since it is not there, and may come
     ended     whether it was a file that was played to its end
     picture   its newest image, where that is shown and due
     """
@@ -135,6 +139,7 @@ class CameraReport:
     outcomes: tuple[SettingOutcome, ...]
     said: dict[str, SettingValue]
     problem: str
+    is_missing: bool
     ended: bool
     picture: NDArray[Any] | None
 
@@ -152,7 +157,7 @@ class _CameraReader:
         self.outcomes: tuple[SettingOutcome, ...] = ()
         self.said: dict[str, SettingValue] = {}
         self.orders: deque[SettingOrder] = deque()
-        self.problem, self.ended = "", False
+        self.problem, self.is_missing, self.ended = "", False, False
         self._stop, self._at = stop, at
 
     def run(self) -> None:
@@ -163,6 +168,7 @@ class _CameraReader:
                     camera = self.place.ready()
                 # A driver may raise anything: it is told, and the other cameras go on.
                 except Exception as problem:
+                    self.is_missing = isinstance(problem, CameraGone)
                     self.problem = str(problem) if isinstance(problem, AsterismError) else f"{type(problem).__name__}: {problem}"
                     self._stop.wait(_AGAIN)
                     continue
@@ -188,6 +194,7 @@ class _CameraReader:
             while not self._stop.is_set():
                 while self.orders:
                     self._set(camera, self.orders.popleft())
+                self.asked = time.monotonic()
                 image = camera.read(_TIMEOUT)
                 if image is not None:
                     watch.blobs(self.blobs)
@@ -286,9 +293,23 @@ class _CameraSearch:
         counts.dropped, counts.seconds = reader.dropped, (self._spent / max(self._searches, 1), self._longest)
         self._spent, self._longest, self._searches = 0.0, 0.0, 0
         picture = None if image is None else image.image
+        health, hung = reader.health, time.monotonic() - reader.asked
+        # Whoever waits for the driver cannot say so.
+        if health is not None and hung > _HANGS and not reader.ended and not reader.images:
+            why = health.problem or "its driver does not answer."
+            health = replace(health, last_seen=health.last_seen + hung, rate=0.0, problem=why)
         name, ended = reader.place.name, reader.ended
         report = CameraReport(
-            name, reader.health, replace(counts), reader.rate, reader.outcomes, reader.said, reader.problem, ended, picture
+            name,
+            health,
+            replace(counts),
+            reader.rate,
+            reader.outcomes,
+            reader.said,
+            reader.problem,
+            reader.is_missing,
+            ended,
+            picture,
         )
         self._out.send(report)
 

@@ -120,6 +120,11 @@ class _CameraProgress:
         return self.report is not None and (self.report.health is not None or bool(self.report.problem) or self.report.ended)
 
     @property
+    def is_closed(self) -> bool:
+        """Whether it could not be opened so far."""
+        return self.report is not None and self.report.health is None and bool(self.report.problem)
+
+    @property
     def has_ended(self) -> bool:
         """Whether it was played to its end."""
         return self.report is not None and self.report.ended
@@ -136,7 +141,8 @@ class CameraWorkers:
     What crosses a pipe is blobs, not images. A process that cannot keep up searches the newest image of each camera, and counts the others
     as dropped. One that dies or hangs is begun anew, and counted; a camera that is gone is opened again each second. All processes end with
     this one, however it ends. In a script that is run, the line `if __name__ == "__main__":` must guard what makes this.
-    Raises AsterismError where a camera cannot be opened in the first place.
+    Raises AsterismError where no camera can be opened in the first place, or where what is asked for makes no sense, such as a file that is
+    not there.
     """
 
     def __init__(
@@ -258,7 +264,10 @@ class CameraWorkers:
         outcomes = [outcome for outcome in self.outcomes() if not outcome.as_asked]
         return [
             {
-                **healths.get(name, {"camera": name, "problem": state.problem or "it is not open yet."}),
+                **healths.get(
+                    name,
+                    {"camera": name, "problem": state.problem or (state.report.problem if state.report else "") or "it is not open yet."},
+                ),
                 "has": {} if state.report is None else state.report.said,
                 "told": [str(outcome) for outcome in outcomes if outcome.camera == name],
             }
@@ -282,6 +291,10 @@ class CameraWorkers:
         found = list(camera_findings(self.healths() if has_begun or self._closed.is_set() else (), self.outcomes()))
         for name, state in self._states.items():
             found += _search_findings(name, _search(state), state)
+            if state.is_closed and state.report is not None:
+                sentence = f"camera {name}: {state.report.problem}"
+                mend = "The others go on without it; it takes part when it comes."
+                found.append(Finding("live-camera-not-opened", Severity.ERROR, name, sentence, mend))
         return found
 
     def _open(self) -> None:
@@ -302,9 +315,11 @@ class CameraWorkers:
             if time.monotonic() > begin + _OPENING:
                 raise AsterismError(f"camera {', '.join(silent)} does not answer; look at its cable and its power.")
             self._take(_SLICE)
-        for name, state in self._states.items():
-            if state.report is not None and state.report.health is None and state.report.problem:
-                raise AsterismError(f"camera {name}: {state.report.problem}")
+        # A camera that is not there costs itself, and takes part when it comes; what is wrong in what was asked for costs all.
+        closed = {name: state.report for name, state in self._states.items() if state.report is not None and state.is_closed}
+        for name, report in closed.items():
+            if len(closed) == len(self._states) or not report.is_missing:
+                raise AsterismError(f"camera {name}: {report.problem}")
 
     def _pass_on(self, order: SettingOrder) -> None:
         for worker in self._workers:

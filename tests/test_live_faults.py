@@ -1,0 +1,125 @@
+"""What users, vendors and networks bring: other markers, wrong units, axes and rates, two senders, no times: said, and never mixed in."""
+
+from __future__ import annotations
+
+import json
+import socket
+
+import numpy as np
+import pytest
+
+from asterism.live import HostPort, JsonDatagrams, LabelledFrame, LiveFrame, SessionWatch, frame_as_json
+
+RATE, MARKERS = 100.0, tuple(f"M{n}" for n in range(20))
+BODY = np.random.default_rng(0).uniform((-0.3, -0.3, 0.0), (0.3, 0.3, 1.7), (20, 3))
+
+
+def watched(
+    points: np.ndarray, labelled: int = 20, *, seconds: float = 6.0, comes: float = RATE, slower: float = RATE, up=None, refusal: str = ""
+) -> tuple[list[str], list[str]]:
+    """Codes that are told while a session runs, and those at its end; comes, slower: frames a second in its first and second half."""
+    told = list[str]()
+    watch = SessionWatch("lab", up, tell=lambda finding: told.append(finding.code))
+    count, arrived = round(seconds * RATE), 50.0
+    indices = np.where(np.arange(20) < min(labelled, len(points)), np.arange(20), -1)
+    for n in range(count):
+        frame = LiveFrame(n, n / RATE, arrived, points)
+        names, own = ((), np.empty(0, dtype=np.int64)) if refusal else (MARKERS, indices)
+        watch.add(LabelledFrame(frame, names, own, np.ones(len(own)), arrived), RATE, refusal)
+        arrived += 1.0 / (comes if n < count / 2 else slower)
+    return told, [finding.code for finding in watch.findings()]
+
+
+@pytest.mark.parametrize(
+    ("what", "codes"),
+    [
+        ({"points": BODY}, []),
+        ({"points": np.empty((0, 3)), "labelled": 0}, ["live-no-points"]),
+        ({"points": 1000 * BODY, "labelled": 0}, ["live-unit"]),
+        ({"points": BODY / 1000, "labelled": 0}, ["live-unit"]),
+        ({"points": BODY, "labelled": 2}, ["live-other-markers"]),
+        ({"points": BODY[:3], "labelled": 0}, ["live-few-points"]),
+        ({"points": np.tile(BODY, (100, 1))}, ["live-many-points"]),
+        ({"points": np.concatenate([BODY, BODY + np.array([1.0, 0.0, 0.0])])}, ["live-second-body"]),
+        ({"points": BODY, "refusal": "no shipped set is like it."}, ["live-no-set"]),
+        ({"points": BODY, "comes": 240.0, "slower": 240.0}, ["live-rate"]),
+        ({"points": BODY[:8]}, ["live-few-points"]),
+        ({"points": BODY[:, [0, 2, 1]]}, ["live-vertical"]),
+        ({"points": BODY, "slower": 60.0, "seconds": 12.0}, ["live-rate-changed"]),
+        ({"points": BODY, "comes": 95.0, "slower": 104.0}, []),
+    ],
+    ids=["well", "none", "mm", "m", "others", "wand", "flood", "two", "no-set", "rate", "other-set", "lying", "slower", "busy"],
+)
+def test_what_is_wrong_with_all_frames_is_said_within_seconds_and_at_the_end(what: dict, codes: list[str]) -> None:
+    assert watched(**what) == (codes, codes)
+
+
+def test_the_axis_along_which_a_body_is_tallest_is_named() -> None:
+    watch = SessionWatch("lab", np.array([0.0, 1.0, 0.0]))
+    none = np.full(20, -1)
+    for n in range(300):
+        watch.add(LabelledFrame(LiveFrame(n, n / RATE, n / RATE, BODY), MARKERS, none, np.zeros(20), n / RATE), RATE)
+    assert "--vertical z" in watch.findings()[0].mend
+
+
+def test_a_person_who_walks_in_and_out_is_no_fault() -> None:
+    told = list[str]()
+    watch = SessionWatch("lab", tell=lambda finding: told.append(finding.code))
+    for n in range(1500):
+        there = 300 <= n < 1200
+        points = BODY if there else BODY[:2]
+        own = np.where(there, np.arange(20), -1)
+        watch.add(LabelledFrame(LiveFrame(n, n / RATE, n / RATE, points), MARKERS, own, np.ones(20), n / RATE), RATE)
+    assert watch.findings() == [] and set(told) <= {"live-few-points"}
+
+
+def sent(count: int, first: int = 0, step: int = 1, time: float | None = None) -> list[bytes]:
+    numbers = range(first, first + count * step, step)
+    return [frame_as_json(LiveFrame(n, n / RATE if time is None else time, 0.0, BODY[:2] + n)) for n in numbers]
+
+
+def taken(source: JsonDatagrams, most: int) -> list[LiveFrame]:
+    frames = [source.read(0.05) for _ in range(most)]
+    return [frame for frame in frames if frame is not None]
+
+
+def test_of_two_senders_on_one_port_one_is_heard_and_the_other_named() -> None:
+    source = JsonDatagrams(HostPort("127.0.0.1", 0), RATE)
+    one, other = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    for mine, theirs in zip(sent(40), sent(40, 7000), strict=True):
+        one.sendto(mine, ("127.0.0.1", source.port))
+        other.sendto(theirs, ("127.0.0.1", source.port))
+    frames = taken(source, 41)
+    assert [frame.number for frame in frames] == list(range(40)), "never mixed"
+    (finding,) = source.findings()
+    assert finding.code == "live-other-sender"
+    assert f":{one.getsockname()[1]} is heard" in finding.sentence and f":{other.getsockname()[1]} (40 frames)" in finding.sentence
+    # Begun anew after a silence, it comes from another port.
+    source._at -= 2.0
+    other.sendto(sent(1, 7040)[0], ("127.0.0.1", source.port))
+    assert [frame.number for frame in taken(source, 1)] == [7040]
+    for each in (one, other):
+        each.close()
+    source.close()
+
+
+def test_a_sender_that_opens_a_socket_for_each_frame_is_one_sender() -> None:
+    source = JsonDatagrams(HostPort("127.0.0.1", 0), RATE)
+    for data in sent(20):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.sendto(data, ("127.0.0.1", source.port))
+    assert [frame.number for frame in taken(source, 21)] == list(range(20)) and source.findings() == []
+    source.close()
+
+
+@pytest.mark.parametrize("rate", [RATE, float("nan")])
+def test_frames_without_times_get_some_and_it_is_said(rate: float) -> None:
+    source = JsonDatagrams(HostPort("127.0.0.1", 0), rate)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for data in sent(10, time=0.0):
+            sender.sendto(data, ("127.0.0.1", source.port))
+            assert json.loads(data)["time"] == 0.0
+    times = [frame.time for frame in taken(source, 11)]
+    assert len(times) == 10 and (np.diff(times) > 0).all()
+    assert [finding.code for finding in source.findings()] == ["live-no-times"]
+    source.close()
