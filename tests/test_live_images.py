@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -98,6 +99,8 @@ class _Odd(SimulatedCamera):
             return image
         if self.how == "dies":
             os._exit(3)
+        if self.how == "hangs":
+            threading.Event().wait()
         if self.how == "fails":
             raise RuntimeError("the driver has a fault")
         return LiveImage(image.camera, image.number, image.time, image.arrived, image.image[:60].copy())
@@ -252,10 +255,13 @@ def test_a_process_that_is_killed_is_begun_anew(odd: CameraWorkers) -> None:
 
 
 def test_a_camera_that_fails_is_opened_again_and_the_others_go_on() -> None:
-    workers = CameraWorkers([Odd("fault", "fails"), CameraSpec("gone", "simulated://?size=160x120&gone=0.3&gone-for=0.2")], workers=1)
+    gone = CameraSpec("gone", "simulated://?size=160x120&gone=0.3&gone-for=0.2")
+    workers = CameraWorkers([Odd("fault", "fails"), Odd("hung", "hangs"), gone], workers=1)
     try:
-        until(workers, lambda: len(workers.healths()) == 2 and all(health.reopened for health in workers.healths()))
+        until(workers, lambda: {health.camera for health in workers.healths() if health.reopened} == {"fault", "gone"})
         assert {found.where for found in workers.findings() if found.code == "live-camera-reopened"} == {"fault", "gone"}
+        until(workers, lambda: "does not answer" in health_of(workers, "hung").problem)
+        assert ("live-camera-silent", "hung") in {(found.code, found.where) for found in workers.findings()}
     finally:
         workers.close()
 
@@ -363,3 +369,11 @@ def test_what_cannot_be_played_is_said(
     places = {"0": str(folders[0]), "1": str(folders[1]), "rig": str(rig_file)}
     assert main(["live", *(places.get(word, word) for word in words)]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
+
+
+def test_each_public_name_of_the_room_is_found_when_it_is_used() -> None:
+    from asterism import live
+
+    assert [name for name in live.__all__ if getattr(live, name).__module__.split(".")[:2] != ["asterism", "live"]] == []
+    with pytest.raises(AttributeError, match="no attribute 'Nothing'"):
+        _ = live.Nothing

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import tempfile
 import threading
 import time
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,21 +39,21 @@ _CONFIG.write_text(
     f"[multicast]\nResolveScope = machine\n[lab]\nKnownPeers = {{127.0.0.1}}\nSessionID = asterism-{os.getpid()}\n[log]\nlevel = -3\n"
 )
 os.environ["LSLAPICFG"] = str(_CONFIG)
+# A process that only collects the tests leaves nothing behind, either.
+atexit.register(_CONFIG.unlink, missing_ok=True)
 pylsl = pytest.importorskip("pylsl", reason="pylsl is not installed, or brings no liblsl for this system", exc_type=ImportError)
 LONG = 30.0
 """s until a test gives up: none waits so long unless something is broken."""
 
 
 @pytest.fixture(scope="module", autouse=True)
-def sockets() -> Iterator[None]:
+def sockets() -> None:
     try:
         outlet = pylsl.StreamOutlet(pylsl.StreamInfo("probe", "Probe", 1, 0, "float32", uuid.uuid4().hex))
     except RuntimeError:
         pytest.skip("liblsl cannot open its sockets here")
     if not pylsl.resolve_byprop("source_id", outlet.get_info().source_id(), timeout=LONG):
         pytest.skip("liblsl does not find its own streams here")
-    yield
-    _CONFIG.unlink(missing_ok=True)
 
 
 def points_of(names: Sequence[str], unit: str = "", of: str = "marker") -> list[dict[str, str]]:

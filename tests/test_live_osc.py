@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import threading
 from collections.abc import Iterator
 
@@ -108,3 +109,14 @@ def test_no_datagram_is_larger_than_networks_take_and_each_says_its_frame(artist
 def test_an_address_that_is_none_leaves_no_output_open(address: str) -> None:
     with pytest.raises(AsterismError, match=r"osc://127\.0\.0\.1:9000|begins with"):
         open_outputs(["udp://127.0.0.1:5001", address], ABOUT)
+
+
+@pytest.mark.parametrize(
+    ("address", "package"), [("osc://127.0.0.1:9000", "pythonosc"), ("lsl://Test", "pylsl"), ("ws-listen://127.0.0.1:0", "websockets")]
+)
+def test_a_package_that_is_missing_is_named_with_what_to_install(address: str, package: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.partition(".")[0] == package]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(AsterismError, match=rf'needs {package}, which is not installed; .*pip install "asterism\[live\]"'):
+        open_output(address, ABOUT)

@@ -14,8 +14,9 @@ def packages_for(what: str, extra: str = "live") -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as problem:
+        package = (problem.name or what).partition(".")[0]
         raise AsterismError(
-            f'{what} needs {problem.name}, which is not installed; install it with `pip install "asterism[{extra}]"`.'
+            f'{what} needs {package}, which is not installed; install it with `pip install "asterism[{extra}]"`.'
         ) from problem
     # A package may bring a library for another system, or none.
     except (ImportError, OSError, RuntimeError) as problem:

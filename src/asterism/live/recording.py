@@ -166,7 +166,7 @@ def recording_of(path: Path, rate: float | None = None) -> KeptSession:
     """
     steps = steps_of(path, _WORK)
     if not steps:
-        raise AsterismError(f"{path} is no live recording; give the file that --record named.")
+        raise AsterismError(f"{path} is no live recording; give the file that a session left beside its output, FILE.c3d.live.")
     head = json.loads(bytes(steps[0][0]))
     chunks = steps[1:]
     if not chunks or not sum(len(chunk[0]) for chunk in chunks):

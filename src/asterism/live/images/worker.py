@@ -34,6 +34,9 @@ _OLD = 0.02
 program run; at double an image is searched when its labels should be there, 40 ms after it came."""
 _QUEUE = 8
 """Images of a camera that wait at most: 20 ms at 400 Hz. A slower camera never has as many; at double a fast one holds twice the memory."""
+_HANGS = 3.0
+"""s after which a driver that was asked for an image within a tenth of one, and has not come back, is said to hang. Half of it is a machine
+that swaps; at double the person looks for the fault elsewhere for longer."""
 _LEAVING = 2.0
 """s after which a process whose parent is gone ends in any case: a driver may hang while its camera is closed. Half of it breaks off one
 that only takes its time; at double a camera that is begun anew finds its device taken for longer."""
@@ -191,6 +194,7 @@ class _CameraReader:
             while not self._stop.is_set():
                 while self.orders:
                     self._set(camera, self.orders.popleft())
+                self.asked = time.monotonic()
                 image = camera.read(_TIMEOUT)
                 if image is not None:
                     watch.blobs(self.blobs)
@@ -289,10 +293,15 @@ class _CameraSearch:
         counts.dropped, counts.seconds = reader.dropped, (self._spent / max(self._searches, 1), self._longest)
         self._spent, self._longest, self._searches = 0.0, 0.0, 0
         picture = None if image is None else image.image
+        health, hung = reader.health, time.monotonic() - reader.asked
+        # Whoever waits for the driver cannot say so.
+        if health is not None and hung > _HANGS and not reader.ended and not reader.images:
+            why = health.problem or "its driver does not answer."
+            health = replace(health, last_seen=health.last_seen + hung, rate=0.0, problem=why)
         name, ended = reader.place.name, reader.ended
         report = CameraReport(
             name,
-            reader.health,
+            health,
             replace(counts),
             reader.rate,
             reader.outcomes,
