@@ -23,6 +23,7 @@ from models import trained
 import asterism
 from asterism import AsterismError
 from asterism.cli import main
+from asterism.findings import Severity
 from asterism.labelling.live.stream import FrameLabels
 from asterism.live import (
     AnalysedFrame,
@@ -268,6 +269,20 @@ def test_times_that_do_not_grow_need_a_rate() -> None:
         LiveSession(Given(still, math.nan), lambda rate, up: Numbers(), waits=True).run()
 
 
+def test_times_in_milliseconds_are_told() -> None:
+    came = [LiveFrame(n, 10.0 * n, n / RATE, np.zeros((1, 3))) for n in range(40)]
+    with pytest.raises(AsterismError, match="send seconds"):
+        LiveSession(Given(came, math.nan), lambda rate, up: Numbers()).run()
+    health = LiveSession(Given(came), lambda rate, up: Numbers()).run()
+    assert "live-times" in {finding.code for finding in session_findings(health, "there")}
+
+
+def test_numbers_that_stand_still_are_told() -> None:
+    health = LiveSession(Given(frames([7] * 10)), lambda rate, up: Numbers()).run()
+    (finding,) = [finding for finding in session_findings(health, "there") if finding.code == "live-late"]
+    assert finding.severity == Severity.WARNING and "one higher" in finding.mend
+
+
 def test_datagrams_go_in_labelled_and_out() -> None:
     came = JsonDatagrams(HostPort("127.0.0.1", 0), RATE)
     sink = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -295,6 +310,49 @@ def test_datagrams_go_in_labelled_and_out() -> None:
 def test_an_address_that_is_none_says_what_one_is(address: str) -> None:
     with pytest.raises(AsterismError, match=r"udp://127\.0\.0\.1:5000|begins with"):
         open_source(address)
+
+
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [
+        ({"time": "0.1"}, "time"),
+        ({"frame": 1.5}, "frame"),
+        ({"unit": "inch"}, "unit"),
+        ({"points": {"LASI": [1, 2, 3]}}, "points"),
+        ({"points": [[True, 1, 2]]}, "points"),
+        ({"points": [[900, 1, 2], [1300, 1, 0], [2, 3, 1100]]}, "unit"),
+        ({"names": "LASI"}, "names"),
+    ],
+)
+def test_a_sender_is_told_what_is_wrong_with_its_frames(changed: dict[str, object], why: str) -> None:
+    whole = {"frame": 1, "time": 0.1, "points": [[1, 2, 3]]}
+    source = JsonDatagrams(HostPort("127.0.0.1", 0), RATE)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for content in ({**whole, **changed}, whole):
+            sender.sendto(json.dumps(content).encode(), ("127.0.0.1", source.port))
+        assert source.read(10.0) is not None and source.damaged == 1
+        (finding,) = source.findings()
+    source.close()
+    assert finding.code == "live-format" and why in finding.sentence
+
+
+def test_a_session_says_that_it_gave_no_labels() -> None:
+    class Unsure(Numbers):
+        def labels(self, at: int) -> FrameLabels:
+            return FrameLabels(at, np.full(2, -1), np.zeros(2))
+
+    class Unknown(Unsure):
+        marker_set = None
+
+    def found(labeller: Numbers, points: int = 2) -> list[str]:
+        frames = [LiveFrame(at, at / RATE, time.monotonic(), np.ones((points, 3))) for at in range(10)]
+        session = LiveSession(Given(frames), lambda *_: labeller)
+        return [finding.sentence for finding in session_findings(session.run(), "there") if finding.code == "live-no-labels"]
+
+    assert not found(Numbers())
+    assert "10 of the 10" in found(Unsure())[0]
+    assert "no marker set was found" in found(Unknown())[0]
+    assert "as many points" in found(Numbers(), 0)[0]
 
 
 def test_a_port_that_is_taken_is_told() -> None:
@@ -356,7 +414,8 @@ def test_a_recording_that_was_cut_anywhere_keeps_what_was_written_before(tmp_pat
 
 
 def test_a_disk_that_fails_ends_the_recording_and_not_the_session(tmp_path: Path) -> None:
-    recorder = LiveRecorder(tmp_path / "walk.live", "given", None)
+    told = list[str]()
+    recorder = LiveRecorder(tmp_path / "walk.live", "given", None, told.append)
     recorder.frame(frames([0])[0])
     recorder._flush()
 
@@ -376,6 +435,7 @@ def test_a_disk_that_fails_ends_the_recording_and_not_the_session(tmp_path: Path
     recorder.frame(frames([3])[0])
     recorder.close()
     assert "recording ended" in recorder.problem and recorder.kept == 1
+    assert told == [recorder.problem], "it is said while the session goes on, once"
     assert len(recording_of(tmp_path / "walk.live").clouds) == 1
 
 
@@ -468,3 +528,18 @@ def test_a_signal_ends_a_session_with_all_that_came(
 def test_a_format_that_cannot_be_written_is_refused_before_a_session_begins(tmp_path: Path, capsys) -> None:
     assert main(["live", "udp://127.0.0.1:0", "--rate", "100", "-o", str(tmp_path / "x.txt")]) == 2
     assert "no format has the suffix .txt" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["udp://127.0.0.1:0", "-o", "."], "suffix"),
+        (["udp://127.0.0.1:0", "--rate", "0"], "no rate"),
+        (["udp://127.0.0.1:0", "--host", "0.0.0.0"], "--page"),
+        (["udp://127.0.0.1:0", "--replay", "walk.c3d"], "two sources"),
+    ],
+    ids=["a folder", "rate", "host", "two"],
+)
+def test_what_cannot_be_meant_is_refused(words: list[str], told: str, capsys) -> None:
+    assert main(["live", *words]) == 2
+    assert told in capsys.readouterr().err

@@ -136,13 +136,17 @@ def live(options: LiveOptions) -> None:
     if options.finish is not None:
         _finish(options)
         raise typer.Exit(0)
-    unfinished = None if options.output is None else options.output.with_name(options.output.name + ".live")
     if options.lines and options.json == "-":
         raise AsterismError("--lines and --json - both print to standard output; give --json a file.")
     if options.model is not None and options.markers is not None:
         raise AsterismError("a model has its own marker set; give either --model or --markers.")
+    if options.rate is not None and not 0 < options.rate < math.inf:
+        raise AsterismError(f"--rate {options.rate:g} is no rate; give frames per second, above 0.")
+    if not options.page and (options.host != LiveOptions.host or options.port):
+        raise AsterismError("--host and --port are those of the page; add --page.")
     if options.output is not None:
         check_suffix(options.output)
+    unfinished = None if options.output is None else options.output.with_name(options.output.name + ".live")
     _clinical.given_measures(options.measure)
     inputs = [*_played(options), options.cameras, options.model, options.static, options.rig, *_clinical.measure_files(options.measure)]
     analog = None if options.output is None else _analog_beside(options.output)
@@ -156,7 +160,7 @@ def live(options: LiveOptions) -> None:
     try:
         session = _session(options, source)
         if unfinished is not None:
-            recorder = LiveRecorder(unfinished, source.about.name, source.about.vertical)
+            recorder = LiveRecorder(unfinished, source.about.name, session.up, _console.notice)
             session.keeper = recorder
         health = _run(session, options)
     finally:
@@ -197,6 +201,9 @@ def _source(options: LiveOptions) -> LiveSource:
     from asterism.live import open_source
     from asterism.live.replay import Replay
 
+    beside = next((word for word in options.source or [] if options.replay is not None and "://" in word), None)
+    if beside is not None:
+        raise AsterismError(f"{beside} and --replay are two sources; give one of them.")
     given = (bool(options.source) and options.replay is None, options.replay is not None, options.cameras is not None)
     if given.count(True) != 1:
         raise AsterismError(
@@ -402,9 +409,9 @@ def _tell(session: LiveSession, ended: threading.Event) -> None:
         while not ended.wait(1.0):
             health = session.health()
             state = "no frames" if health.is_silent else f"{health.rate:.0f} frames/s"
-            line.update(
-                f"{state}, labels after {1000 * health.latency[0]:.1f} ms, {health.lost} lost, {health.dropped} left out", refresh=True
-            )
+            after = f"after {1000 * health.latency[0]:.1f} ms" if math.isfinite(health.latency[0]) else ""
+            words = [state, f"labels: {health.labels}", after, f"{health.lost} lost", f"{health.dropped} left out"]
+            line.update(", ".join(word for word in words if word), refresh=True)
 
 
 def _tone(session: LiveSession) -> tuple[float, float, int]:
@@ -418,11 +425,15 @@ def _show(name: str, health: Health, tone: tuple[float, float, int]) -> None:
     rows = [
         ("frames", _console.count(health.frames)),
         ("labelled", _console.count(health.labelled)),
+        ("labels in a frame", health.labels),
         ("lost, late, damaged", f"{health.lost}, {health.late}, {health.damaged}"),
         ("left out", _console.count(health.dropped)),
         ("labels after", f"{1000 * health.latency[0]:.1f} ms, one in a thousand after {1000 * health.latency[1]:.1f} ms"),
     ]
-    rows = rows if health.labelled else rows[:-1]
+    if not health.labelled:
+        del rows[2]
+    if not math.isfinite(health.latency[0]):
+        rows.pop()
     if tone[2]:
         # The page's own clock ends at its sound card.
         rows.append(("sounds after", f"{tone[0]:.0f} ms, one in a hundred after {tone[1]:.0f} ms; sound card and loudspeaker add to it"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from asterism.motion.clinical.landmark_body import plug_in_gait_names
 from asterism.motion.filters import zero_lag_butterworth
 from asterism.recording import Floats, Recording, plain_name
 from asterism.recording.display import significant
+from asterism.recording.marker_set import canonical, shipped_sets
 
 SIDES = ("L", "R")
 HEEL = (("HEE",), ("HEEL",), ("CAL",), ("LCA",), ("ANK",))
@@ -117,10 +119,32 @@ def foot_columns(labels: Sequence[str], shown: NDArray[np.bool_]) -> FootColumns
 
 
 def markers_of_feet(labels: Sequence[str]) -> dict[str, list[int]]:
-    """By side "L" and "R", the columns of all markers of a foot that `foot_columns` knows."""
+    """By side "L" and "R", the columns of all markers that stand on a foot by the shipped sets, or that `foot_columns` takes for it."""
+    spelled = [canonical(plain_name(label)) for label in labels]
     names = [name.upper() for name in plug_in_gait_names(tuple(plain_name(label) for label in labels))]
     known = {name for choices in (HEEL, TOE) for choice in choices for name in choice}
-    return {side: [at for at, name in enumerate(names) if name[:1] == side and name[1:] in known] for side in SIDES}
+    feet = _on_feet()
+    return {
+        side: [
+            at
+            for at, (name, spelling) in enumerate(zip(names, spelled, strict=True))
+            if (name[:1] == side and name[1:] in known) or feet.get(spelling) == side
+        ]
+        for side in SIDES
+    }
+
+
+@cache
+def _on_feet() -> Mapping[str, str]:
+    """Spelling of a marker -> the side of the foot that it stands on."""
+    sides = {"left foot": "L", "right foot": "R"}
+    placed = [(name, markers, place) for markers in shipped_sets().values() for name, place in markers.places.items()]
+    return {
+        canonical(spelling): sides[place.segment]
+        for name, markers, place in placed
+        if place.segment in sides
+        for spelling in (name, *markers.aliases.get(name, ()))
+    }
 
 
 def feet_of(recording: Recording) -> Feet:

@@ -206,7 +206,7 @@ def _frame_angles(recording: Recording, options: AngleOptions, seconds: float) -
 
 def _by_skeleton(recording: Recording, options: AngleOptions, seconds: float) -> _FrameAngles:
     if options.static is None and seconds < _SKELETON_BEGIN:
-        raise AsterismError(f"a skeleton is fitted to {_SKELETON_BEGIN:g} s of a person.")
+        raise AsterismError(f"a skeleton needs {_SKELETON_BEGIN:g} s of frames that show the person.")
     return _SkeletonFrames(recording, options.static)
 
 

@@ -21,6 +21,7 @@ LARGEST = 65_507
 """Bytes of the largest UDP datagram."""
 _METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _LARGEST_NUMBER = 2**53
+_COORDINATE = {int, float, type(None)}
 
 
 def frame_as_json(frame: LiveFrame) -> bytes:
@@ -37,20 +38,59 @@ def frame_of_json(data: bytes, arrived: float) -> LiveFrame | None:
     {"frame": 12, "time": 0.12, "unit": "mm", "points": [[x, y, z], ...], "names": ["LASI", "", ...]}: unit is m, cm or mm, m where it is
     left out; names may be left out. A point with null or NaN is a missing one.
     """
+    read = _read(data, arrived)
+    return read if isinstance(read, LiveFrame) else None
+
+
+def why_damaged(data: bytes) -> str:
+    """What is wrong with a datagram that `frame_of_json` does not take, for a person who writes a sender; "" where nothing is."""
+    read = _read(data, 0.0)
+    return read if isinstance(read, str) else ""
+
+
+def damaged_json(where: str, why: str) -> list[Finding]:
+    """What `why_damaged` said of the first frame that could not be read; nothing for ""."""
+    mend = "Send frames as docs/live.md says, JSON."
+    return (
+        [Finding("live-format", Severity.WARNING, where, f"{where}: of the first packet that could not be read, {why}.", mend)]
+        if why
+        else []
+    )
+
+
+def _read(data: bytes, arrived: float) -> LiveFrame | str:
+    """The frame, or what is wrong with it."""
     try:
         content = json.loads(data.decode("utf-8"))
-        number, at, scale, rows = content["frame"], float(content["time"]), _METRES[content.get("unit", "m")], content["points"]
-        names = content.get("names", [])
-        if type(number) is not int or abs(number) > _LARGEST_NUMBER or not math.isfinite(at) or len(rows) > MOST_POINTS:
-            return None
-        if not isinstance(names, list) or len(names) not in (0, len(rows)) or not all(isinstance(name, str) for name in names):
-            return None
-        points = np.array(rows, dtype=np.float64).reshape(-1, 3) if rows else np.empty((0, 3))
-        if len(points) != len(rows):
-            return None
-    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
-        return None
+    except (ValueError, RecursionError):
+        return "it is no JSON in UTF-8 without a byte order mark, or was cut"
+    if not isinstance(content, dict):
+        return "it is no object with frame, time and points"
+    for key in ("frame", "time", "points"):
+        if key not in content:
+            return f"it has no {key}"
+    number, at, rows, unit, names = content["frame"], content["time"], content["points"], content.get("unit", "m"), content.get("names", [])
+    if type(number) is not int or abs(number) > _LARGEST_NUMBER:
+        return "its frame is no whole number below 2^53"
+    # Text and true would become numbers: a sender that mixes them is wrong, and is told.
+    if type(at) not in (int, float) or not abs(at) < math.inf:
+        return "its time is no number"
+    if not isinstance(unit, str) or unit not in _METRES:
+        return "its unit is not m, cm or mm"
+    if not isinstance(rows, list) or len(rows) > MOST_POINTS:
+        return f"its points are no list of at most {MOST_POINTS} [x, y, z]"
+    if not all(isinstance(row, list) and len(row) == 3 and {type(value) for value in row} <= _COORDINATE for row in rows):
+        return "one of its points is not [x, y, z] in numbers or null"
+    if not isinstance(names, list) or len(names) not in (0, len(rows)) or not all(isinstance(name, str) for name in names):
+        return "its names are not one text for each point"
+    try:
+        points, at, scale = np.array(rows, dtype=np.float64).reshape(-1, 3), float(at), _METRES[unit]
+    except OverflowError:
+        return "one of its numbers is too large"
     there = np.nonzero((np.abs(scale * points) < FARTHEST).all(axis=1))[0]
+    # Millimetres that are called metres: such a frame is not an empty room.
+    if 2 * len(there) < np.isfinite(points).all(axis=1).sum():
+        return f"most of its points are farther than {FARTHEST:g} m, so that its unit is wrong or missing"
     kept = tuple(names[row] for row in there.tolist()) if names else ()
     return LiveFrame(number, at, arrived, scale * points[there], kept)
 
@@ -61,6 +101,9 @@ class HostPort:
 
     host: str
     port: int
+
+    def __str__(self) -> str:
+        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
 
 
 _OTHERS = 16
@@ -82,8 +125,8 @@ class JsonDatagrams:
     """
 
     def __init__(self, place: HostPort, rate: float = float("nan")) -> None:
-        self.damaged = 0
-        self.about = SourceAbout(f"JSON at {place.host}:{place.port}", rate)
+        self.damaged, self._why = 0, ""
+        self.about = SourceAbout(f"JSON at {place}", rate)
         self._socket = bound(place)
         self._times = StreamTimes(rate)
         self._heard: str = ""
@@ -108,19 +151,20 @@ class JsonDatagrams:
             frame = frame_of_json(data, time.monotonic())
             if frame is None:
                 self.damaged += 1
+                self._why = self._why or why_damaged(data)
             elif self._hears(f"{sender[0]}:{sender[1]}", frame):
                 return replace(frame, time=self._times.of(frame.number, frame.time, frame.arrived))
         return None
 
     def findings(self) -> list[Finding]:
-        """Other senders, and frames without times."""
+        """Other senders, frames without times, and what is wrong with the first datagram that could not be read."""
         found, where = [times_made(self.about.name)] if self._times.made else [], self.about.name
         if self._others:
             others = ", ".join(f"{address} ({count} frames)" for address, count in self._others.items())
             sentence = f"{where}: several programs send to it. {self._heard} is heard; these were not: {others}."
             mend = "Stop the others, or give each a port of its own."
             found.append(Finding("live-other-sender", Severity.WARNING, where, sentence, mend))
-        return found
+        return [*found, *damaged_json(where, self._why)]
 
     def close(self) -> None:
         """Stop listening."""
@@ -143,7 +187,7 @@ def socket_for(place: HostPort, example: str) -> tuple[socket.socket, Any]:
         family, kind, _, _, address = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
         return socket.socket(family, kind), address
     except (OSError, OverflowError) as problem:
-        raise AsterismError(f"{place.host}:{place.port} is no address; write for example {example}.") from problem
+        raise AsterismError(f"{place} is no address; write for example {example}.") from problem
 
 
 def bound(place: HostPort, *, buffer: int = 1 << 20) -> socket.socket:
@@ -155,7 +199,7 @@ def bound(place: HostPort, *, buffer: int = 1 << 20) -> socket.socket:
     except OSError as problem:
         listening.close()
         raise AsterismError(
-            f"{place.host}:{place.port} cannot be listened to ({problem.strerror}): another program has the port, or the address is not of "
+            f"{place} cannot be listened to ({problem.strerror}): another program has the port, or the address is not of "
             "this machine. Give another one."
         ) from problem
     return listening

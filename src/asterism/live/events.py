@@ -17,6 +17,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.gait.events import OFF, STRIKE, EventRules, events_by_markers
 from asterism.gait.feet import SIDES, TURNING, FootColumns, feet_of, foot_columns, markers_of_feet
+from asterism.geometry import fit_rigid
 from asterism.live._step_kernels import followed
 from asterism.live.analysis import LiveEvent
 from asterism.recording import Floats, Recording
@@ -109,8 +110,9 @@ class _CarriedPoint:
 
     def clear(self) -> None:
         """Nothing is known of where it is."""
-        self._before = np.full((len(self._all), 3), np.nan)
+        self._before = self._template = np.full((len(self._all), 3), np.nan)
         self.place, self.hidden, self._strange = np.full(3, np.nan), 0, 0.0
+        self._place_in_template = self.place
 
     def push(self, points: Floats, step: float) -> Floats:
         """(3,) m, by the markers (M, 3) m of a frame, s after the one before; NaN where none of them is known."""
@@ -125,12 +127,25 @@ class _CarriedPoint:
             place[:] = np.nan
         else:
             self._strange = 0.0
-        self.hidden = self.hidden + 1 if math.isnan(place[0]) else 0
-        self.place = carried if self.hidden else place
         self._before = now
-        return self.place
+        if not math.isnan(place[0]):
+            self.place, self.hidden = place, 0
+            self._template, self._place_in_template = now, place
+            return place
+        self.hidden += 1
+        both = np.isfinite(self._template[:, 0]) & np.isfinite(now[:, 0])
+        if both.sum() >= _LEAST:
+            # Three of them say how the foot has turned, too.
+            turn, shift = fit_rigid(self._template[both], now[both])
+            off = np.abs(self._template[both] @ turn.T + shift - now[both]).max()
+            # One that is no marker of this foot would turn it.
+            carried = turn @ self._place_in_template + shift if off < 0.5 * self._rules.jump else carried
+        self.place = carried
+        return carried
 
 
+_LEAST = 3
+"""Markers that place a foot: two leave a turn open."""
 _ANY = (2.0**2, 20.0**2)
 """(m/s)2 and (m/s2)2, variances of speed and acceleration of a foot of which nothing is known: those of a walk. Three frames later
 nothing is left of them."""
@@ -200,12 +215,13 @@ class _TurningCurve:
             else:
                 self._strange = 0.0
                 if back and not self.known:
-                    # Nobody knows what it did meanwhile; how far it had gone before counts.
-                    self.state[:, 1:] = 0.0
-                    self._cov[:] = np.diag([rules.noise**2, *_ANY])
-                if back:
-                    # What was carried while it was hidden drifts: the place is new, the speed is not.
+                    # Nobody knows what it did meanwhile.
+                    self.clear()
+                elif back:
+                    # What was carried while it was hidden drifts: the place is new; speed, and how far it has gone, are not.
+                    drift = ahead - expected
                     self.state[0, 0], self.state[1, 0] = ahead - step * self.state[0, 1], height - step * self.state[1, 1]
+                    self.low, self.top = self.low + self._sign * drift, self.top + self._sign * drift
         self._hidden = hidden
         if not self._begun:
             if not math.isfinite(ahead):
@@ -339,6 +355,8 @@ class LiveEvents:
         self._pelvis = _CarriedPoint([], [], self.rules)
         self._walked = self._lay = 0.0
         self._begin()
+        # Compiled before the first frame, which must not wait for it.
+        followed(np.zeros((2, 3)), np.eye(3), 0.01, self.rules.jerk, np.zeros(2), self.rules.noise**2)
 
     def _begin(self) -> None:
         """A new stream."""

@@ -40,11 +40,21 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
     found = own_findings(parts)
     if health.problem:
         found.append(Finding("live-ended", _ERROR, where, f"{where}: the session ended early.", health.problem))
-    if not health.frames:
+    if not health.frames and not health.damaged:
         mend = "Look whether it sends, to this address and port, and whether a firewall is between."
         found.append(Finding("live-silent", _ERROR, where, f"{where}: no frame came.", mend))
+    if health.labelled and not health.markers:
+        mend = "Name the set that is worn with --markers, or give a trained --model."
+        found.append(Finding("live-no-labels", _WARNING, where, f"{where}: no marker set was found, and no label given.", mend))
+    elif 2 * health.bare > health.shown or (health.labelled and not health.shown):
+        # A person who is known has labels in most frames: that the middle one has none needs no tuned share.
+        sentence = f"{where}: {health.bare} of the {health.shown} frames in which a person may be have no sure label."
+        if not health.shown:
+            sentence = f"{where}: no frame had as many points as half of the markers."
+        mend = "Look at the marker set (--markers), the axis that points up (--vertical), the unit and the rate."
+        found.append(Finding("live-no-labels", _WARNING, where, sentence, mend))
     if health.before:
-        sentence = f"{where}: {health.before} frames came while the labelling was made, and are no part of the session."
+        sentence = f"{where}: {health.before} frames came while the labelling was made, and have no labels."
         found.append(Finding("live-before", _NOTE, where, sentence, "Begin the movement when the first labels are there."))
     if health.lost:
         share = significant(100 * health.lost / (health.lost + health.frames), 2)
@@ -52,7 +62,10 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         found.append(Finding("live-lost", _WARNING, where, sentence, "Use a cable instead of radio, or a lower rate."))
     if health.late:
         sentence = f"{where}: {health.late} frames came twice or after a later one, and were not used."
-        found.append(Finding("live-late", _NOTE, where, sentence, "Look at the network."))
+        # A number that stands still, or two senders, and no network.
+        most = health.late > health.frames
+        mend = "Number each frame one higher than the last, and let one sender send." if most else "Look at the network."
+        found.append(Finding("live-late", _WARNING if most else _NOTE, where, sentence, mend))
     if health.dropped:
         sentence = f"{where}: {health.dropped} frames were not labelled, since newer ones waited."
         mend = "Close other programs, or lower the rate; a recording holds them all."
@@ -61,7 +74,10 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         sentence = f"{where}: {health.damaged} packets could not be read."
         mend = "Look whether something else sends to this port, or in another format."
         found.append(Finding("live-damaged", _WARNING, where, sentence, mend))
-    if health.jumps or health.restarts:
+    if 2 * health.jumps > health.frames:
+        sentence = f"{where}: its times do not go as a clock does ({health.jumps} jumps in {health.frames} frames)."
+        found.append(Finding("live-times", _WARNING, where, sentence, "Send times in seconds, of when a frame is taken."))
+    elif health.jumps or health.restarts:
         sentence = f"{where}: its clock or its frame numbers began anew ({max(health.jumps, health.restarts)} times)."
         found.append(Finding("live-restarted", _WARNING, where, sentence, "Times go on from there; nothing needs to be done."))
     for output, count in health.unsent.items():

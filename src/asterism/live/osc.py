@@ -40,7 +40,7 @@ class ToOsc:
     """
 
     def __init__(self, place: HostPort) -> None:
-        self.name = f"osc://{place.host}:{place.port}"
+        self.name = f"osc://{place}"
         with packages_for("osc://"):
             from pythonosc.osc_message_builder import OscMessageBuilder
         self._build = OscMessageBuilder

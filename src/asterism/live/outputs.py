@@ -81,7 +81,7 @@ class ToDatagrams:
     """Sends each frame as JSON to a UDP port. Raises AsterismError where the address is none."""
 
     def __init__(self, place: HostPort) -> None:
-        self.name = f"udp://{place.host}:{place.port}"
+        self.name = f"udp://{place}"
         self._socket, self._address = socket_for(place, "udp://127.0.0.1:5001")
         # A full buffer of the network must not hold the next frame back.
         self._socket.setblocking(False)

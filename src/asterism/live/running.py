@@ -33,6 +33,9 @@ _AT_ONCE = 0.002
 at 500 Hz; with half of it a busy machine takes an old one for new."""
 _TO_RATE = 30
 """Frames by whose times the rate is found where a source does not say it: an irregular sender's to within 1 %."""
+_SLOWEST = 1.0
+"""s from frame to frame from which on times are no seconds: milliseconds of 1,000 Hz. Half of it still tells those of 500 Hz, with twice as
+much a body cannot be followed anyway."""
 _LATENCIES = 4096
 """Latest frames whose latency is kept: 20 s at 200 Hz, so that one in a thousand is four frames."""
 
@@ -71,11 +74,15 @@ class Keeper(Protocol):
 class Health:
     """What is counted while a session runs.
 
-    before     frames that came while the labelling was made, and are no part of the session
+    before     frames that came while the labelling was made, and have no labels
     frames, lost, late, restarts  see `FrameCount`
     damaged    packets that could not be read
     dropped    frames that were taken and not labelled, since newer ones waited
     labelled   frames with their labels
+    markers    how many the marker set has, 0 while it is not known
+    shown      frames since the set is known that had points for half of its markers, so that a person may be there
+    named      sure labels in those
+    bare       those of them without a single sure label
     unsent     frames that an output did not take, by the output's name
     jumps      times that the source's clock was set
     searched   s from the first frame until the marker set was known and labels could be given, 0 where it was known before
@@ -94,6 +101,10 @@ class Health:
     damaged: int = 0
     dropped: int = 0
     labelled: int = 0
+    markers: int = 0
+    shown: int = 0
+    named: int = 0
+    bare: int = 0
     unsent: dict[str, int] = field(default_factory=dict)
     jumps: int = 0
     searched: float = 0.0
@@ -107,6 +118,11 @@ class Health:
     def is_silent(self) -> bool:
         """Whether nothing comes."""
         return self.silent > _SILENT
+
+    @property
+    def labels(self) -> str:
+        """How many labels a frame has, of how many markers, as a person reads it."""
+        return f"{self.named / max(1, self.shown):.0f} of {self.markers}" if self.markers else "none yet"
 
 
 @dataclass
@@ -268,7 +284,9 @@ class LiveSession:
             self._queue.append(frame)
             while len(self._queue) > most and not self.waits:
                 self._queue.popleft()
-                self._health.dropped += 1
+                # The labelling is still being made where the rate had to be found first: no machine that is too slow.
+                self._health.before += self._chain is None
+                self._health.dropped += self._chain is not None
             self._there.notify_all()
 
     def _pass_over(self, seconds: float) -> None:
@@ -324,6 +342,9 @@ class LiveSession:
         step = float(np.median(np.diff([frame.time for frame in taken]) / np.maximum(1, np.diff([frame.number for frame in taken]))))
         if not step > 0:
             raise AsterismError(f"{self.source.about.name}: its times do not grow from frame to frame; say its rate with --rate.")
+        if step >= _SLOWEST:
+            sentence = f"its times grow by {step:g} from frame to frame, and are read as seconds"
+            raise AsterismError(f"{self.source.about.name}: {sentence}; send seconds, or say its rate with --rate.")
         self._rate = 1.0 / step
         return taken
 
@@ -341,6 +362,12 @@ class LiveSession:
         if found is None:
             return
         self._health.labelled += 1
+        self._health.markers = len(found.markers)
+        if found.markers and 2 * len(found.frame.points) >= len(found.markers):
+            named = int((found.indices >= 0).sum())
+            self._health.shown += 1
+            self._health.named += named
+            self._health.bare += not named
         self._first = found.frame.arrived if self._first is None else self._first
         if found.markers and self._ready is None:
             # Frames that waited while the set was sought say nothing of those that follow.

@@ -18,7 +18,7 @@ from urllib.parse import parse_qsl, urlsplit
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.analysis import AnalysedFrame
-from asterism.live.datagrams import frame_of_json
+from asterism.live.datagrams import damaged_json, frame_of_json, why_damaged
 from asterism.live.frames import LiveFrame, SourceAbout
 from asterism.live.outputs import WAITING, labels_as_json, leave_one_out, tells_more
 from asterism.live.packages import packages_for
@@ -237,7 +237,7 @@ class FromWebSocket:
     """
 
     def __init__(self, place: WebSocketPlace, rate: float = float("nan")) -> None:
-        self.damaged = 0
+        self.damaged, self._why = 0, ""
         self.about = SourceAbout(f"JSON at {place.name}", rate)
         self._came: deque[LiveFrame] = deque(maxlen=WAITING)
         self._there = threading.Condition()
@@ -252,10 +252,12 @@ class FromWebSocket:
     async def _listen(self, link: Any) -> None:
         # What waits too long is left out by the queue; its numbers say so.
         async for message in link:
-            frame = frame_of_json(message.encode() if isinstance(message, str) else message, time.monotonic())
+            data = message.encode() if isinstance(message, str) else message
+            frame = frame_of_json(data, time.monotonic())
             with self._there:
                 if frame is None:
                     self.damaged += 1
+                    self._why = self._why or why_damaged(data)
                 else:
                     self._came.append(frame)
                     self._there.notify()
@@ -268,8 +270,8 @@ class FromWebSocket:
             return self._came.popleft() if self._came else None
 
     def findings(self) -> list[Finding]:
-        """See `_Endpoint.findings`."""
-        return self._endpoint.findings()
+        """See `_Endpoint.findings`; and what is wrong with the first message that could not be read."""
+        return [*self._endpoint.findings(), *damaged_json(self.about.name, self._why)]
 
     def close(self) -> None:
         """Let go of the sender."""

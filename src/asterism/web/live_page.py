@@ -427,6 +427,7 @@ def _plain_health(session: LiveSession, page: ToPage) -> dict[str, Any]:
         "late": health.late,
         "damaged": health.damaged,
         "dropped": health.dropped,
+        "labels": health.labels,
         "silent": health.is_silent,
         "p50": None if np.isnan(p50) else round(1000 * p50, 2),
         "p999": None if np.isnan(p999) else round(1000 * p999, 2),

@@ -152,7 +152,7 @@ class JsonBlobs:
 
     def __init__(self, place: HostPort, cameras: Sequence[str], rate: float = math.nan, *, numbered_together: bool = False) -> None:
         self.damaged = 0
-        self.name, self.cameras, self.rate = f"blobs at {place.host}:{place.port}", tuple(cameras), rate
+        self.name, self.cameras, self.rate = f"blobs at {place}", tuple(cameras), rate
         self.numbered_together = numbered_together
         self._socket = bound(place)
 

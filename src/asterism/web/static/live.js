@@ -212,7 +212,7 @@
       if (ended) this.sounds.quiet();
       const last = this.sounded.length ? this.sounded[this.sounded.length - 1] : this.lastSounded, ms = value => value === null || value === undefined ? "–" : `${value.toFixed(1)} ms`;
       this.lastSounded = last;
-      const rows = { frames: health.frames, lost: health.lost, "late or twice": health.late, damaged: health.damaged, "left out": health.dropped,
+      const rows = { frames: health.frames, lost: health.lost, "late or twice": health.late, damaged: health.damaged, "left out": health.dropped, labels: health.labels,
         "labels after, half": ms(health.p50), "one in 1,000": ms(health.p999), "picture here after": this.clock.isKnown ? ms(this.behind) : "–",
         "last sound began after": ms(last), "the loudspeaker adds": ms(this.sounds.added), "sounds too late": health["not sounded"] + this.missed, "drawn here": `${this.rate()} a second` };
       this.cells = this.cells || new Map();
