@@ -160,7 +160,7 @@ def live(options: LiveOptions) -> None:
     try:
         session = _session(options, source)
         if unfinished is not None:
-            recorder = LiveRecorder(unfinished, source.about.name, source.about.vertical)
+            recorder = LiveRecorder(unfinished, source.about.name, session.up, _console.notice)
             session.keeper = recorder
         health = _run(session, options)
     finally:
