@@ -414,7 +414,8 @@ def test_a_recording_that_was_cut_anywhere_keeps_what_was_written_before(tmp_pat
 
 
 def test_a_disk_that_fails_ends_the_recording_and_not_the_session(tmp_path: Path) -> None:
-    recorder = LiveRecorder(tmp_path / "walk.live", "given", None)
+    told = list[str]()
+    recorder = LiveRecorder(tmp_path / "walk.live", "given", None, told.append)
     recorder.frame(frames([0])[0])
     recorder._flush()
 
@@ -434,6 +435,7 @@ def test_a_disk_that_fails_ends_the_recording_and_not_the_session(tmp_path: Path
     recorder.frame(frames([3])[0])
     recorder.close()
     assert "recording ended" in recorder.problem and recorder.kept == 1
+    assert told == [recorder.problem], "it is said while the session goes on, once"
     assert len(recording_of(tmp_path / "walk.live").clouds) == 1
 
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from asterism import AsterismError
 from asterism.live import LiveFrame, LiveSource, open_source
-from asterism.live.natnet_packets import NatNetFrames, frame_of_packet, server_of_packet
+from asterism.live.natnet_packets import NatNetFrames, server_of_packet
 
 VERSIONS = [(2, 5), (2, 6), (2, 7), (2, 9), (2, 10), (2, 11), (3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 5)]
 Place = tuple[float, float, float]
@@ -102,7 +102,7 @@ def test_each_version_gives_every_seen_marker_once(version: Version) -> None:
         assert (frame.number, frame.time, frame.arrived) == (1234, 7.25, 3.0)
         np.testing.assert_allclose(frame.points, [*SEEN, OTHERS[1]], atol=1e-6)
         assert (frames.used, frames.sure, frames.labelled, frames.contradiction) == (version, True, True, "")
-        empty = frame_of_packet(packet(version, 0, 0.0, [], [], [], latency=latency), version, 0.0)
+        empty = NatNetFrames(version).frame(packet(version, 0, 0.0, [], [], [], latency=latency), 0.0)
         assert empty is not None and empty.points.shape == (0, 3)
 
 
@@ -113,7 +113,7 @@ def test_another_client_reads_the_packets_of_these_tests_alike(version: Version)
     packet_buffer, versions = pytest.importorskip("natnet.packet_buffer"), pytest.importorskip("natnet.version")
     sent = packet(version, 1234, 7.25, SEEN, HIDDEN if version >= (2, 6) else [], OTHERS)
     theirs = data_frame.DataFrame.read_from_buffer(packet_buffer.PacketBuffer(sent[4:]), versions.Version(*version))
-    ours = frame_of_packet(sent, version, 0.0)
+    ours = NatNetFrames(version).frame(sent, 0.0)
     assert ours is not None and (theirs.prefix.frame_number, theirs.suffix.timestamp) == (ours.number, ours.time)
     markers = [each.pos for each in theirs.labeled_markers if version < (2, 6) or not each.occluded]
     assert {tuple(np.round(place, 5)) for place in (*markers, *theirs.unlabeled_marker_pos)} == {
@@ -131,7 +131,7 @@ def test_a_marker_that_only_the_model_gives_is_no_point() -> None:
     assert frame is not None and not frames.labelled
     np.testing.assert_allclose(frame.points, [places[0], places[1], places[4]], atol=1e-6)
     # Nor where the older list tells it, too.
-    twice = frame_of_packet(packet((2, 11), 1, 1.0, SEEN, HIDDEN, [*OTHERS, *HIDDEN]), (2, 11), 0.0)
+    twice = NatNetFrames((2, 11)).frame(packet((2, 11), 1, 1.0, SEEN, HIDDEN, [*OTHERS, *HIDDEN]), 0.0)
     assert twice is not None
     np.testing.assert_allclose(twice.points, [*SEEN, OTHERS[1]], atol=1e-6)
 
@@ -187,7 +187,7 @@ def test_damaged_packets_give_a_frame_or_none_at_once(data: st.DataObject) -> No
 @given(st.binary(max_size=600))
 def test_noise_is_neither_a_frame_nor_a_server(data: bytes) -> None:
     assert server_of_packet(data) is None or data[:2] == b"\1\0"
-    assert frame_of_packet(data, (3, 0), 0.0) is None or data[:2] == b"\7\0"
+    assert NatNetFrames((3, 0)).frame(data, 0.0) is None or data[:2] == b"\7\0"
 
 
 class Motive(threading.Thread):
@@ -381,7 +381,7 @@ def test_a_real_capture_is_what_the_vendors_own_client_printed(data: Path) -> No
     (server,) = {found for each in packets if (found := server_of_packet(each)) is not None}
     assert (server.name, server.stream, server.group) == ("Motive", (3, 0), "239.255.42.99")
     of_frames = [each for each in packets if each[:2] == b"\7\0"]
-    frames = {frame.number: frame for each in of_frames if (frame := frame_of_packet(each, server.stream, 0.0)) is not None}
+    frames = {frame.number: frame for each in of_frames if (frame := NatNetFrames(server.stream).frame(each, 0.0)) is not None}
     assert len(frames) == len(of_frames) == 518
     printed = re.split(r"FrameID : ", (folder / "SampleClient_output.txt").read_text("utf-8-sig"))[1:]
     assert len(printed) == 251

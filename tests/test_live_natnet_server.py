@@ -19,7 +19,7 @@ from test_live_natnet import captured
 
 from asterism import AsterismError
 from asterism.live import AnalysedFrame, HostPort, LabelledFrame, LiveFrame, SourceAbout, open_output
-from asterism.live.natnet import NatNet, server_of_packet
+from asterism.live.natnet import FromNatNet, server_of_packet
 from asterism.live.natnet_server import ToNatNet
 
 ABOUT = SourceAbout("given", 120.0, np.array([0.0, 1.0, 0.0]))
@@ -140,7 +140,7 @@ def test_a_client_in_another_language_follows_the_group() -> None:
 
 
 def test_our_own_source_reads_it_and_goodbye_ends_it(single: ToNatNet) -> None:
-    source = NatNet(HostPort("127.0.0.1", single.port), rate=120.0)
+    source = FromNatNet(HostPort("127.0.0.1", single.port), rate=120.0)
     single.send(frame(41))
     read = source.read(LONG)
     assert read is not None and read.number == 41 and read.time == pytest.approx(41 / 120)

@@ -160,7 +160,7 @@ def live(options: LiveOptions) -> None:
     try:
         session = _session(options, source)
         if unfinished is not None:
-            recorder = LiveRecorder(unfinished, source.about.name, source.about.vertical)
+            recorder = LiveRecorder(unfinished, source.about.name, session.up, _console.notice)
             session.keeper = recorder
         health = _run(session, options)
     finally:
@@ -232,6 +232,7 @@ def _played(options: LiveOptions) -> list[Path]:
 
 def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
     from functools import partial
+    from mimetypes import guess_type
 
     from asterism.cameras.files import read_rig
     from asterism.live.blobs import ReplayBlobs, RigProcess, RigSource
@@ -240,6 +241,8 @@ def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
     rig, played = read_rig(rig_file), _played(options)
     if options.cameras is not None or len(played) > 1:
         return _of_images(options, rig, played)
+    if played and (played[0].is_dir() or str(guess_type(played[0].name)[0]).startswith(("video/", "image/"))):
+        raise AsterismError(f"{played[0]} is of one camera, and points need two; add the videos of the others behind it.")
     if played:
         blobs = ReplayBlobs(played[0], rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
         return RigSource(blobs, rig, waits=True)
@@ -323,7 +326,8 @@ def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
         outputs.append(ToLines() if options.replay is not None else InOwnThread(ToLines()))
     # A file can wait until its frames are labelled.
     waits = options.replay is not None
-    watch = SessionWatch(source.about.name, up, not waits, lambda finding: _console.notice(str(finding)))
+    said = {finding.code for finding in own_findings([source, *outputs])}
+    watch = SessionWatch(source.about.name, up, not waits, lambda finding: _console.notice(str(finding)), [source], said)
     return LiveSession(source, make, outputs, options.delay, waits=waits, feedback=rules, vertical=up, analysis=analysis, watch=watch)
 
 

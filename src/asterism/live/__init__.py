@@ -74,33 +74,31 @@ __all__ = [
     "session_findings",
 ]
 
-_MODULES = {
-    "analysis": "AnalysedFrame FrameAnalysis LiveAnalysis LiveEvent",
-    "angles": "AngleOptions",
-    "blobs": "RigSource",
-    "chain": "LabelChain LabelledFrame OfModel make_labeller",
-    "clock": "FrameCount SourceClock",
-    "cues": "Cue FeedbackRule",
-    "datagrams": "HostPort JsonDatagrams frame_as_json frame_of_json",
-    "feedback": "Feedback example_names load_feedback",
-    "found": "WithFindings own_findings session_findings",
-    "frames": "LiveFrame LiveSource OfCameras SourceAbout SourceEnded",
-    "movement": "MovementAnalysis",
-    "outputs": "InOwnThread ToDatagrams ToLines labels_as_json",
-    "recording": "KeptSession LiveRecorder recording_of",
-    "replay": "Replay",
-    "running": "Health LiveOutput LiveSession",
-    "sending": "open_output open_outputs",
-    "sources": "host_port open_source",
-    "watch": "SessionWatch",
+_MODULE_OF = {
+    **dict.fromkeys(("AnalysedFrame", "FrameAnalysis", "LiveAnalysis", "LiveEvent"), "analysis"),
+    "AngleOptions": "angles",
+    "RigSource": "blobs",
+    **dict.fromkeys(("LabelChain", "LabelledFrame", "OfModel", "make_labeller"), "chain"),
+    **dict.fromkeys(("FrameCount", "SourceClock"), "clock"),
+    **dict.fromkeys(("Cue", "FeedbackRule"), "cues"),
+    **dict.fromkeys(("HostPort", "JsonDatagrams", "frame_as_json", "frame_of_json"), "datagrams"),
+    **dict.fromkeys(("Feedback", "example_names", "load_feedback"), "feedback"),
+    **dict.fromkeys(("WithFindings", "own_findings", "session_findings"), "found"),
+    **dict.fromkeys(("LiveFrame", "LiveSource", "OfCameras", "SourceAbout", "SourceEnded"), "frames"),
+    "MovementAnalysis": "movement",
+    **dict.fromkeys(("InOwnThread", "ToDatagrams", "ToLines", "labels_as_json"), "outputs"),
+    **dict.fromkeys(("KeptSession", "LiveRecorder", "recording_of"), "recording"),
+    "Replay": "replay",
+    **dict.fromkeys(("Health", "LiveOutput", "LiveSession"), "running"),
+    **dict.fromkeys(("open_output", "open_outputs"), "sending"),
+    **dict.fromkeys(("host_port", "open_source"), "sources"),
+    "SessionWatch": "watch",
 }
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:
     """Import a name when it is first used: the processes that read cameras or make points need no labelling, and start in half the time."""
     if name not in _MODULE_OF:
-        raise AttributeError(f"module 'asterism.live' has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
-    globals()[name] = value
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
     return value

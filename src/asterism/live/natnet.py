@@ -42,7 +42,7 @@ _EARLY = 400
 """Frames that are kept while questions are asked: 0.75 s at 500 Hz. The oldest are left out, and counted as lost by their numbers."""
 
 
-class NatNet:
+class FromNatNet:
     """A source that reads Motive's stream.
 
     place  of the machine on which Motive runs, and its port for commands

@@ -226,11 +226,6 @@ def _is_time(seconds: float) -> bool:
     return seconds == 0 or 1e-6 < seconds < 1e10
 
 
-def frame_of_packet(data: bytes, version: tuple[int, int], arrived: float) -> LiveFrame | None:
-    """The frame in one packet of a server of this version, see `NatNetFrames`."""
-    return NatNetFrames(version).frame(data, arrived)
-
-
 def _frame(packet: _Packet, layout: _StreamLayout, arrived: float, scale: float) -> tuple[LiveFrame, bool]:
     """The frame, and whether Motive gave some marker a label."""
     version = layout.version

@@ -252,7 +252,7 @@ class QtmLink:
         return found
 
 
-class Qtm:
+class FromQtm:
     """A source that reads QTM's 3D points, with and without QTM's labels, which are passed over.
 
     place  of the machine that runs QTM, and its port

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -40,16 +41,17 @@ class LiveRecorder:
     """Writes what a session takes and labels to a file, a quarter of a second at a time, from a thread of its own.
 
     path  of the recording, which must be new: `walk.live`. `recording_of` reads it, finished or not
-    about rate, vertical and name of the source
+    name, vertical of the source
+    tell  what hears at once that the recording ended
 
     Memory is bounded by what comes in a second: where the disk takes longer, frames are not kept, and `lost` counts them. A disk that fails
     ends the recording and not the session: `problem` says why.
     """
 
-    def __init__(self, path: Path, name: str, vertical: Floats | None) -> None:
+    def __init__(self, path: Path, name: str, vertical: Floats | None, tell: Callable[[str], None] = lambda problem: None) -> None:
         if path.exists():
             raise AsterismError(f"{path} exists; name another file to record to, or remove it.")
-        self.path, self.problem, self.lost, self.kept = path, "", 0, 0
+        self.path, self.problem, self.lost, self.kept, self._tell = path, "", 0, 0, tell
         self._journal = Journal(path, _WORK)
         head = {"name": name, "vertical": [0.0, 0.0, 1.0] if vertical is None else vertical.tolist(), "begun": time.time()}
         self._written(lambda: [_text(json.dumps(head))])
@@ -93,9 +95,14 @@ class LiveRecorder:
             self.kept += len(chunk.frames)
 
     def _written(self, compute: Any) -> None:
-        self._journal.step(compute)
-        if self._journal.lost and not self.problem:
-            self.problem = f"{self.path}: recording ended ({self._journal.lost}); what was recorded before is kept."
+        try:
+            self._journal.step(compute)
+            lost = self._journal.lost
+        except Exception as problem:  # the session goes on, whatever happens here
+            lost = repr(problem)
+        if lost and not self.problem:
+            self.problem = f"{self.path}: recording ended ({lost}); what was recorded before is kept."
+            self._tell(self.problem)
 
 
 def _text(text: str) -> NDArray[np.uint8]:

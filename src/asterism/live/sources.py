@@ -9,7 +9,6 @@ from asterism.errors import AsterismError
 from asterism.live.camera_frames import BlobSource
 from asterism.live.datagrams import HostPort, JsonDatagrams
 from asterism.live.frames import LiveSource
-from asterism.live.natnet import COMMANDS, NatNet
 from asterism.live.packages import packages_for
 
 ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet", "qtm", "vicon", "lsl")
@@ -36,27 +35,29 @@ def open_source(address: str, rate: float = float("nan")) -> LiveSource:
     """
     scheme = address.partition("://")[0].lower()
     if scheme not in ADDRESSES:
-        known = " or ".join(ADDRESSES)
+        known = f"{', '.join(ADDRESSES[:-1])} or {ADDRESSES[-1]}"
         raise AsterismError(
             f"{address} is no source: an address begins with {known} and ://, and a recording is played with --replay FILE."
         )
+    # A module is imported only where its kind of source is asked for: some need packages of their own.
     if scheme == "natnet":
-        parts = urlsplit(address)
-        local = dict(parse_qsl(parts.query)).get("local", "")
-        return NatNet(host_port(address, "natnet://192.168.1.5", COMMANDS), local, rate)
+        from asterism.live.natnet import COMMANDS, FromNatNet
+
+        local = dict(parse_qsl(urlsplit(address).query)).get("local", "")
+        return FromNatNet(host_port(address, "natnet://192.168.1.5", COMMANDS), local, rate)
     if scheme == "lsl":
         from asterism.live.lsl_source import FromLsl
 
         return FromLsl(address, rate)
     if scheme == "qtm":
         with packages_for("qtm://"):
-            from asterism.live.qtm import PORT, Qtm
-        return Qtm(host_port(address, "qtm://192.168.1.5", PORT), rate)
+            from asterism.live.qtm import PORT, FromQtm
+        return FromQtm(host_port(address, "qtm://192.168.1.5", PORT), rate)
     if scheme == "vicon":
         from asterism.live.vicon import PORT as DATASTREAM
-        from asterism.live.vicon import Vicon
+        from asterism.live.vicon import FromVicon
 
-        return Vicon(host_port(address, "vicon://192.168.1.5", DATASTREAM), rate)
+        return FromVicon(host_port(address, "vicon://192.168.1.5", DATASTREAM), rate)
     if scheme in ("ws", "wss", "ws-listen"):
         from asterism.live.websocket import FromWebSocket, websocket_place
 

@@ -127,7 +127,7 @@ def _packet(kind: int, content: bytes) -> bytes:
     return struct.pack("<IIII", _OBJECTS, 8 + len(content), kind, len(content)) + content
 
 
-class Vicon:
+class FromVicon:
     """A source that reads the markers of Vicon's stream, with and without Vicon's labels, which are passed over.
 
     place  of the machine that runs Nexus, Tracker or another of Vicon's programs, and its port

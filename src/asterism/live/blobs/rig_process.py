@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import multiprocessing
 import pickle
@@ -20,8 +21,9 @@ import numpy as np
 
 from asterism.cameras import Rig
 from asterism.errors import AsterismError
+from asterism.files.plain import as_json
 from asterism.findings import Finding
-from asterism.live.blobs.rig_source import RigCameraHealth, RigSource, as_plain
+from asterism.live.blobs.rig_source import RigCameraHealth, RigSource
 from asterism.live.camera_frames import BlobSource
 from asterism.live.frames import LiveFrame, SourceAbout, SourceEnded
 from asterism.reconstruction import ReconstructionSettings
@@ -155,7 +157,7 @@ class RigProcess:
 
     def camera_numbers(self) -> list[dict[str, Any]]:
         """The same as plain values; what is not known is None."""
-        return as_plain(self.cameras())
+        return [as_json(dataclasses.asdict(camera)) for camera in self.cameras()]
 
     def findings(self) -> list[Finding]:
         """What a person should know of the cameras and their rig."""

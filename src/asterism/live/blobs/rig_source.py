@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from asterism.cameras import Rig
+from asterism.files.plain import as_json
 from asterism.findings import Finding, Severity
 from asterism.formats.kept_blobs import KeptImage
 from asterism.live.blobs.budget import BlobBudget, telling
@@ -89,8 +90,7 @@ class RigSource:
     rig       its cameras are found by the names that the source gives; cameras without a pose, or not of the source, are left out
     settings  of the reconstruction
     waits     whether the source waits until its frames are taken: a file can, a camera cannot. Then noise and cameras are judged in line,
-              so
-              that the same file gives the same points
+              so that the same file gives the same points
     name      instead of the source's
     keep      where the blobs are kept as they come, for `asterism reconstruct`; None for nowhere
 
@@ -124,7 +124,7 @@ class RigSource:
         Reconstructor(self.rig, settings).push([np.array([[0.0, 0.0], [9.0, 9.0]])] * len(self.rig))
         self._gather: ByNumber | ByTime = (ByNumber if source.numbered_together else ByTime)(len(self.rig), source.rate)
         self.about = SourceAbout(name or source.name, source.rate, rig.vertical)
-        self.dropped, self.cut, self.no_points = 0, 0, 0
+        self.dropped, self.cut = 0, 0
         self._queue: deque[RigFrame] = deque()
         self._there = threading.Condition()
         self._ended = self._wanted = False
@@ -191,7 +191,8 @@ class RigSource:
     def camera_numbers(self) -> list[dict[str, Any]]:
         """The same as plain values, with what the source itself says of each; what is not known is None."""
         own = {numbers["camera"]: numbers for numbers in self._source.camera_numbers()} if isinstance(self._source, OfCameras) else {}
-        return [{**rig, "images": own[rig["name"]]} if rig["name"] in own else rig for rig in as_plain(self.cameras())]
+        rows: list[dict[str, Any]] = [as_json(dataclasses.asdict(camera)) for camera in self.cameras()]
+        return [{**rig, "images": own[rig["name"]]} if rig["name"] in own else rig for rig in rows]
 
     @property
     def control(self) -> CameraControl | None:
@@ -258,7 +259,6 @@ class RigSource:
             self.budget.spent(max(len(each) for each in xy), time.perf_counter() - begin)
         self._points = points
         self._frames += 1
-        self.no_points += not len(points)
         self._watch()
         return LiveFrame(frame.number, frame.time, min(frame.arrived, time.monotonic()), points[:MOST_POINTS])
 
@@ -368,12 +368,6 @@ def _shares(counts: Sequence[tuple[str, int, int]]) -> tuple[str, str] | None:
         return None
     names = listed([name for name, _, _ in some])
     return names, listed([f"{count} of camera {name} ({significant(100 * count / total, 2)} %)" for name, count, total in some])
-
-
-def as_plain(cameras: Sequence[RigCameraHealth]) -> list[dict[str, Any]]:
-    """How cameras do, as plain values; None for what is not known."""
-    rows = [dataclasses.asdict(camera) for camera in cameras]
-    return [{key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in row.items()} for row in rows]
 
 
 def _health(name: str, state: CameraArrivals, fit: CameraFit) -> RigCameraHealth:

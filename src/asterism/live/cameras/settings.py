@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from asterism.errors import AsterismError
 
 SettingValue = float | bool | str
+"""What a setting is, in the unit of its `SettingKind`: a number, whether it is on, or a word such as "auto"."""
 
 _EXACT = 1e-3
 """Share of what was asked by which a camera's own value may differ and still be it: registers of cameras hold whole microseconds, of 4 ms a

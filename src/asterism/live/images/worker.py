@@ -158,6 +158,8 @@ class _CameraReader:
         self.said: dict[str, SettingValue] = {}
         self.orders: deque[SettingOrder] = deque()
         self.problem, self.is_missing, self.ended = "", False, False
+        self.asked = time.monotonic()
+        """s on `time.monotonic` when the driver was asked for an image."""
         self._stop, self._at = stop, at
 
     def run(self) -> None:
