@@ -39,8 +39,8 @@ def live(options: LiveOptions) -> None:
     if options.finish is not None:
         _finish(options)
         raise typer.Exit(0)
-    unfinished = None if options.output is None else options.output.with_name(options.output.name + ".live")
-    _check(options, unfinished)
+    _check(options)
+    unfinished = _unfinished(options)
     source = open_live_source(options)
     recorder: LiveRecorder | None = None
     try:
@@ -75,7 +75,7 @@ def live(options: LiveOptions) -> None:
     raise typer.Exit(exit_status(findings))
 
 
-def _check(options: LiveOptions, unfinished: Path | None) -> None:
+def _check(options: LiveOptions) -> None:
     """Raise AsterismError where options contradict each other, or a file would be overwritten; before anything is opened."""
     from asterism.formats import check_suffix
 
@@ -100,10 +100,16 @@ def _check(options: LiveOptions, unfinished: Path | None) -> None:
     ]
     analog = None if options.output is None else _analog_beside(options.output)
     _console.check_outputs([options.output, analog, cameras_beside(options), options.json], inputs, options.overwrite)
+    unfinished = _unfinished(options)
     if unfinished is not None and unfinished.exists():
         raise AsterismError(
             f"{unfinished} is there from a session that was not finished; write it with --finish {unfinished} -o FILE.c3d, or remove it."
         )
+
+
+def _unfinished(options: LiveOptions) -> Path | None:
+    """Where frames are kept until the session ends; None where nothing is recorded."""
+    return None if options.output is None else options.output.with_name(options.output.name + ".live")
 
 
 def _tone(session: LiveSession) -> tuple[float, float, int]:
