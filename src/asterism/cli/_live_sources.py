@@ -58,6 +58,7 @@ def _address(options: LiveOptions) -> str:
 def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
     """Points of what several cameras see: of their blobs, or of images."""
     from functools import partial
+    from mimetypes import guess_type
 
     from asterism.cameras.files import read_rig
     from asterism.live.blobs import ReplayBlobs, RigProcess, RigSource
@@ -66,6 +67,8 @@ def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
     rig, played = read_rig(rig_file), played_files(options)
     if options.cameras is not None or len(played) > 1:
         return _of_images(options, rig, played)
+    if played and (played[0].is_dir() or str(guess_type(played[0].name)[0]).startswith(("video/", "image/"))):
+        raise AsterismError(f"{played[0]} is of one camera, and points need two; add the videos of the others behind it.")
     if played:
         blobs = ReplayBlobs(played[0], rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
         return RigSource(blobs, rig, waits=True)
