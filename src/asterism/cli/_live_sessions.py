@@ -50,15 +50,15 @@ def live_session(options: LiveOptions, source: LiveSource) -> LiveSession:
     analysis = _analysis(options, up)
     # Outputs are opened last, so that nothing else can fail while they are open.
     outputs = open_outputs(options.to, source.about)
-    for finding in own_findings([source, *outputs]):
+    opened = own_findings([source, *outputs])
+    for finding in opened:
         _console.notice(str(finding))
-    if options.lines:
-        # A file waits for who reads the lines, a camera system does not.
-        outputs.append(ToLines() if options.replay is not None else InOwnThread(ToLines()))
-    # A file can wait until its frames are labelled.
+    # A file can wait until its frames are labelled, and for who reads the lines; a camera system does not.
     waits = options.replay is not None
-    said = {finding.code for finding in own_findings([source, *outputs])}
-    watch = SessionWatch(source.about.name, up, not waits, lambda finding: _console.notice(str(finding)), [source], said)
+    if options.lines:
+        outputs.append(ToLines() if waits else InOwnThread(ToLines()))
+    said = {finding.code for finding in opened}
+    watch = SessionWatch(source.about.name, up, not waits, lambda finding: _console.notice(str(finding)), said)
     return LiveSession(source, make, outputs, options.delay, waits=waits, feedback=rules, vertical=up, analysis=analysis, watch=watch)
 
 
@@ -107,10 +107,12 @@ def _warn(session: LiveSession, ended: threading.Event) -> None:
 
     said = {(finding.code, finding.where) for finding in own_findings([session.source])}
     while not ended.wait(1.0):
-        for finding in own_findings([session.source]):
-            if finding.severity > Severity.NOTE and (finding.code, finding.where) not in said:
-                said.add((finding.code, finding.where))
-                _console.notice(str(finding))
+        # A source counts in another thread: what changes while it is asked is said the next time.
+        with suppress(RuntimeError):
+            for finding in own_findings([session.source]):
+                if finding.severity > Severity.NOTE and (finding.code, finding.where) not in said:
+                    said.add((finding.code, finding.where))
+                    _console.notice(str(finding))
 
 
 @contextmanager
