@@ -326,7 +326,8 @@ def _session(options: LiveOptions, source: LiveSource) -> LiveSession:
         outputs.append(ToLines() if options.replay is not None else InOwnThread(ToLines()))
     # A file can wait until its frames are labelled.
     waits = options.replay is not None
-    watch = SessionWatch(source.about.name, up, not waits, lambda finding: _console.notice(str(finding)))
+    said = {finding.code for finding in own_findings([source, *outputs])}
+    watch = SessionWatch(source.about.name, up, not waits, lambda finding: _console.notice(str(finding)), [source], said)
     return LiveSession(source, make, outputs, options.delay, waits=waits, feedback=rules, vertical=up, analysis=analysis, watch=watch)
 
 

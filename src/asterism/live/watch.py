@@ -6,14 +6,15 @@ them apart is in the points: how many there are, how far they spread and along w
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from asterism.findings import Finding, Severity
 from asterism.live.chain import LabelledFrame
-from asterism.live.found import labels_given
+from asterism.live.found import labels_given, own_findings
 from asterism.recording import Floats
 from asterism.recording.display import significant
 
@@ -62,12 +63,16 @@ class SessionWatch:
     up     (3,) what points up; None for z
     timed  whether frames come when they are taken, so that their arrival shows their rate
     tell   what hears of a finding at once
+    parts  the source, for what it finds itself while it runs
+    told   codes of what was said already
     """
 
     name: str
     up: Floats | None = None
     timed: bool = True
     tell: Callable[[Finding], None] = lambda finding: None
+    parts: Sequence[object] = ()
+    told: set[str] = field(default_factory=set)
     _looks: list[_Look] = field(default_factory=list)
     _next: int = 0
     _rate: float = 0.0
@@ -113,6 +118,10 @@ class SessionWatch:
         for finding in found:
             if finding is not None:
                 self._say(finding)
+        # A source counts in another thread: what changes while it is asked is said the next time.
+        with suppress(RuntimeError):
+            for finding in own_findings(self.parts):
+                self._tell(finding)
 
     def _of_points(self) -> Finding | None:
         looks = self._looks
@@ -185,5 +194,10 @@ class SessionWatch:
         code = finding.code
         self._times[code] = self._times.get(code, 0) + 1
         if self._times[code] == at:
-            self.tell(finding)
+            self._tell(finding)
         self._last[code] = finding
+
+    def _tell(self, finding: Finding) -> None:
+        if finding.code not in self.told:
+            self.told.add(finding.code)
+            self.tell(finding)
