@@ -245,8 +245,8 @@ def images(
             yield LiveBlobs(camera.name, t, t / RATE, 50.0 + t / RATE, xy, np.full(len(xy), 5.0))
 
 
-def judged(rig: Rig, frames: int = 480, rate: float = 10.0, **more: Any) -> RigSource:
-    """A source after all its frames: judged after 24, 256, and each ten seconds more, by the last 256."""
+def judged(rig: Rig, frames: int = 300, rate: float = 10.0, **more: Any) -> RigSource:
+    """A source after all its frames: judged after 24, 256, each ten seconds more, and at its end, by the last 256."""
     source = RigSource(Played(images(rig, frames, **more), rig.names, rate), rig, ReconstructionSettings(noise=0.2), waits=True)
     frames_of(source)
     return source
@@ -271,6 +271,14 @@ def test_a_camera_that_was_bumped_while_it_runs_is_named() -> None:
 def test_a_camera_that_does_not_fit_is_named(more: dict[str, Any], code: str) -> None:
     source = judged(ring(5), **more)
     assert [finding.where for finding in source.findings() if finding.code == code] == ["c2"], source.findings()
+
+
+def test_a_rig_of_another_day_is_told_of_a_short_session() -> None:
+    rig = ring(4)
+    other = Rig(tuple(replace(camera, rotation=rig[n - 1].rotation) for n, camera in enumerate(rig)))
+    source = RigSource(Played(images(rig, 60), rig.names), other, waits=True)
+    frames_of(source)
+    assert told(source) & {"reconstruct-no-fit", "reconstruct-no-points", "reconstruct-rig-changed", "reconstruct-rig-misfit"}
 
 
 def test_cameras_that_the_rig_does_not_know_are_named() -> None:

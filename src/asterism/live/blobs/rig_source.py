@@ -131,7 +131,8 @@ class RigSource:
         self._failed: Exception | None = None
         self._fits: tuple[CameraFit, ...] = ()
         self._found: dict[tuple[str, str], tuple[Finding, int]] = {}
-        self._next, self._frames = _FIRST, 0
+        self._next, self._frames, self._judged = _FIRST, 0, 0
+        self._closed, self._judgements = False, 0
         self._points: Floats = np.empty((0, 3))
         self.budget = BlobBudget(source.rate)
         self._judge: threading.Thread | None = None
@@ -174,7 +175,9 @@ class RigSource:
     def close(self) -> None:
         """Let go of the cameras."""
         with self._there:
-            self._ended = True
+            if self._closed:
+                return
+            self._ended = self._closed = True
             self._there.notify_all()
         self._source.close()
         for thread in (self._thread, self._judge):
@@ -182,6 +185,9 @@ class RigSource:
                 thread.join(timeout=5.0)
         if self._recorder is not None:
             self._recorder.close()
+        # A short session is judged at its end, too.
+        if self._frames >= self._judged + _FIRST:
+            self._learn(self._usual_rate)
 
     def cameras(self) -> list[RigCameraHealth]:
         """How each camera does, in the rig's order."""
@@ -205,7 +211,9 @@ class RigSource:
         # What a camera or its process left out never came either, and is told once, by who knows why.
         told = {finding.where for finding in own if finding.code in _NOT_COME}
         counts = self._counts(told) if self._frames else []
-        return [*own, *self._names(), *counts, *(finding for finding, times in self._found.values() if times > 1)]
+        # Where a session was so short that it was judged once, that is all there is.
+        enough = 1 if self._closed and self._judgements == 1 else 2
+        return [*own, *self._names(), *counts, *(finding for finding, times in self._found.values() if times >= enough)]
 
     def _take(self) -> None:
         """The thread that gathers."""
@@ -275,11 +283,15 @@ class RigSource:
             kept.append(xy)
         return kept
 
+    @property
+    def _usual_rate(self) -> float:
+        return self.about.rate if math.isfinite(self.about.rate) else 100.0
+
     def _watch(self) -> None:
         """Judge noise and cameras: after the first frames, when the window is full, and every ten seconds."""
         if self._frames < self._next:
             return
-        rate = self.about.rate if math.isfinite(self.about.rate) else 100.0
+        rate, self._judged = self._usual_rate, self._frames
         self._next = WINDOW if self._frames < WINDOW else self._frames + round(_EVERY * rate)
         if self._waits:
             self._learn(rate)
@@ -296,6 +308,7 @@ class RigSource:
         if not fits:
             return
         self._fits = fits
+        self._judgements += 1
         now = {(finding.code, finding.where): finding for finding in findings}
         # Said when two judgements in a row found it: one may be of a moment in which few markers were seen. What is said of a camera stays
         # said; what is said of all holds while it is found, since a room may be empty for a while.
