@@ -6,15 +6,14 @@ them apart is in the points: how many there are, how far they spread and along w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from asterism.findings import Finding, Severity
 from asterism.live.chain import LabelledFrame
-from asterism.live.found import labels_given, own_findings
+from asterism.live.found import labels_given
 from asterism.recording import Floats
 from asterism.recording.display import significant
 
@@ -63,7 +62,6 @@ class SessionWatch:
     up     (3,) what points up; None for z
     timed  whether frames come when they are taken, so that their arrival shows their rate
     tell   what hears of a finding at once
-    parts  the source, for what it finds itself while it runs
     told   codes of what was said already
     """
 
@@ -71,7 +69,6 @@ class SessionWatch:
     up: Floats | None = None
     timed: bool = True
     tell: Callable[[Finding], None] = lambda finding: None
-    parts: Sequence[object] = ()
     told: set[str] = field(default_factory=set)
     _looks: list[_Look] = field(default_factory=list)
     _next: int = 0
@@ -118,10 +115,6 @@ class SessionWatch:
         for finding in found:
             if finding is not None:
                 self._say(finding)
-        # A source counts in another thread: what changes while it is asked is said the next time.
-        with suppress(RuntimeError):
-            for finding in own_findings(self.parts):
-                self._tell(finding)
 
     def _of_points(self) -> Finding | None:
         looks = self._looks
