@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from asterism.findings import Finding, Severity
-from asterism.recording.display import significant
+from asterism.recording.display import how_often, significant
 
 if TYPE_CHECKING:
     from asterism.live.recording import LiveRecorder
@@ -78,7 +78,7 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         sentence = f"{where}: its times do not go as a clock does ({health.jumps} jumps in {health.frames} frames)."
         found.append(Finding("live-times", _WARNING, where, sentence, "Send times in seconds, of when a frame is taken."))
     elif health.jumps or health.restarts:
-        sentence = f"{where}: its clock or its frame numbers began anew ({max(health.jumps, health.restarts)} times)."
+        sentence = f"{where}: its clock or its frame numbers began anew {how_often(max(health.jumps, health.restarts))}."
         found.append(Finding("live-restarted", _WARNING, where, sentence, "Times go on from there; nothing needs to be done."))
     for output, count in health.unsent.items():
         sentence = f"{output}: {count} frames could not be passed on."
@@ -100,6 +100,12 @@ def labels_given(where: str) -> Finding:
     return Finding(
         "live-labels-given", _NOTE, where, f"{where}: it gives labels itself, which are passed over.", "Nothing needs to be done."
     )
+
+
+def reconnected(where: str, times: int, mend: str, *, is_back: bool = True) -> Finding:
+    """A connection or a stream that was lost, and came back so many times."""
+    sentence = f"{where}: the connection was lost {how_often(times)}, and {'made again' if is_back else 'is not back'}."
+    return Finding("live-reconnected", _WARNING, where, sentence, mend)
 
 
 def times_made(where: str) -> Finding:
