@@ -167,7 +167,7 @@ def test_a_sender_that_lost_its_power_is_left_for_the_one_that_took_its_place(na
         again.push_sample([4.0, 5.0, 6.0])
         came += [] if (read := source.read(0.05)) is None else [read]
     source.close()
-    assert came[0].points.tolist() == [[4, 5, 6]] and "found again" in told(source)[0].sentence
+    assert came[0].points.tolist() == [[4, 5, 6]] and "made again" in told(source)[0].sentence
     del silent
 
 
