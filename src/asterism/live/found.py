@@ -21,6 +21,7 @@ class WithFindings(Protocol):
         """What a person should know of it so far."""
 
 
+_NO_LABELS = ("live-no-points", "live-no-set", "live-few-points", "live-other-markers", "live-unit")
 _NOTE, _WARNING, _ERROR = Severity.NOTE, Severity.WARNING, Severity.ERROR
 
 
@@ -43,7 +44,10 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
     if not health.frames and not health.damaged:
         mend = "Look whether it sends, to this address and port, and whether a firewall is between."
         found.append(Finding("live-silent", _ERROR, where, f"{where}: no frame came.", mend))
-    if health.labelled and not health.markers:
+    # Whoever looked at the points while they came says why more exactly.
+    if any(finding.code in _NO_LABELS for finding in found):
+        pass
+    elif health.labelled and not health.markers:
         mend = "Name the set that is worn with --markers, or give a trained --model."
         found.append(Finding("live-no-labels", _WARNING, where, f"{where}: no marker set was found, and no label given.", mend))
     elif 2 * health.bare > health.shown or (health.labelled and not health.shown):
