@@ -357,6 +357,7 @@ def test_from_images_to_points_as_off_line(filmed: tuple[list[Path], Path]) -> N
         (["--replay", "0", "1"], "add --rig FILE"),
         (["0", "1", "--rig", "rig"], "several videos are played with --replay"),
         (["--replay", "0", "nowhere.avi", "--rig", "rig"], "nowhere.avi does not exist"),
+        (["--replay", "0", "--rig", "rig"], "points need two"),
         (["--cameras", "cameras.toml"], "add --rig FILE"),
         (["--replay", "0", "1", "--cameras", "cameras.toml", "--rig", "rig"], "give one source"),
         (["--replay", "0", "1", "--speed", "-1", "--rig", "rig"], "plays nothing"),

@@ -27,6 +27,7 @@ from asterism.live import HostPort, LiveFrame, SourceEnded, recording_of
 from asterism.live.blobs import JsonBlobs, ReplayBlobs, RigProcess, RigSource, blobs_as_json, blobs_of_json
 from asterism.live.camera_frames import LiveBlobs
 from asterism.reconstruction import ReconstructionSettings, Reconstructor, reconstruct
+from asterism.reconstruction.rays import frame_to_rays, to_rays
 from asterism.recording import Blobs
 
 RATE = 100.0
@@ -186,6 +187,24 @@ def test_a_played_file_gives_points_where_the_markers_were(delays: np.ndarray | 
     if delays is not None:
         assert 0.004 < source.delay < 0.006, "the latest camera's image after the instant of the first one"
     assert source.findings() == [] or delays is not None
+
+
+def test_the_rays_of_a_frame_at_once_are_those_of_each_camera() -> None:
+    """Lenses of different lengths, a blob beyond the lens, and one that stands twice."""
+    rig = ring(3)
+    rig = Rig((rig[0], replace(rig[1], radial=(-0.1,)), replace(rig[2], radial=(-0.1, 0.02, 0.0, 1e-3), denominator=(0.01, 0.0, 0.0))))
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(0, 1000, (63, 2))
+    xy[25], xy[61:] = [9e4, 9e4], [3.0, 4.0]
+    blobs = Blobs.from_rows(np.zeros(63, dtype=int), np.repeat([0, 1, 2], 21), xy, rig.names)
+    one = Reconstructor(rig)
+    one.push([blobs.of(0, c) for c in range(3)])
+    assert one._state is not None
+    (each, *counts), (once, *others) = to_rays(blobs, rig), frame_to_rays(blobs, one._state[2])
+    assert counts == others == [1, 1] and [one.no_ray, one.duplicates] == counts
+    for name in ("normalised", "jacobian"):
+        np.testing.assert_array_equal(getattr(each, name), getattr(once, name))
+    np.testing.assert_array_equal(each.blobs.offsets, once.blobs.offsets)
 
 
 def told(source: RigSource) -> set[str]:

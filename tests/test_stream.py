@@ -181,6 +181,22 @@ def test_a_poor_labelling_is_held_against_its_twins_part_by_part(walks, ensemble
     assert parts._begun_with == len(points)
 
 
+def test_a_first_comparison_that_said_little_does_not_outweigh_all_later_ones(walks, ensemble) -> None:
+    """Markers that are hidden from the second frame on leave less to compare, and take nothing back; what they say more counts."""
+    labeller, points = ensemble.body_labeller, np.ascontiguousarray(walks[5].positions[50])
+    twins = LiveTwins(labeller, 10**6)
+    twins.compare(points, np.arange(len(points)))
+    said = twins.lead.copy()
+    twins._labelled = len(points) + 1
+    twins.lead = np.zeros(len(points))
+    for _ in range(8):
+        twins.compare(points, np.arange(len(points)))
+    assert (twins.lead[np.isfinite(said)] > 0.9 * said[np.isfinite(said)]).all()
+    twins.lead = 10.0 * said
+    twins.compare(points, np.arange(len(points)))
+    assert (twins.lead >= 10.0 * said).all()
+
+
 def test_three_markers_that_stay_in_view_stay_as_certain(walks, ensemble) -> None:
     """Three labels are enough for the body to confirm them: the evidence of the frames with all markers fades."""
     stream = ensemble.stream(100.0, 0)

@@ -253,6 +253,12 @@ class Batch:
         return self.status
 
 
+def silence_opencv() -> None:
+    """Keep OpenCV and FFmpeg, which are not imported yet, from repeating on standard error what is said here in one sentence."""
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
+
 def check_new(given: Path | str | None, overwrite: bool) -> None:
     """Raise AsterismError where a file exists and may not be overwritten, or its folder is missing. None and "-" are no files."""
     if given is None or given == "-":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -121,9 +120,7 @@ def detect(options: DetectOptions) -> None:
     """
     outputs = options.output, options.report, options.json
     _console.check_outputs(outputs, (*options.sources, options.rig, options.times), options.overwrite)
-    # OpenCV and FFmpeg would repeat on standard error what is said here in one sentence.
-    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    _console.silence_opencv()
     from asterism import detection
     from asterism.cameras.files import read_rig
     from asterism.findings import exit_status

@@ -90,6 +90,8 @@ def read_kept_blobs(path: Path, cameras: Sequence[str] | None = None, rate: floa
     `cameras` lack one of its cameras.
     """
     with guarded_reading(path):
+        # A file that is not there is told as such.
+        path.open("rb").close()
         if not is_journal_of(path, _WORK):
             raise AsterismError(f"{path} holds no blobs of a live session; give the file that `asterism live` left beside its output.")
         journal = Journal(path, _WORK)

@@ -17,7 +17,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.geometry import rotate_z_up
 from asterism.motion.clinical import ClinicalAngles, ClinicalModel, SubjectMeasures, clinical_angles, complete_legs
-from asterism.motion.clinical.landmark_body import with_plug_in_gait_names, worn_landmarks
+from asterism.motion.clinical.landmark_body import standing_trial, with_plug_in_gait_names, worn_landmarks
 from asterism.motion.joints.anatomy import sacrum_markers
 from asterism.recording import Floats, MarkerSet, Recording
 from asterism.recording.arrays import nan_median
@@ -218,6 +218,8 @@ class _ClinicalFrames:
         # A model asks which markers are worn: a frame that shows all of them stands before each one.
         self._worn = np.asarray(nan_median(first.positions, axis=0))
         self._model = _fixed(found.model, first)
+        given = self._model.static if self._model.name == "landmarks" else None
+        self._static = None if given is None else standing_trial(given, self._model.measures)
         self._room = np.eye(3)
         self._outputs = tuple(name for name in found.outputs if any(name_of(name, column) for column in range(3)))
         named = [name_of(name, column) for name in self._outputs for column in range(3)]
@@ -246,7 +248,7 @@ class _ClinicalFrames:
         return np.degrees(self._steady(found)).ravel()[self._told]
 
     def _radians(self, recording: Recording) -> Floats:
-        outputs = self._model.outputs(recording, room=self._room)
+        outputs = self._model.outputs(recording, room=self._room, static=self._static)
         missing = np.full((2, 3), np.nan)
         return np.array([outputs.get(name, missing)[1] for name in self._outputs])
 

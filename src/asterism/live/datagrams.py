@@ -160,7 +160,7 @@ class JsonDatagrams:
         """Other senders, frames without times, and what is wrong with the first datagram that could not be read."""
         found, where = [times_made(self.about.name)] if self._times.made else [], self.about.name
         if self._others:
-            others = ", ".join(f"{address} ({count} frames)" for address, count in self._others.items())
+            others = ", ".join(f"{address} ({count} frames)" for address, count in dict(self._others).items())
             sentence = f"{where}: several programs send to it. {self._heard} is heard; these were not: {others}."
             mend = "Stop the others, or give each a port of its own."
             found.append(Finding("live-other-sender", Severity.WARNING, where, sentence, mend))

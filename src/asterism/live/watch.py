@@ -62,12 +62,14 @@ class SessionWatch:
     up     (3,) what points up; None for z
     timed  whether frames come when they are taken, so that their arrival shows their rate
     tell   what hears of a finding at once
+    told   codes of what was said already
     """
 
     name: str
     up: Floats | None = None
     timed: bool = True
     tell: Callable[[Finding], None] = lambda finding: None
+    told: set[str] = field(default_factory=set)
     _looks: list[_Look] = field(default_factory=list)
     _next: int = 0
     _rate: float = 0.0
@@ -185,5 +187,10 @@ class SessionWatch:
         code = finding.code
         self._times[code] = self._times.get(code, 0) + 1
         if self._times[code] == at:
-            self.tell(finding)
+            self._tell(finding)
         self._last[code] = finding
+
+    def _tell(self, finding: Finding) -> None:
+        if finding.code not in self.told:
+            self.told.add(finding.code)
+            self.tell(finding)

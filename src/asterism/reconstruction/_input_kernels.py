@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.cameras.lens_kernels import pixel_jacobian, undistort_points
 from asterism.geometry.shared_kernels import clamped_index
 from asterism.reconstruction._order_kernels import ascending
 
@@ -76,6 +77,23 @@ def first_of_duplicates(xy, offsets, out):
                 if xy[begin + order[back], 1] == xy[begin + order[k], 1]:
                     out[begin + order[k]] = False
                 back -= 1
+
+
+@kernel
+def rays_of_frame(cameras, xy, offsets, normalised, jacobian, single):
+    """The rays of all blobs of a frame at once: a call of a kernel costs other threads more than its work.
+
+    IN  cameras of RigArrays; xy (B, 2) px; offsets (C + 1,) where each camera's blobs begin
+    OUT normalised (B, 2), NaN where the lens has no ray; jacobian (B, 4) px; single (B,) bool, whether a blob is the first at its position
+    O(B log B). Twin: `rays.to_rays`, camera by camera
+    """
+    for c in range(len(offsets) - 1):
+        a, b = offsets[c], offsets[c + 1]
+        # Behind a camera's own coefficients there are zeros.
+        lens = cameras[c, LENS:]
+        undistort_points(lens, xy[a:b], normalised[a:b])
+        pixel_jacobian(lens, normalised[a:b], jacobian[a:b])
+    first_of_duplicates(xy, offsets, single)
 
 
 @kernel

@@ -9,7 +9,7 @@ import numpy as np
 from asterism.cameras import Rig
 from asterism.cameras.lens_kernels import pixel_jacobian
 from asterism.reconstruction._frame_kernels import RayArrays
-from asterism.reconstruction._input_kernels import first_of_duplicates
+from asterism.reconstruction._input_kernels import RigArrays, first_of_duplicates, rays_of_frame
 from asterism.recording import Blobs, Floats
 
 
@@ -51,4 +51,16 @@ def to_rays(blobs: Blobs, rig: Rig) -> tuple[BlobRays, int, int]:
         of_camera = np.empty((len(rows), 4))
         pixel_jacobian(camera.lens, normalised[rows], of_camera)
         jacobian[rows] = of_camera
+    return BlobRays(blobs, normalised, jacobian), int((~reached).sum()), int((reached & ~single).sum())
+
+
+def frame_to_rays(blobs: Blobs, arrays: RigArrays) -> tuple[BlobRays, int, int]:
+    """What `to_rays` gives, for a single frame: in one call of a kernel, so that other threads hold it up less. arrays: of the rig."""
+    normalised, jacobian = np.empty_like(blobs.xy), np.empty((len(blobs.xy), 4))
+    single = np.empty(len(blobs.xy), dtype=np.bool_)
+    rays_of_frame(arrays.cameras, blobs.xy, blobs.offsets, normalised, jacobian, single)
+    reached = np.isfinite(normalised).all(axis=1)
+    kept = reached & single
+    if not kept.all():
+        blobs, normalised, jacobian = blobs.select(kept), normalised[kept], jacobian[kept]
     return BlobRays(blobs, normalised, jacobian), int((~reached).sum()), int((reached & ~single).sum())

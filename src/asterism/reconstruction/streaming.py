@@ -19,7 +19,7 @@ from asterism.reconstruction._input_kernels import RigArrays
 from asterism.reconstruction.camera_fit import CameraFit, fit_of_cameras
 from asterism.reconstruction.observation_model import RULES, estimate_observation_model, first_model
 from asterism.reconstruction.problem import ObservationModel, ReconstructionProblem, common_view, image_bounds
-from asterism.reconstruction.rays import BlobRays, to_rays
+from asterism.reconstruction.rays import BlobRays, frame_to_rays
 from asterism.reconstruction.reconstruct import FramesPart, assemble, noise_unknown_finding, points_and_residuals, run_global
 from asterism.reconstruction.result import Reconstruction
 from asterism.reconstruction.settings import ReconstructionSettings
@@ -95,13 +95,13 @@ class Reconstructor:
         flat = np.ascontiguousarray(np.concatenate(xy))
         offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         frame = Blobs(flat, offsets, self.rig.names, 1.0, np.full(len(flat), np.nan))
-        rays, no_ray, duplicates = to_rays(frame, self.rig)
-        self.no_ray, self.duplicates = self.no_ray + no_ray, self.duplicates + duplicates
         state = self._state
         if state is None:
-            problem = self._stated(rays.blobs)
-            model = self._first or first_model(problem, rays.blobs.counts, self.settings.noise or _FIRST_NOISE)[0]
+            problem = self._stated(frame)
+            model = self._first or first_model(problem, frame.counts, self.settings.noise or _FIRST_NOISE)[0]
             self._state = state = problem, model, problem.arrays(model, _WORK)
+        rays, no_ray, duplicates = frame_to_rays(frame, state[2])
+        self.no_ray, self.duplicates = self.no_ray + no_ray, self.duplicates + duplicates
         part = run_global(state[2], rays, 0, 1)
         if np.count_nonzero(counts) >= 2:
             with self._guard:

@@ -8,6 +8,7 @@ import multiprocessing
 import pickle
 import signal
 import struct
+import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -39,6 +40,9 @@ _REPORT = 0.5
 _ON_THE_WAY = 3
 """Frames that may be on their way between the processes: one that is read, one that waits, one that is written. With one, each waits for
 the other; twice as many are old where this process is too slow."""
+_SWITCH = 5e-4
+"""s after which a thread of the process lets another one run: cameras are judged beside the frames, whose kernels wait for Python three
+times each. Half of it switches for nothing; Python's own 5 ms hold a frame up by 15."""
 _TIMEOUT = 0.1
 """s after which the process looks whether it shall stop."""
 _ENDING = 5.0
@@ -81,7 +85,7 @@ class RigProcess:
         self._process.start()
         # With our copy open, the end of the process would not end the pipe.
         there.close()
-        self._closed = False
+        self._closed = self._begun = False
         self._report: RigReport | None = None
         try:
             begun = self._pipe.recv()
@@ -111,6 +115,10 @@ class RigProcess:
     def read(self, timeout: float) -> LiveFrame | None:
         """The points of the next frame; None where none came within so many seconds. Raises SourceEnded."""
         until = time.monotonic() + timeout
+        if not self._begun:
+            # Frames of the time before are nobody's.
+            self._begun = True
+            self._say(_ON_THE_WAY * [_TAKEN])
         while True:
             if self._closed or (self._report is not None and self._report.ended):
                 if self._report is not None and self._report.problem:
@@ -155,10 +163,16 @@ class RigProcess:
         """What a person should know of the cameras and their rig."""
         return [] if self._report is None else self._report.findings
 
+    def _say(self, words: list[bytes]) -> None:
+        """Say something to the process; that it ended is seen where frames are read."""
+        with suppress(OSError):
+            for word in words:
+                self._pipe.send_bytes(word)
+
     def _received(self, data: bytes) -> LiveFrame | None:
         """The frame in a message; None for a report, which is kept."""
         if data[:1] == b"F":
-            self._pipe.send_bytes(_TAKEN)
+            self._say([_TAKEN])
             number, at, arrived = _HEAD.unpack_from(data, 1)
             return LiveFrame(number, at, arrived, np.frombuffer(data, dtype=np.float64, offset=1 + _HEAD.size).reshape(-1, 3))
         self._report = pickle.loads(data[1:])
@@ -171,6 +185,7 @@ def _serve(
     """Send frames until the source ends, or the pipe says or shows that nobody wants them."""
     # Ctrl-C reaches all processes of a terminal: the first one decides.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.setswitchinterval(_SWITCH)
     blobs = source = None
     try:
         blobs = open_blobs()
@@ -190,7 +205,8 @@ def _serve(
 
 def _frames(pipe: Connection[Any, Any], source: RigSource) -> str:
     """Send frames until the end. Returns what went wrong."""
-    told, on_the_way = -math.inf, 0
+    # What is taken is said for the first time when frames are wanted.
+    told, on_the_way = -math.inf, _ON_THE_WAY
     while True:
         while pipe.poll(_TIMEOUT if on_the_way >= _ON_THE_WAY else 0):
             if pipe.recv_bytes() == _STOP:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
+import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -124,7 +127,7 @@ class RigSource:
         self.dropped, self.cut = 0, 0
         self._queue: deque[RigFrame] = deque()
         self._there = threading.Condition()
-        self._ended = False
+        self._ended = self._wanted = False
         self._failed: Exception | None = None
         self._fits: tuple[CameraFit, ...] = ()
         self._found: dict[tuple[str, str], tuple[Finding, int]] = {}
@@ -150,6 +153,7 @@ class RigSource:
         """The points of the next frame; None where none came within so many seconds. Raises SourceEnded."""
         until = time.monotonic() + timeout
         with self._there:
+            self._wanted = True
             while not self._queue:
                 if self._ended:
                     if self._failed is not None:
@@ -160,10 +164,10 @@ class RigSource:
                     return None
                 self._there.wait(left)
             frame = self._queue.popleft()
-            # However slow this is, what is shown is not old.
+            # However slow this is, what is shown is not old. What waited for the first call is dropped, too, and nobody's.
             while not self._waits and self._queue and time.monotonic() - frame.arrived > _QUEUE:
                 frame = self._queue.popleft()
-                self.dropped += 1
+                self.dropped += self._frames > 0
             self._there.notify_all()
         return self._reconstructed(frame)
 
@@ -243,7 +247,8 @@ class RigSource:
                 self._queue.append(frame)
                 while len(self._queue) > most and not self._waits:
                     self._queue.popleft()
-                    self.dropped += 1
+                    # Frames that come before the first one is asked for are nobody's.
+                    self.dropped += self._wanted
                 self._there.notify_all()
 
     def _reconstructed(self, frame: RigFrame) -> LiveFrame:
@@ -283,6 +288,10 @@ class RigSource:
             self._judge.start()
 
     def _learn(self, rate: float) -> None:
+        if not self._waits and sys.platform == "linux":
+            # Frames first: on Linux each thread has a priority of its own.
+            with suppress(OSError):
+                os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 10)
         fits, findings = self._reconstructor.learn(rate)
         if not fits:
             return

@@ -151,7 +151,7 @@ def plug_in_gait_names(given: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(labels)
 
 
-def landmark_body(recording: Recording, measures: SubjectMeasures, static: Recording | None = None) -> LandmarkBody | None:
+def landmark_body(recording: Recording, measures: SubjectMeasures, static: Recording | StandingTrial | None = None) -> LandmarkBody | None:
     """Joint centres and segments of pelvis and legs, NaN where a landmark is not known; None without landmarks of the pelvis. O(T).
 
     static  a standing trial with medial markers; markers that both trials show on a limb carry what only this one shows. Three others on a
@@ -165,7 +165,7 @@ def landmark_body(recording: Recording, measures: SubjectMeasures, static: Recor
     worn = _seen_landmarks(recording)
     at = _positions(recording, worn)
     missing = np.full((len(recording), 3), np.nan)
-    still = None if static is None else _standing(static, measures)
+    still = static if static is None or isinstance(static, StandingTrial) else standing_trial(static, measures)
     told = _carried(recording, worn, still, "pelvis", _PELVIS, {})
     at |= told.positions
     carried = list(told.positions)
@@ -317,12 +317,24 @@ def _leg(at: Mapping[str, Floats], side: str, hip: Floats, missing: Floats, bone
 
 
 @dataclass(frozen=True)
-class _Still:
-    """A standing trial: its recording, what is worn in it, and its hip centres by side."""
+class StandingTrial:
+    """A standing trial: its recording, what is worn in it, and its hip centres by side.
+
+    clusters  what was made of it for a limb and its markers, so that each frame of a stream need not make it anew
+    """
 
     recording: Recording
     worn: WornLandmarks
     hips: Mapping[str, Floats]
+    clusters: dict[tuple[str, ...], _Cluster | None] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Cluster:
+    """Where markers of a limb (K, 3) m are in one frame of a standing trial, and in the same axes its landmarks (3,) m."""
+
+    template: Floats
+    landmarks: Mapping[str, Floats]
 
 
 @dataclass(frozen=True)
@@ -331,7 +343,8 @@ class _Told:
     clusters: bool = False
 
 
-def _standing(static: Recording, measures: SubjectMeasures) -> _Still:
+def standing_trial(static: Recording, measures: SubjectMeasures) -> StandingTrial:
+    """What a standing trial of a person with these measures says of landmarks. O(T)."""
     worn = _seen_landmarks(static)
     at = _positions(static, worn)
     missing = np.full((len(static), 3), np.nan)
@@ -340,11 +353,11 @@ def _standing(static: Recording, measures: SubjectMeasures) -> _Still:
         sacrum = _sacrum(at, missing)
         pelvis, origin = _pelvis(at, sacrum)
         hips = {side: origin + pelvis @ hip_centre(measures, side, at["LASI"], at["RASI"], sacrum, davis=False) for side in SIDES}
-    return _Still(static, worn, hips)
+    return StandingTrial(static, worn, hips)
 
 
 def _carried(
-    recording: Recording, worn: WornLandmarks, still: _Still | None, limb: str, roles: Sequence[str], extra: Mapping[str, Floats]
+    recording: Recording, worn: WornLandmarks, still: StandingTrial | None, limb: str, roles: Sequence[str], extra: Mapping[str, Floats]
 ) -> _Told:
     """Landmarks of a limb that markers of both trials carry over from the standing one; none without one."""
     if still is None:
@@ -359,24 +372,38 @@ def _carried(
     clusters = len(own) >= _LEAST
     common = own if clusters else common
     walking = rotate_z_up(recording.positions, recording.vertical)[:, [names[name] for name in common]]
-    upright = rotate_z_up(still.recording.positions, still.recording.vertical)
-    standing = upright[:, [places[name] for name in common]]
-    if len(common) < _LEAST and "hip" in extra:
+    with_hip = len(common) < _LEAST and "hip" in extra
+    if with_hip:
         walking = np.concatenate([walking, extra["hip"][:, None]], axis=1)
-        standing = np.concatenate([standing, still.hips[limb[0].upper()][:, None]], axis=1)
+    key = (limb, *common)
+    if key not in still.clusters:
+        still.clusters[key] = _cluster(still, [places[name] for name in common], roles, limb if with_hip else "")
+    cluster = still.clusters[key]
+    if cluster is None:
+        return _Told()
+    rotations, translations = place_objects(cluster.template, walking)
+    # what the recording shows itself is taken from it, but for CAST, whose clusters follow the bone better than single markers
+    kept = {role: place for role, place in cluster.landmarks.items() if role not in worn.roles or clusters}
+    found = {role: rotations @ place + translations for role, place in kept.items()}
+    return _Told(found, clusters and bool(found))
+
+
+def _cluster(still: StandingTrial, columns: Sequence[int], roles: Sequence[str], hip_of: str) -> _Cluster | None:
+    """Markers of a standing trial, with the hip of a limb where one is named, and landmarks; None where they leave a turn open."""
+    upright = rotate_z_up(still.recording.positions, still.recording.vertical)
+    standing = upright[:, columns]
+    if hip_of:
+        standing = np.concatenate([standing, still.hips[hip_of[0].upper()][:, None]], axis=1)
     whole = np.nonzero(np.isfinite(standing).all(axis=(1, 2)))[0]
     if standing.shape[1] < _LEAST or not len(whole):
-        return _Told()
+        return None
     template = standing[whole[0]]
     turned, moved = place_objects(template, standing)
-    rotations, translations = place_objects(template, walking)
     found = {}
     for role in roles:
-        # what the recording shows itself is taken from it, but for CAST, whose clusters follow the bone better than single markers
-        if role not in still.worn.roles or (role in worn.roles and not clusters):
-            continue
-        local = np.einsum("tji,tj->ti", turned, upright[:, still.worn.roles[role]] - moved)
-        seen = local[np.isfinite(local).all(axis=1)]
-        if len(seen):
-            found[role] = rotations @ np.median(seen, axis=0) + translations
-    return _Told(found, clusters and bool(found))
+        if role in still.worn.roles:
+            local = np.einsum("tji,tj->ti", turned, upright[:, still.worn.roles[role]] - moved)
+            seen = local[np.isfinite(local).all(axis=1)]
+            if len(seen):
+                found[role] = np.median(seen, axis=0)
+    return _Cluster(template, found)

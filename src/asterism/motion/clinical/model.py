@@ -10,6 +10,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.motion.clinical.hip import REGRESSIONS, regression_of
 from asterism.motion.clinical.landmark_body import (
+    StandingTrial,
     landmark_angles,
     landmark_body,
     landmarks_displaced,
@@ -66,17 +67,20 @@ class ClinicalModel:
             raise AsterismError(f"{recording.metadata.get('file', 'the recording')} has no markers on both anterior iliac spines.")
         return replace(made.body, legs={side: leg for side, leg in made.body.legs.items() if side in self.sides})
 
-    def outputs(self, recording: Recording, *, upper: bool = True, room: Floats | None = None) -> dict[str, Floats]:
+    def outputs(
+        self, recording: Recording, *, upper: bool = True, room: Floats | None = None, static: StandingTrial | None = None
+    ) -> dict[str, Floats]:
         """Angles (T, 3) rad by Plug-in-Gait's names, see `ClinicalAngles.outputs`; without those that are known in no frame.
 
         upper  also those of head and arms; room  (3, 3), in whose axes pelvis, feet, thorax and head turn; by default `walking_axes`
+        static  the standing trial as `standing_trial` made it, for who asks again and again
         """
         if self.name == "plug-in-gait":
             body = self.body(recording)
             room = walking_axes(body) if room is None else room
             found = angles_of(with_plug_in_gait_names(recording), body, room)
         else:
-            made = landmark_body(recording, self.measures, self.static)
+            made = landmark_body(recording, self.measures, static or self.static)
             if made is None:
                 return {}
             body = made.body

@@ -1,0 +1,111 @@
+"""What a live session was asked to read in; the source of its frames, open, out: an address, a recording, or cameras by their rig."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from asterism.cli import _console
+from asterism.cli._live_options import LiveOptions
+from asterism.errors import AsterismError
+
+if TYPE_CHECKING:
+    from asterism.cameras import Rig
+    from asterism.live import LiveSource
+
+
+def open_live_source(options: LiveOptions) -> LiveSource:
+    """The source that is asked for, open. Raises AsterismError where none or several are, or it cannot be opened."""
+    from asterism.live import open_source
+    from asterism.live.replay import Replay
+
+    beside = next((word for word in options.source or [] if options.replay is not None and "://" in word), None)
+    if beside is not None:
+        raise AsterismError(f"{beside} and --replay are two sources; give one of them.")
+    given = (bool(options.source) and options.replay is None, options.replay is not None, options.cameras is not None)
+    if given.count(True) != 1:
+        raise AsterismError(
+            "give one source: an address such as udp://127.0.0.1:5000, a recording with --replay FILE, or cameras with --cameras FILE."
+        )
+    if options.rig is not None:
+        return _of_cameras(options, options.rig)
+    if options.cameras is not None or len(played_files(options)) > 1:
+        raise AsterismError("points are made of several cameras' images by their rig; add --rig FILE.")
+    if options.replay is not None:
+        return Replay(options.replay, speed=options.speed, loop=options.loop)
+    return open_source(_address(options), math.nan if options.rate is None else options.rate)
+
+
+def played_files(options: LiveOptions) -> list[Path]:
+    """What is to be played: the file of --replay, and those behind it."""
+    return [] if options.replay is None else [options.replay, *(Path(word) for word in options.source or [])]
+
+
+def cameras_beside(options: LiveOptions) -> Path | None:
+    """Where it is written what was set on cameras, and what they had; None where none are set, or nothing is recorded."""
+    return None if options.output is None or options.cameras is None else options.output.with_suffix(".cameras.toml")
+
+
+def _address(options: LiveOptions) -> str:
+    """The one address that is given."""
+    first, *others = options.source or [""]
+    if others:
+        raise AsterismError(f"{others[0]}: give one source; several videos are played with --replay.")
+    return first
+
+
+def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
+    """Points of what several cameras see: of their blobs, or of images."""
+    from functools import partial
+    from mimetypes import guess_type
+
+    from asterism.cameras.files import read_rig
+    from asterism.live.blobs import ReplayBlobs, RigProcess, RigSource
+    from asterism.live.sources import open_blobs
+
+    rig, played = read_rig(rig_file), played_files(options)
+    if options.cameras is not None or len(played) > 1:
+        return _of_images(options, rig, played)
+    if played and (played[0].is_dir() or str(guess_type(played[0].name)[0]).startswith(("video/", "image/"))):
+        raise AsterismError(f"{played[0]} is of one camera, and points need two; add the videos of the others behind it.")
+    if played:
+        blobs = ReplayBlobs(played[0], rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
+        return RigSource(blobs, rig, waits=True)
+    opened = partial(open_blobs, _address(options), rig.names, math.nan if options.rate is None else options.rate)
+    return RigProcess(opened, rig, keep=_kept_blobs(options))
+
+
+def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource:
+    """Points of images: of cameras, or of their videos."""
+    _console.silence_opencv()
+    from asterism.live.blobs import RigSource
+    from asterism.live.cameras import load_cameras, with_settings
+    from asterism.live.images import CameraWorkers, WorkerSettings, videos_together
+
+    specs = videos_together(played, rig, options.speed, options.loop) if options.cameras is None else load_cameras(options.cameras)
+    if options.rate is not None:
+        specs = with_settings(specs, {"rate": options.rate})
+    sizes = {camera.name: camera.size for camera in rig if camera.size is not None}
+    settings = WorkerSettings(empty=options.empty, sizes=sizes, in_order="number" if played else "")
+    workers = CameraWorkers(specs, settings, numbered_together=bool(played))
+    beside = cameras_beside(options)
+    try:
+        if beside is not None:
+            workers.save(beside)
+        return RigSource(workers, rig, waits=bool(played), keep=None if played else _kept_blobs(options))
+    except BaseException:
+        workers.close()
+        raise
+
+
+def _kept_blobs(options: LiveOptions) -> Path | None:
+    """Where blobs are kept beside what is recorded; a file that is there is overwritten only where that was asked for."""
+    if options.output is None:
+        return None
+    from asterism.formats.kept_blobs import KEPT_SUFFIX
+
+    kept = options.output.with_suffix(KEPT_SUFFIX)
+    _console.check_new(kept, options.overwrite)
+    kept.unlink(missing_ok=True)
+    return kept
