@@ -10,11 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from asterism.live.blobs._follow_kernels import link_blobs
 from asterism.live.blobs.camera_clock import CameraClock
 from asterism.live.blobs.gathering import LONGEST_WAIT, ByNumber, ByTime, RigFrame
 from asterism.live.camera_frames import LiveBlobs
 
 RATE = 100.0
+pytestmark = pytest.mark.kernels
 
 
 def where(time: float) -> np.ndarray:
@@ -121,6 +123,26 @@ def test_numbers_that_begin_anew_are_followed_and_those_of_one_camera_alone_are_
     frames = [frame for _, frame in driven(gather, alone)]
     assert [frame.number for frame in frames] == list(range(200)), "the others' numbers go on"
     assert gather.cameras[0].late > 90
+
+
+@given(st.integers(0, 10_000), st.integers(0, 8), st.integers(0, 8))
+@settings(max_examples=60, deadline=None)
+def test_links_are_those_of_the_plain_twin(seed: int, before: int, now: int) -> None:
+    rng = np.random.default_rng(seed)
+    # Whole pixels, so that distances are equal now and then.
+    ways, xy = rng.integers(0, 30, (before, 2)).astype(float), rng.integers(0, 30, (now, 2)).astype(float)
+    found = np.full(now, 7)
+    link_blobs(ways, xy, 0.5, 4.0, 8.0, found)
+    apart = np.array([[math.dist(way, place) for place in xy] for way in ways]).reshape(before, now)
+    expected = np.full(now, -1)
+    for j in range(now if before else 0):
+        i = int(np.argmin(apart[:, j]))
+        nearest = sorted(apart[i])
+        if int(np.argmin(apart[i])) == j and (now == 1 or nearest[0] < 0.5 * nearest[1]):
+            expected[j] = i
+    misses = [apart[i, j] for j, i in enumerate(expected) if i >= 0]
+    expected = [i if i >= 0 and apart[i, j] <= 4.0 + 8.0 * np.median(misses) else -1 for j, i in enumerate(expected)]
+    assert found.tolist() == expected
 
 
 @given(st.integers(0, 10_000))

@@ -64,7 +64,9 @@ def webcams(benchmark: BenchmarkRun) -> Iterator[Figure]:
     sent = 4 * math.floor(seconds * RATE)
     searched = sum(each.searched for each in searches.values())
     told = sum(each.dropped + each.lost + each.damaged for each in healths.values())
-    spent, age = np.array(sink.spent[_LEARNING:]), np.array(sink.ages[_LEARNING:])
+    # A machine that is too busy labels fewer frames than are left out.
+    begin = min(_LEARNING, len(sink.spent) // 2)
+    spent, age = np.array(sink.spent[begin:]), np.array(sink.ages[begin:])
     row = "live, four webcams of 640 x 480 at 60 images/s"
     yield Figure(f"{row}, complete image to labels: p50", "none", 1000 * float(np.quantile(spent, 0.5)), "ms", len(spent))
     yield Figure(f"{row}, complete image to labels: p99", "< 40", 1000 * float(np.quantile(spent, 0.99)), "ms", len(spent))

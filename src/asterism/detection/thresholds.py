@@ -95,7 +95,9 @@ def estimate_background(images: Sequence[ArrayLike]) -> Grey | int | None:
     import cv2
 
     first = as_grey(images[0])
-    few = _sampled(first) if len(images) == 1 else np.median([_sampled(as_grey(image)) for image in images], axis=0).astype(np.int64)
+    # In the images' own type, whose median takes half as long.
+    every = slice(None, None, RULES.every)
+    few = _sampled(first) if len(images) == 1 else np.median([as_grey(image)[every, every] for image in images], axis=0).astype(np.int64)
     noise = _pixel_noise(first, _sampled(first))
     before = _from_histogram(np.bincount(few.ravel()), noise)
     if not before.uneven and not before.lit:

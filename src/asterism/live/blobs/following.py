@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from asterism.live.blobs._follow_kernels import link_blobs
 from asterism.recording import Floats, Ints
 from asterism.synchronization.common_clock import RULES
 
@@ -41,18 +42,9 @@ def follow(last: FollowedImage | None, image: FollowedImage, longest: float) -> 
         return
     step = image.time - last.time
     ways = last.xy + step * last.velocity
-    apart = np.hypot(ways[:, None, 0] - image.xy[None, :, 0], ways[:, None, 1] - image.xy[None, :, 1])
-    ahead = apart.argmin(axis=1)
-    rows = np.arange(len(ways))
-    miss = apart[rows, ahead]
-    # Both must choose each other, and none may have a second one near: where markers cross, they are left open rather than wrong.
-    clear = apart.argmin(axis=0)[ahead] == rows
-    if apart.shape[1] > 1:
-        clear &= miss < RULES.clear * np.partition(apart, 1, axis=1)[:, 1]
-    if clear.any():
-        clear &= miss <= RULES.near_px + RULES.spreads * np.median(miss[clear])
-    image.before[ahead[clear]] = rows[clear]
-    image.velocity[ahead[clear]] = (image.xy[ahead[clear]] - last.xy[clear]) / step
+    link_blobs(ways, image.xy, RULES.clear, RULES.near_px, RULES.spreads, image.before)
+    linked = np.flatnonzero(image.before >= 0)
+    image.velocity[linked] = (image.xy[linked] - last.xy[image.before[linked]]) / step
 
 
 def between(before: FollowedImage | None, start: FollowedImage, end: FollowedImage, instant: float) -> tuple[Floats, Floats]:

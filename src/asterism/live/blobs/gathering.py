@@ -200,8 +200,8 @@ class ByTime:
     for the next image of each camera: `delay` says how long, and never more than a period. Nothing is taken at another time than its own: a
     camera without an image on both sides of the instant, no further apart than 2.5 of its periods, has no blobs in the frame.
 
-    Times are compared as they are where the cameras share a clock, else by each clock's offset to this machine's. A camera joins when 20
-    images have told its clock and rate, and again when its clock was set.
+    Times are compared as they are where the cameras share a clock (`one_clock`), else by each clock's offset to this machine's. A camera
+    joins when 20 images have told its clock and rate, and again when its clock was set.
     """
 
     def __init__(self, cameras: int, rate: float = math.nan) -> None:
@@ -209,6 +209,7 @@ class ByTime:
         self.delay = 0.0
         self._tracks = [_RecentImages() for _ in range(cameras)]
         self._leader = list(range(cameras))
+        self.one_clock = True
         self._reference: int | None = None
         self._instants: deque[float] = deque(maxlen=_REMEMBERED)
         self._last: tuple[int, float] | None = None
@@ -263,10 +264,12 @@ class ByTime:
             return math.inf
         return max((self._until(c, self._instants[0]) for c in self._missing(self._instants[0])), default=-math.inf)
 
-    @property
-    def one_clock(self) -> bool:
-        """Whether all cameras share a clock."""
-        return len({self._leader[c] for c, track in enumerate(self._tracks) if track.joined}) <= 1
+    def _look_at_clocks(self) -> None:
+        """Whether the cameras share a clock; where that changed, times are on another one from here on."""
+        was_one = self.one_clock
+        self.one_clock = len({self._leader[c] for c, track in enumerate(self._tracks) if track.joined}) <= 1
+        if was_one != self.one_clock:
+            self._anew()
 
     def _there(self) -> list[int]:
         return [c for c, track in enumerate(self._tracks) if track.joined and not self.cameras[c].away]
@@ -292,7 +295,7 @@ class ByTime:
 
     def _join(self, camera: int) -> None:
         """Take part with the rate and the clock that its first images told."""
-        track, was_one = self._tracks[camera], self.one_clock
+        track = self._tracks[camera]
         numbers, times = np.array(track.stamps).T
         track.period = float(np.median(np.diff(times) / np.maximum(1, np.diff(numbers))))
         track.joined = True
@@ -303,18 +306,17 @@ class ByTime:
                 break
         else:
             self._leader[camera] = camera
-        if was_one != self.one_clock:
-            self._anew()
+        self._look_at_clocks()
 
     def _leave(self, camera: int) -> None:
         """Its clock was set: nothing is known of it."""
-        was_one = self.one_clock
         # Others that shared its clock still share one until they are set, too.
         others = [c for c, leader in enumerate(self._leader) if leader == camera and c != camera]
         for c in (*others, camera):
             self._leader[c] = others[0] if others and c != camera else camera
         self._tracks[camera] = _RecentImages()
-        if was_one != self.one_clock or not self._there():
+        self._look_at_clocks()
+        if not self._there():
             self._anew()
 
     def _anew(self) -> None:
@@ -348,13 +350,11 @@ class ByTime:
 
     def _part(self, cameras: list[int]) -> None:
         """Cameras whose clocks run apart share none."""
-        was_one = self.one_clock
         for c in cameras:
             leader = self._leader[c]
             if leader != c and not same_clock(self.cameras[leader].clock, self.cameras[c].clock, LONGEST_WAIT):
                 self._leader[c] = c
-        if was_one != self.one_clock:
-            self._anew()
+        self._look_at_clocks()
 
     def _waits(self, reference: int, there: list[int]) -> float:
         """s that frames would wait for the cameras' next images."""

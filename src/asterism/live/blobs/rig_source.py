@@ -354,9 +354,12 @@ class RigSource:
         if kept is not None and (kept.problem or kept.left_out):
             sentence = kept.problem or f"{kept.path}: {kept.left_out} images were not recorded, since the disk was busy."
             found.append(Finding("live-not-recorded", Severity.ERROR, where, sentence, "Make space, or record to another disk."))
-        unlinked = sum(camera.unlinked for camera in cameras)
-        if unlinked:
-            sentence = f"{where}: cameras are not triggered together, and {unlinked} blobs could not be followed to the instant of a frame."
+        unlinked, waited = sum(camera.unlinked for camera in cameras), round(1000 * self.delay, 1)
+        if unlinked or waited:
+            sentence = (
+                f"{where}: cameras are not triggered together; each frame waits {significant(waited, 2)} ms for the images after it, and "
+                f"{unlinked} blobs could not be followed to its instant."
+            )
             found.append(Finding("live-not-followed", Severity.NOTE, where, sentence, "Trigger the cameras together, or raise their rate."))
         return found
 
