@@ -408,7 +408,7 @@ class LiveEvents:
         return np.full(2, np.nan)
 
     def is_followed(self, begin: float, end: float) -> bool:
-        """Whether the pelvis was followed from one time (s) to the other: who goes out of view, or is elsewhere at once, made steps unseen."""
+        """Whether the pelvis was followed between two times (s): who is out of view, or elsewhere at once, made steps unseen."""
         seen = [(at, row[4]) for at, row in self._kept if begin <= at <= end and math.isfinite(row[4, 0])]
         times = np.diff([begin, *(at for at, _ in seen), end])
         ways = np.linalg.norm(np.diff([place for _, place in seen], axis=0), axis=1) if len(seen) > 1 else np.zeros(0)
