@@ -61,10 +61,11 @@ def blobs(benchmark: BenchmarkRun) -> Iterator[Figure]:
         yield Figure(f"{row}, last byte of a frame to its angles: p50", "none", 1000 * float(np.quantile(spent, 0.5)), "ms", len(spent))
         asked = "< 15" if together else "none"
         yield Figure(f"{row}, last byte of a frame to its angles: p99.9", asked, 1000 * float(np.quantile(spent, 0.999)), "ms", len(spent))
+        left_out = health.dropped + health.lost + source.dropped
         if together:
-            unsaid = count - health.labelled - health.dropped - health.lost - health.late
+            unsaid = count - health.labelled - left_out - health.late - health.before
             yield Figure(f"{row}: frames lost and not told", "== 0", unsaid, "frames", count)
-        yield Figure(f"{row}: frames left out, and told", "none", health.dropped + health.lost, "frames", count)
+        yield Figure(f"{row}: frames left out, and told", "none", left_out, "frames", count)
         yield Figure(f"{row}: images late or lost, and told", "none", sum(c.late + c.lost for c in cameras), "images", count * CAMERAS)
         apart = np.concatenate([np.empty(0), *sink.apart])
         yield Figure(f"{row}: labelled points, error: median", "none", 1000 * float(np.median(apart)), "mm", len(apart))

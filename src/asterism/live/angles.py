@@ -51,6 +51,8 @@ median. At half the same; at double memory for nothing."""
 _TURNED = np.radians(60.0)
 """By which a pelvis turns out of the room's axis along which its rotation counts, until that is the next one: 45 degrees lie between two.
 At 45 a person who walks along a diagonal makes it jump with each step; at 90 a turn around is a rotation of a right angle for ever."""
+_PAUSE = 0.5
+"""s between two frames that are no pause: cameras of 2 images/s. At half, those of 3 have no angles; at double the same."""
 _SHOWN = 0.5
 """Of the markers that were ever seen, in a frame that tells the model something. At half, people who step in count; at double, one hidden
 marker spoils the second."""
@@ -157,7 +159,7 @@ class LiveAngles:
         if shown.sum() < max(3, _SHOWN * self._seen.sum()):
             return
         # A pause is no second of frames.
-        self._seconds += step if 0.0 < step < 0.1 else 0.0
+        self._seconds += step if 0.0 < step < _PAUSE else 0.0
         self._first.append(points)
         if len(self._first) >= 2 * _MOST_FRAMES:
             self._first = self._first[::2]
@@ -228,8 +230,13 @@ class _ClinicalFrames:
         self._pelvis = self._outputs.index("LPelvisAngles") if "LPelvisAngles" in self._outputs else -1
         self._middle = np.array([_middle_turn(name, self._model.name) for name in self._outputs])
         self._last = np.full((len(self._outputs), 3), np.nan)
-        left_out = {"clinical-left-out", "clinical-measures"} if estimated else {"clinical-left-out"}
-        self.findings = [one for one in found.findings if one.code not in left_out]
+        # A recording's gaps could be filled; here only what is worn and labelled helps.
+        mend = "Look whether these markers are worn and labelled; medial ones may be in the standing trial (--static) alone."
+        self.findings = [
+            replace(one, severity=Severity.NOTE, mend=mend) if one.code == "clinical-left-out" else one
+            for one in found.findings
+            if not (estimated and one.code == "clinical-measures")
+        ]
         if estimated:
             sentence = "No standing trial: the pelvis is as wide as the first seconds show it, knees, ankles and arms are an adult's."
             mend = "Give the person's standing trial with --static, or measures with --measure."

@@ -114,17 +114,18 @@ class FrameCount:
     _behind: int = 0
     _before: int = 0
 
-    def takes(self, number: int, window: int = 1000) -> bool:
-        """Whether a frame of this number is a new one; window: frames by which a late one may be behind.
+    def takes(self, number: int, window: int = 1000, *, silent: bool = False) -> bool:
+        """Whether a frame of this number is a new one; window: frames by which a late one may be behind; silent: nothing came for a second.
 
         A number that is farther behind, or farther ahead than ten windows, is that of a source that began anew: nothing was lost. So are
-        late ones that follow each other, since a network delays one frame or two, and not a row of them.
+        late ones that follow each other, since a network delays one frame or two, and not a row of them; and one after a silence, for which
+        no network holds a frame back.
         """
         if self._last is not None:
             ahead = number - self._last
             self._behind = 0 if ahead > 0 else self._behind + 1 if number == self._before + 1 else 1
             self._before = number
-            if -window < ahead <= 0 and self._behind < _IN_A_ROW:
+            if -window < ahead <= 0 and self._behind < _IN_A_ROW and not silent:
                 self.late += 1
                 return False
             if 0 < ahead <= 10 * window:

@@ -21,6 +21,7 @@ class WithFindings(Protocol):
         """What a person should know of it so far."""
 
 
+_NO_LABELS = ("live-no-points", "live-no-set", "live-few-points", "live-other-markers", "live-unit")
 _NOTE, _WARNING, _ERROR = Severity.NOTE, Severity.WARNING, Severity.ERROR
 
 
@@ -43,16 +44,7 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
     if not health.frames and not health.damaged:
         mend = "Look whether it sends, to this address and port, and whether a firewall is between."
         found.append(Finding("live-silent", _ERROR, where, f"{where}: no frame came.", mend))
-    if health.labelled and not health.markers:
-        mend = "Name the set that is worn with --markers, or give a trained --model."
-        found.append(Finding("live-no-labels", _WARNING, where, f"{where}: no marker set was found, and no label given.", mend))
-    elif 2 * health.bare > health.shown or (health.labelled and not health.shown):
-        # A person who is known has labels in most frames: that the middle one has none needs no tuned share.
-        sentence = f"{where}: {health.bare} of the {health.shown} frames in which a person may be have no sure label."
-        if not health.shown:
-            sentence = f"{where}: no frame had as many points as half of the markers."
-        mend = "Look at the marker set (--markers), the axis that points up (--vertical), the unit and the rate."
-        found.append(Finding("live-no-labels", _WARNING, where, sentence, mend))
+    found += _no_labels(health, where, found)
     if health.before:
         sentence = f"{where}: {health.before} frames came while the labelling was made, and have no labels."
         found.append(Finding("live-before", _NOTE, where, sentence, "Begin the movement when the first labels are there."))
@@ -87,6 +79,23 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         sentence = recorder.problem or f"{recorder.path}: {recorder.lost} frames were not recorded, since the disk was busy."
         found.append(Finding("live-not-recorded", _ERROR, where, sentence, "Make space, or record to another disk."))
     return found
+
+
+def _no_labels(health: Health, where: str, said: Iterable[Finding]) -> list[Finding]:
+    """That hardly a label was given, where nobody who looked at the points while they came has said why."""
+    if any(finding.code in _NO_LABELS for finding in said):
+        return []
+    if health.labelled and not health.markers:
+        mend = "Name the set that is worn with --markers, or give a trained --model."
+        return [Finding("live-no-labels", _WARNING, where, f"{where}: no marker set was found, and no label given.", mend)]
+    # A person who is known has labels in most frames: that the middle one has none needs no tuned share.
+    if 2 * health.bare <= health.shown and (health.shown or not health.labelled):
+        return []
+    sentence = f"{where}: {health.bare} of the {health.shown} frames in which a person may be have no sure label."
+    if not health.shown:
+        sentence = f"{where}: no frame had as many points as half of the markers."
+    mend = "Look at the marker set (--markers), the axis that points up (--vertical), the unit and the rate."
+    return [Finding("live-no-labels", _WARNING, where, sentence, mend)]
 
 
 def axis_unknown(where: str, believed: str) -> Finding:
