@@ -157,6 +157,15 @@ def test_a_sender_that_is_started_again_is_taken_at_once(before: int) -> None:
     assert count.lost == 0
 
 
+def test_a_sender_that_begins_anew_after_a_silence_loses_no_frame() -> None:
+    count, kept = FrameCount(), Kept()
+    assert [count.takes(number) for number in (0, 1, 2, 0)] == [True, True, True, False]
+    assert count.takes(0, silent=True) and count.restarts == 1
+    again = [replace(frame, arrived=frame.arrived + 5.0) for frame in frames(list(range(20)))]
+    health = LiveSession(Given([*frames(list(range(30))), *again]), lambda rate, up: Numbers(), [kept], waits=True).run()
+    assert (health.labelled, health.late, health.lost, health.restarts) == (50, 0, 0, 1)
+
+
 @given(
     st.lists(st.tuples(*[st.floats(-50, 50)] * 3), max_size=5),
     st.integers(-(2**53), 2**53),

@@ -147,7 +147,7 @@ def test_a_stream_that_is_lost_is_found_again_and_never_another_one(name: str) -
     assert after[0].points.tolist() == [[1, 2, 3], [4, 5, 6]] and after[0].names == ("A", "B"), "its channels are read anew"
     assert after[0].number > before.number
     (finding,) = told(source)
-    assert finding.code == "live-reconnected" and "1 times" in finding.sentence
+    assert finding.code == "live-reconnected" and "once" in finding.sentence
 
 
 def test_a_sender_that_lost_its_power_is_left_for_the_one_that_took_its_place(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -167,7 +167,7 @@ def test_a_sender_that_lost_its_power_is_left_for_the_one_that_took_its_place(na
         again.push_sample([4.0, 5.0, 6.0])
         came += [] if (read := source.read(0.05)) is None else [read]
     source.close()
-    assert came[0].points.tolist() == [[4, 5, 6]] and "found again" in told(source)[0].sentence
+    assert came[0].points.tolist() == [[4, 5, 6]] and "made again" in told(source)[0].sentence
     del silent
 
 

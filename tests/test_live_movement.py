@@ -193,6 +193,22 @@ def test_steps_are_those_of_the_recording() -> None:
     assert np.isnan(longer.push(time + 3.0, [], AtPlace(np.zeros(2)))["cadence"])  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("change", ["out of view", "elsewhere"])
+def test_no_step_is_made_of_what_nobody_saw(change: str) -> None:
+    """Who goes out of view and comes back, or is at another place from one frame to the next, made no long step meanwhile."""
+    positions = np.concatenate([walk().positions[:275], walk().positions[:275]])
+    if change == "out of view":
+        positions = walk().positions.copy()
+        positions[255:390] = np.nan
+    events, steps, told = LiveEvents(), LiveSteps(), set[float]()
+    for number, points in enumerate(positions):
+        time = number / 100.0
+        values = steps.push(time, events.push(time, walk().labels, points), events)
+        told |= {values[f"{side} {name}"] for side in ("left", "right") for name in ("step time", "stance time")}
+    known = [value for value in told if np.isfinite(value)]
+    assert len(known) > 8 and max(known) < 0.9
+
+
 class AtPlace:
     """Where a toe is, on a floor that stands."""
 
@@ -200,6 +216,10 @@ class AtPlace:
 
     def __init__(self, place: Floats) -> None:
         self._place = place
+
+    def is_followed(self, begin: float, end: float) -> bool:
+        """Always."""
+        return True
 
     def toe_at(self, side: str, time: float) -> Floats:
         """(2,) m."""

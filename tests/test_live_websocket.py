@@ -131,7 +131,7 @@ def test_a_server_that_goes_and_comes_back_is_connected_to_again() -> None:
     second.shutdown()
     thread.join()
     assert [each.number for each in came] == [5, 6]
-    assert [(finding.code, "1 times" in finding.sentence) for finding in source.findings()] == [("live-reconnected", True)]
+    assert [(finding.code, "once" in finding.sentence) for finding in source.findings()] == [("live-reconnected", True)]
 
 
 def test_a_receiver_that_sleeps_loses_frames_and_holds_nobody_back() -> None:

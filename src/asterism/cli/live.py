@@ -143,7 +143,8 @@ def _finish(options: LiveOptions) -> None:
     if options.output is None or options.finish is None:
         raise AsterismError("--finish needs the recording to write; add -o FILE.c3d.")
     _console.check_outputs([options.output, _analog_beside(options.output)], [options.finish], options.overwrite)
-    _write_kept(options.finish, options.output, options.rate)
+    frames = _write_kept(options.finish, options.output, options.rate)
+    _console.notice(f"{options.output} holds {frames} frames; {options.finish} is not needed any more.")
 
 
 def _write_recorded(recorder: LiveRecorder, output: Path, rate: float | None) -> None:
@@ -158,7 +159,8 @@ def _write_recorded(recorder: LiveRecorder, output: Path, rate: float | None) ->
     recorder.path.unlink(missing_ok=True)
 
 
-def _write_kept(kept: Path, output: Path, rate: float | None) -> None:
+def _write_kept(kept: Path, output: Path, rate: float | None) -> int:
+    """Write what was kept; how many frames it had."""
     from asterism.formats import write
     from asterism.live import recording_of
     from asterism.live.analog import write_analog
@@ -168,6 +170,7 @@ def _write_kept(kept: Path, output: Path, rate: float | None) -> None:
         _console.notice(f"{output} does not hold {lost}.")
     if session.analog:
         write_analog(_analog_beside(output), session.analog, session.times)
+    return len(session.times)
 
 
 def _analog_beside(output: Path) -> Path:

@@ -40,7 +40,7 @@ class Journal:
 
     def __init__(self, path: Path, work: str) -> None:
         self.path, self.kept, self.other, self.lost = path, 0, False, ""
-        self._begin = _MAGIC + hashlib.sha256(work.encode("utf-8", "surrogateescape")).digest()
+        self._begin = _begin_of(work)
         self._done = 0
         self._stream: io.BufferedRandom | None = None
         refuse_special(path)
@@ -122,24 +122,21 @@ class Journal:
             self.lost = getattr(problem, "strerror", None) or str(problem)
 
 
-def is_journal_of(path: Path, work: str) -> bool:
-    """Whether a file holds steps of this work: asked before a file is opened, which clears steps of other work."""
-    begin = _MAGIC + hashlib.sha256(work.encode("utf-8", "surrogateescape")).digest()
-    with suppress(OSError), open(path, "rb") as stream:
-        return stream.read(len(begin)) == begin
-    return False
-
-
 def steps_of(path: Path, work: str) -> list[Arrays]:
     """The whole steps of this work that a file holds, up to the first one that is damaged or cut off; none where it is no such file.
 
     The file is only read: one that another run still writes to, or whose end is damaged, stays as it is.
     """
-    if not is_journal_of(path, work):
-        return []
-    with open(path, "rb") as stream:
-        stream.seek(len(_MAGIC) + hashlib.sha256().digest_size)
-        return [_arrays(content) for content in iter(lambda: _next(stream), None)]
+    begin = _begin_of(work)
+    with suppress(OSError), open(path, "rb") as stream:
+        if stream.read(len(begin)) == begin:
+            return [_arrays(content) for content in iter(lambda: _next(stream), None)]
+    return []
+
+
+def _begin_of(work: str) -> bytes:
+    """What a file with steps of this work begins with."""
+    return _MAGIC + hashlib.sha256(work.encode("utf-8", "surrogateescape")).digest()
 
 
 def _next(stream: io.BufferedRandom | io.BufferedReader) -> bytes | None:

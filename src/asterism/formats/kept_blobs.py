@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError, guarded_reading
-from asterism.files.journal import Journal, is_journal_of
+from asterism.files.journal import Journal, steps_of
 from asterism.recording import Blobs, Floats, Ints
 
 KEPT_SUFFIX = ".blobs"
@@ -92,13 +92,9 @@ def read_kept_blobs(path: Path, cameras: Sequence[str] | None = None, rate: floa
     with guarded_reading(path):
         # A file that is not there is told as such.
         path.open("rb").close()
-        if not is_journal_of(path, _WORK):
+        steps = steps_of(path, _WORK)
+        if not steps:
             raise AsterismError(f"{path} holds no blobs of a live session; give the file that `asterism live` left beside its output.")
-        journal = Journal(path, _WORK)
-        try:
-            steps = [journal.step(list) for _ in range(journal.kept)]
-        finally:
-            journal.close()
         head = json.loads(bytes(steps[0][0]))
         if len(steps) < 2:
             raise AsterismError(f"{path} holds no image: no camera sent one while it was recorded.")

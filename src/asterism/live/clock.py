@@ -2,22 +2,56 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
 
-_WINDOW = 10.0
+WINDOW = 10.0
 """s over which the fastest frame stands for the way without waiting. Half of it calls a slow second the usual one; twice as long hides that
 clocks drift by a millisecond a minute."""
-_BUCKET = 0.5
+BUCKET = 0.5
 """s of frames that share their fastest one, so that memory is twenty numbers at any rate. Twice as long forgets in jumps of a second."""
-_JUMP = 1.0
+JUMP = 1.0
 """s by which a clock that is set anew differs from what is expected. Networks seldom hold a frame back for so long. Half of it is a pause
 that a busy machine makes; with twice as much a clock that was set by a second counts as a delay for ten seconds."""
 _IN_A_ROW = 5
 """Late frames, each the next of the one before, after which a source began anew. Half of them a network can hold back together; with twice
 as many ten frames are lost where a sender was started again."""
+
+
+class RecentMost:
+    """The greatest of the values of the last ten seconds. O(1) a value, twenty numbers.
+
+    >>> recent = RecentMost()
+    >>> for at, value in ((0.0, 3.0), (0.1, 5.0), (7.0, 2.0), (12.0, 1.0)):
+    ...     recent.add(at, value)
+    >>> recent.most
+    2.0
+    """
+
+    def __init__(self) -> None:
+        self._buckets: deque[tuple[float, float]] = deque()
+        """(begin s, the greatest value) of each half second"""
+
+    def add(self, at: float, value: float) -> None:
+        """Take a value at a time, s; times grow."""
+        if self._buckets and at - self._buckets[-1][0] < BUCKET:
+            self._buckets[-1] = (self._buckets[-1][0], max(self._buckets[-1][1], value))
+        else:
+            self._buckets.append((at, value))
+        while self._buckets[0][0] < at - WINDOW:
+            self._buckets.popleft()
+
+    def clear(self) -> None:
+        """Forget all of them."""
+        self._buckets.clear()
+
+    @property
+    def most(self) -> float:
+        """The greatest one; minus infinity where there is none."""
+        return max((value for _, value in self._buckets), default=-math.inf)
 
 
 @dataclass
@@ -33,31 +67,24 @@ class SourceClock:
     """
 
     jumps: int = 0
-    _fastest: deque[tuple[float, float]] = field(default_factory=deque)
-    """(begin of a bucket on this machine's clock, least difference of the clocks in it)"""
+    _ahead: RecentMost = field(default_factory=RecentMost)
+    """s that the source's clock is ahead of this machine's when its frames come: most for the fastest"""
     _last: tuple[float, float] | None = None
 
     @property
     def offset(self) -> float:
         """s that this machine's clock is ahead of the source's, its fastest way included; NaN before the first frame."""
-        return min((least for _, least in self._fastest), default=float("nan"))
+        return math.nan if self._last is None else -self._ahead.most
 
     def delay(self, time: float, arrived: float) -> float:
         """How much longer than the fastest frame this one was on its way, s; at least 0."""
         # Between two frames both clocks go on by as much, unless one was set.
-        if self._last is not None and abs((time - self._last[0]) - (arrived - self._last[1])) > _JUMP + _pause(arrived - self._last[1]):
-            self._fastest.clear()
+        if self._last is not None and abs((time - self._last[0]) - (arrived - self._last[1])) > JUMP + _pause(arrived - self._last[1]):
+            self._ahead.clear()
             self.jumps += 1
         self._last = (time, arrived)
-        difference = arrived - time
-        if self._fastest and arrived - self._fastest[-1][0] < _BUCKET:
-            begin, least = self._fastest[-1]
-            self._fastest[-1] = (begin, min(least, difference))
-        else:
-            self._fastest.append((arrived, difference))
-        while self._fastest[0][0] < arrived - _WINDOW:
-            self._fastest.popleft()
-        return max(0.0, difference - self.offset)
+        self._ahead.add(arrived, time - arrived)
+        return max(0.0, arrived - time - self.offset)
 
 
 def _pause(since: float) -> float:
@@ -87,17 +114,18 @@ class FrameCount:
     _behind: int = 0
     _before: int = 0
 
-    def takes(self, number: int, window: int = 1000) -> bool:
-        """Whether a frame of this number is a new one; window: frames by which a late one may be behind.
+    def takes(self, number: int, window: int = 1000, *, silent: bool = False) -> bool:
+        """Whether a frame of this number is a new one; window: frames by which a late one may be behind; silent: nothing came for a second.
 
         A number that is farther behind, or farther ahead than ten windows, is that of a source that began anew: nothing was lost. So are
-        late ones that follow each other, since a network delays one frame or two, and not a row of them.
+        late ones that follow each other, since a network delays one frame or two, and not a row of them; and one after a silence, for which
+        no network holds a frame back.
         """
         if self._last is not None:
             ahead = number - self._last
             self._behind = 0 if ahead > 0 else self._behind + 1 if number == self._before + 1 else 1
             self._before = number
-            if -window < ahead <= 0 and self._behind < _IN_A_ROW:
+            if -window < ahead <= 0 and self._behind < _IN_A_ROW and not silent:
                 self.late += 1
                 return False
             if 0 < ahead <= 10 * window:
@@ -183,7 +211,7 @@ class SampleNumbers:
         self._last = (time, arrived)
         self._number += 1
         # A frame cannot be seconds older than the last one, nor come sooner after it than they were taken.
-        if step < -_JUMP or step - waited > _JUMP + _pause(waited):
+        if step < -JUMP or step - waited > JUMP + _pause(waited):
             self.jumps += 1
             self._due = self._number
             return self._number

@@ -6,6 +6,7 @@ import json
 import math
 import socket
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -127,7 +128,7 @@ class JsonDatagrams:
     def __init__(self, place: HostPort, rate: float = float("nan")) -> None:
         self.damaged, self._why = 0, ""
         self.about = SourceAbout(f"JSON at {place}", rate)
-        self._socket = bound(place)
+        self._socket = ListeningSocket(place)
         self._times = StreamTimes(rate)
         self._heard: str = ""
         self._last, self._at = 0, -math.inf
@@ -136,23 +137,16 @@ class JsonDatagrams:
     @property
     def port(self) -> int:
         """The port that is listened to: a free one where 0 was asked for."""
-        return int(self._socket.getsockname()[1])
+        return self._socket.port
 
     def read(self, timeout: float) -> LiveFrame | None:
         """The next frame that is whole."""
-        until = time.monotonic() + timeout
-        while (left := until - time.monotonic()) > 0:
-            self._socket.settimeout(left)
-            try:
-                data, sender = self._socket.recvfrom(LARGEST + 1)
-            except OSError:
-                # nothing came, or the socket was closed meanwhile
-                return None
+        for data, sender in self._socket.received(timeout):
             frame = frame_of_json(data, time.monotonic())
             if frame is None:
                 self.damaged += 1
                 self._why = self._why or why_damaged(data)
-            elif self._hears(f"{sender[0]}:{sender[1]}", frame):
+            elif self._hears(sender, frame):
                 return replace(frame, time=self._times.of(frame.number, frame.time, frame.arrived))
         return None
 
@@ -190,16 +184,43 @@ def socket_for(place: HostPort, example: str) -> tuple[socket.socket, Any]:
         raise AsterismError(f"{place} is no address; write for example {example}.") from problem
 
 
-def bound(place: HostPort, *, buffer: int = 1 << 20) -> socket.socket:
-    """A UDP socket that listens there; buffer: bytes that the system keeps while we are busy, 0.3 s of 59 markers at 200 Hz as JSON."""
-    listening, address = socket_for(place, "udp://127.0.0.1:5000")
-    try:
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer)
-        listening.bind(address)
-    except OSError as problem:
-        listening.close()
-        raise AsterismError(
-            f"{place} cannot be listened to ({problem.strerror}): another program has the port, or the address is not of "
-            "this machine. Give another one."
-        ) from problem
-    return listening
+RECEIVE_BUFFER = 1 << 20
+"""Bytes that the system keeps while we are busy: 0.3 s of 59 markers at 200 Hz as JSON. Half of it loses frames at each pause of a busy
+machine; with twice as much what waits is older than what is shown may be."""
+
+
+class ListeningSocket:
+    """A UDP socket that listens. Raises AsterismError where the address is none of this machine's, or the port is taken."""
+
+    def __init__(self, place: HostPort) -> None:
+        self._socket, address = socket_for(place, "udp://127.0.0.1:5000")
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+            self._socket.bind(address)
+        except OSError as problem:
+            self._socket.close()
+            raise AsterismError(
+                f"{place} cannot be listened to ({problem.strerror}): another program has the port, or the address is not of this machine. "
+                "Give another one."
+            ) from problem
+
+    @property
+    def port(self) -> int:
+        """The port that is listened to: a free one where 0 was asked for."""
+        return int(self._socket.getsockname()[1])
+
+    def received(self, timeout: float) -> Iterator[tuple[bytes, str]]:
+        """Datagrams that come within so many seconds, each with the address of its sender; fewer where the socket is closed meanwhile."""
+        until = time.monotonic() + timeout
+        while (left := until - time.monotonic()) > 0:
+            try:
+                self._socket.settimeout(left)
+                data, sender = self._socket.recvfrom(LARGEST + 1)
+            except OSError:
+                # nothing came, or the socket was closed
+                return
+            yield data, f"{sender[0]}:{sender[1]}"
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._socket.close()

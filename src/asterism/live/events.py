@@ -407,6 +407,13 @@ class LiveEvents:
             later = (at, row)
         return np.full(2, np.nan)
 
+    def is_followed(self, begin: float, end: float) -> bool:
+        """Whether the pelvis was followed between two times (s): who is out of view, or elsewhere at once, made steps unseen."""
+        seen = [(at, row[4]) for at, row in self._kept if begin <= at <= end and math.isfinite(row[4, 0])]
+        times = np.diff([begin, *(at for at, _ in seen), end])
+        ways = np.linalg.norm(np.diff([place for _, place in seen], axis=0), axis=1) if len(seen) > 1 else np.zeros(0)
+        return bool((times <= self.rules.pause).all() and (ways <= self.rules.jump + _FASTER * times[1:-1]).all())
+
     def push(self, time: float, markers: tuple[str, ...], points: Floats) -> list[LiveEvent]:
         """Events that are told with this frame of markers (M, 3) m, z up, at `time` s."""
         step = time - self._time

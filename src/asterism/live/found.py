@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from asterism.findings import Finding, Severity
-from asterism.recording.display import significant
+from asterism.recording.display import how_often, significant
 
 if TYPE_CHECKING:
     from asterism.live.recording import LiveRecorder
@@ -21,6 +21,7 @@ class WithFindings(Protocol):
         """What a person should know of it so far."""
 
 
+_NO_LABELS = ("live-no-points", "live-no-set", "live-few-points", "live-other-markers", "live-unit")
 _NOTE, _WARNING, _ERROR = Severity.NOTE, Severity.WARNING, Severity.ERROR
 
 
@@ -43,16 +44,7 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
     if not health.frames and not health.damaged:
         mend = "Look whether it sends, to this address and port, and whether a firewall is between."
         found.append(Finding("live-silent", _ERROR, where, f"{where}: no frame came.", mend))
-    if health.labelled and not health.markers:
-        mend = "Name the set that is worn with --markers, or give a trained --model."
-        found.append(Finding("live-no-labels", _WARNING, where, f"{where}: no marker set was found, and no label given.", mend))
-    elif 2 * health.bare > health.shown or (health.labelled and not health.shown):
-        # A person who is known has labels in most frames: that the middle one has none needs no tuned share.
-        sentence = f"{where}: {health.bare} of the {health.shown} frames in which a person may be have no sure label."
-        if not health.shown:
-            sentence = f"{where}: no frame had as many points as half of the markers."
-        mend = "Look at the marker set (--markers), the axis that points up (--vertical), the unit and the rate."
-        found.append(Finding("live-no-labels", _WARNING, where, sentence, mend))
+    found += _no_labels(health, where, found)
     if health.before:
         sentence = f"{where}: {health.before} frames came while the labelling was made, and have no labels."
         found.append(Finding("live-before", _NOTE, where, sentence, "Begin the movement when the first labels are there."))
@@ -78,7 +70,7 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         sentence = f"{where}: its times do not go as a clock does ({health.jumps} jumps in {health.frames} frames)."
         found.append(Finding("live-times", _WARNING, where, sentence, "Send times in seconds, of when a frame is taken."))
     elif health.jumps or health.restarts:
-        sentence = f"{where}: its clock or its frame numbers began anew ({max(health.jumps, health.restarts)} times)."
+        sentence = f"{where}: its clock or its frame numbers began anew {how_often(max(health.jumps, health.restarts))}."
         found.append(Finding("live-restarted", _WARNING, where, sentence, "Times go on from there; nothing needs to be done."))
     for output, count in health.unsent.items():
         sentence = f"{output}: {count} frames could not be passed on."
@@ -87,6 +79,23 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         sentence = recorder.problem or f"{recorder.path}: {recorder.lost} frames were not recorded, since the disk was busy."
         found.append(Finding("live-not-recorded", _ERROR, where, sentence, "Make space, or record to another disk."))
     return found
+
+
+def _no_labels(health: Health, where: str, said: Iterable[Finding]) -> list[Finding]:
+    """That hardly a label was given, where nobody who looked at the points while they came has said why."""
+    if any(finding.code in _NO_LABELS for finding in said):
+        return []
+    if health.labelled and not health.markers:
+        mend = "Name the set that is worn with --markers, or give a trained --model."
+        return [Finding("live-no-labels", _WARNING, where, f"{where}: no marker set was found, and no label given.", mend)]
+    # A person who is known has labels in most frames: that the middle one has none needs no tuned share.
+    if 2 * health.bare <= health.shown and (health.shown or not health.labelled):
+        return []
+    sentence = f"{where}: {health.bare} of the {health.shown} frames in which a person may be have no sure label."
+    if not health.shown:
+        sentence = f"{where}: no frame had as many points as half of the markers."
+    mend = "Look at the marker set (--markers), the axis that points up (--vertical), the unit and the rate."
+    return [Finding("live-no-labels", _WARNING, where, sentence, mend)]
 
 
 def axis_unknown(where: str, believed: str) -> Finding:
@@ -100,6 +109,12 @@ def labels_given(where: str) -> Finding:
     return Finding(
         "live-labels-given", _NOTE, where, f"{where}: it gives labels itself, which are passed over.", "Nothing needs to be done."
     )
+
+
+def reconnected(where: str, times: int, mend: str, *, is_back: bool = True) -> Finding:
+    """A connection or a stream that was lost, and came back so many times."""
+    sentence = f"{where}: the connection was lost {how_often(times)}, and {'made again' if is_back else 'is not back'}."
+    return Finding("live-reconnected", _WARNING, where, sentence, mend)
 
 
 def times_made(where: str) -> Finding:

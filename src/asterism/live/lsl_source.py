@@ -18,7 +18,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.formats import metres_per_unit
 from asterism.live.clock import SampleNumbers
-from asterism.live.found import axis_unknown, labels_given
+from asterism.live.found import axis_unknown, labels_given, reconnected
 from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
 from asterism.live.mocap_channels import ChannelLayout, layout_of_channels
 from asterism.live.packages import packages_for
@@ -371,8 +371,7 @@ class FromLsl:
             sentence = f"{name}: its channel that counts stands still; samples are numbered as they come."
             found.append(Finding("live-counter", Severity.WARNING, name, sentence, "Have the sender mend it."))
         if self._lost:
-            sentence = f"{name}: the stream was lost ({self._lost} times)" + (" and is not back." if self._away else ", and found again.")
-            found.append(Finding("live-reconnected", Severity.WARNING, name, sentence, "Look at the network and the sender."))
+            found.append(reconnected(name, self._lost, "Look at the network and the sender.", is_back=not self._away))
         return found
 
     def close(self) -> None:

@@ -21,8 +21,8 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.clock import StreamTimes
-from asterism.live.datagrams import LARGEST, HostPort
-from asterism.live.found import axis_unknown, labels_given, times_made
+from asterism.live.datagrams import LARGEST, RECEIVE_BUFFER, HostPort
+from asterism.live.found import axis_unknown, labels_given, reconnected, times_made
 from asterism.live.frames import LiveFrame, SourceAbout
 from asterism.live.natnet_packets import FRAME, NatNetFrames, NatNetServer, server_of_packet
 
@@ -59,7 +59,7 @@ class FromNatNet:
         self._place, self._local, self._sender, self._stand_in, self._own = place, local, "", "", False
         self._early = deque[tuple[bytes, str, float]](maxlen=_EARLY)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         self._sockets = [self._socket]
         try:
             self._socket.bind((local, 0))
@@ -218,8 +218,7 @@ class FromNatNet:
         if self._times.made:
             found.append(times_made(name))
         if self._again:
-            sentence = f"{name}: it was silent, and then came again ({self._again} times)."
-            found.append(Finding("live-reconnected", Severity.WARNING, name, sentence, "Look at the cable, and whether Motive was closed."))
+            found.append(reconnected(name, self._again, "Look at the cable, and whether Motive was closed."))
         if self.others:
             sentence = f"{name}: {self.others} frames of {len(self._known)} other servers in the same group were not used."
             mend = "Give each Motive a multicast address of its own (Settings, Streaming)."
@@ -251,7 +250,7 @@ def _in_group(group: str, port: int, local: str) -> socket.socket:
     listening = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         if not ipaddress.ip_address(group).is_multicast:
             listening.bind(("", port))
             return listening

@@ -24,7 +24,7 @@ from asterism.live.analog import AnalogSamples
 from asterism.live.camera_frames import LiveBlobs
 from asterism.live.clock import StreamTimes
 from asterism.live.datagrams import HostPort
-from asterism.live.found import axis_unknown, labels_given, times_made
+from asterism.live.found import axis_unknown, labels_given, reconnected, times_made
 from asterism.live.frames import LiveFrame, SourceAbout
 from asterism.live.qtm_packets import MOST_BYTES, QtmSettings, blobs_of_packet, points_of_packet, settings_of_xml
 
@@ -247,8 +247,7 @@ class QtmLink:
             mend = "Switch it on in Project Options, Processing, Real-time actions."
             found.append(Finding("live-not-streamed", Severity.WARNING, name, sentence, mend))
         if self.reconnected:
-            sentence = f"{name}: the connection broke and was made again ({self.reconnected} times)."
-            found.append(Finding("live-reconnected", Severity.WARNING, name, sentence, "Look at the cable, and whether QTM was closed."))
+            found.append(reconnected(name, self.reconnected, "Look at the cable, and whether QTM was closed."))
         return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from pathlib import Path
@@ -9,6 +10,41 @@ from pathlib import Path
 from asterism.errors import AsterismError
 from asterism.formats import read
 from asterism.live.frames import LiveFrame, SourceAbout, SourceEnded
+
+
+class Playback:
+    """When what a file holds is due: at so many times its own rate, from the first time that it is waited for.
+
+    speed: inf for as fast as it is taken. Raises AsterismError where the speed is not above 0.
+    """
+
+    def __init__(self, speed: float) -> None:
+        if not speed > 0:
+            raise AsterismError(f"a speed of {speed:g} plays nothing; give one above 0, as in --speed 2.")
+        self._speed, self._begin, self._closed = speed, math.nan, threading.Event()
+
+    def rate(self, own: float) -> float:
+        """How many come per second, of so many in a second of the file."""
+        return own * min(self._speed, 1e6) if math.isfinite(self._speed) else own
+
+    def moment(self, at: float) -> float:
+        """s on `time.monotonic` of what is at `at` s of the file; without a bound of the speed as if it were 1."""
+        return self._begin + (at / self._speed if math.isfinite(self._speed) else at)
+
+    def waits_for(self, at: float, timeout: float) -> bool:
+        """Wait for what is at `at` s of the file; whether it is due within so many seconds. Raises SourceEnded where it is closed."""
+        if self._closed.is_set():
+            raise SourceEnded
+        now = time.monotonic()
+        self._begin = now if math.isnan(self._begin) else self._begin
+        wait = self._begin + at / self._speed - now
+        if self._closed.wait(max(0.0, min(wait, timeout))) and wait <= timeout:
+            raise SourceEnded
+        return wait <= timeout
+
+    def close(self) -> None:
+        """Stop playing."""
+        self._closed.set()
 
 
 class Replay:
@@ -24,36 +60,25 @@ class Replay:
     damaged = 0
 
     def __init__(self, path: Path, *, speed: float = 1.0, loop: bool = False) -> None:
-        if not speed > 0:
-            raise AsterismError(f"a speed of {speed:g} plays nothing; give one above 0, as in --speed 2.")
+        self._playback = Playback(speed)
         recording = read(path)
         self._clouds = recording.clouds()
         if not len(self._clouds):
             raise AsterismError(f"{path} has no frame; there is nothing to play.")
-        self.about = SourceAbout(
-            path.name, recording.rate * min(speed, 1e6) if speed < float("inf") else recording.rate, recording.vertical
-        )
-        self._speed, self._loop, self._next = speed, loop, 0
-        self._begin: float | None = None
-        self._closed = threading.Event()
+        self.about = SourceAbout(path.name, self._playback.rate(recording.rate), recording.vertical)
+        self._loop, self._next = loop, 0
 
     def read(self, timeout: float) -> LiveFrame | None:
         """The next frame, when it is due."""
-        if self._closed.is_set() or (not self._loop and self._next >= len(self._clouds)):
+        if not self._loop and self._next >= len(self._clouds):
             raise SourceEnded
-        now = time.monotonic()
-        self._begin = now if self._begin is None else self._begin
         at = self._next / self._clouds.rate
-        wait = self._begin + at / self._speed - now
-        if wait > timeout:
-            self._closed.wait(timeout)
+        if not self._playback.waits_for(at, timeout):
             return None
-        if wait > 0 and self._closed.wait(wait):
-            raise SourceEnded
         frame = LiveFrame(self._next, at, time.monotonic(), self._clouds[self._next % len(self._clouds)])
         self._next += 1
         return frame
 
     def close(self) -> None:
         """Stop playing."""
-        self._closed.set()
+        self._playback.close()

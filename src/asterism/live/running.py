@@ -268,7 +268,8 @@ class LiveSession:
                 self._there.notify_all()
 
     def _take(self, frame: LiveFrame) -> None:
-        if not self._count.takes(frame.number):
+        silent = bool(self._arrivals) and frame.arrived - self._arrivals[-1] > _SILENT
+        if not self._count.takes(frame.number, silent=silent):
             return
         # A source that waits was held back by us: its clock and ours say nothing of each other.
         if not self.waits:

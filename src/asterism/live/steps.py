@@ -61,6 +61,8 @@ class LiveSteps:
         self._strikes[event.side] = (event.time, place)
         if before is None or other is None or not before[0] < other[0] < event.time:
             return
+        if not found.is_followed(other[0], event.time) or not found.is_followed(before[0], other[0]):
+            return
         stride = event.time - before[0]
         way = place - before[1] - belt * stride
         length = float(np.linalg.norm(way))
@@ -72,7 +74,7 @@ class LiveSteps:
 
     def _left(self, event: LiveEvent, found: LiveEvents) -> None:
         strike = self._strikes.get(event.side)
-        if strike is not None and event.time - strike[0] < _STANDS:
+        if strike is not None and event.time - strike[0] < _STANDS and found.is_followed(strike[0], event.time):
             self._tell(event.side, "stance time", event.time - strike[0])
 
     def _tell(self, side: str, name: str, value: float) -> None:

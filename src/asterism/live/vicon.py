@@ -18,7 +18,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.datagrams import HostPort
-from asterism.live.found import axis_unknown, labels_given, times_made
+from asterism.live.found import axis_unknown, labels_given, reconnected, times_made
 from asterism.live.frames import MOST_POINTS, DamagedPacket, LiveFrame, SourceAbout, believable, joined
 from asterism.recording import Floats
 
@@ -279,9 +279,7 @@ class FromVicon:
             sentence = f"{name}: only markers with a label are streamed."
             found.append(Finding("live-not-streamed", Severity.WARNING, name, sentence, mend))
         if self._reconnected:
-            sentence = f"{name}: the connection broke and was made again ({self._reconnected} times)."
-            mend = "Look at the cable, and whether the program was closed."
-            found.append(Finding("live-reconnected", Severity.WARNING, name, sentence, mend))
+            found.append(reconnected(name, self._reconnected, "Look at the cable, and whether the program was closed."))
         if self._labelled:
             found.append(labels_given(name))
         if self.about.vertical is None and self._begin is not None:

@@ -19,6 +19,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.analysis import AnalysedFrame
 from asterism.live.datagrams import damaged_json, frame_of_json, why_damaged
+from asterism.live.found import reconnected
 from asterism.live.frames import LiveFrame, SourceAbout
 from asterism.live.outputs import WAITING, labels_as_json, leave_one_out, tells_more
 from asterism.live.packages import packages_for
@@ -178,8 +179,7 @@ class _Endpoint:
             mend = f"Look at the address, and whether who is there has begun; it is tried again every {_AGAIN:g} s."
             found.append(Finding("live-unconnected", Severity.WARNING, name, f"{name}: no connection ({self.problem}).", mend))
         if self.made > 1 and not self.place.listens:
-            sentence = f"{name}: the connection was lost and made again ({self.made - 1} times)."
-            found.append(Finding("live-reconnected", Severity.WARNING, name, sentence, "Look at the network, or who is at the other end."))
+            found.append(reconnected(name, self.made - 1, "Look at the network, or who is at the other end."))
         if self.refused:
             sentence = f"{name}: {self.refused} connections were refused, since {self._most} at a time is the most."
             found.append(Finding("live-refused", Severity.WARNING, name, sentence, "Give each sender an address of its own."))

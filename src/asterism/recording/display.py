@@ -42,6 +42,15 @@ def counted(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
+def how_often(times: int) -> str:
+    """A number of times, in words.
+
+    >>> how_often(1), how_often(3)
+    ('once', '3 times')
+    """
+    return "once" if times == 1 else f"{times:,} times"
+
+
 def singular(name: str) -> str:
     """The name of what a number counts, for the number one.
 

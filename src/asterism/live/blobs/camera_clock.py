@@ -7,46 +7,19 @@ from collections import deque
 
 import numpy as np
 
-_BUCKET = 0.5
-"""s of images that share their fastest one. Half of it leaves a slow camera's buckets with few images, twice as long doubles the time
-until a drift is known."""
+from asterism.live.clock import BUCKET, JUMP
+
 _KEPT = 120
 """Buckets by which offset and drift are told: a minute, in which quartz warms up by less than it scatters. Half of them tell drift a
 third as well; twice as many lag behind a clock that is being slewed."""
-_LATE_FOR = 10.0
-"""s whose latest image tells how late one may be: as long as `SourceClock` calls a way the usual one."""
 _QUARTZ = 1e-4
 """Share by which clocks run apart before anything is measured: 100 ppm, the worst that quartz is sold with."""
-_JUMP = 1.0
-"""s by which a clock that was set differs from what is expected at once, as in `SourceClock`."""
 _STEP = 0.01
 """s, besides ten times the scatter, by which images come too early, or in two half seconds all too late, where the clock was set by less.
 Half of it is what a busy machine makes; with twice as much cameras are moved by up to two frames at 100 Hz for a minute."""
 _SCATTER = 1e-3
 """s by which the fastest images scatter, as believed before any came: what a network or USB does. It counts as one half second; a tenth
 of it calls the offset of the first second too exact, ten times as much doubts it for a minute."""
-
-
-class Latest:
-    """How late the latest image of the last ten seconds was. O(1) an image, twenty numbers."""
-
-    def __init__(self) -> None:
-        self._most: deque[tuple[float, float]] = deque()
-        """(begin of a half second on this machine's clock, how late its latest image was)"""
-
-    def add(self, arrived: float, late: float) -> None:
-        """An image came so much later than it could."""
-        if self._most and arrived - self._most[-1][0] < _BUCKET:
-            self._most[-1] = (self._most[-1][0], max(self._most[-1][1], late))
-        else:
-            self._most.append((arrived, late))
-        while self._most[0][0] < arrived - _LATE_FOR:
-            self._most.popleft()
-
-    @property
-    def most(self) -> float:
-        """s; 0 where none came."""
-        return max((late for _, late in self._most), default=0.0)
 
 
 class CameraClock:
@@ -82,7 +55,7 @@ class CameraClock:
             self._begin()
         self._last = (time, arrived)
         difference = arrived - time
-        if arrived - self._bucket >= _BUCKET or not self._least:
+        if arrived - self._bucket >= BUCKET or not self._least:
             if self._least:
                 self._fit()
             self._bucket = arrived
@@ -99,7 +72,7 @@ class CameraClock:
         since = arrived - self._last[1]
         # Between two images both clocks go on by as much; and no image comes earlier than the fastest.
         early = self.offset(time) - (arrived - time) if len(self._least) > 2 else 0.0
-        return abs(time - self._last[0] - since) > _JUMP + 10 * _QUARTZ * abs(since) or early > _STEP + 10 * self._spread or self._slow >= 2
+        return abs(time - self._last[0] - since) > JUMP + 10 * _QUARTZ * abs(since) or early > _STEP + 10 * self._spread or self._slow >= 2
 
     def offset(self, time: float) -> float:
         """s that this machine's clock is ahead of the camera's at a time (s) of the camera's, its fastest way included; NaN at first."""

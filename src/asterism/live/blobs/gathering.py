@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from asterism.live.blobs.camera_clock import CameraClock, Latest, same_clock
+from asterism.live.blobs.camera_clock import CameraClock, same_clock
 from asterism.live.blobs.following import FollowedImage, between, follow
 from asterism.live.camera_frames import LiveBlobs
-from asterism.live.clock import FrameCount
+from asterism.live.clock import FrameCount, RecentMost
 from asterism.recording import Floats
 from asterism.synchronization.common_clock import RULES
 
@@ -74,7 +74,7 @@ class CameraArrivals:
 
     count: FrameCount = field(default_factory=FrameCount)
     clock: CameraClock = field(default_factory=CameraClock)
-    lag: Latest = field(default_factory=Latest)
+    lag: RecentMost = field(default_factory=RecentMost)
     late: int = 0
     without: int = 0
     unlinked: int = 0

@@ -31,7 +31,7 @@ from asterism.reconstruction import ReconstructionSettings, Reconstructor
 from asterism.reconstruction.camera_fit import CameraFit
 from asterism.reconstruction.streaming import WINDOW
 from asterism.recording import Floats
-from asterism.recording.display import listed, significant
+from asterism.recording.display import how_often, listed, significant
 
 _QUEUE = 0.1
 """s of frames that wait to be reconstructed at most, as of `LiveSession`."""
@@ -349,10 +349,10 @@ class RigSource:
         for camera in cameras:
             where = camera.name
             if camera.times_away:
-                sentence = f"camera {where} fell silent {camera.times_away} times{', and is silent now' if camera.away else ''}."
+                sentence = f"camera {where} fell silent {how_often(camera.times_away)}{', and is silent now' if camera.away else ''}."
                 found.append(Finding("live-camera-away", warning, where, sentence, "Look at its cable; frames went on without it."))
             if camera.jumps:
-                sentence = f"camera {where}: its clock was set {camera.jumps} times."
+                sentence = f"camera {where}: its clock was set {how_often(camera.jumps)}."
                 found.append(Finding("live-camera-clock", Severity.NOTE, where, sentence, "It takes part again after 20 images."))
         where = self.about.name
         if self.dropped:

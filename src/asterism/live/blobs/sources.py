@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,8 +14,9 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.formats.blobs_2d import read_2d
 from asterism.live.camera_frames import LiveBlobs
-from asterism.live.datagrams import LARGEST, HostPort, bound
+from asterism.live.datagrams import HostPort, ListeningSocket
 from asterism.live.frames import SourceEnded
+from asterism.live.replay import Playback
 from asterism.recording import Floats
 
 MOST_BLOBS = 2000
@@ -42,8 +42,7 @@ class ReplayBlobs:
     def __init__(
         self, path: Path, cameras: Sequence[str] | None = None, *, rate: float | None = None, speed: float = 1.0, loop: bool = False
     ) -> None:
-        if not speed > 0:
-            raise AsterismError(f"a speed of {speed:g} plays nothing; give one above 0, as in --speed 2.")
+        self._playback = Playback(speed)
         self._blobs = read_2d(path, cameras, rate)
         blobs = self._blobs
         if not len(blobs):
@@ -52,7 +51,7 @@ class ReplayBlobs:
         times = np.arange(len(blobs))[:, None] / blobs.rate + np.zeros(len(blobs.cameras))
         if blobs.times is not None:
             times = blobs.times - np.nanmin(blobs.times)
-        self.rate = blobs.rate * min(speed, 1e6) if math.isfinite(speed) else blobs.rate
+        self.rate = self._playback.rate(blobs.rate)
         known = np.isfinite(times)
         first, last = np.where(known, times, np.inf).min(axis=1), np.where(known, times, -np.inf).max(axis=1)
         self.numbered_together = bool((first >= last).all())
@@ -60,37 +59,29 @@ class ReplayBlobs:
         order = np.argsort(times[known], kind="stable")
         self._due = list(zip(times[known][order].tolist(), frame[order].tolist(), camera[order].tolist(), strict=True))
         self._long = float(np.nanmax(times)) + 1 / blobs.rate
-        self._speed, self._loop, self._next = speed, loop, 0
-        self._begin: float | None = None
-        self._closed = threading.Event()
+        self._loop, self._next = loop, 0
 
     def read(self, timeout: float) -> LiveBlobs | None:
         """The next blobs, when they are due."""
-        if self._closed.is_set() or (not self._loop and self._next >= len(self._due)):
+        if not self._loop and self._next >= len(self._due):
             raise SourceEnded
-        now = time.monotonic()
-        self._begin = now if self._begin is None else self._begin
         turn, row = divmod(self._next, len(self._due))
         since, frame, camera = self._due[row]
         at = turn * self._long + since
-        wait = self._begin + at / self._speed - now
-        if wait > timeout:
-            self._closed.wait(timeout)
+        if not self._playback.waits_for(at, timeout):
             return None
-        if wait > 0 and self._closed.wait(wait):
-            raise SourceEnded
         self._next += 1
         blobs = self._blobs
         cell = frame * len(blobs.cameras) + camera
         place = slice(blobs.offsets[cell], blobs.offsets[cell + 1])
         number = turn * len(blobs) + frame
         # When it was due: however long it had to wait to be taken, the cameras keep their places beside each other.
-        arrived = self._begin + (at / self._speed if math.isfinite(self._speed) else at)
+        arrived = self._playback.moment(at)
         return LiveBlobs(blobs.cameras[camera], number, at, arrived, blobs.xy[place], blobs.sizes[place])
 
     def close(self) -> None:
         """Stop playing."""
-        self._closed.set()
+        self._playback.close()
 
 
 def blobs_as_json(blobs: LiveBlobs) -> bytes:
@@ -154,23 +145,16 @@ class JsonBlobs:
         self.damaged = 0
         self.name, self.cameras, self.rate = f"blobs at {place}", tuple(cameras), rate
         self.numbered_together = numbered_together
-        self._socket = bound(place)
+        self._socket = ListeningSocket(place)
 
     @property
     def port(self) -> int:
         """The port that is listened to: a free one where 0 was asked for."""
-        return int(self._socket.getsockname()[1])
+        return self._socket.port
 
     def read(self, timeout: float) -> LiveBlobs | None:
         """The next image that is whole."""
-        until = time.monotonic() + timeout
-        while (left := until - time.monotonic()) > 0:
-            self._socket.settimeout(left)
-            try:
-                data = self._socket.recv(LARGEST + 1)
-            except OSError:
-                # nothing came, or the socket was closed meanwhile
-                return None
+        for data, _ in self._socket.received(timeout):
             blobs = blobs_of_json(data, time.monotonic())
             if blobs is not None:
                 return blobs

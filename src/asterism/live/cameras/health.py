@@ -19,7 +19,7 @@ from asterism.live.camera_frames import LiveImage
 from asterism.live.cameras.camera import LiveCamera
 from asterism.live.cameras.settings import SettingOutcome
 from asterism.live.clock import FrameCount
-from asterism.recording.display import significant
+from asterism.recording.display import how_often, significant
 
 _EVERY = 4
 """Pixels from one that is looked at to the next, and rows: a sixteenth tells the mean to a hundredth of a grey value. Half of it
@@ -233,8 +233,7 @@ def _of_one(health: CameraHealth) -> Iterator[Finding]:
         mend = "Look at its cable and its power, and whether another program has it."
         yield Finding("live-camera-silent", Severity.ERROR, name, sentence, mend)
     if health.reopened:
-        times = "once" if health.reopened == 1 else f"{health.reopened} times"
-        sentence = f"{who} it disappeared {times} and came back."
+        sentence = f"{who} it disappeared {how_often(health.reopened)} and came back."
         yield Finding("live-camera-reopened", Severity.WARNING, name, sentence, "Look at its cable and its power.")
     if health.lost:
         share = significant(100 * health.lost / (health.lost + health.images), 2)

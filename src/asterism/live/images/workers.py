@@ -29,6 +29,7 @@ from asterism.live.cameras import CameraHealth, CameraSpec, SettingOutcome, came
 from asterism.live.cameras.settings import setting_value
 from asterism.live.frames import SourceEnded
 from asterism.live.images.worker import CameraPlace, CameraReport, SearchCounts, SettingOrder, WorkerReady, WorkerSettings, work
+from asterism.recording.display import how_often
 
 _SLICE = 0.1
 """s after which a reader looks whether it shall stop."""
@@ -478,8 +479,7 @@ def _search(state: _CameraProgress) -> SearchCounts:
 def _search_findings(name: str, counts: SearchCounts, state: _CameraProgress) -> list[Finding]:
     found = list[Finding]()
     if state.restarts:
-        times = "once" if state.restarts == 1 else f"{state.restarts} times"
-        sentence = f"camera {name}: the process that reads it ended {times} and was begun anew."
+        sentence = f"camera {name}: the process that reads it ended {how_often(state.restarts)} and was begun anew."
         mend = "Look at the memory of this machine, and at the camera's driver."
         found.append(Finding("live-camera-process", Severity.WARNING, name, sentence, mend))
     if counts.refused:
