@@ -18,23 +18,23 @@ from asterism.files.journal import Journal, steps_of
 from asterism.live.analog import KeptAnalog, analog_as_arrays, analog_of_arrays
 from asterism.live.chain import LabelledFrame
 from asterism.live.frames import LiveFrame
+from asterism.live.writing import WritingThread
 from asterism.recording import NULL, Clouds, Floats, Labelling, Recording
 
-_EVERY = 0.25
-"""s of frames that are written together. A kill loses them: half of what a person would miss; half of it again doubles the writes."""
 _WORK = "asterism live 1"
 _ARRIVALS = 9
 """Place of the labels' arrivals among the arrays of a chunk."""
-SUFFIX = ".live"
+_MOST = 4000
+"""Frames that wait for the disk at most: 20 s at 200 Hz, some 6 MB. Half of it loses frames while a disk wakes up; at double it is kept by
+a machine that has no room."""
 
 
 @dataclass
 class _Chunk:
-    """Frames that are not written yet, and when the first of them came."""
+    """Frames that are not written yet."""
 
     frames: list[LiveFrame]
     labels: list[LabelledFrame]
-    since: float
 
 
 class LiveRecorder:
@@ -44,7 +44,7 @@ class LiveRecorder:
     name, vertical of the source
     tell  what hears at once that the recording ended
 
-    Memory is bounded by what comes in a second: where the disk takes longer, frames are not kept, and `lost` counts them. A disk that fails
+    Memory is bounded by `_MOST` frames: where the disk takes longer, frames are not kept, and `lost` counts them. A disk that fails
     ends the recording and not the session: `problem` says why.
     """
 
@@ -55,15 +55,14 @@ class LiveRecorder:
         self._journal = Journal(path, _WORK)
         head = {"name": name, "vertical": [0.0, 0.0, 1.0] if vertical is None else vertical.tolist(), "begun": time.time()}
         self._written(lambda: [_text(json.dumps(head))])
-        self._chunk = _Chunk([], [], time.monotonic())
-        self._guard, self._end = threading.Lock(), threading.Event()
-        self._thread = threading.Thread(target=self._write, name="live recording", daemon=True)
-        self._thread.start()
+        self._chunk = _Chunk([], [])
+        self._guard = threading.Lock()
+        self._thread = WritingThread(self._flush, "live recording")
 
     def frame(self, frame: LiveFrame) -> None:
         """Keep a frame; returns at once."""
         with self._guard:
-            if self.problem or len(self._chunk.frames) >= 4000:
+            if self.problem or len(self._chunk.frames) >= _MOST:
                 self.lost += 1
                 return
             self._chunk.frames.append(frame)
@@ -71,23 +70,17 @@ class LiveRecorder:
     def labelled(self, frame: LabelledFrame) -> None:
         """Keep its labels; returns at once."""
         with self._guard:
-            if not self.problem and len(self._chunk.labels) < 4000:
+            if not self.problem and len(self._chunk.labels) < _MOST:
                 self._chunk.labels.append(frame)
 
     def close(self) -> None:
         """Write the rest."""
-        self._end.set()
-        self._thread.join()
+        self._thread.close()
         self._journal.close()
-
-    def _write(self) -> None:
-        while not self._end.wait(_EVERY):
-            self._flush()
-        self._flush()
 
     def _flush(self) -> None:
         with self._guard:
-            chunk, self._chunk = self._chunk, _Chunk([], [], time.monotonic())
+            chunk, self._chunk = self._chunk, _Chunk([], [])
         if not chunk.frames and not chunk.labels:
             return
         self._written(lambda: _arrays_of(chunk))

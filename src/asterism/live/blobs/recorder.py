@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from asterism.formats.kept_blobs import KeptBlobs, KeptImage
+from asterism.live.writing import WritingThread
 
-_EVERY = 0.25
-"""s of images that are written together, as for points."""
 _MOST = 20_000
 """Images that wait for the disk: 8 s of 12 cameras at 200 Hz, some 16 MB. Half of it loses images while a disk wakes up; at double it is
 kept by a machine that has no room."""
@@ -26,9 +25,8 @@ class BlobRecorder:
         self.path, self.left_out = path, 0
         self._file = KeptBlobs(path, cameras, rate, together)
         self._waiting = list[KeptImage]()
-        self._guard, self._end = threading.Lock(), threading.Event()
-        self._thread = threading.Thread(target=self._write, name="live blobs recording", daemon=True)
-        self._thread.start()
+        self._guard = threading.Lock()
+        self._thread = WritingThread(self._flush, "live blobs recording")
 
     @property
     def problem(self) -> str:
@@ -45,14 +43,8 @@ class BlobRecorder:
 
     def close(self) -> None:
         """Write the rest."""
-        self._end.set()
-        self._thread.join()
+        self._thread.close()
         self._file.close()
-
-    def _write(self) -> None:
-        while not self._end.wait(_EVERY):
-            self._flush()
-        self._flush()
 
     def _flush(self) -> None:
         with self._guard:
