@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from waiting import LONG, taken
 
 from asterism import AsterismError
 from asterism.findings import Finding
@@ -42,8 +43,6 @@ os.environ["LSLAPICFG"] = str(_CONFIG)
 # A process that only collects the tests leaves nothing behind, either.
 atexit.register(_CONFIG.unlink, missing_ok=True)
 pylsl = pytest.importorskip("pylsl", reason="pylsl is not installed, or brings no liblsl for this system", exc_type=ImportError)
-LONG = 30.0
-"""s until a test gives up: none waits so long unless something is broken."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -71,15 +70,6 @@ def outlet(
             for key, value in channel.items():
                 entry.append_child_value(key, value)
     return pylsl.StreamOutlet(info)
-
-
-def taken(source: FromLsl, count: int) -> list[LiveFrame]:
-    came, limit = list[LiveFrame](), time.monotonic() + LONG
-    while len(came) < count:
-        assert time.monotonic() < limit, f"{len(came)} of {count} frames came"
-        frame = source.read(0.1)
-        came += [] if frame is None else [frame]
-    return came
 
 
 def opened(address: str, rate: float = float("nan")) -> FromLsl:

@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from waiting import taken
 
 from asterism import AsterismError
-from asterism.live import LiveFrame, LiveSource, open_source
+from asterism.live import open_source
 from asterism.live.natnet_packets import NatNetFrames, server_of_packet
 
 VERSIONS = [(2, 5), (2, 6), (2, 7), (2, 9), (2, 10), (2, 11), (3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 5)]
@@ -225,15 +226,6 @@ class Motive(threading.Thread):
             elif kind == 2 and self.answers is not None:
                 answer = self.answers.get(data[4:].rstrip(b"\0"))
                 self.socket.sendto(struct.pack("<HH", 100, 0) if answer is None else struct.pack("<HH", 3, 4) + answer, self.client)
-
-
-def taken(source: LiveSource, count: int) -> list[LiveFrame]:
-    frames, until = list[LiveFrame](), time.monotonic() + 20
-    while len(frames) < count and time.monotonic() < until:
-        frame = source.read(0.5)
-        if frame is not None:
-            frames.append(frame)
-    return frames
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from test_live_natnet import captured
+from waiting import LONG, until
 
 from asterism import AsterismError
 from asterism.live import AnalysedFrame, HostPort, LabelledFrame, LiveFrame, SourceAbout, open_output
@@ -24,7 +25,6 @@ from asterism.live.natnet_server import ToNatNet
 
 ABOUT = SourceAbout("given", 120.0, np.array([0.0, 1.0, 0.0]))
 POINTS = np.array([[0.5, 1.5, -1.0], [0.25, 0.75, 2.0], [9.0, 8.0, 7.0]])
-LONG = 30.0
 
 
 def frame(number: int) -> AnalysedFrame:
@@ -33,13 +33,6 @@ def frame(number: int) -> AnalysedFrame:
         LiveFrame(number, number / 120, time.monotonic(), POINTS), ("LASI", "RASI", "SACR"), np.array([1, -1, 0]), np.full(3, 0.9), 0.0
     )
     return AnalysedFrame(labelled)
-
-
-def until(condition: Callable[[], object]) -> None:
-    limit = time.monotonic() + LONG
-    while not condition():
-        assert time.monotonic() < limit, "waited in vain"
-        time.sleep(0.005)
 
 
 @pytest.fixture
@@ -88,8 +81,10 @@ def test_the_public_client_reads_names_and_places(multicast: bool) -> None:
 
         if multicast:
             output.send(frame(0))
-            time.sleep(0.05)
-            client.update_sync()
+            limit = time.monotonic() + 2.0
+            while not frames and time.monotonic() < limit:
+                time.sleep(0.005)
+                client.update_sync()
             if not frames:
                 pytest.skip("this machine passes no multicast on over its loopback address")
         until(both)

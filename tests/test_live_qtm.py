@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from waiting import LONG, taken
 
 from asterism import AsterismError
 from asterism.cameras.files.qualisys import read_qualisys, write_qualisys
-from asterism.live import HostPort, LiveFrame, LiveRecorder, open_source, recording_of
+from asterism.live import HostPort, LiveRecorder, open_source, recording_of
 from asterism.live.analog import write_analog
 from asterism.live.blobs import RigSource
 from asterism.live.qtm_packets import QtmSettings, blobs_of_packet, points_of_packet, settings_of_xml
@@ -244,18 +245,9 @@ class QtmServer(threading.Thread):
                 say(0, b"Parse error\0")
 
 
-def taken(source: object, count: int) -> list[LiveFrame]:
-    frames, until = list[LiveFrame](), time.monotonic() + 20
-    while len(frames) < count and time.monotonic() < until:
-        frame = source.read(0.5)  # type: ignore[attr-defined]
-        if frame is not None:
-            frames.append(frame)
-    return frames
-
-
 def test_a_stream_is_read_and_taken_up_again_when_qtm_closes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("asterism.live.qtm._AGAIN", 0.01)
-    begin = iter((100, 400))
+    begin, ended = iter((100, 400)), threading.Event()
 
     def frames(components: str) -> Iterator[tuple[int, bytes]]:
         assert components == "3d 3dnolabels analog"
@@ -268,7 +260,7 @@ def test_a_stream_is_read_and_taken_up_again_when_qtm_closes(monkeypatch: pytest
                 yield 3, b"too short"
         if first == 400:
             yield 4, b""
-            time.sleep(0.5)
+            ended.wait(LONG)
 
     server = QtmServer(frames, XML.format(rate=200, up="+Y"), versions=("1.8", "1.13"))
     source = open_source(f"qtm://127.0.0.1:{server.port}")
@@ -287,6 +279,7 @@ def test_a_stream_is_read_and_taken_up_again_when_qtm_closes(monkeypatch: pytest
         assert {"live-reconnected", "live-labels-given", "live-rate-divided"} <= codes and "live-axis-unknown" not in codes
         assert server.heard[:3] == ["version 1.20", "version 1.13", "qtmversion"]
     finally:
+        ended.set()
         source.close()
         server.socket.close()
     assert not [thread for thread in threading.enumerate() if thread.name == "live qtm"]
@@ -358,11 +351,13 @@ def test_a_qtm_that_says_nothing_any_more_is_connected_again(monkeypatch: pytest
 def test_blobs_of_all_cameras_come_with_their_names() -> None:
     from asterism.live.qtm import QtmBlobs
 
+    ended = threading.Event()
+
     def frames(components: str) -> Iterator[tuple[int, bytes]]:
         assert components == "2d"
         for number in (7, 8):
             yield 3, data_packet(number, blobs_component(7, [[(64, 64, 64, 64)], [(128, 0, 64, 64)] * 2]))
-        time.sleep(0.2)
+        ended.wait(LONG)
 
     server = QtmServer(frames, XML.format(rate=120, up="+Z"))
     source = QtmBlobs(HostPort("127.0.0.1", server.port))
@@ -376,6 +371,7 @@ def test_blobs_of_all_cameras_come_with_their_names() -> None:
         ]
         assert source.cameras == ("21001", "21002") and source.rate == 120.0 and source.damaged == 0
     finally:
+        ended.set()
         source.close()
         server.socket.close()
 

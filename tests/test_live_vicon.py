@@ -9,16 +9,16 @@ import struct
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from waiting import taken
 
 from asterism import AsterismError
-from asterism.live import LiveFrame, LiveSource, open_source
+from asterism.live import open_source
 from asterism.live.frames import DamagedPacket
 from asterism.live.vicon import ViconState
 
@@ -120,15 +120,6 @@ class DataStream(threading.Thread):
 
 SEEN: list[Place] = [(100.0, 200.0, 900.0), (55.0, 66.0, 77.0)]
 OTHERS: list[Place] = [(100.0, 200.0, 900.0), (-400.0, 5.0, 1200.0)]
-
-
-def taken(source: LiveSource, count: int) -> list[LiveFrame]:
-    frames, until = list[LiveFrame](), time.monotonic() + 20
-    while len(frames) < count and time.monotonic() < until:
-        frame = source.read(0.5)
-        if frame is not None:
-            frames.append(frame)
-    return frames
 
 
 VENDORS_CLIENT = """

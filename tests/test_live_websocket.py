@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 import socket
 import threading
-import time
-from collections.abc import Callable
 
 import numpy as np
 import pytest
+from waiting import LONG, until
 
 from asterism import AsterismError
 from asterism.live import (
@@ -31,8 +30,6 @@ client = pytest.importorskip("websockets.sync.client", reason="websockets is not
 server = pytest.importorskip("websockets.sync.server")
 exceptions = pytest.importorskip("websockets.exceptions")
 ABOUT = SourceAbout("given", 100.0)
-LONG = 30.0
-"""s until a test gives up: none waits so long unless something is broken."""
 
 
 def frame(number: int, points: int = 2) -> LiveFrame:
@@ -42,13 +39,6 @@ def frame(number: int, points: int = 2) -> LiveFrame:
 def analysed(number: int, points: int = 2) -> AnalysedFrame:
     names = tuple(f"M{n}" for n in range(points))
     return AnalysedFrame(LabelledFrame(frame(number, points), names, np.arange(points), np.full(points, 0.9), 0.1))
-
-
-def until(condition: Callable[[], bool]) -> None:
-    limit = time.monotonic() + LONG
-    while not condition():
-        assert time.monotonic() < limit, "waited in vain"
-        time.sleep(0.005)
 
 
 def taken(source: FromWebSocket) -> LiveFrame:
