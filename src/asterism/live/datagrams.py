@@ -21,7 +21,8 @@ from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
 LARGEST = 65_507
 """Bytes of the largest UDP datagram."""
 _METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-_LARGEST_NUMBER = 2**53
+LARGEST_NUMBER = 2**53
+"""The largest number of a frame: JSON of some programs has floats alone, which are exact up to it. At 200 Hz it is never reached."""
 _COORDINATE = {int, float, type(None)}
 
 
@@ -71,7 +72,7 @@ def _read(data: bytes, arrived: float) -> LiveFrame | str:
         if key not in content:
             return f"it has no {key}"
     number, at, rows, unit, names = content["frame"], content["time"], content["points"], content.get("unit", "m"), content.get("names", [])
-    if type(number) is not int or abs(number) > _LARGEST_NUMBER:
+    if type(number) is not int or abs(number) > LARGEST_NUMBER:
         return "its frame is no whole number below 2^53"
     # Text and true would become numbers: a sender that mixes them is wrong, and is told.
     if type(at) not in (int, float) or not abs(at) < math.inf:

@@ -14,6 +14,9 @@ from asterism.recording import Floats
 MOST_POINTS = 2000
 """Points of a frame that are believed: systems of a hundred cameras deliver a few hundred. Half of it cuts a dense capture of a face; twice
 as many would hold the next frames back."""
+TURN = 0.1
+"""s after which a thread or a process that waits looks whether it shall end. Half of it wakes twice as often for nothing; with twice as
+much each session ends that much later."""
 FARTHEST = 1000.0
 """m from the origin beyond which a coordinate is no laboratory's, but a damaged number. Half and double do as well: halls are smaller, and
 what is meant is what overflows when it is squared."""

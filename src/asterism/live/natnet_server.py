@@ -19,7 +19,7 @@ from asterism.findings import Finding, Severity
 from asterism.live.analysis import AnalysedFrame
 from asterism.live.clock import SourceClock
 from asterism.live.datagrams import LARGEST
-from asterism.live.frames import SourceAbout
+from asterism.live.frames import TURN, SourceAbout
 
 _VERSION = (3, 1, 0, 0)
 _CONNECT, _SERVER_INFO, _REQUEST, _RESPONSE, _REQUEST_MODEL, _MODEL, _REQUEST_FRAME, _FRAME = range(8)
@@ -32,8 +32,6 @@ _GONE = 10.0
 as much a network is flooded for longer."""
 _CLIENTS = 16
 """Clients at once, where each is sent to. Twice as many take 30 MB/s; a multicast group has no limit."""
-_TURN = 0.2
-"""s after which the thread that answers looks whether it shall end. Half and double do as well."""
 _SEEN, _OF_MODEL, _UNLABELLED = 0x02, 0x08, 0x10
 _LABELLED = np.dtype([("id", "<i4"), ("place", "<f4", 3), ("size", "<f4"), ("flags", "<u2"), ("residual", "<f4")])
 _TITLE = b"Asterism\0"
@@ -171,7 +169,7 @@ class ToNatNet:
     def _serve(self) -> None:
         """The thread that answers clients."""
         while not self._closed.is_set():
-            if not select.select([self._commands], [], [], _TURN)[0]:
+            if not select.select([self._commands], [], [], TURN)[0]:
                 continue
             try:
                 data, client = self._commands.recvfrom(LARGEST)

@@ -18,14 +18,12 @@ from asterism.live.analysis import NOTHING, AnalysedFrame, LiveAnalysis
 from asterism.live.chain import LabelChain, LabelledFrame, MakeLabeller
 from asterism.live.clock import FrameCount, SourceClock
 from asterism.live.feedback import Feedback
-from asterism.live.frames import LiveFrame, LiveSource, SourceEnded
+from asterism.live.frames import TURN, LiveFrame, LiveSource, SourceEnded
 from asterism.recording import Floats
 
 _QUEUE = 0.1
 """s of frames that wait for their labels at most. A walking body is found again after it. Half of it drops frames at each pause of the
 system; with twice as much what is shown is a fifth of a second old."""
-_TIMEOUT = 0.1
-"""s after which a reader looks whether it shall stop."""
 _SILENT = 1.0
 """s without a frame after which the source counts as silent: ten frames of the slowest camera."""
 _AT_ONCE = 0.002
@@ -194,13 +192,13 @@ class LiveSession:
                 if time.monotonic() >= until:
                     self.stop()
                 with suppress(KeyboardInterrupt):
-                    threads[1].join(min(_TIMEOUT, max(0.001, until - time.monotonic())))
+                    threads[1].join(min(TURN, max(0.001, until - time.monotonic())))
                     continue
                 self.stop()
         finally:
             self.stop()
             if threads[0].ident is not None:
-                threads[0].join(timeout=5 * _TIMEOUT)
+                threads[0].join(timeout=5 * TURN)
             for output in self.outputs:
                 output.close()
             self.source.close()
@@ -255,7 +253,7 @@ class LiveSession:
         """The reader's thread."""
         try:
             while not self._ended:
-                frame = self.source.read(_TIMEOUT)
+                frame = self.source.read(TURN)
                 if frame is not None:
                     self._take(frame)
         except SourceEnded:
@@ -281,7 +279,7 @@ class LiveSession:
         most = max(2, round(_QUEUE * self._rate)) if np.isfinite(self._rate) else _TO_RATE
         with self._there:
             while self.waits and len(self._queue) >= most and not self._ended:
-                self._there.wait(_TIMEOUT)
+                self._there.wait(TURN)
             self._queue.append(frame)
             while len(self._queue) > most and not self.waits:
                 self._queue.popleft()
@@ -354,7 +352,7 @@ class LiveSession:
         with self._there:
             # A frame that was taken as the session ended is still to come.
             while not self._queue and not self._all_read:
-                self._there.wait(_TIMEOUT)
+                self._there.wait(TURN)
             frame = self._queue.popleft() if self._queue else None
             self._there.notify_all()
             return frame

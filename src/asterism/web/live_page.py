@@ -21,6 +21,7 @@ from asterism.findings import Finding, Severity
 from asterism.live import AnalysedFrame, LabelledFrame, LiveSession, own_findings
 from asterism.live.frames import CameraControl, WithCameraControl
 from asterism.live.outputs import cue_as_json, event_as_json
+from asterism.live.packages import packages_for
 from asterism.recording.sides import marker_sides
 from asterism.report.skeleton import marker_bones
 from asterism.web.serving import PageAddress, address_of, bound, is_open_to_others
@@ -216,14 +217,10 @@ def serve_live(session: LiveSession, page: ToPage, place: PageAddress, say: Call
 
     say: told the page's address. Raises AsterismError where the port is taken, or the extra `web` is not installed.
     """
-    try:
+    with packages_for("the page", "web"):
         import uvicorn
 
         from asterism.web.guard import Guard
-    except ModuleNotFoundError as problem:
-        raise AsterismError(
-            f"the page needs {problem.name}, which is not installed; install it with `pip install asterism[web]`."
-        ) from problem
     token = secrets.token_urlsafe(24)
     listening = bound(place)
     port = listening.getsockname()[1]

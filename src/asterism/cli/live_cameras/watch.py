@@ -135,9 +135,9 @@ class _Watched:
 def _blobs_of(image: NDArray[Any], threshold: SettingValue | None) -> int:
     """The number of blobs of an image above a threshold, else the automatic one."""
     from asterism.detection import BlobSettings, find_blobs
+    from asterism.detection.grey import grey_of_colour
 
-    grey = np.ascontiguousarray(image if image.ndim == 2 else image[..., 1])
-    return len(find_blobs(grey, BlobSettings(threshold=threshold if isinstance(threshold, float) else None)))
+    return len(find_blobs(grey_of_colour(image), BlobSettings(threshold=threshold if isinstance(threshold, float) else None)))
 
 
 Shown = Callable[["list[CameraHealth]"], None]

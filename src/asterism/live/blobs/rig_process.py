@@ -25,7 +25,7 @@ from asterism.files.plain import as_json
 from asterism.findings import Finding
 from asterism.live.blobs.rig_source import RigCameraHealth, RigSource
 from asterism.live.camera_frames import BlobSource
-from asterism.live.frames import LiveFrame, SourceAbout, SourceEnded
+from asterism.live.frames import TURN, LiveFrame, SourceAbout, SourceEnded
 from asterism.reconstruction import ReconstructionSettings
 
 OpenBlobs = Callable[[], BlobSource]
@@ -43,8 +43,6 @@ the other; twice as many are old where this process is too slow."""
 _SWITCH = 5e-4
 """s after which a thread of the process lets another one run: cameras are judged beside the frames, whose kernels wait for Python three
 times each. Half of it switches for nothing; Python's own 5 ms hold a frame up by 15."""
-_TIMEOUT = 0.1
-"""s after which the process looks whether it shall stop."""
 _ENDING = 5.0
 """s that the process may take to end; then it is ended. Its threads end within a tenth of a second; a driver may take longer."""
 
@@ -208,12 +206,12 @@ def _frames(pipe: Connection[Any, Any], source: RigSource) -> str:
     # What is taken is said for the first time when frames are wanted.
     told, on_the_way = -math.inf, _ON_THE_WAY
     while True:
-        while pipe.poll(_TIMEOUT if on_the_way >= _ON_THE_WAY else 0):
+        while pipe.poll(TURN if on_the_way >= _ON_THE_WAY else 0):
             if pipe.recv_bytes() == _STOP:
                 return ""
             on_the_way -= 1
         try:
-            frame = None if on_the_way >= _ON_THE_WAY else source.read(_TIMEOUT)
+            frame = None if on_the_way >= _ON_THE_WAY else source.read(TURN)
         except SourceEnded:
             return ""
         except Exception as problem:

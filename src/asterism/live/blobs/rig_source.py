@@ -26,7 +26,7 @@ from asterism.live.blobs.gathering import ByNumber, ByTime, CameraArrivals, RigF
 from asterism.live.blobs.recorder import BlobRecorder
 from asterism.live.camera_frames import BlobSource, LiveBlobs
 from asterism.live.found import own_findings
-from asterism.live.frames import MOST_POINTS, CameraControl, LiveFrame, OfCameras, SourceAbout, SourceEnded
+from asterism.live.frames import MOST_POINTS, TURN, CameraControl, LiveFrame, OfCameras, SourceAbout, SourceEnded
 from asterism.reconstruction import ReconstructionSettings, Reconstructor
 from asterism.reconstruction.camera_fit import CameraFit
 from asterism.reconstruction.streaming import WINDOW
@@ -35,8 +35,6 @@ from asterism.recording.display import how_often, listed, significant
 
 _QUEUE = 0.1
 """s of frames that wait to be reconstructed at most, as of `LiveSession`."""
-_TIMEOUT = 0.1
-"""s after which a thread looks whether it shall stop."""
 _FIRST = 24
 """Frames after which the noise is first told: as many as `reconstruct` looks at."""
 _EVERY = 10.0
@@ -219,7 +217,7 @@ class RigSource:
         """The thread that gathers."""
         try:
             while not self._ended:
-                wait = min(_TIMEOUT, max(0.0, self._gather.due() - time.monotonic()))
+                wait = min(TURN, max(0.0, self._gather.due() - time.monotonic()))
                 blobs = self._source.read(max(1e-4, wait))
                 if blobs is not None:
                     self._push(blobs)
@@ -251,7 +249,7 @@ class RigSource:
         for frame in self._gather.ready(now):
             with self._there:
                 while self._waits and len(self._queue) >= most and not self._ended:
-                    self._there.wait(_TIMEOUT)
+                    self._there.wait(TURN)
                 self._queue.append(frame)
                 while len(self._queue) > most and not self._waits:
                     self._queue.popleft()
@@ -319,7 +317,8 @@ class RigSource:
 
     def _names(self) -> list[Finding]:
         found = []
-        others = [name for name, count in self._unknown.items()]
+        # Read at once: another thread adds to it.
+        others = list(self._unknown)
         if others:
             sentence = f"{self.about.name}: the rig has no camera {listed(others)}; it has {listed(self._all, 12)}."
             mend = "Call the cameras by one name in the stream and in the rig."

@@ -14,7 +14,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.formats.blobs_2d import read_2d
 from asterism.live.camera_frames import LiveBlobs
-from asterism.live.datagrams import HostPort, ListeningSocket
+from asterism.live.datagrams import LARGEST_NUMBER, HostPort, ListeningSocket
 from asterism.live.frames import SourceEnded
 from asterism.live.replay import Playback
 from asterism.recording import Floats
@@ -24,7 +24,6 @@ MOST_BLOBS = 2000
 with twice as many a datagram would not hold them."""
 _FARTHEST = 1e5
 """px from the image's corner: no image is that large, see `cameras.camera.LARGEST_IMAGE`."""
-_LARGEST_NUMBER = 2**53
 
 
 class ReplayBlobs:
@@ -102,7 +101,7 @@ def blobs_of_json(data: bytes, arrived: float) -> LiveBlobs | None:
     try:
         content = json.loads(data.decode("utf-8"))
         camera, number, at, rows = content["camera"], content["frame"], float(content["time"]), content["blobs"]
-        if type(camera) not in (str, int) or type(number) is not int or abs(number) > _LARGEST_NUMBER or not math.isfinite(at):
+        if type(camera) not in (str, int) or type(number) is not int or abs(number) > LARGEST_NUMBER or not math.isfinite(at):
             return None
         if not isinstance(rows, list) or len(rows) > MOST_BLOBS:
             return None

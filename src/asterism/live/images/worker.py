@@ -21,10 +21,8 @@ from asterism.detection.running import RunningDetection
 from asterism.errors import AsterismError
 from asterism.live.camera_frames import LiveBlobs, LiveImage
 from asterism.live.cameras import CameraGone, CameraHealth, CameraWatch, LiveCamera, SettingOutcome, SettingValue
-from asterism.live.frames import SourceEnded
+from asterism.live.frames import TURN, SourceEnded
 
-_TIMEOUT = 0.1
-"""s after which a reader looks whether it shall stop."""
 _AGAIN = 1.0
 """s after which a camera that could not be opened is tried again, as `ReopeningCamera` does."""
 _TELL = 0.25
@@ -197,7 +195,7 @@ class _CameraReader:
                 while self.orders:
                     self._set(camera, self.orders.popleft())
                 self.asked = time.monotonic()
-                image = camera.read(_TIMEOUT)
+                image = camera.read(TURN)
                 if image is not None:
                     watch.blobs(self.blobs)
                     watch.image(image)
@@ -221,7 +219,7 @@ class _CameraReader:
         with self.wake:
             # A file that is to be searched whole waits; of a camera the oldest goes.
             while waits and self.images and not self._stop.is_set():
-                self.wake.wait(_TIMEOUT)
+                self.wake.wait(TURN)
             if len(self.images) == _QUEUE:
                 self.images.popleft()
                 self.dropped += 1
@@ -354,7 +352,7 @@ def _search(readers: Sequence[_CameraReader], settings: WorkerSettings, out: Con
         with wake:
             waiting = [reader for reader in readers if reader.images]
             if settings.in_order and not all(reader.images or reader.ended for reader in readers):
-                wake.wait(_TIMEOUT)
+                wake.wait(TURN)
             elif waiting:
                 oldest = min(waiting, key=lambda reader: settings.rank(reader.images[0]))
                 image = oldest.next()
@@ -362,7 +360,7 @@ def _search(readers: Sequence[_CameraReader], settings: WorkerSettings, out: Con
             elif all(reader.ended for reader in readers):
                 break
             else:
-                wake.wait(_TIMEOUT)
+                wake.wait(TURN)
         if oldest is not None and image is not None:
             searches[oldest].search(image)
         # Of a camera that gives nothing the counts are told, too.

@@ -27,12 +27,10 @@ from asterism.findings import Finding, Severity
 from asterism.live.camera_frames import LiveBlobs
 from asterism.live.cameras import CameraHealth, CameraSpec, SettingOutcome, camera_findings, save_cameras
 from asterism.live.cameras.settings import setting_value
-from asterism.live.frames import SourceEnded
+from asterism.live.frames import TURN, SourceEnded
 from asterism.live.images.worker import CameraPlace, CameraReport, SearchCounts, SettingOrder, WorkerReady, WorkerSettings, work
 from asterism.recording.display import how_often
 
-_SLICE = 0.1
-"""s after which a reader looks whether it shall stop."""
 _LEAD = 1.0
 """s from when all processes are there to when files begin to play, in which they are opened. At half a long video is late; at double a
 person waits."""
@@ -228,7 +226,7 @@ class CameraWorkers:
             with self._reading:
                 if self._closed.is_set():
                     raise SourceEnded
-                if not self._take(min(_SLICE, max(0.0, until - time.monotonic()))):
+                if not self._take(min(TURN, max(0.0, until - time.monotonic()))):
                     raise SourceEnded
             if not self._waiting and time.monotonic() >= until:
                 return None
@@ -307,7 +305,7 @@ class CameraWorkers:
                         f"the process that reads {_listed(worker.places)} ended {_how(worker.process)} before it began; in a script, guard "
                         'what is run by `if __name__ == "__main__":`.'
                     )
-            self._take(_SLICE)
+            self._take(TURN)
         self._at = time.monotonic() + _LEAD
         for worker in self._workers:
             worker.orders.send(self._at)
@@ -315,7 +313,7 @@ class CameraWorkers:
         while silent := [name for name, state in self._states.items() if not state.is_known]:
             if time.monotonic() > begin + _OPENING:
                 raise AsterismError(f"camera {', '.join(silent)} does not answer; look at its cable and its power.")
-            self._take(_SLICE)
+            self._take(TURN)
         # A camera that is not there costs itself, and takes part when it comes; what is wrong in what was asked for costs all.
         closed = {name: state.report for name, state in self._states.items() if state.report is not None and state.is_closed}
         for name, report in closed.items():
