@@ -461,7 +461,10 @@ def model(walks: list[Recording]) -> asterism.MarkerModel:
 def test_played_frames_have_the_labels_of_the_stream(tmp_path: Path, walks: list[Recording], model: asterism.MarkerModel) -> None:
     path, kept = tmp_path / "walk.c3d", Kept()
     asterism.write(path, walks[5].frames(slice(60)))
-    health = LiveSession(Replay(path, speed=1000.0), make_labeller(model, None, 5), [kept], 5, waits=True).run()
+    source = Replay(path, speed=1000.0)
+    # A body that is played faster is labelled as it moved.
+    assert source.about.rate == RATE
+    health = LiveSession(source, make_labeller(model, None, 5), [kept], 5, waits=True).run()
     assert health.labelled == 60 and health.dropped == 0 and health.jumps == 0
     clouds, stream = asterism.read(path).clouds(), model.stream(RATE, 5)
     expected = [*[labels for points in clouds if (labels := stream.push(points)) is not None], *stream.flush()]
@@ -546,8 +549,9 @@ def test_a_format_that_cannot_be_written_is_refused_before_a_session_begins(tmp_
         (["udp://127.0.0.1:0", "--rate", "0"], "no rate"),
         (["udp://127.0.0.1:0", "--host", "0.0.0.0"], "--page"),
         (["udp://127.0.0.1:0", "--replay", "walk.c3d"], "two sources"),
+        (["--replay", "walk.c3d", "--rate", "50"], "--speed"),
     ],
-    ids=["a folder", "rate", "host", "two"],
+    ids=["a folder", "rate", "host", "two", "a file's rate"],
 )
 def test_what_cannot_be_meant_is_refused(words: list[str], told: str, capsys) -> None:
     assert main(["live", *words]) == 2

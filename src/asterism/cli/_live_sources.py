@@ -33,6 +33,8 @@ def open_live_source(options: LiveOptions) -> LiveSource:
     if options.cameras is not None or len(played_files(options)) > 1:
         raise AsterismError("points are made of several cameras' images by their rig; add --rig FILE.")
     if options.replay is not None:
+        if options.rate is not None:
+            raise AsterismError(f"{options.replay} has its own rate, and --rate would change its times; play it faster with --speed.")
         return Replay(options.replay, speed=options.speed, loop=options.loop)
     return open_source(_address(options), math.nan if options.rate is None else options.rate)
 

@@ -21,6 +21,7 @@ from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
 LARGEST = 65_507
 """Bytes of the largest UDP datagram."""
 _METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""Metres of each unit that a sender may say."""
 LARGEST_NUMBER = 2**53
 """The largest number of a frame: JSON of some programs has floats alone, which are exact up to it. At 200 Hz it is never reached."""
 _COORDINATE = {int, float, type(None)}
@@ -109,7 +110,8 @@ class HostPort:
 
 
 _OTHERS = 16
-"""Other senders that are told by their addresses; more are counted together."""
+"""Other senders that are told by their addresses; more are counted together. Half and double do as well: more are a network that is
+misconfigured."""
 _GONE = 1.0
 """s of silence of the sender after which another one is heard: it was begun anew, or another machine took over. With half of it a pause of
 the network brings in a stranger; with twice as much a sender that was begun anew is missed for 2 s."""

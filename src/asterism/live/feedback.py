@@ -41,7 +41,7 @@ _NUMBERS = ("above", "below", "hysteresis", "low", "high", "swing", "over", "aft
 _NOT_BELOW_0 = ("hysteresis", "after", "hold", "swing", "over")
 _KEYS = {*_KINDS, *_WORDS, *_COUNTS, *_NUMBERS}
 _LONGEST_OVER = 60.0
-"""s that a change looks back at most: all of its values are kept."""
+"""s that a change looks back at most: all of its values are kept. Half of it is a walk down a corridor; twice as much only takes memory."""
 _MOMENT = 1.0
 """s for which an event or a repetition is told where the rule does not say: a glance. With half of it a word is missed; with twice as much
 it runs into the next repetition."""

@@ -35,11 +35,13 @@ as much sessions end late."""
 _KEPT = 2
 """s of samples that wait in this machine; with half of it those are lost that come while a stream opens, twice as many are too old."""
 _SILENT = 5.0
-"""s without a sample after which it is looked whether another stream took its place: a machine that lost its power says no goodbye."""
+"""s without a sample after which it is looked whether another stream took its place: a machine that lost its power says no goodbye. Half of
+it asks the network in each pause; with twice as much ten seconds are lost."""
 _CLOCK = 2.0
-"""s between two questions how the clocks differ, which the library measures as often."""
+"""s between two questions how the clocks differ, which the library measures as often. Half of it gives the same answer twice; with twice as
+much a drift of 100 ppm adds up to 0.4 ms."""
 _TO_UNIT = 20
-"""Samples by whose size a unit is chosen that is not given. One would do; some show nobody."""
+"""Samples by whose size a unit is chosen that is not given. One would do; some show nobody. Half and double do as well."""
 _STILL = 5
 """Samples in a row after which a channel that should count does not. Half of them may be sent twice; twice as many are wasted."""
 _WHOLE = 8

@@ -29,17 +29,20 @@ from asterism.live.natnet_packets import FRAME, NatNetFrames, NatNetServer, serv
 COMMANDS = 1510
 """The port at which Motive takes commands unless its settings say otherwise."""
 _CONNECT, _REQUEST, _RESPONSE, _KEEP_ALIVE, _UNKNOWN = 0, 2, 3, 10, 100
+"""Kinds of messages to and from Motive."""
 _PATIENCE = 3.0
 """s until a server that does not answer is given up: three questions. Half of it loses to a busy Windows; twice as much is a wait."""
 _ANSWER = 0.25
 """s for the answer to a question that need not be answered: a hundred times what a network takes. Half and double do as well."""
 _ALIVE = 1.0
-"""s between two signs of life; a server that sends to one client alone stops after some seconds without."""
+"""s between two signs of life; a server that sends to one client alone stops after some seconds without. Half of it only sends more; twice
+as much is near what some servers wait for."""
 _SILENT = 2.0
 """s without a frame after which the server is greeted again, each second: one that was started again does not know its clients. Half of it
 greets in a pause; with twice as much four seconds are lost."""
 _EARLY = 400
-"""Frames that are kept while questions are asked: 0.75 s at 500 Hz. The oldest are left out, and counted as lost by their numbers."""
+"""Frames that are kept while questions are asked: 0.75 s at 500 Hz. The oldest are left out, and counted as lost by their numbers. Half of
+them lose frames at 500 Hz; twice as many do as well."""
 
 
 class FromNatNet:

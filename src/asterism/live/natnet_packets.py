@@ -15,11 +15,13 @@ from asterism.live.frames import MOST_POINTS, DamagedPacket, LiveFrame, believab
 
 FRAME = 7
 _SERVER_INFO = 1
+"""Kinds of messages that are read."""
 _LATEST = (4, 5)
 """Later versions are tried as this one, and then by the sizes that they give for each part."""
 _SIZES = (4, 1)
 """The first version that says the size of each part."""
 _OCCLUDED, _BY_CAMERAS, _BY_MODEL, _UNLABELLED = 0x01, 0x02, 0x04, 0x10
+"""Bits of a marker: what is known of where its place is from."""
 _MOST_FAILED = 5
 """Packets in a row that do not fit the version in use, after which others are tried again: a server of another version took over. Half of
 it lets noise look for another version; twice as many lose frames."""

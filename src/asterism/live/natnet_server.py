@@ -24,7 +24,9 @@ from asterism.live.frames import TURN, SourceAbout
 _VERSION = (3, 1, 0, 0)
 _CONNECT, _SERVER_INFO, _REQUEST, _RESPONSE, _REQUEST_MODEL, _MODEL, _REQUEST_FRAME, _FRAME = range(8)
 _DISCONNECT, _KEEP_ALIVE, _ECHO, _ECHO_BACK, _UNRECOGNIZED = 9, 10, 12, 13, 100
+"""Kinds of messages, by their numbers in the protocol."""
 _GROUP, _DATA = "239.255.42.99", 1511
+"""Where Motive sends unless its settings say otherwise."""
 _TICKS = 1_000_000_000
 """Of the clock of the time stamps in a second."""
 _GONE = 10.0
@@ -33,6 +35,7 @@ as much a network is flooded for longer."""
 _CLIENTS = 16
 """Clients at once, where each is sent to. Twice as many take 30 MB/s; a multicast group has no limit."""
 _SEEN, _OF_MODEL, _UNLABELLED = 0x02, 0x08, 0x10
+"""Bits of a marker: cameras saw it, it belongs to a marker set, it has no label."""
 _LABELLED = np.dtype([("id", "<i4"), ("place", "<f4", 3), ("size", "<f4"), ("flags", "<u2"), ("residual", "<f4")])
 _TITLE = b"Asterism\0"
 """The name of the marker set."""

@@ -18,6 +18,7 @@ the loss of one loses all; half of it sends twice as many datagrams."""
 _BUNDLE = b"#bundle\0" + struct.pack(">Q", 1)
 """The head of a bundle that is due at once."""
 _WRAP = 2**31
+"""From which number of a frame on it begins with 0 again: integers of OSC have 32 bits."""
 _MOST = 1e30
 """A value beyond it is none, and near what 32 bits cannot hold."""
 _PATTERN = re.compile(r"[^!-~]|[#*,/?\[\]{}]")

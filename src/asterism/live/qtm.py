@@ -33,6 +33,7 @@ PORT = 22223
 _VERSIONS = ("1.20", "1.13", "1.8")
 """Of the protocol, asked for in this order. QTM keeps to the version that was asked for, so that later ones change nothing here."""
 _ERROR, _DATA, _NO_MORE_DATA, _EVENT, _ANSWERS = 0, 3, 4, 6, (0, 1, 2)
+"""Kinds of packets."""
 _BEGINNINGS = (b"\x01", b"\x03", b"\x08", b"\x0b")
 """Events after which settings may be others: cameras connected, a capture or a file begun, settings of cameras changed."""
 _PATIENCE = 3.0
@@ -41,13 +42,16 @@ _QUIET = 2.0
 """s without a byte after which QTM is asked whether it is still there. Half of it asks between two slow frames; with twice as much a cable
 that was pulled out is noticed after seven seconds."""
 _AGAIN = 1.0
-"""s between two tries to reach a QTM that is gone."""
+"""s between two tries to reach a QTM that is gone. Half of it asks twice for nothing; with twice as much it is missed for a second
+longer."""
 _KEPT = 400
-"""Packets that wait to be read at most, 2 s at 200 Hz; the oldest are left out, and counted as lost by their numbers."""
+"""Packets that wait to be read at most, 2 s at 200 Hz; the oldest are left out, and counted as lost by their numbers. Half of them are lost
+at a pause of a second; twice as many are old."""
 _MOST_ANALOG = 100
 """Groups of samples that wait for a frame with points at most: those of ten devices in ten packets. Half and double do as well."""
 _TO_STEP = 10
-"""Frames by which it is seen whether QTM sends each frame or, as its real-time rate says, each second or third one."""
+"""Frames by which it is seen whether QTM sends each frame or, as its real-time rate says, each second or third one. Half of them may all
+lie beside a lost one; with twice as many a session at 50 Hz begins 0.2 s later."""
 
 
 class _Packets(QTMProtocol):

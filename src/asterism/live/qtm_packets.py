@@ -22,7 +22,9 @@ double do as well."""
 _POINT_SIZES = {1: 12, 9: 16, 2: 16, 10: 20}
 """Bytes of a point by the type of its component: with labels and without, each without and with a residual. x, y, z come first in all."""
 _WITH_LABELS = (1, 9)
+"""Types of components whose points have labels."""
 _ANALOG = 3
+"""The type of analog samples."""
 _BLOBS = 7
 """The type of blobs as the sensor saw them; 8 is without the lens's distortion, which a rig's camera models itself."""
 

@@ -65,7 +65,8 @@ class Replay:
         self._clouds = recording.clouds()
         if not len(self._clouds):
             raise AsterismError(f"{path} has no frame; there is nothing to play.")
-        self.about = SourceAbout(path.name, self._playback.rate(recording.rate), recording.vertical)
+        # Its own rate at any speed, as its times are: labels and speeds of the body are taken from it.
+        self.about = SourceAbout(path.name, recording.rate, recording.vertical)
         self._loop, self._next = loop, 0
 
     def read(self, timeout: float) -> LiveFrame | None:

@@ -25,17 +25,20 @@ _QUEUE = 0.1
 """s of frames that wait for their labels at most. A walking body is found again after it. Half of it drops frames at each pause of the
 system; with twice as much what is shown is a fifth of a second old."""
 _SILENT = 1.0
-"""s without a frame after which the source counts as silent: ten frames of the slowest camera."""
+"""s without a frame after which the source counts as silent: ten frames of the slowest camera. Half of it calls five of these a silence;
+with twice as much a cable that is out is shown a second later."""
 _AT_ONCE = 0.002
 """s within which a frame that was there already is read; a tenth of a millisecond is usual. Twice as long takes a new frame for an old one
 at 500 Hz; with half of it a busy machine takes an old one for new."""
 _TO_RATE = 30
-"""Frames by whose times the rate is found where a source does not say it: an irregular sender's to within 1 %."""
+"""Frames by whose times the rate is found where a source does not say it: an irregular sender's to within 1 %. Half of them tell it half as
+well; with twice as many labels begin 0.3 s later at 100 Hz."""
 _SLOWEST = 1.0
 """s from frame to frame from which on times are no seconds: milliseconds of 1,000 Hz. Half of it still tells those of 500 Hz, with twice as
 much a body cannot be followed anyway."""
 _LATENCIES = 4096
-"""Latest frames whose latency is kept: 20 s at 200 Hz, so that one in a thousand is four frames."""
+"""Latest frames whose latency is kept: 20 s at 200 Hz, so that one in a thousand is four frames. Half of them make one in a thousand two
+frames; with twice as many a pause is shown for 40 s."""
 
 
 class LiveOutput(Protocol):

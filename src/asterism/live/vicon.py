@@ -26,6 +26,7 @@ PORT = 801
 """Where Vicon's programs serve the stream."""
 _OBJECTS, _KINDS, _REQUEST, _CONTENTS = 0x1A2B0001, 100001, 100002, 100004
 _STREAM, _FRAME, _LABELLED, _UNLABELLED, _APPLICATION = 1, 5, 6, 7, 37
+"""Kinds of objects of the stream."""
 _WANTED = (_STREAM, _FRAME, _LABELLED, _UNLABELLED, _APPLICATION)
 _TICKS = 135e6
 """Of the stream's clock in a second, by which the length of a frame is told."""
@@ -37,7 +38,8 @@ _MOST_BYTES = 1 << 24
 _PATIENCE = 3.0
 """s for an answer. Half of it loses to a busy Windows; twice as much is a wait."""
 _AGAIN = 1.0
-"""s between two tries to reach a server that is gone."""
+"""s between two tries to reach a server that is gone. Half of it asks twice for nothing; with twice as much it is missed for a second
+longer."""
 
 
 @dataclass

@@ -27,25 +27,28 @@ from asterism.report.skeleton import marker_bones
 from asterism.web.serving import PageAddress, address_of, bound, is_open_to_others
 
 _PICTURES = 60.0
-"""Frames per second that the page gets at most, as many as screens show. What comes between is left out, but for events and what begins."""
+"""Frames per second that the page gets at most, as many as screens show. What comes between is left out, but for events and what begins.
+Half of them are seen to jerk; twice as many are drawn by few screens, and cost twice as much."""
 _AHEAD = 6
 """Pictures on their way to a page that has not told yet that it drew them: a tenth of a second. With half of it a network of 50 ms and back
 shows fewer pictures; with twice as much a slow one shows what is a fifth of a second old."""
 _TO_BONES = 50
 """Frames by which the lines between markers are chosen: half a second at 100 Hz, in which a body moves. They are chosen once."""
 _HEALTH = 0.5
-"""s between two sets of counts."""
+"""s between two sets of counts. Half of it flickers; with twice as much a cable that is out is seen a second late."""
 _STALE = 0.5
 """s after which a sound or an event is not sent any more: who hears it then takes it for what they do now. Half of it loses sounds of a
 radio network that pauses; with twice as much the next step is there."""
 _MOMENTS = 200
-"""Events and beginnings that wait for pages: seconds of them in a fast run with ten rules."""
+"""Events and beginnings that wait for pages: seconds of them in a fast run with ten rules. Half and double do as well, since old ones are
+not sent."""
 _SETTABLE = ("exposure", "gain", "threshold")
 """What a page can set on cameras: what does not change their calibration, nor when they take their images."""
 _SOUNDED = 4096
-"""Sounds whose latency is kept, so that one in a hundred is forty."""
+"""Sounds whose latency is kept, so that one in a hundred is forty. Half of them make it twenty; with twice as many a session's begin counts
+for longer."""
 _LONGEST = 60_000.0
-"""ms; a page that tells of a longer latency has a clock that was set."""
+"""ms; a page that tells of a longer latency has a clock that was set. Half and double do as well."""
 
 
 class ToPage:

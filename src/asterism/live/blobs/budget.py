@@ -15,8 +15,8 @@ _FEWEST = 100
 """Blobs of an image that are used in any case: a suit of markers. Half of them cuts a person with clusters and hands; with twice as many a
 machine that is too slow takes four times as long for a frame."""
 _FORGETS = 0.1
-"""Share by which a frame's cost moves what is believed of it: a pause of the system is forgotten in ten frames, as a person is found
-again."""
+"""Share by which a frame's cost moves what is believed of it: a pause of the system is forgotten in ten frames, as a person is found again.
+Half of it finds a person twice as late; with twice as much one pause costs blobs."""
 
 
 class BlobBudget:

@@ -13,7 +13,8 @@ _KEPT = 120
 """Buckets by which offset and drift are told: a minute, in which quartz warms up by less than it scatters. Half of them tell drift a
 third as well; twice as many lag behind a clock that is being slewed."""
 _QUARTZ = 1e-4
-"""Share by which clocks run apart before anything is measured: 100 ppm, the worst that quartz is sold with."""
+"""Share by which clocks run apart before anything is measured: 100 ppm, the worst that quartz is sold with. Half of it is doubted by cheap
+cameras; twice as much takes twice as long to know a drift."""
 _STEP = 0.01
 """s, besides ten times the scatter, by which images come too early, or in two half seconds all too late, where the clock was set by less.
 Half of it is what a busy machine makes; with twice as much cameras are moved by up to two frames at 100 Hz for a minute."""

@@ -44,7 +44,8 @@ _SWITCH = 5e-4
 """s after which a thread of the process lets another one run: cameras are judged beside the frames, whose kernels wait for Python three
 times each. Half of it switches for nothing; Python's own 5 ms hold a frame up by 15."""
 _ENDING = 5.0
-"""s that the process may take to end; then it is ended. Its threads end within a tenth of a second; a driver may take longer."""
+"""s that the process may take to end; then it is ended. Its threads end within a tenth of a second; a driver may take longer. Half of it
+kills one that only takes its time; twice as much is waited for in vain."""
 
 
 @dataclass(frozen=True)

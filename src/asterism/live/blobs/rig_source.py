@@ -36,7 +36,8 @@ from asterism.recording.display import how_often, listed, significant
 _QUEUE = 0.1
 """s of frames that wait to be reconstructed at most, as of `LiveSession`."""
 _FIRST = 24
-"""Frames after which the noise is first told: as many as `reconstruct` looks at."""
+"""Frames after which the noise is first told: as many as `reconstruct` looks at. Half of them scatter more; with twice as many the first
+frames are matched with a noise that is only believed."""
 _EVERY = 10.0
 """s between two judgements of how the cameras fit, at most: they take a thirtieth of one core then. Half of it takes twice as much, and
 with twice as much a bumped camera is told twenty seconds later."""

@@ -23,7 +23,7 @@ MOST_BLOBS = 2000
 """Blobs of an image that are read: a camera that looks at lamps or the sun has hundreds. Half of them cuts a dense suit in a near view;
 with twice as many a datagram would not hold them."""
 _FARTHEST = 1e5
-"""px from the image's corner: no image is that large, see `cameras.camera.LARGEST_IMAGE`."""
+"""px from the image's corner: no image is that large, see `cameras.camera.LARGEST_IMAGE`. Half and double do as well."""
 
 
 class ReplayBlobs:

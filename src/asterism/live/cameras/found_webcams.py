@@ -10,7 +10,8 @@ from asterism.live.cameras.camera import CameraAbout
 _SYSTEM = Path("/sys/class/video4linux")
 _BY_ID = Path("/dev/v4l/by-id")
 _MOST = 10
-"""Numbers that are tried where the system does not list its cameras; so many webcams share no bus."""
+"""Numbers that are tried where the system does not list its cameras; so many webcams share no bus. Half of them miss a camera that was
+plugged in anew; twice as many take twice as long to try."""
 
 
 def found_webcams(system: Path = _SYSTEM, by_id: Path = _BY_ID) -> list[CameraAbout]:

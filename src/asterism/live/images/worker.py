@@ -24,7 +24,8 @@ from asterism.live.cameras import CameraGone, CameraHealth, CameraWatch, LiveCam
 from asterism.live.frames import TURN, SourceEnded
 
 _AGAIN = 1.0
-"""s after which a camera that could not be opened is tried again, as `ReopeningCamera` does."""
+"""s after which a camera that could not be opened is tried again, as `ReopeningCamera` does. Half of it asks a system twice for nothing;
+with twice as much a camera is missing for a second longer."""
 _TELL = 0.25
 """s between what is told of a camera: a page shows it four times a second. Half of it costs twice the messages; at double it is seen."""
 _OLD = 0.02

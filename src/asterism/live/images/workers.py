@@ -38,19 +38,22 @@ _OPENING = 60.0
 """s in which a camera must open or say why not. Cameras in a network take 10 s; at half one that starts up is given up, at double a driver
 that hangs is waited for in vain for two minutes."""
 _AGAIN = 1.0
-"""s between two starts of a process that dies, so that one that cannot live takes no processor: starting takes about as long."""
+"""s between two starts of a process that dies, so that one that cannot live takes no processor: starting takes about as long. Half of it
+takes a core where a process cannot live; with twice as much its cameras are blind for a second longer."""
 _HANGS = 10.0
 """s without a word, four of which each process says a second, after which it is ended and begun anew. Half of it is a machine that swaps;
 at double the cameras are blind for as long again."""
 _ENDING = 3.0
-"""s in which a process ends by itself: its camera's driver closes in one."""
+"""s in which a process ends by itself: its camera's driver closes in one. Half of it kills one whose driver is slow; twice as much is
+waited for in vain."""
 _AHEAD = 100
 """Images by which a process that reads videos may be ahead of another. Half of them stop it at each pause of the system; twice as many hold
 twice the memory."""
 _ORDERS = 32
 """Settings that wait until they are passed on, a tenth of a second: more than a person asks for; half and double do as well."""
 _WAITING = 1000
-"""Images' blobs that are kept while the cameras open: four seconds of four webcams. More would be old when they are used."""
+"""Images' blobs that are kept while the cameras open: four seconds of four webcams. More would be old when they are used. Half of them do
+as well."""
 
 
 @dataclass
