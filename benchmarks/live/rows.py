@@ -121,7 +121,7 @@ def soak(benchmark: BenchmarkRun) -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as scratch:
         recorder = LiveRecorder(Path(scratch) / "soak.live", "soak", None)
         watch = SessionWatch("soak", timed=False)
-        health = LiveSession(source, make_labeller(model, None, 0), [times], waits=True, keeper=recorder, watch=watch).run()
+        health = LiveSession(source, make_labeller(model, None, 0), [times], waits=True, recorder=recorder, watch=watch).run()
         recorder.close()
     row = f"live, {frames / 360_000:.2g} hours at 100 Hz, source begun anew {health.restarts} times"
     (before, blocks), (after, more) = held

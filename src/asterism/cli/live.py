@@ -47,7 +47,7 @@ def live(options: LiveOptions) -> None:
         session = live_session(options, source)
         if unfinished is not None:
             recorder = LiveRecorder(unfinished, source.about.name, session.up, _console.notice)
-            session.keeper = recorder
+            session.recorder = recorder
         health = run_session(session, options)
     finally:
         source.close()

@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from asterism.live.cues import Cue, FeedbackRule
     from asterism.live.datagrams import HostPort, JsonDatagrams, frame_as_json, frame_of_json
     from asterism.live.feedback import Feedback, example_names, load_feedback
-    from asterism.live.found import WithFindings, own_findings, session_findings
     from asterism.live.frames import LiveFrame, LiveSource, OfCameras, SourceAbout, SourceEnded
     from asterism.live.movement import MovementAnalysis
     from asterism.live.outputs import InOwnThread, ToDatagrams, ToLines, labels_as_json
     from asterism.live.recording import KeptSession, LiveRecorder, recording_of
     from asterism.live.replay import Replay
+    from asterism.live.reporting import WithFindings, own_findings, session_findings
     from asterism.live.running import Health, LiveOutput, LiveSession
     from asterism.live.sending import open_output, open_outputs
     from asterism.live.sources import host_port, open_source
@@ -83,7 +83,7 @@ _MODULE_OF = {
     **dict.fromkeys(("Cue", "FeedbackRule"), "cues"),
     **dict.fromkeys(("HostPort", "JsonDatagrams", "frame_as_json", "frame_of_json"), "datagrams"),
     **dict.fromkeys(("Feedback", "example_names", "load_feedback"), "feedback"),
-    **dict.fromkeys(("WithFindings", "own_findings", "session_findings"), "found"),
+    **dict.fromkeys(("WithFindings", "own_findings", "session_findings"), "reporting"),
     **dict.fromkeys(("LiveFrame", "LiveSource", "OfCameras", "SourceAbout", "SourceEnded"), "frames"),
     "MovementAnalysis": "movement",
     **dict.fromkeys(("InOwnThread", "ToDatagrams", "ToLines", "labels_as_json"), "outputs"),

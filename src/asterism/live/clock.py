@@ -59,7 +59,7 @@ class SourceClock:
     """Compares a source's clock with this machine's, whose zeros and speeds differ.
 
     The fastest frame of the last ten seconds is held for one that did not wait; what others took longer is their delay. A clock that jumps
-    is begun anew and counted. O(1) a frame, bounded memory.
+    is begun anew and counted. O(1) a frame, bounded memory. Offset and drift with their uncertainty are told by `CameraClock`.
 
     >>> clock = SourceClock()
     >>> [round(clock.delay(time, time + 50.0 + late), 3) for time, late in ((0.0, 0.002), (0.01, 0.0), (0.02, 0.03))]
@@ -156,7 +156,8 @@ class SampleNumbers:
     late    about how many that counted as lost came after all: of a sender that stops, catches up, and stamps frames as it sends them
 
     A frame has the next number, unless its time stamp is later than the spread of the time stamps explains. So a sender that stamps badly
-    has few gaps, and one that stamps well has one for each frame that is lost. O(1) a frame, bounded memory.
+    has few gaps, and one that stamps well has one for each frame that is lost. Cameras, which may halve their rate in the dark, are
+    numbered by `NumbersByTime`. O(1) a frame, bounded memory.
 
     >>> numbers = SampleNumbers(100.0)
     >>> [numbers.next(time, time) for time in (5.0, 5.01, 5.021, 5.05, 5.06)]

@@ -15,8 +15,8 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.clock import StreamTimes
-from asterism.live.found import times_made
 from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
+from asterism.live.reporting import times_made
 
 LARGEST = 65_507
 """Bytes of the largest UDP datagram."""

@@ -18,10 +18,10 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.formats import metres_per_unit
 from asterism.live.clock import SampleNumbers
-from asterism.live.found import axis_unknown, labels_given, reconnected
 from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
 from asterism.live.mocap_channels import ChannelLayout, layout_of_channels
 from asterism.live.packages import packages_for
+from asterism.live.reporting import axis_unknown, labels_given, reconnected
 from asterism.recording import Floats
 from asterism.recording.display import significant
 

@@ -22,9 +22,9 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.clock import StreamTimes
 from asterism.live.datagrams import LARGEST, RECEIVE_BUFFER, HostPort
-from asterism.live.found import axis_unknown, labels_given, reconnected, times_made
 from asterism.live.frames import LiveFrame, SourceAbout
 from asterism.live.natnet_packets import FRAME, NatNetFrames, NatNetServer, server_of_packet
+from asterism.live.reporting import axis_unknown, labels_given, reconnected, times_made
 
 COMMANDS = 1510
 """The port at which Motive takes commands unless its settings say otherwise."""

@@ -24,9 +24,9 @@ from asterism.live.analog import AnalogSamples
 from asterism.live.camera_frames import LiveBlobs
 from asterism.live.clock import StreamTimes
 from asterism.live.datagrams import HostPort
-from asterism.live.found import axis_unknown, labels_given, reconnected, times_made
 from asterism.live.frames import LiveFrame, SourceAbout
 from asterism.live.qtm_packets import MOST_BYTES, QtmSettings, blobs_of_packet, points_of_packet, settings_of_xml
+from asterism.live.reporting import axis_unknown, labels_given, reconnected, times_made
 
 PORT = 22223
 """Where QTM speaks this protocol with little-endian numbers: its base port and 1."""

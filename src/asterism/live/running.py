@@ -61,7 +61,7 @@ class Watch(Protocol):
         """Take a labelled frame; refusal: why no marker set was found yet."""
 
 
-class Keeper(Protocol):
+class FrameRecorder(Protocol):
     """Where frames are recorded, as they come and as they are labelled."""
 
     def frame(self, frame: LiveFrame) -> None:
@@ -134,7 +134,7 @@ class LiveSession:
     make        the labeller, made when the rate is known
     outputs     get each labelled frame, in the order of the frames
     delay       frames that the labels wait for
-    keeper      records all frames, those too that are not labelled since newer ones waited
+    recorder      records all frames, those too that are not labelled since newer ones waited
     analysis    finds angles and events; None for none
     feedback    what the person is told
     vertical    (3,) what points up; None for what the source says
@@ -149,7 +149,7 @@ class LiveSession:
     make: MakeLabeller
     outputs: Sequence[LiveOutput] = ()
     delay: int = 0
-    keeper: Keeper | None = None
+    recorder: FrameRecorder | None = None
     waits: bool = False
     analysis: LiveAnalysis | None = None
     feedback: Feedback | None = None
@@ -276,8 +276,8 @@ class LiveSession:
         if not self.waits:
             self._health.delay = self._clock.delay(frame.time, frame.arrived)
         self._arrivals.append(frame.arrived)
-        if self.keeper is not None:
-            self.keeper.frame(frame)
+        if self.recorder is not None:
+            self.recorder.frame(frame)
         # Until the rate is known nothing is labelled, and the first frames wait for it.
         most = max(2, round(_QUEUE * self._rate)) if np.isfinite(self._rate) else _TO_RATE
         with self._there:
@@ -380,8 +380,8 @@ class LiveSession:
             self._latencies.append(found.done - found.frame.arrived)
         if self.watch is not None and self._chain is not None:
             self.watch.add(found, self._rate, self._chain.refusal)
-        if self.keeper is not None:
-            self.keeper.labelled(found)
+        if self.recorder is not None:
+            self.recorder.labelled(found)
         analysis = NOTHING if self.analysis is None else self.analysis.push(found)
         analysed = AnalysedFrame(found, analysis, () if self.feedback is None else self.feedback.judge(found, analysis))
         for output in self.outputs:

@@ -18,8 +18,8 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.datagrams import HostPort
-from asterism.live.found import axis_unknown, labels_given, reconnected, times_made
 from asterism.live.frames import MOST_POINTS, DamagedPacket, LiveFrame, SourceAbout, believable, joined
+from asterism.live.reporting import axis_unknown, labels_given, reconnected, times_made
 from asterism.recording import Floats
 
 PORT = 801

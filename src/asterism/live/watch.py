@@ -13,7 +13,7 @@ import numpy as np
 
 from asterism.findings import Finding, Severity
 from asterism.live.chain import LabelledFrame
-from asterism.live.found import labels_given
+from asterism.live.reporting import labels_given
 from asterism.recording import Floats
 from asterism.recording.display import significant
 

@@ -19,10 +19,10 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.analysis import AnalysedFrame
 from asterism.live.datagrams import damaged_json, frame_of_json, why_damaged
-from asterism.live.found import reconnected
 from asterism.live.frames import LiveFrame, SourceAbout
 from asterism.live.outputs import WAITING, labels_as_json, leave_one_out, tells_more
 from asterism.live.packages import packages_for
+from asterism.live.reporting import reconnected
 
 _LARGEST = 1 << 18
 """Bytes of a message that is believed: twice what the most points that a frame may have take with their names. Half of it refuses verbose

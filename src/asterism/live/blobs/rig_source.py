@@ -25,8 +25,8 @@ from asterism.live.blobs.budget import BlobBudget, telling
 from asterism.live.blobs.gathering import ByNumber, ByTime, CameraArrivals, RigFrame
 from asterism.live.blobs.recorder import BlobRecorder
 from asterism.live.camera_frames import BlobSource, LiveBlobs
-from asterism.live.found import own_findings
 from asterism.live.frames import MOST_POINTS, TURN, CameraControl, LiveFrame, OfCameras, SourceAbout, SourceEnded
+from asterism.live.reporting import own_findings
 from asterism.reconstruction import ReconstructionSettings, Reconstructor
 from asterism.reconstruction.camera_fit import CameraFit
 from asterism.reconstruction.streaming import WINDOW
