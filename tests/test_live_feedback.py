@@ -386,7 +386,7 @@ def test_rules_are_read_and_wrong_ones_named(tmp_path: Path) -> None:
 
 
 def test_the_rules_of_the_docs_are_rules(tmp_path: Path) -> None:
-    page = (Path(__file__).parents[1] / "docs" / "live.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[1] / "docs" / "live-feedback.md").read_text(encoding="utf-8")
     blocks = [block for block in re.findall(r"```toml\n(.*?)```", page, re.DOTALL) if "[[rule]]" in block]
     (tmp_path / "docs.toml").write_text("\n".join(blocks), encoding="utf-8")
     assert len(load_feedback(tmp_path / "docs.toml")) >= 3

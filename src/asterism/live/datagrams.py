@@ -53,7 +53,7 @@ def why_damaged(data: bytes) -> str:
 
 def damaged_json(where: str, why: str) -> list[Finding]:
     """What `why_damaged` said of the first frame that could not be read; nothing for ""."""
-    mend = "Send frames as docs/live.md says, JSON."
+    mend = "Send frames as docs/live-sources.md says, JSON."
     return (
         [Finding("live-format", Severity.WARNING, where, f"{where}: of the first packet that could not be read, {why}.", mend)]
         if why
