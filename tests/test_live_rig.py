@@ -401,6 +401,15 @@ def test_what_are_no_blobs_is_none(data: bytes) -> None:
     assert blobs_of_json(data, 0.0) is None
 
 
+def test_what_is_played_faster_keeps_its_rate(tmp_path: Path) -> None:
+    """Labels and speeds are taken from the rate: at twice of it a body that walks seems to run."""
+    rig = ring(3)
+    write_blobs(recorded(rig, 10), tmp_path / "blobs.csv")
+    source = RigSource(ReplayBlobs(tmp_path / "blobs.csv", rig.names, speed=50.0), rig, waits=True, speed=50.0)
+    times = [frame.time for frame in frames_of(source)]
+    assert source.about.rate == pytest.approx(1.0 / float(np.median(np.diff(times))))
+
+
 def test_blobs_and_a_rig_are_labelled_in_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = ring(3)
     write_rig(rig, tmp_path / "rig.toml")

@@ -73,7 +73,7 @@ def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
         raise AsterismError(f"{played[0]} is of one camera, and points need two; add the videos of the others behind it.")
     if played:
         blobs = ReplayBlobs(played[0], rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
-        return RigSource(blobs, rig, waits=True)
+        return RigSource(blobs, rig, waits=True, speed=options.speed)
     opened = partial(open_blobs, _address(options), rig.names, math.nan if options.rate is None else options.rate)
     return RigProcess(opened, rig, keep=_kept_blobs(options))
 
@@ -95,7 +95,9 @@ def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource
     try:
         if beside is not None:
             workers.save(beside)
-        return RigSource(workers, rig, waits=bool(played), keep=None if played else _kept_blobs(options))
+        if played:
+            return RigSource(workers, rig, waits=True, speed=options.speed)
+        return RigSource(workers, rig, keep=_kept_blobs(options))
     except BaseException:
         workers.close()
         raise

@@ -92,6 +92,8 @@ class RigSource:
               so that the same file gives the same points
     name      instead of the source's
     keep      where the blobs are kept as they come, for `asterism reconstruct`; None for nowhere
+    speed     times as fast as they were taken that the source plays them: frames have the rate at which they were taken, as their times
+              have, since labels and speeds of the body are taken from it
 
     One thread takes blobs and gathers them to frames (see `gathering`), the caller's reconstructs, a third judges noise and cameras every
     ten seconds. Where frames come faster than their points are made, the oldest that waits is dropped and counted. Where a frame has so
@@ -110,6 +112,7 @@ class RigSource:
         waits: bool = False,
         name: str = "",
         keep: Path | None = None,
+        speed: float = 1.0,
     ) -> None:
         known = [camera.name for camera in rig if camera.posed and (not source.cameras or camera.name in source.cameras)]
         self._unknown = {name: 0 for name in source.cameras if name not in rig.names}
@@ -122,7 +125,7 @@ class RigSource:
         # Compiled and loaded before the first frame, which must not wait for it.
         Reconstructor(self.rig, settings).push([np.array([[0.0, 0.0], [9.0, 9.0]])] * len(self.rig))
         self._gather: ByNumber | ByTime = (ByNumber if source.numbered_together else ByTime)(len(self.rig), source.rate)
-        self.about = SourceAbout(name or source.name, source.rate, rig.vertical)
+        self.about = SourceAbout(name or source.name, source.rate / (speed if math.isfinite(speed) else 1.0), rig.vertical)
         self.dropped, self.cut = 0, 0
         self._queue: deque[RigFrame] = deque()
         self._there = threading.Condition()
