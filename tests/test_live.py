@@ -359,9 +359,9 @@ def test_a_session_says_that_it_gave_no_labels() -> None:
         return [finding.sentence for finding in session_findings(session.run(), "there") if finding.code == "live-no-labels"]
 
     assert not found(Numbers())
-    assert "10 of the 10" in found(Unsure())[0]
+    assert "10 of 10" in found(Unsure())[0]
     assert "no marker set was found" in found(Unknown())[0]
-    assert "as many points" in found(Numbers(), 0)[0]
+    assert "no frame had a point" in found(Numbers(), 0)[0]
 
 
 def test_a_port_that_is_taken_is_told() -> None:

@@ -91,9 +91,9 @@ def _no_labels(health: Health, where: str, said: Iterable[Finding]) -> list[Find
     # A person who is known has labels in most frames: that the middle one has none needs no tuned share.
     if 2 * health.bare <= health.shown and (health.shown or not health.labelled):
         return []
-    sentence = f"{where}: {health.bare} of the {health.shown} frames in which a person may be have no sure label."
+    sentence = f"{where}: {health.bare} of {health.shown} frames have the points of a person and no sure label."
     if not health.shown:
-        sentence = f"{where}: no frame had as many points as half of the markers."
+        sentence = f"{where}: no frame had a point."
     mend = "Look at the marker set (--markers), the axis that points up (--vertical), the unit and the rate."
     return [Finding("live-no-labels", _WARNING, where, sentence, mend)]
 
