@@ -81,9 +81,9 @@ class Health:
     dropped    frames that were taken and not labelled, since newer ones waited
     labelled   frames with their labels
     markers    how many the marker set has, 0 while it is not known
-    shown      frames since the set is known that had points for half of its markers, so that a person may be there
+    shown      frames since the set is known that had points
     named      sure labels in those
-    bare       those of them without a single sure label
+    bare       those of them with points for half of the markers, so that a person may be there, and without a single sure label
     unsent     frames that an output did not take, by the output's name
     jumps      times that the source's clock was set
     searched   s from the first frame until the marker set was known and labels could be given, 0 where it was known before
@@ -365,11 +365,11 @@ class LiveSession:
             return
         self._health.labelled += 1
         self._health.markers = len(found.markers)
-        if found.markers and 2 * len(found.frame.points) >= len(found.markers):
+        if found.markers and len(found.frame.points):
             named = int((found.indices >= 0).sum())
             self._health.shown += 1
             self._health.named += named
-            self._health.bare += not named
+            self._health.bare += not named and 2 * len(found.frame.points) >= len(found.markers)
         self._first = found.frame.arrived if self._first is None else self._first
         if found.markers and self._ready is None:
             # Frames that waited while the set was sought say nothing of those that follow.
