@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -192,6 +193,15 @@ class Symmetry:
     sigma: float
 
 
+def symmetry_index(left: float, right: float) -> float:
+    """%, 100 (L - R) / ((L + R) / 2): 0 for even, above 0 for more on the left; NaN where both cancel out. Robinson and others (1987).
+
+    >>> round(symmetry_index(0.66, 0.54))
+    20
+    """
+    return 200.0 * (left - right) / (left + right) if left + right else math.nan
+
+
 def symmetries(parameters: Sequence[Parameter]) -> list[Symmetry]:
     """The symmetry index (Robinson et al. 1987) of what each foot has of its own, where both sides are known; 0 is symmetric.
 
@@ -205,5 +215,5 @@ def symmetries(parameters: Sequence[Parameter]) -> list[Symmetry]:
         left, right = (means.get((name, side)) for side in ("L", "R"))
         if left is not None and right is not None and (both := (left.mean + right.mean) / 2) > 0:
             sigma = np.hypot(left.sigma * right.mean, right.sigma * left.mean) / both**2
-            found.append(Symmetry(name, 100 * (left.mean - right.mean) / both, 100 * float(sigma)))
+            found.append(Symmetry(name, symmetry_index(left.mean, right.mean), 100 * float(sigma)))
     return found

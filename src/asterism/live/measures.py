@@ -7,6 +7,8 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from asterism.gait.parameters import symmetry_index
+
 _NEAR_TURN = 0.1
 """Share of a way at either end that its time leaves out, as is usual for rise times: a body that rests there trembles. Half of it is the
 tremble of a small movement; with twice as much two thirds of a smooth way's time are left out."""
@@ -142,8 +144,7 @@ class Change:
 
 
 class LiveSymmetry:
-    """The left side against the right one in %: 100 (L - R) / ((L + R) / 2), of the means of the last values; 0 for even, above 0 for more
-    on the left. The symmetry index of Robinson and others (1987).
+    """The `symmetry_index` of the means of the last values of both sides.
 
     last  values of each side that are asked for
     """
@@ -163,4 +164,4 @@ class LiveSymmetry:
         if any(len(values) < (values.maxlen or 1) for values in self._values.values()):
             return math.nan
         left, right = (sum(values) / len(values) for values in self._values.values())
-        return 200.0 * (left - right) / (left + right) if left + right else math.nan
+        return symmetry_index(left, right)

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from asterism.gait.parameters import symmetry_index
 from asterism.live.analysis import LiveEvent
 from asterism.live.events import LiveEvents
 from asterism.recording import Floats
@@ -84,5 +85,4 @@ class LiveSteps:
         self._last[f"{side} {name}"].append(value)
         left, right = (self._last[f"{one} {name}"] for one in ("left", "right"))
         if left and right:
-            means = float(np.mean(left)), float(np.mean(right))
-            self._values[f"{name} symmetry"] = 200.0 * (means[0] - means[1]) / (means[0] + means[1])
+            self._values[f"{name} symmetry"] = symmetry_index(float(np.mean(left)), float(np.mean(right)))

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from asterism.live.cameras.camera import CameraAbout
 
@@ -52,16 +55,23 @@ def _opened() -> list[CameraAbout]:
     """Webcams that can be opened by their numbers."""
     import cv2
 
+    found = list[CameraAbout]()
+    for number in range(_MOST):
+        capture = quietly(partial(cv2.VideoCapture, number))
+        if capture.isOpened():
+            size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+            found.append(CameraAbout(f"camera{number}", f"camera://{number}", size=size, rate=float(capture.get(cv2.CAP_PROP_FPS))))
+        capture.release()
+    return found
+
+
+def quietly(open_: Callable[[], Any]) -> Any:
+    """Open a capture of OpenCV without its own lines on standard error, which say less than what is said then."""
+    import cv2
+
     before = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    found = list[CameraAbout]()
     try:
-        for number in range(_MOST):
-            capture = cv2.VideoCapture(number)
-            if capture.isOpened():
-                size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
-                found.append(CameraAbout(f"camera{number}", f"camera://{number}", size=size, rate=float(capture.get(cv2.CAP_PROP_FPS))))
-            capture.release()
+        return open_()
     finally:
         cv2.utils.logging.setLogLevel(before)
-    return found

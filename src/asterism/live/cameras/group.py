@@ -1,4 +1,4 @@
-"""Several cameras in; the same open together, one that fails costing itself, and set, started and stopped at once."""
+"""Several cameras in; the same open and started together, one that fails costing itself, out."""
 
 from __future__ import annotations
 
@@ -50,17 +50,6 @@ class CameraGroup:
         """What each camera says of itself, by its name."""
         return {camera.name: camera.said() for camera in self.cameras}
 
-    def set(self, name: str, value: SettingValue) -> list[SettingOutcome]:
-        """Set a setting on all of them; a camera that is gone costs itself."""
-        return [self._set(camera, name, value) for camera in self.cameras]
-
-    @staticmethod
-    def _set(camera: LiveCamera, name: str, value: SettingValue) -> SettingOutcome:
-        try:
-            return camera.set(name, value)
-        except AsterismError as problem:
-            return SettingOutcome(camera.name, name, value, None, str(problem))
-
     def start(self) -> None:
         """Begin with images, all together; one that cannot is closed and listed as failed."""
         at = time.monotonic() + _START
@@ -71,11 +60,6 @@ class CameraGroup:
                 self.failed[camera.name] = str(problem)
                 self.cameras.remove(camera)
                 camera.close()
-
-    def stop(self) -> None:
-        """No images any more."""
-        for camera in self.cameras:
-            camera.stop()
 
     def close(self) -> None:
         """Let go of all of them."""

@@ -18,7 +18,7 @@ from asterism.errors import AsterismError
 from asterism.live.camera_frames import LiveImage
 from asterism.live.cameras.addresses import without_password
 from asterism.live.cameras.camera import BUFFERS, CameraAbout, CameraGone, LiveCamera
-from asterism.live.cameras.found_webcams import webcam_model
+from asterism.live.cameras.found_webcams import quietly, webcam_model
 from asterism.live.cameras.numbering import NumbersByTime
 from asterism.live.cameras.pixels import DepthByImages
 from asterism.live.cameras.settings import SettingValue, size_of
@@ -66,12 +66,12 @@ class OpenCvCamera(LiveCamera):
         self._device = Path(f"/dev/video{where}") if where.isdigit() else Path(where)
         if self._in_network:
             patience = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 1000 * _PATIENCE, cv2.CAP_PROP_READ_TIMEOUT_MSEC, 1000 * _PATIENCE]
-            capture = _quietly(lambda: cv2.VideoCapture(address, cv2.CAP_FFMPEG, patience))
+            capture = quietly(lambda: cv2.VideoCapture(address, cv2.CAP_FFMPEG, patience))
         elif sys.platform.startswith("linux"):
             # The name is followed each time: a camera that was plugged in again has another number.
-            capture = _quietly(lambda: cv2.VideoCapture(str(self._device.resolve()), cv2.CAP_V4L2))
+            capture = quietly(lambda: cv2.VideoCapture(str(self._device.resolve()), cv2.CAP_V4L2))
         elif where.isdigit():
-            capture = _quietly(lambda: cv2.VideoCapture(int(where)))
+            capture = quietly(lambda: cv2.VideoCapture(int(where)))
         else:
             raise AsterismError(f"{address}: give the number of the camera, as in camera://0.")
         if not capture.isOpened():
@@ -307,15 +307,3 @@ def _grey_or_colour(image: NDArray[Any], depth: DepthByImages) -> NDArray[np.uin
     if image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3):
         return depth.eight_bits(image)
     return None
-
-
-def _quietly(open_: Any) -> Any:
-    """Open without OpenCV's own lines on standard error, which say less than what is said then."""
-    import cv2
-
-    before = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        return open_()
-    finally:
-        cv2.utils.logging.setLogLevel(before)
