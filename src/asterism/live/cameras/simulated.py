@@ -20,19 +20,20 @@ from asterism.recording import Floats
 _LINE_TIME = 0.02
 """ms of which its exposures are multiples, as rows of a sensor are read one after the other."""
 _GAIN_STEP, _MOST_GAIN = 0.1, 24.0
-"""dB."""
+"""dB, as sensors have them: what lies between or beyond is rounded, and told. Half and double do as well."""
 _FASTEST = 500.0
-"""Hz."""
+"""Hz to which it can be set, as a machine vision camera of this size. Half and double do as well."""
 _PEAK = 200.0
 """Grey value of a dot at 4 ms and 0 dB, so that twice the exposure saturates and half of it does not."""
 _NOISE = 1.5
-"""Grey values of noise at 0 dB."""
+"""Grey values of noise at 0 dB, as webcams have in good light. Half and double hide no dot."""
 _NOISES = 8
-"""Images of noise that follow each other: making a new one for each image takes longer than the image."""
+"""Images of noise that follow each other: making a new one for each image takes longer than the image. Half of them repeat sooner;
+twice as many take twice the memory."""
 _MOST_PIXELS = 5_000_000
 """Its images of noise take 160 MB with so many. Half of them are a usual camera's, twice as many take twice the memory."""
 _GROWS = 0.5
-"""Grey value of the dark wall at 4 ms."""
+"""Grey value of the dark wall at 4 ms: a long exposure shows it. Half and double do as well."""
 
 
 @dataclass(frozen=True)
