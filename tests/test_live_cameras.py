@@ -2,6 +2,7 @@
 
 import json
 import math
+import signal
 import sys
 import threading
 import time
@@ -524,7 +525,9 @@ def test_a_machine_vision_camera_is_set_and_read_through_a_producer():
         pytest.skip("this release of the binding comes without a producer")
     asked = {"rate": 500.0, "format": "mono8", "size": "200x104", "exposure": 4.0, "BouncingBallSize": 30.0}
     spec = CameraSpec("game", f"genicam://1?cti={producer}", asked)
+    interrupts = signal.getsignal(signal.SIGINT)
     camera, second = spec.open(), CameraSpec("other", f"genicam://2?cti={producer}", {"format": "RGBa8"}).open()
+    assert signal.getsignal(signal.SIGINT) is interrupts, "the library takes Ctrl-C for itself"
     told = {outcome.setting: outcome for outcome in camera.outcomes}
     assert told["rate"].has == 200 and not told["rate"].as_asked and "no such setting" in told["exposure"].problem
     assert all(told[name].as_asked for name in ("format", "size", "BouncingBallSize"))

@@ -5,8 +5,11 @@ from __future__ import annotations
 import logging
 import math
 import os
+import signal
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
@@ -203,6 +206,17 @@ def _first_line(problem: BaseException) -> str:
     return line.partition("(Message")[0].removeprefix("GenTL exception: ").strip(" .")
 
 
+@contextmanager
+def _own_interrupts() -> Iterator[None]:
+    """Whoever makes an acquirer keeps their own answer to Ctrl-C, which the library replaces by its own."""
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        yield
+    finally:
+        if before is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, before)
+
+
 class _Producers:
     """The GenTL producers of this process, which can be loaded once: shared by all its cameras, let go of with the last."""
 
@@ -224,7 +238,8 @@ class _Producers:
                 raise CameraGone(f"genicam://{serial}: the producers show {what}; there are: {there}.")
             info, number, model = fitting[0]
             try:
-                acquirer = harvester.create(info)
+                with _own_interrupts():
+                    acquirer = harvester.create(info)
             except gentl.GenericException as problem:
                 raise CameraGone(
                     f"genicam://{serial} does not open ({_first_line(problem)}); close the program that has it, or look at its cable."
