@@ -369,7 +369,7 @@ class _Labelled:
                 continue
             near = np.linalg.norm(truth - labelled.frame.points[index], axis=1)
             is_right = self._walk.labels[int(near.argmin())] == marker and near.min() < _NEAR
-            self.right, self.wrong = self.right + is_right, self.wrong + (not is_right)
+            self.right, self.wrong = self.right + int(is_right), self.wrong + int(not is_right)
         self.asked += len(truth)
 
     def close(self) -> None:
