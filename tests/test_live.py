@@ -550,8 +550,11 @@ def test_a_format_that_cannot_be_written_is_refused_before_a_session_begins(tmp_
         (["udp://127.0.0.1:0", "--host", "0.0.0.0"], "--page"),
         (["udp://127.0.0.1:0", "--replay", "walk.c3d"], "two sources"),
         (["--replay", "walk.c3d", "--rate", "50"], "--speed"),
+        (["udp://127.0.0.1:0", "--speed", "2"], "its own time"),
+        (["udp://127.0.0.1:0", "--loop"], "its own time"),
+        (["--replay", "walk.c3d", "--empty", "2"], "--empty is of images"),
     ],
-    ids=["a folder", "rate", "host", "two", "a file's rate"],
+    ids=["a folder", "rate", "host", "two", "a file's rate", "speed", "loop", "empty"],
 )
 def test_what_cannot_be_meant_is_refused(words: list[str], told: str, capsys) -> None:
     assert main(["live", *words]) == 2

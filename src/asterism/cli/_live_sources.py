@@ -28,6 +28,10 @@ def open_live_source(options: LiveOptions) -> LiveSource:
         raise AsterismError(
             "give one source: an address such as udp://127.0.0.1:5000, a recording with --replay FILE, or cameras with --cameras FILE."
         )
+    if options.replay is None and (options.loop or options.speed != 1.0):
+        raise AsterismError("--speed and --loop are of recordings that are played; a camera system has its own time: leave them out.")
+    if options.empty and options.cameras is None and len(played_files(options)) < 2:
+        raise AsterismError("--empty is of images, in which lights are masked; leave it out, or give --cameras or several videos.")
     if options.rig is not None:
         return _of_cameras(options, options.rig)
     if options.cameras is not None or len(played_files(options)) > 1:
