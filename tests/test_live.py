@@ -25,6 +25,7 @@ from asterism import AsterismError
 from asterism.cli import main
 from asterism.findings import Severity
 from asterism.labelling.live.stream import FrameLabels
+from asterism.labelling.live.study_process import make_studies
 from asterism.live import (
     AnalysedFrame,
     FrameCount,
@@ -464,9 +465,9 @@ def test_played_frames_have_the_labels_of_the_stream(tmp_path: Path, walks: list
     source = Replay(path, speed=1000.0)
     # A body that is played faster is labelled as it moved.
     assert source.about.rate == RATE
-    health = LiveSession(source, make_labeller(model, None, 5), [kept], 5, waits=True).run()
+    health = LiveSession(source, make_labeller(model, None, 5, "push"), [kept], 5, waits=True).run()
     assert health.labelled == 60 and health.dropped == 0 and health.jumps == 0
-    clouds, stream = asterism.read(path).clouds(), model.stream(RATE, 5)
+    clouds, stream = asterism.read(path).clouds(), model.stream(RATE, 5, studies=make_studies("push", RATE, model))
     expected = [*[labels for points in clouds if (labels := stream.push(points)) is not None], *stream.flush()]
     for got, want in zip(kept.frames, expected, strict=True):
         assert got.frame.number == want.frame
@@ -476,7 +477,7 @@ def test_played_frames_have_the_labels_of_the_stream(tmp_path: Path, walks: list
 def test_the_command_records_what_it_plays(tmp_path: Path, walks: list[Recording], model: asterism.MarkerModel, capsys) -> None:
     asterism.write(tmp_path / "walk.c3d", walks[5].frames(slice(60)))
     model.save(tmp_path / "walkers.model")
-    words = ["live", "--replay", str(tmp_path / "walk.c3d"), "--model", str(tmp_path / "walkers.model"), "--speed", "100"]
+    words = ["live", "--replay", str(tmp_path / "walk.c3d"), "--model", str(tmp_path / "walkers.model"), "--speed", "inf"]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sink:
         sink.bind(("127.0.0.1", 0))
         sink.settimeout(10)

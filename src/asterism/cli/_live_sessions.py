@@ -14,6 +14,7 @@ from asterism.findings import Severity
 
 if TYPE_CHECKING:
     from asterism.findings import Finding
+    from asterism.labelling.live.study import StudyPlace
     from asterism.live import Health, LiveAnalysis, LiveSession, LiveSource
     from asterism.motion.clinical import SubjectMeasures
     from asterism.recording import Floats, Recording
@@ -46,7 +47,9 @@ def live_session(options: LiveOptions, source: LiveSource) -> LiveSession:
         worn = MarkerSet.load(options.markers) if options.markers is not None else None if model is None else model.marker_set
         if worn is not None:
             rules.look_at(worn.names)
-    make = make_labeller(model, options.markers, options.delay)
+    # Played as fast as frames are labelled, a recording would be over before a process has looked at it.
+    studies: StudyPlace = "push" if options.replay is not None and options.speed == math.inf else "process"
+    make = make_labeller(model, options.markers, options.delay, studies)
     analysis = _analysis(options, up)
     # Outputs are opened last, so that nothing else can fail while they are open.
     outputs = open_outputs(options.to, source.about)
@@ -105,11 +108,11 @@ def _warn(session: LiveSession, ended: threading.Event) -> None:
     """What the source finds wrong, as of a camera that was bumped, when it is found; the end repeats it, with all that was counted."""
     from asterism.live import own_findings
 
-    said = {(finding.code, finding.where) for finding in own_findings([session.source])}
+    said = {(finding.code, finding.where) for finding in own_findings([session.source, session.labelling])}
     while not ended.wait(1.0):
         # A source counts in another thread: what changes while it is asked is said the next time.
         with suppress(RuntimeError):
-            for finding in own_findings([session.source]):
+            for finding in own_findings([session.source, session.labelling]):
                 if finding.severity > Severity.NOTE and (finding.code, finding.where) not in said:
                     said.add((finding.code, finding.where))
                     _console.notice(str(finding))

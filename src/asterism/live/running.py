@@ -185,7 +185,9 @@ class LiveSession:
         try:
             # What can be made before the first frame keeps none of them waiting.
             begun = time.monotonic()
-            self._chain = self._made() if np.isfinite(self._rate) else None
+            if np.isfinite(self._rate):
+                self._chain = self._made()
+                self._chain.wait_for_studies()
             self._pass_over(time.monotonic() - begun)
             for thread in threads:
                 thread.start()
@@ -204,6 +206,8 @@ class LiveSession:
                 threads[0].join(timeout=5 * TURN)
             for output in self.outputs:
                 output.close()
+            if self._chain is not None:
+                self._chain.close()
             self.source.close()
         if self._failed is not None:
             raise self._failed
@@ -224,6 +228,11 @@ class LiveSession:
     def has_ended(self) -> bool:
         """Whether no frame comes any more."""
         return self._ended
+
+    @property
+    def labelling(self) -> LabelChain | None:
+        """What labels the frames, for what it says of itself; None before it is made."""
+        return self._chain
 
     def health(self) -> Health:
         """What was counted so far."""
