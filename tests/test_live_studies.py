@@ -19,7 +19,7 @@ from asterism.labelling.live.stream import FrameLabels, Stream
 from asterism.labelling.live.study import StreamFrames, Study, StudyPlan, StudyRules
 from asterism.labelling.live.study_process import StudyProcess, make_studies
 from asterism.labelling.live.study_worker import StudyWorker
-from asterism.labelling.live.tracks import NOT_STUDIED, TrackEvidence
+from asterism.labelling.live.tracks import TrackEvidence
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import NULL, Clouds, Recording
 from asterism.simulation import simulate_walks
@@ -111,13 +111,18 @@ def test_what_a_study_says_counts_beside_the_frames_of_its_tracks() -> None:
     study = Study(
         0, 1, np.array([0, 1, 2, 7]), np.array([1, NULL, 2, 0]), np.array([1, 0, 0, 1]) > 0, np.array([0.99, 0.0, 0.2, 1.0]), None
     )
-    tracks.take(study, 3.0, 15.0)
-    sure, doubt = 3.0 * np.log(0.99 / 0.01), 3.0 * np.log(0.2 / 0.8)
-    expected = 2.0 + np.array([[-sure, sure, -sure], [-15.0] * 3, [-15.0, -15.0, doubt], [0.0] * 3])
+    tracks.take(study, 3.0)
+    sure = 3.0 * np.log(0.99 / 0.01)
+    expected = 2.0 + np.array([[-sure, sure, -sure], [0.0] * 3, [0.0] * 3, [0.0] * 3])
     np.testing.assert_allclose(tracks.totals(tracks.current), expected)
-    assert tracks.studied[tracks.current].tolist() == [1, NULL, 2, NOT_STUDIED]
+    assert tracks.studied[tracks.current].tolist() == [1, NULL, 2, NULL] and tracks.seen[tracks.current].tolist() == [
+        True,
+        True,
+        True,
+        False,
+    ]
     tracks.clear(tracks.current[:1])
-    assert not tracks.totals(tracks.current[:1]).any()
+    assert not tracks.totals(tracks.current[:1]).any() and not tracks.seen[tracks.current[0]]
 
 
 def test_a_doubt_of_a_study_takes_back_a_label_and_a_study_that_is_sure_gives_it(walks, model) -> None:
@@ -146,10 +151,10 @@ def test_a_study_is_forgotten_with_its_tracks(walks, model) -> None:
     for points in walks[5].frames(slice(40)).clouds():
         stream.push(points)
     tracks = stream._tracks
-    assert (tracks.studied[tracks.current] != NOT_STUDIED).all() and len(set(tracks.serial[tracks.current])) == 15
+    assert tracks.seen[tracks.current].all() and len(set(tracks.serial[tracks.current])) == 15
     stream.push(np.empty((0, 3)))
     stream.push(walks[5].positions[41])
-    assert (tracks.studied[tracks.current] == NOT_STUDIED).all()
+    assert not tracks.seen[tracks.current].any()
     assert (tracks.serial >= 0).sum() == 15, "rows without a track have no number"
 
 
@@ -190,28 +195,24 @@ def test_when_studies_begin() -> None:
 
 def test_a_process_finds_what_the_same_thread_finds_and_ends(walks, model, process) -> None:
     process.teach(model)
-    clouds = walks[5].frames(slice(30)).clouds()
-    assert process.wait(PATIENCE)
+    clouds, found = walks[5].frames(slice(30)).clouds(), []
+    assert process.wait(PATIENCE) and process.taken(0) is None
     for number, points in enumerate(clouds):
-        process.add(number, points, np.arange(15), unsure=False)
-        if number == 0:
-            while process.taken(0) is None:
-                assert process.wait(PATIENCE)
-    found = None
-    while found is None:
-        assert not process.findings()
-        process.add(number + 1, np.empty((0, 3)), np.empty(0, dtype=np.int64), unsure=True)
-        number += 1
-        found = process.taken(number)
-    frames = as_frames(clouds)
-    cut = found.frames
-    assert cut > 1
-    worker = StudyWorker(model, RATE, StudyRules())
-    same = worker.study(StreamFrames(0, frames.xyz[: 15 * cut], frames.counts[:cut], frames.serials[: 15 * cut])) if cut <= 30 else None
-    if same is not None:
+        process.add(number, points, np.arange(15), unsure=number in (9, 29))
+        assert process.wait(PATIENCE), process.findings()
+        found.append(process.taken(number))
+    worker, begun = StudyWorker(model, RATE, StudyRules()), 0
+    for study in filter(None, found):
+        part = clouds.frames(slice(begun, study.last + 1))
+        expected = worker.study(as_frames(part, begun))
+        begun = study.last + 1
         for name in ("last", "frames", "serials", "markers", "given", "chance"):
-            np.testing.assert_array_equal(getattr(found, name), getattr(same, name))
-    assert found.given.all()
+            np.testing.assert_array_equal(getattr(study, name), getattr(expected, name))
+    assert found[0] and found[9] and begun == 30 and study.frames == 30 and study.given.all() and study.body is not None
+    # What is under way when frames begin anew is not given.
+    process.add(30, clouds[0], np.arange(15), unsure=True)
+    process.restart()
+    assert process.wait(PATIENCE) and process.taken(31) is None
     number = process.process
     process.close()
     assert gone(number)

@@ -28,7 +28,7 @@ from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.live.body import LiveBody, LiveRules
 from asterism.labelling.live.study import LEAST_CHANCE, Studies, Study, StudyRules
-from asterism.labelling.live.tracks import NOT_STUDIED, TrackEvidence
+from asterism.labelling.live.tracks import TrackEvidence
 from asterism.labelling.live.twins import LiveTwins, marker_of
 from asterism.labelling.live.verdict import LiveVerdict, LiveVerdictRules
 from asterism.labelling.training.calibration import Calibration
@@ -168,7 +168,6 @@ class Stream:
         self._candidates = make_candidates(min(refined, MAX_LABELLINGS), len(model.markers))
         self._twins = LiveTwins(labeller, refined)
         self._studies: Studies | None = None
-        self._study_rules = StudyRules()
         self._restart()
         body = labeller.body
         for _ in range(2):  # the first push must not wait for kernels to be read or compiled
@@ -226,8 +225,8 @@ class Stream:
         self._update(xyz, rival)
         self._waiting.append(_WaitingFrame(self._pushed, self._tracks.current, place))
         if self._studies is not None:
-            unstudied = self._tracks.studied[self._tracks.current] == NOT_STUDIED
-            self._studies.add(self._pushed, xyz, self._tracks.serial[self._tracks.current], unsure=bool(unstudied.any()))
+            current = self._tracks.current
+            self._studies.add(self._pushed, xyz, self._tracks.serial[current], unsure=not self._tracks.seen[current].all())
         self._pushed += 1
         return self._labels() if len(self._waiting) > self.delay else None
 
@@ -239,11 +238,11 @@ class Stream:
 
     def _take_study(self, study: Study) -> None:
         """Take over what a study says of the tracks and of the person."""
-        self._tracks.take(study, self._rules.log_odds_scale, self._study_rules.null_cost)
+        self._tracks.take(study, self._rules.log_odds_scale)
         if study.body is not None:
             self._body = study.body
             if self._live is not None:
-                self._live.rest(self._pushed + round(self._study_rules.window * self.rate))
+                self._live.rest(self._pushed + round(StudyRules().window * self.rate))
 
     def findings(self) -> list[Finding]:
         """What a person should know of the stream."""
@@ -398,18 +397,19 @@ class Stream:
     def _with_study(self, certainty: Floats, point_of: Ints, rows: Ints) -> Floats:
         """How certain labels (M,) are, in the light of what a study said of their tracks.
 
-        Where both give a label, each knows what the other does not: the surer one holds. A study that doubts it counts by the time that it
-        rests on, beside the stream's, whose evidence decays. Newer evidence against a study stands.
+        Where both give a label, each knows what the other does not: the surer one holds. A study that doubts it, or gives another one,
+        counts by the time that it rests on, beside the stream's, whose evidence decays.
         """
         if not len(rows):
             return certainty
-        of, studied = rows[point_of], self._tracks.known_for
-        same = (point_of >= 0) & (self._tracks.studied[of] == np.arange(len(point_of)))
-        chance = self._tracks.chance[of]
-        own, doubt = logit(np.clip([certainty, chance], LEAST_CHANCE, 1.0 - LEAST_CHANCE))
-        share = studied / (studied + self._rules.evidence_memory * self.rate)
-        doubted = np.minimum(certainty, expit((1.0 - share) * own + share * doubt))
-        return np.where(same, np.where(self._tracks.given[of], np.maximum(certainty, chance), doubted), certainty)
+        of, frames = rows[point_of], self._tracks.known_for
+        studied, given, chance = self._tracks.studied[of], self._tracks.given[of], self._tracks.chance[of]
+        same = studied == np.arange(len(point_of))
+        own, found = logit(np.clip([certainty, np.where(same, chance, 1.0 - chance)], LEAST_CHANCE, 1.0 - LEAST_CHANCE))
+        share = frames / (frames + self._rules.evidence_memory * self.rate)
+        doubted = np.minimum(certainty, expit((1.0 - share) * own + share * found))
+        is_doubted = (point_of >= 0) & (studied >= 0) & (same != given)
+        return np.where(is_doubted, doubted, np.where((point_of >= 0) & same & given, np.maximum(certainty, chance), certainty))
 
     def _margins(self, rows: Ints, scores: Floats, point_of: Ints) -> Floats:
         """`_margins` of a labelling of the tracks in these rows; a track that lasts has no rivals among those that flicker."""

@@ -54,7 +54,7 @@ class StudyProcess:
         self._talk.say((model.state, *self._about))
 
     def wait(self, seconds: float) -> bool:
-        """Wait until studies can be made, at most so long. Gives whether they can."""
+        """Wait until the process knows the model, and is done with the study under way, at most so long. Gives whether it is."""
         return self._talk.wait(seconds)
 
     @property
@@ -132,10 +132,10 @@ class _Talk:
         return found
 
     def wait(self, seconds: float) -> bool:
-        """Wait until the process is ready, at most so long."""
+        """Wait until the process waits for frames, at most so long."""
         with self._there:
-            self._there.wait_for(lambda: self._is_ready or bool(self.problem) or self._closed, seconds)
-            return self._is_ready
+            self._there.wait_for(lambda: self.is_idle or bool(self.problem) or self._closed, seconds)
+            return self.is_idle
 
     def close(self) -> None:
         """End the process and the thread."""

@@ -13,7 +13,7 @@ from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.live.study import StreamFrames, Study, StudyPlan, StudyRules, frames_kept
 from asterism.labelling.marker_model import MarkerModel
-from asterism.labelling.recording_labeller import LabellingSettings, RecordingLabeller
+from asterism.labelling.recording_labeller import RecordingLabeller
 from asterism.labelling.whole.label import subject_body
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, as_vertical
 from asterism.recording.verdict import CERTAIN
@@ -25,9 +25,6 @@ class StudyWorker:
     def __init__(self, model: MarkerModel, rate: float, rules: StudyRules) -> None:
         self._model, self._rate, self._rules = model, rate, rules
         self._labeller = RecordingLabeller(model)
-        # What is labelled as a track of its own; in fewer frames a track without a label says nothing.
-        short = LabellingSettings().recording.short
-        self._short = max(short.frames, short.seconds * rate)
         self._frames: deque[tuple[Floats, Ints]] = deque(maxlen=frames_kept(rate, rules))
         self.restart()
 
@@ -62,14 +59,14 @@ class StudyWorker:
             # Of two people the one who was labelled before, however many points each shows now.
             people = [(body, self._of_tracks(clouds, serials, body)) for body in both.bodies]
             labelling, found = max(people, key=lambda each: self._as_before(*each[1][:3]))
-        tracks, markers, given, chance, lengths = found
+        tracks, markers, given, chance = found
         self._labelled = tracks[given], markers[given]
-        told = given | (lengths > self._short)
+        markers = np.where(given | (chance >= self._rules.least_doubt), markers, NULL)
         body = self._body(clouds, labelling)
-        return Study(self._next - 1, len(clouds), tracks[told], markers[told], given[told], chance[told], body)
+        return Study(self._next - 1, len(clouds), tracks, markers, given, chance, body)
 
-    def _of_tracks(self, clouds: Clouds, serials: Ints, labelling: Labelling) -> tuple[Ints, Ints, NDArray[np.bool_], Floats, Ints]:
-        """The tracks, the marker of each at its end, whether it is given, its probability, and the frames of the track: (J,) each."""
+    def _of_tracks(self, clouds: Clouds, serials: Ints, labelling: Labelling) -> tuple[Ints, Ints, NDArray[np.bool_], Floats]:
+        """The tracks, the marker of each at its end, whether it is given, and its probability: (J,) each."""
         columns = self._model.state.markers
         indices, confidence = labelling.indices[:, columns], labelling.confidence[:, columns]
         marker, chance = np.full(len(serials), NULL, dtype=np.int64), np.zeros(len(serials))
@@ -79,9 +76,9 @@ class StudyWorker:
             frame, of = np.nonzero(of_marker != NULL)
             points = clouds.offsets[frame] + of_marker[frame, of]
             marker[points], chance[points], given[points] = of, confidence[frame, of], are_given
-        tracks, last, lengths = np.unique(serials[::-1], return_index=True, return_counts=True)
+        tracks, last = np.unique(serials[::-1], return_index=True)
         last = len(serials) - 1 - last
-        return tracks, marker[last], given[last], chance[last], lengths
+        return tracks, marker[last], given[last], chance[last]
 
     def _as_before(self, tracks: Ints, markers: Ints, given: NDArray[np.bool_]) -> int:
         """How many tracks have the label that they had in the study before."""

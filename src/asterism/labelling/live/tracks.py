@@ -12,9 +12,6 @@ from asterism.recording import NULL, Floats, Ints
 from asterism.tracking.link_kernels import link_step
 from asterism.tracking.link_workspace_kernels import LinkLimits, make_link_workspace, make_track_ends
 
-NOT_STUDIED = -2
-"""Instead of a marker: no study has judged the track."""
-
 
 class TrackEvidence:
     """Links points online, and adds up what the frames of each track say for each of M markers.
@@ -29,7 +26,8 @@ class TrackEvidence:
 
     current      (n,) rows of the last frame's points
     serial       (rows,) a number that no other track has, -1 for a row without a track
-    studied      (rows,) the marker that a study found for the track, -1 for none, `NOT_STUDIED` where none has judged it
+    seen         (rows,) whether a study has seen the track
+    studied      (rows,) the marker that a study found for the track, -1 where none has
     given        (rows,) whether that marker is its label; not for a candidate
     chance       (rows,) the study's probability that this marker is right
     known_for    frames that the last study had
@@ -40,8 +38,8 @@ class TrackEvidence:
         size = 16
         self._ends, self._next_ends, self._workspace = make_track_ends(size), make_track_ends(size), make_link_workspace(size)
         self._evidence, self._prior, self._frames = np.zeros((size, markers)), np.zeros((size, markers)), np.zeros(size)
-        self.serial, self.studied = np.full(size, NULL, dtype=np.int64), np.full(size, NOT_STUDIED, dtype=np.int64)
-        self.given, self.chance = np.zeros(size, dtype=np.bool_), np.zeros(size)
+        self.serial, self.studied = np.full(size, NULL, dtype=np.int64), np.full(size, NULL, dtype=np.int64)
+        self.seen, self.given, self.chance = np.zeros(size, dtype=np.bool_), np.zeros(size, dtype=np.bool_), np.zeros(size)
         self._free, self._serials = list(range(size)), 0
         self.known_for = 0
         self.current = np.zeros(0, dtype=np.int64)
@@ -78,7 +76,7 @@ class TrackEvidence:
             size = len(self._frames)
             more = size + count
             self._free.extend(range(size, size + more))
-            for name in ("_evidence", "_prior", "_frames", "serial", "studied", "given", "chance"):
+            for name in ("_evidence", "_prior", "_frames", "serial", "seen", "studied", "given", "chance"):
                 old = getattr(self, name)
                 setattr(self, name, np.concatenate([old, np.zeros((more, *old.shape[1:]), dtype=old.dtype)]))
             self.serial[size:] = NULL
@@ -113,12 +111,12 @@ class TrackEvidence:
     def clear(self, rows: Ints | list[int]) -> None:
         """Forget the evidence of some tracks, and what a study said of them."""
         self._evidence[rows], self._prior[rows], self._frames[rows] = 0.0, 0.0, 0.0
-        self.studied[rows] = NOT_STUDIED
+        self.seen[rows], self.studied[rows], self.given[rows] = False, NULL, False
 
-    def take(self, study: Study, log_odds_scale: float, null_cost: float) -> None:
-        """Let what a study says of tracks count beside their frames, until the next one.
+    def take(self, study: Study, log_odds_scale: float) -> None:
+        """Let the labels that a study gives to tracks count beside their frames, until the next one.
 
-        log_odds_scale: nats that make one unit of log odds; null_cost: nats against each marker for a track without a label.
+        log_odds_scale: nats that make one unit of log odds.
         """
         self.known_for = study.frames
         if not len(study.serials):
@@ -127,14 +125,11 @@ class TrackEvidence:
         rows = np.nonzero(study.serials[place] == self.serial)[0]
         place = place[rows]
         markers, given, chance = study.markers[place], study.given[place], study.chance[place]
-        self.studied[rows], self.given[rows], self.chance[rows] = markers, given, chance
+        self.seen[rows], self.studied[rows], self.given[rows], self.chance[rows] = True, markers, given, chance
         odds = log_odds_scale * logit(np.clip(chance, LEAST_CHANCE, 1.0 - LEAST_CHANCE))
-        # For a label as much as against each other marker; for a candidate only what it lacks to even odds.
-        against = np.where(given, np.maximum(odds, 0.0), null_cost)
-        self._prior[rows] = -against[:, None]
-        known = markers != NULL
-        best = np.where(given, against, np.clip(odds, -null_cost, 0.0))
-        self._prior[rows[known], markers[known]] = best[known]
+        gain = np.where(given, np.maximum(odds, 0.0), 0.0)
+        self._prior[rows] = -gain[:, None]
+        self._prior[rows, markers] = gain
 
     def totals(self, rows: Ints, max_frames: float = np.inf) -> Floats:
         """What all frames of each track say for each marker, (n, M) nats: as much as so many independent frames say, at most.
