@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import multiprocessing
 import pickle
 import signal
 import struct
@@ -22,6 +21,7 @@ import numpy as np
 from asterism.cameras import Rig
 from asterism.errors import AsterismError
 from asterism.files.plain import as_json
+from asterism.files.processes import clean_context
 from asterism.findings import Finding
 from asterism.live.blobs.rig_source import RigCameraHealth, RigSource
 from asterism.live.camera_frames import BlobSource
@@ -74,11 +74,7 @@ class RigProcess:
     def __init__(
         self, open_blobs: OpenBlobs, rig: Rig, settings: ReconstructionSettings | None = None, *, name: str = "", keep: Path | None = None
     ) -> None:
-        servers = "forkserver" in multiprocessing.get_all_start_methods()
-        context: Any = multiprocessing.get_context("forkserver" if servers else "spawn")
-        if servers:
-            # What each process begins with is imported once.
-            context.set_forkserver_preload([__name__])
+        context = clean_context(__name__)
         self._pipe, there = context.Pipe()
         self._process = context.Process(target=_serve, args=(there, open_blobs, rig, settings, name, keep), name="live rig", daemon=True)
         self._process.start()
