@@ -19,7 +19,7 @@ from asterism.live.analog import KeptAnalog, analog_as_arrays, analog_of_arrays
 from asterism.live.chain import LabelledFrame
 from asterism.live.frames import LiveFrame
 from asterism.live.writing import WritingThread
-from asterism.recording import NULL, Clouds, Floats, Labelling, Recording
+from asterism.recording import LABELLED_LIVE, NULL, Clouds, Floats, Labelling, Recording
 
 _WORK = "asterism live 1"
 _ARRIVALS = 9
@@ -42,18 +42,22 @@ class LiveRecorder:
 
     path  of the recording, which must be new: `walk.live`. `recording_of` reads it, finished or not
     name, vertical of the source
+    markers  the set, or the model, that somebody chose; "" where the set is found
     tell  what hears at once that the recording ended
 
     Memory is bounded by `_MOST` frames: where the disk takes longer, frames are not kept, and `lost` counts them. A disk that fails
     ends the recording and not the session: `problem` says why.
     """
 
-    def __init__(self, path: Path, name: str, vertical: Floats | None, tell: Callable[[str], None] = lambda problem: None) -> None:
+    def __init__(
+        self, path: Path, name: str, vertical: Floats | None, tell: Callable[[str], None] = lambda problem: None, markers: str = ""
+    ) -> None:
         if path.exists():
             raise AsterismError(f"{path} exists; name another file to record to, or remove it.")
         self.path, self.problem, self.lost, self.kept, self._tell = path, "", 0, 0, tell
         self._journal = Journal(path, _WORK)
-        head = {"name": name, "vertical": [0.0, 0.0, 1.0] if vertical is None else vertical.tolist(), "begun": time.time()}
+        up = [0.0, 0.0, 1.0] if vertical is None else vertical.tolist()
+        head = {"name": name, "vertical": up, "begun": time.time(), "markers": markers}
         self._written(lambda: [_text(json.dumps(head))])
         self._chunk = _Chunk([], [])
         self._guard = threading.Lock()
@@ -138,6 +142,7 @@ class KeptSession:
     begun      s since 1970
     times      (T,) s on the source's clock, NaN for lost frames
     analog     what devices measured along with them
+    markers    the set, or the model, that somebody chose; "" where the set was found
     """
 
     clouds: Clouds
@@ -146,10 +151,14 @@ class KeptSession:
     begun: float
     times: Floats
     analog: tuple[KeptAnalog, ...] = ()
+    markers: str = ""
 
     def recording(self) -> Recording:
-        """The labelled trajectories, points without a label behind them."""
-        return Recording.from_clouds(self.clouds, self.labelling)
+        """The labelled trajectories, points without a label behind them; the log says that they are labels given live, and no tracks."""
+        recording = Recording.from_clouds(self.clouds, self.labelling)
+        if self.labelling is None:
+            return recording
+        return replace(recording, log=(replace(LABELLED_LIVE, settings={"markers": self.markers}),))
 
 
 def recording_of(path: Path, rate: float | None = None) -> KeptSession:
@@ -183,7 +192,7 @@ def recording_of(path: Path, rate: float | None = None) -> KeptSession:
     labelling = _labelling(chunks, clouds, row_of, by_number)
     # Recordings of earlier versions have none.
     analog = analog_of_arrays([chunk[7:9] for chunk in chunks if len(chunk) > 7])
-    return KeptSession(clouds, labelling, head["name"], head["begun"], of_row, analog)
+    return KeptSession(clouds, labelling, head["name"], head["begun"], of_row, analog, head.get("markers", ""))
 
 
 def _rows(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
