@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import threading
 import time
@@ -14,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.files.journal import Journal, steps_of
+from asterism.files.journal import Journal, in_use, read_steps, unread_bytes
+from asterism.findings import Finding, Severity
 from asterism.live.analog import KeptAnalog, analog_as_arrays, analog_of_arrays
 from asterism.live.chain import LabelledFrame
 from asterism.live.frames import LiveFrame
@@ -133,6 +135,50 @@ def _arrays_of(chunk: _Chunk) -> list[NDArray[Any]]:
 
 
 @dataclass(frozen=True)
+class LeftBehind:
+    """What a session that was not finished left beside its output.
+
+    in_use  whether a session still writes to it
+    frames  whether frames were recorded; where none were, and nothing is damaged, nobody misses the file
+    """
+
+    in_use: bool
+    frames: bool
+
+
+def left_behind(path: Path) -> LeftBehind:
+    """What an earlier session left in a file; O(1): no more of it is read than shows whether there are frames."""
+    frames = any(len(step[0]) for step in itertools.islice(read_steps(path, _WORK), 1, None))
+    return LeftBehind(in_use(path), frames or unread_bytes(path, _WORK) > 0)
+
+
+def remove_recorded(path: Path) -> Finding | None:
+    """Remove a live recording that was written as a whole, so that the next session of that name can begin.
+
+    Where bytes at its end could not be read it is renamed instead, and the finding says so: whatever they hold, nothing is lost. Where a
+    session still writes to it, it stays.
+    """
+    if in_use(path):
+        sentence = f"{path}: the session that records to it still runs; what it had recorded until now is written."
+        return Finding("live-not-finished", Severity.NOTE, str(path), sentence, "End it with Ctrl-C: then it writes all.")
+    unread = unread_bytes(path, _WORK)
+    if not unread:
+        path.unlink(missing_ok=True)
+        return None
+    beside = (path.with_name(f"{path.name}.damaged{n or ''}") for n in itertools.count())
+    kept = next(each for each in beside if not each.exists())
+    path.rename(kept)
+    sentence = f"{path}: {unread} bytes at its end could not be read; what came before is written. It is kept as {kept.name}."
+    return Finding(
+        "live-cut-off",
+        Severity.WARNING,
+        str(path),
+        sentence,
+        "Where the session was killed they were its last frames; else look at the disk.",
+    )
+
+
+@dataclass(frozen=True)
 class KeptSession:
     """What a live recording holds.
 
@@ -166,7 +212,7 @@ def recording_of(path: Path, rate: float | None = None) -> KeptSession:
 
     rate: frames per second, None for what the times show. Raises AsterismError where the file is no live recording, or holds no frame.
     """
-    steps = steps_of(path, _WORK)
+    steps = list(read_steps(path, _WORK))
     if not steps:
         raise AsterismError(f"{path} is no live recording; give the file that a session left beside its output, FILE.c3d.live.")
     head = json.loads(bytes(steps[0][0]))
