@@ -16,8 +16,8 @@ from asterism.recording.verdict import Verdict
 from asterism.recording.worn_set import WornSet, worn_marker_sets
 
 __all__ = [
-    "LABEL_STATES",
     "LABELLED_LIVE",
+    "LABEL_STATES",
     "NULL",
     "SURE",
     "Blobs",

@@ -236,7 +236,7 @@ class SetFinder:
         return tuple(WornMarkers(_name_of(one), MarkerSet.load(one), GIVEN) for one in self.given)
 
     def _by_names(self, recording: Recording) -> WornMarkers | None:
-        """The set of which most markers are named; None where the names are of none, or of a set that was found live in the first second."""
+        """The set of which most markers are named; None where they are of none, or of one that was found live, in a second."""
         live = labelled_live(recording.log)
         if live is not None and not live.settings.get("markers"):
             return None
