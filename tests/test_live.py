@@ -23,6 +23,7 @@ from models import trained
 import asterism
 from asterism import AsterismError
 from asterism.cli import main
+from asterism.files.journal import Journal
 from asterism.findings import Severity
 from asterism.labelling.live.stream import FrameLabels
 from asterism.live import (
@@ -489,12 +490,40 @@ def test_the_command_records_what_it_plays(tmp_path: Path, walks: list[Recording
     written = asterism.read(tmp_path / "out.c3d")
     assert len(written) == 60 and set(walks[5].labels) <= set(written.labels)
     assert not (tmp_path / "out.c3d.live").exists()
-    # What a killed session leaves is told, and can be written.
-    recorded(tmp_path / "next.c3d.live", list(range(40)))
-    assert main([*words, "-o", str(tmp_path / "next.c3d")]) == 2
-    assert "--finish" in capsys.readouterr().err
-    assert main(["live", "--finish", str(tmp_path / "next.c3d.live"), "-o", str(tmp_path / "next.c3d")]) == 0
-    assert len(asterism.read(tmp_path / "next.c3d")) == 40
+
+
+def test_what_a_killed_session_left_is_written_once_and_is_then_in_nobodys_way(tmp_path: Path, capsys) -> None:
+    output, left = tmp_path / "next.c3d", tmp_path / "next.c3d.live"
+    begin = ["live", "udp://127.0.0.1:0", "--rate", "100", "--markers", "helen-hayes", "--seconds", "0.1", "-o", str(output)]
+    write = ["live", "--finish", str(left), "-o", str(output), "--json", "-"]
+    recorded(left, list(range(40)))
+    assert main(begin) == 2 and f"--finish {left}" in capsys.readouterr().err and left.exists()
+    # A session that still runs writes to it: what there is can be written, and the file stays.
+    running = Journal(left, "asterism live 1")
+    assert main(begin) == 2 and "now" in capsys.readouterr().err
+    assert main(write) == 0 and left.exists()
+    assert [finding["code"] for finding in json.loads(capsys.readouterr().out)["findings"]] == ["live-not-finished"]
+    running.close()
+    assert main(write) == 2 and "--overwrite" in capsys.readouterr().err and left.exists(), "the recording is there"
+    assert main([*write, "--overwrite"]) == 0
+    assert json.loads(capsys.readouterr().out)["frames"] == len(asterism.read(output)) == 40 and not left.exists()
+    # Bytes that cannot be read are kept under another name.
+    for name in ("next.c3d.live.damaged", "next.c3d.live.damaged1"):
+        recorded(left, list(range(40)))
+        left.write_bytes(left.read_bytes()[:-9])
+        assert main([*write, "--overwrite"]) == 1 and "live-cut-off" in capsys.readouterr().out
+        assert len(asterism.read(output)) == 20 and not left.exists() and (tmp_path / name).exists()
+    output.unlink()
+    # A session that was killed before its first frame keeps nobody from the next.
+    recorded(left, [])
+    assert main(begin) == 1 and not left.exists()
+
+
+@pytest.mark.parametrize("words", [["udp://127.0.0.1:0"], ["--model", "gait.model"], ["--lines"], ["--lower-body", "plug-in-gait"]])
+def test_what_begins_no_session_takes_no_options_of_one(tmp_path: Path, words: list[str], capsys) -> None:
+    recorded(tmp_path / "walk.live", list(range(20)))
+    assert main(["live", "--finish", str(tmp_path / "walk.live"), "-o", str(tmp_path / "walk.c3d"), *words]) == 2
+    assert "begins none" in capsys.readouterr().err and not (tmp_path / "walk.c3d").exists()
 
 
 def test_a_source_that_sends_nothing_is_told(tmp_path: Path, capsys) -> None:

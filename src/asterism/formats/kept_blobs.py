@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError, guarded_reading
-from asterism.files.journal import Journal, steps_of
+from asterism.files.journal import Journal, read_steps
 from asterism.recording import Blobs, Floats, Ints
 
 KEPT_SUFFIX = ".blobs"
@@ -92,7 +92,7 @@ def read_kept_blobs(path: Path, cameras: Sequence[str] | None = None, rate: floa
     with guarded_reading(path):
         # A file that is not there is told as such.
         path.open("rb").close()
-        steps = steps_of(path, _WORK)
+        steps = list(read_steps(path, _WORK))
         if not steps:
             raise AsterismError(f"{path} holds no blobs of a live session; give the file that `asterism live` left beside its output.")
         head = json.loads(bytes(steps[0][0]))
