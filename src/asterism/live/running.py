@@ -19,6 +19,7 @@ from asterism.live.chain import LabelChain, LabelledFrame, MakeLabeller
 from asterism.live.clock import FrameCount, SourceClock
 from asterism.live.feedback import Feedback
 from asterism.live.frames import TURN, LiveFrame, LiveSource, SourceEnded
+from asterism.live.pauses import short_pauses
 from asterism.recording import Floats
 
 _QUEUE = 0.1
@@ -177,6 +178,10 @@ class LiveSession:
 
         Raises AsterismError where the labelling cannot begin.
         """
+        with short_pauses():
+            return self._run(seconds)
+
+    def _run(self, seconds: float) -> Health:
         self._rate = self.source.about.rate
         threads = [
             threading.Thread(target=self._read, name="live source", daemon=True),
