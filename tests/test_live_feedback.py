@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 import re
+import socket
 import threading
 import time
 import urllib.error
@@ -520,6 +522,23 @@ class Listener:
     def seen(self, news: dict[str, Any]) -> None:
         if self.answers and "picture" in news:
             self.socket.send(json.dumps({"seen": news["picture"]}))
+
+
+def test_what_is_sent_to_the_page_waits_for_no_answer() -> None:
+    from asterism.web.serving import PageAddress, bound
+
+    async def sends_at_once() -> int:
+        accepted = asyncio.get_running_loop().create_future()
+        listening = bound(PageAddress())
+        async with await asyncio.start_server(lambda reader, writer: accepted.set_result(writer), sock=listening):
+            _, ours = await asyncio.open_connection(*listening.getsockname())
+            theirs = await accepted
+            at_once = theirs.get_extra_info("socket").getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+            for writer in (ours, theirs):
+                writer.close()
+        return int(at_once)
+
+    assert asyncio.run(sends_at_once())
 
 
 def test_a_page_that_sleeps_holds_nobody_back_and_hears_no_old_sounds(monkeypatch: pytest.MonkeyPatch) -> None:

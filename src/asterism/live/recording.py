@@ -23,7 +23,7 @@ from asterism.live.chain import LabelledFrame
 from asterism.live.clock import rows_of
 from asterism.live.frames import LiveFrame
 from asterism.live.writing import WritingThread
-from asterism.recording import NULL, Clouds, Floats, Labelling, Recording
+from asterism.recording import LABELLED_LIVE, NULL, Clouds, Floats, Labelling, Recording
 from asterism.recording.rates import rate_of_times
 
 _WORK = "asterism live 1"
@@ -51,6 +51,7 @@ class LiveRecorder:
 
     path  of the recording, which must be new: `walk.live`. `recording_of` reads it, finished or not
     name, vertical of the source
+    markers  the set, or the model, that somebody chose; "" where the set is found
     tell  what hears at once that the recording ended
     rate  frames per second that the source says; NaN where it does not
 
@@ -59,13 +60,20 @@ class LiveRecorder:
     """
 
     def __init__(
-        self, path: Path, name: str, vertical: Floats | None, tell: Callable[[str], None] = lambda problem: None, rate: float = math.nan
+        self,
+        path: Path,
+        name: str,
+        vertical: Floats | None,
+        tell: Callable[[str], None] = lambda problem: None,
+        markers: str = "",
+        rate: float = math.nan,
     ) -> None:
         if path.exists():
             raise AsterismError(f"{path} exists; name another file to record to, or remove it.")
         self.path, self.problem, self.lost, self.kept, self._tell = path, "", 0, 0, tell
         self._journal = Journal(path, _WORK)
-        head: dict[str, Any] = {"name": name, "vertical": [0.0, 0.0, 1.0] if vertical is None else vertical.tolist(), "begun": time.time()}
+        up = [0.0, 0.0, 1.0] if vertical is None else vertical.tolist()
+        head: dict[str, Any] = {"name": name, "vertical": up, "begun": time.time(), "markers": markers}
         if math.isfinite(rate):
             head["rate"] = rate
         self._written(lambda: [_text(json.dumps(head))])
@@ -196,6 +204,7 @@ class KeptSession:
     begun      s since 1970
     times      (T,) s on the source's clock, NaN for lost frames
     analog     what devices measured along with them
+    markers    the set, or the model, that somebody chose; "" where the set was found
     """
 
     clouds: Clouds
@@ -204,10 +213,14 @@ class KeptSession:
     begun: float
     times: Floats
     analog: tuple[KeptAnalog, ...] = ()
+    markers: str = ""
 
     def recording(self) -> Recording:
-        """The labelled trajectories, points without a label behind them."""
-        return Recording.from_clouds(self.clouds, self.labelling)
+        """The labelled trajectories, points without a label behind them; the log says that they are labels given live, and no tracks."""
+        recording = Recording.from_clouds(self.clouds, self.labelling)
+        if self.labelling is None:
+            return recording
+        return replace(recording, log=(replace(LABELLED_LIVE, settings={"markers": self.markers}),))
 
 
 def recording_of(path: Path, rate: float | None = None) -> KeptSession:
@@ -242,7 +255,7 @@ def recording_of(path: Path, rate: float | None = None) -> KeptSession:
     labelling = _labelling(chunks, clouds, row_of, by_number)
     # Recordings of earlier versions have none.
     analog = analog_of_arrays([chunk[7:9] for chunk in chunks if len(chunk) > 7])
-    return KeptSession(clouds, labelling, head["name"], head["begun"], of_row, analog)
+    return KeptSession(clouds, labelling, head["name"], head["begun"], of_row, analog, head.get("markers", ""))
 
 
 def _labelling(chunks: list[list[NDArray[Any]]], clouds: Clouds, row_of: dict[float, int], by_number: bool) -> Labelling | None:
