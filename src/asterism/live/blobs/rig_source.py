@@ -77,8 +77,10 @@ class RigCameraHealth:
     systematic: float
 
 
-_NOT_COME = ("live-camera-lost", "live-camera-dropped", "live-camera-silent", "live-camera-not-opened")
-"""What a camera says itself of images that did not come: the same is not told again."""
+_AWAY_TOLD = ("live-camera-silent", "live-camera-not-opened", "live-camera-size", "live-camera-ended", "live-camera-reopened")
+"""Why a source says itself that a camera gave nothing for a while: that it fell silent is the same, and is not told again."""
+_NOT_COME = (*_AWAY_TOLD, "live-camera-lost", "live-camera-dropped")
+"""What it says itself of images that did not come."""
 
 
 class RigSource:
@@ -216,7 +218,8 @@ class RigSource:
         own = own_findings([self._source])
         # What a camera or its process left out never came either, and is told once, by who knows why.
         told = {finding.where for finding in own if finding.code in _NOT_COME}
-        counts = self._counts(told) if self._frames else []
+        away = {finding.where for finding in own if finding.code in _AWAY_TOLD}
+        counts = self._counts(told, away) if self._frames else []
         # Where a session was so short that it was judged once, that is all there is.
         enough = 1 if self._closed and self._judgements == 1 else 2
         return [*own, *self._names(), *counts, *(finding for finding, times in self._found.values() if times >= enough)]
@@ -356,7 +359,8 @@ class RigSource:
             found.append(Finding("reconstruct-no-pose", Severity.WARNING, listed(self._unposed), sentence, mend))
         return found
 
-    def _counts(self, told: set[str]) -> list[Finding]:
+    def _counts(self, told: set[str], away: set[str]) -> list[Finding]:
+        """What was counted, but for cameras whose images or silence are told already."""
         found, warning, cameras = list[Finding](), Severity.WARNING, self.cameras()
         cable = "Look at cables and at the network, or lower the rate."
         # Those too of which the source does not know.
@@ -374,7 +378,7 @@ class RigSource:
             found.append(Finding("live-camera-late", warning, where, f"images came too late for their frame: {said}.", cable))
         for camera in cameras:
             where = camera.name
-            if camera.times_away:
+            if camera.times_away and where not in away:
                 sentence = f"camera {where} fell silent {how_often(camera.times_away)}{', and is silent now' if camera.away else ''}."
                 found.append(Finding("live-camera-away", warning, where, sentence, "Look at its cable; frames went on without it."))
             if camera.jumps:
