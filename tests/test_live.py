@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -271,6 +272,45 @@ def test_a_session_ends_after_its_seconds_which_begin_when_it_can_label() -> Non
     endless = Given(frames(list(range(100_000))))
     health = LiveSession(endless, slow, waits=True).run(0.2)
     assert 0 < health.labelled < 1000 and health.frames == health.labelled
+
+
+@pytest.mark.parametrize(
+    ("rate", "stamp", "enough"),
+    [
+        (5.0, lambda at: at, 5),
+        (5.0, lambda at: math.floor(1000 * at) / 1000, 5),
+        (120.0, lambda at: math.floor(1000 * at) / 1000, 30),
+        (100.0, lambda at: math.floor(at / 0.0156) * 0.0156, 30),
+        (50.0, lambda at: at + (at > 0.1), 30),
+    ],
+    ids=["slow", "milliseconds", "120 Hz in milliseconds", "clock of Windows", "clock set"],
+)
+def test_the_rate_is_found_as_soon_as_the_times_tell_it(rate: float, stamp: Callable[[float], float], enough: int) -> None:
+    """The source ends when its frames are labelled: who needs more of them waits in vain."""
+    kept, found, sought = Kept(), list[float](), list[bool]()
+
+    class Waiting(Given):
+        def read(self, timeout: float) -> LiveFrame | None:
+            sought.append(session.seeks_rate)
+            try:
+                return super().read(timeout)
+            except SourceEnded:
+                if len(kept.frames) == enough:
+                    raise
+                time.sleep(0.001)
+                return None
+
+    def made(rate: float, up: object) -> Numbers:
+        found.append(rate)
+        return Numbers()
+
+    came = [LiveFrame(n, stamp(n / rate), 50.0 + n / rate, np.zeros((1, 3))) for n in range(enough)]
+    source = Waiting(came, math.nan)
+    session = LiveSession(source, made, [kept])
+    health = session.run(30.0)
+    assert sought[:3] == [False, True, True], "it can be told while the rate is sought"
+    assert health.labelled == enough and not session.seeks_rate
+    assert found == [pytest.approx(rate, rel=0.01)]
 
 
 def test_times_that_do_not_grow_need_a_rate() -> None:

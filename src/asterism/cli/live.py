@@ -45,7 +45,8 @@ def live(options: LiveOptions) -> None:
     try:
         session = live_session(options, source)
         if unfinished is not None:
-            recorder = LiveRecorder(unfinished, source.about.name, session.up, _console.notice)
+            chosen = str(options.model or options.markers or "")
+            recorder = LiveRecorder(unfinished, source.about.name, session.up, _console.notice, chosen, source.about.rate)
             session.recorder = recorder
         health = run_session(session, options)
     finally:

@@ -7,6 +7,9 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+from asterism.recording import Ints
 
 WINDOW = 10.0
 """s over which the fastest frame stands for the way without waiting. Half of it calls a slow second the usual one; twice as long hides that
@@ -137,6 +140,18 @@ class FrameCount:
         return True
 
 
+def rows_of(numbers: ArrayLike) -> Ints:
+    """(n,) the frame of a recording in which each frame stands: numbers go on, and where the source began anew the next one follows.
+
+    >>> rows_of([7, 8, 10, 0, 1]).tolist()
+    [0, 1, 3, 4, 5]
+    """
+    steps = np.diff(np.asarray(numbers, dtype=np.int64))
+    return np.concatenate([[0], np.cumsum(np.where((steps < 1) | (steps > _GAP), 1, steps))])
+
+
+_GAP = 10_000
+"""Numbers that may lack; a farther one is that of a source that began anew. Half and double do as well: a minute at 200 Hz."""
 _STEPS = 128
 """Latest steps between two time stamps, by which their spread is known. Half of them know it badly; twice as many adapt late."""
 _TIMING = 0.02

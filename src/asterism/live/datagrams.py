@@ -17,6 +17,7 @@ from asterism.findings import Finding, Severity
 from asterism.live.clock import StreamTimes
 from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
 from asterism.live.reporting import times_made
+from asterism.recording.display import counted
 
 LARGEST = 65_507
 """Bytes of the largest UDP datagram."""
@@ -51,14 +52,10 @@ def why_damaged(data: bytes) -> str:
     return read if isinstance(read, str) else ""
 
 
-def damaged_json(where: str, why: str) -> list[Finding]:
-    """What `why_damaged` said of the first frame that could not be read; nothing for ""."""
-    mend = "Send frames as docs/live-sources.md says, JSON."
-    return (
-        [Finding("live-format", Severity.WARNING, where, f"{where}: of the first packet that could not be read, {why}.", mend)]
-        if why
-        else []
-    )
+def damaged_json(where: str, count: int, why: str) -> list[Finding]:
+    """How many packets could not be read, and what `why_damaged` said of the first; nothing for ""."""
+    sentence = f"{where}: {counted(count, 'packet')} could not be read; of the first, {why}."
+    return [Finding("live-format", Severity.WARNING, where, sentence, "Send frames as docs/live-sources.md says, JSON.")] if why else []
 
 
 def _read(data: bytes, arrived: float) -> LiveFrame | str:
@@ -161,7 +158,7 @@ class JsonDatagrams:
             sentence = f"{where}: several programs send to it. {self._heard} is heard; these were not: {others}."
             mend = "Stop the others, or give each a port of its own."
             found.append(Finding("live-other-sender", Severity.WARNING, where, sentence, mend))
-        return [*found, *damaged_json(where, self._why)]
+        return [*found, *damaged_json(where, self.damaged, self._why)]
 
     def close(self) -> None:
         """Stop listening."""

@@ -16,10 +16,12 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.live.analysis import NOTHING, AnalysedFrame, LiveAnalysis
 from asterism.live.chain import LabelChain, LabelledFrame, MakeLabeller
-from asterism.live.clock import FrameCount, SourceClock
+from asterism.live.clock import FrameCount, SourceClock, rows_of
 from asterism.live.feedback import Feedback
 from asterism.live.frames import TURN, LiveFrame, LiveSource, SourceEnded
+from asterism.live.pauses import short_pauses
 from asterism.recording import Floats
+from asterism.recording.rates import TO_RATE, RateOfTimes, rate_of_times
 
 _QUEUE = 0.1
 """s of frames that wait for their labels at most. A walking body is found again after it. Half of it drops frames at each pause of the
@@ -30,9 +32,10 @@ with twice as much a cable that is out is shown a second later."""
 _AT_ONCE = 0.002
 """s within which a frame that was there already is read; a tenth of a millisecond is usual. Twice as long takes a new frame for an old one
 at 500 Hz; with half of it a busy machine takes an old one for new."""
-_TO_RATE = 30
-"""Frames by whose times the rate is found where a source does not say it: an irregular sender's to within 1 %. Half of them tell it half as
-well; with twice as many labels begin 0.3 s later at 100 Hz."""
+_FEWEST, _SURE = 4, 0.01
+"""Frames from which on times may tell the rate, and the share of it by which they may be off then, so that a slow sender's is known in a
+second. Three frames say nothing of how times scatter; five take one frame more. Half of the share takes 8 frames of 5 Hz instead of 5, with
+twice as much irregular times are off by a tenth. Where they never tell it so well, `TO_RATE` frames have to do."""
 _SLOWEST = 1.0
 """s from frame to frame from which on times are no seconds: milliseconds of 1,000 Hz. Half of it still tells those of 500 Hz, with twice as
 much a body cannot be followed anyway."""
@@ -177,6 +180,10 @@ class LiveSession:
 
         Raises AsterismError where the labelling cannot begin.
         """
+        with short_pauses():
+            return self._run(seconds)
+
+    def _run(self, seconds: float) -> Health:
         self._rate = self.source.about.rate
         threads = [
             threading.Thread(target=self._read, name="live source", daemon=True),
@@ -219,6 +226,11 @@ class LiveSession:
     def up(self) -> Floats | None:
         """(3,) what points up; None where nobody says so."""
         return self.source.about.vertical if self.vertical is None else self.vertical
+
+    @property
+    def seeks_rate(self) -> bool:
+        """Whether frames came and none is labelled yet, since their rate has to be found by their times."""
+        return bool(self._arrivals) and not np.isfinite(self._rate)
 
     @property
     def has_ended(self) -> bool:
@@ -279,7 +291,7 @@ class LiveSession:
         if self.recorder is not None:
             self.recorder.frame(frame)
         # Until the rate is known nothing is labelled, and the first frames wait for it.
-        most = max(2, round(_QUEUE * self._rate)) if np.isfinite(self._rate) else _TO_RATE
+        most = max(2, round(_QUEUE * self._rate)) if np.isfinite(self._rate) else TO_RATE
         with self._there:
             while self.waits and len(self._queue) >= most and not self._ended:
                 self._there.wait(TURN)
@@ -335,19 +347,19 @@ class LiveSession:
 
     def _frames_for_rate(self) -> list[LiveFrame]:
         """The first frames, by whose times the rate is found."""
-        taken: list[LiveFrame] = []
-        while len(taken) < _TO_RATE:
+        taken, found = list[LiveFrame](), RateOfTimes(math.nan, 0.0, math.inf)
+        while len(taken) < TO_RATE and not (len(taken) >= _FEWEST and 0 < found.sd < _SURE * found.step):
             frame = self._wait()
             if frame is None:
                 return taken
             taken.append(frame)
-        step = float(np.median(np.diff([frame.time for frame in taken]) / np.maximum(1, np.diff([frame.number for frame in taken]))))
-        if not step > 0:
+            found = rate_of_times(rows_of([each.number for each in taken]), [each.time for each in taken])
+        if not found.step > 0:
             raise AsterismError(f"{self.source.about.name}: its times do not grow from frame to frame; say its rate with --rate.")
-        if step >= _SLOWEST:
-            sentence = f"its times grow by {step:g} from frame to frame, and are read as seconds"
+        if found.step >= _SLOWEST:
+            sentence = f"its times grow by {found.step:g} from frame to frame, and are read as seconds"
             raise AsterismError(f"{self.source.about.name}: {sentence}; send seconds, or say its rate with --rate.")
-        self._rate = 1.0 / step
+        self._rate = found.rate
         return taken
 
     def _wait(self) -> LiveFrame | None:
