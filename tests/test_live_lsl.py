@@ -179,7 +179,7 @@ def test_what_is_no_motion_capture_is_refused(name: str) -> None:
     eeg = outlet(name, [{"label": each, "type": "EEG", "unit": "microvolts"} for each in ("Fp1", "Fp2", "Cz")], kind="EEG")
     with pytest.raises(AsterismError, match="3 channels, and they are no places of markers"):
         open_source(f"lsl://{name}?type=eeg")
-    with pytest.raises(AsterismError, match="nothing is known by colour"):
+    with pytest.raises(AsterismError, match="colour means nothing there"):
         open_source(f"lsl://{name}?colour=red")
     with pytest.raises(AsterismError, match="names no stream"):
         open_output("lsl://", SourceAbout("given", 100.0))

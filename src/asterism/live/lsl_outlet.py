@@ -12,6 +12,7 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.live.addresses import Query
 from asterism.live.analysis import AnalysedFrame
 from asterism.live.clock import SourceClock
 from asterism.live.packages import packages_for
@@ -42,7 +43,8 @@ class ToLsl:
         parts = urlsplit(address)
         self.name = address
         self._title = unquote(parts.netloc + parts.path)
-        if not self._title or parts.query:
+        Query(address).check_all_used()
+        if not self._title:
             raise AsterismError(f"{address} names no stream; write for example lsl://Asterism.")
         self._lsl, self._rate = pylsl, rate if math.isfinite(rate) else pylsl.IRREGULAR_RATE
         self._clock = SourceClock()
