@@ -46,7 +46,7 @@ def live(options: LiveOptions) -> None:
         session = live_session(options, source)
         if unfinished is not None:
             chosen = str(options.model or options.markers or "")
-            recorder = LiveRecorder(unfinished, source.about.name, session.up, _console.notice, chosen)
+            recorder = LiveRecorder(unfinished, source.about.name, session.up, _console.notice, chosen, source.about.rate)
             session.recorder = recorder
         health = run_session(session, options)
     finally:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from asterism.errors import AsterismError, guarded_reading
 from asterism.files.journal import Journal, read_steps
 from asterism.recording import Blobs, Floats, Ints
+from asterism.recording.rates import rate_of_times
 
 KEPT_SUFFIX = ".blobs"
 _WORK = "asterism blobs 1"
@@ -121,8 +122,10 @@ def _blobs(
         when = np.full((frames, len(order)), np.nan)
         when[row, camera] = times
     if rate is None:
-        steps = np.diff(times[images[:, 0] == images[0, 0]])
-        rate = float(1.0 / np.median(steps[steps > 0])) if (steps > 0).any() else 100.0
+        first = np.flatnonzero(images[:, 0] == images[0, 0])
+        first = first[np.unique(row[first], return_index=True)[1]]
+        told = rate_of_times(row[first], times[first]).rate
+        rate = told if np.isfinite(told) else 100.0
     return Blobs.from_rows(
         np.repeat(row, counts), np.repeat(camera, counts), blobs[:, :2], order, rate=rate, sizes=blobs[:, 2], frames=frames, times=when
     )

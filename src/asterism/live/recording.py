@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -19,9 +20,11 @@ from asterism.files.journal import Journal, in_use, read_steps, unread_bytes
 from asterism.findings import Finding, Severity
 from asterism.live.analog import KeptAnalog, analog_as_arrays, analog_of_arrays
 from asterism.live.chain import LabelledFrame
+from asterism.live.clock import rows_of
 from asterism.live.frames import LiveFrame
 from asterism.live.writing import WritingThread
 from asterism.recording import LABELLED_LIVE, NULL, Clouds, Floats, Labelling, Recording
+from asterism.recording.rates import rate_of_times
 
 _WORK = "asterism live 1"
 _ARRIVALS = 9
@@ -29,6 +32,10 @@ _ARRIVALS = 9
 _MOST = 4000
 """Frames that wait for the disk at most: 20 s at 200 Hz, some 6 MB. Half of it loses frames while a disk wakes up; at double it is kept by
 a machine that has no room."""
+
+
+_UNKNOWN_RATE = 100.0
+"""Frames per second of a recording whose times do not grow, and whose source said no rate. Half and double are as wrong."""
 
 
 @dataclass
@@ -46,20 +53,29 @@ class LiveRecorder:
     name, vertical of the source
     markers  the set, or the model, that somebody chose; "" where the set is found
     tell  what hears at once that the recording ended
+    rate  frames per second that the source says; NaN where it does not
 
     Memory is bounded by `_MOST` frames: where the disk takes longer, frames are not kept, and `lost` counts them. A disk that fails
     ends the recording and not the session: `problem` says why.
     """
 
     def __init__(
-        self, path: Path, name: str, vertical: Floats | None, tell: Callable[[str], None] = lambda problem: None, markers: str = ""
+        self,
+        path: Path,
+        name: str,
+        vertical: Floats | None,
+        tell: Callable[[str], None] = lambda problem: None,
+        markers: str = "",
+        rate: float = math.nan,
     ) -> None:
         if path.exists():
             raise AsterismError(f"{path} exists; name another file to record to, or remove it.")
         self.path, self.problem, self.lost, self.kept, self._tell = path, "", 0, 0, tell
         self._journal = Journal(path, _WORK)
         up = [0.0, 0.0, 1.0] if vertical is None else vertical.tolist()
-        head = {"name": name, "vertical": up, "begun": time.time(), "markers": markers}
+        head: dict[str, Any] = {"name": name, "vertical": up, "begun": time.time(), "markers": markers}
+        if math.isfinite(rate):
+            head["rate"] = rate
         self._written(lambda: [_text(json.dumps(head))])
         self._chunk = _Chunk([], [])
         self._guard = threading.Lock()
@@ -210,7 +226,8 @@ class KeptSession:
 def recording_of(path: Path, rate: float | None = None) -> KeptSession:
     """What was recorded live, up to the moment in which it was stopped or killed.
 
-    rate: frames per second, None for what the times show. Raises AsterismError where the file is no live recording, or holds no frame.
+    rate: frames per second, None for what the source said, else what the times show.
+    Raises AsterismError where the file is no live recording, or holds no frame.
     """
     steps = list(read_steps(path, _WORK))
     if not steps:
@@ -222,9 +239,9 @@ def recording_of(path: Path, rate: float | None = None) -> KeptSession:
     numbers, counts = np.concatenate([chunk[0] for chunk in chunks]).T
     times, arrived = np.concatenate([chunk[1] for chunk in chunks]).T
     points = np.concatenate([chunk[2] for chunk in chunks])
-    row = _rows(numbers)
-    step = np.diff(times)[np.diff(row) == 1]
-    rate = rate or (float(1.0 / np.median(step)) if len(step) and np.median(step) > 0 else 100.0)
+    row = rows_of(numbers)
+    rate = float(rate or head.get("rate") or rate_of_times(row, times).rate)
+    rate = rate if math.isfinite(rate) else _UNKNOWN_RATE
     per_frame = np.zeros(row[-1] + 1, dtype=np.int64)
     per_frame[row] = counts
     offsets = np.concatenate([[0], np.cumsum(per_frame)])
@@ -239,13 +256,6 @@ def recording_of(path: Path, rate: float | None = None) -> KeptSession:
     # Recordings of earlier versions have none.
     analog = analog_of_arrays([chunk[7:9] for chunk in chunks if len(chunk) > 7])
     return KeptSession(clouds, labelling, head["name"], head["begun"], of_row, analog, head.get("markers", ""))
-
-
-def _rows(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The frame of the recording in which each frame stands: numbers go on, and where the source began anew the next one follows."""
-    steps = np.diff(numbers)
-    steps = np.where((steps < 1) | (steps > 10_000), 1, steps)
-    return np.concatenate([[0], np.cumsum(steps)])
 
 
 def _labelling(chunks: list[list[NDArray[Any]]], clouds: Clouds, row_of: dict[float, int], by_number: bool) -> Labelling | None:

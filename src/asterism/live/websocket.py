@@ -271,7 +271,7 @@ class FromWebSocket:
 
     def findings(self) -> list[Finding]:
         """See `_Endpoint.findings`; and what is wrong with the first message that could not be read."""
-        return [*self._endpoint.findings(), *damaged_json(self.about.name, self._why)]
+        return [*self._endpoint.findings(), *damaged_json(self.about.name, self.damaged, self._why)]
 
     def close(self) -> None:
         """Let go of the sender."""
