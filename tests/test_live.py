@@ -49,6 +49,7 @@ from asterism.live import (
     session_findings,
 )
 from asterism.live.chain import LabelChain
+from asterism.live.datagrams import DatagramReader
 from asterism.live.replay import Replay
 from asterism.recording import MarkerSet, Recording
 from asterism.simulation import simulate_walks
@@ -159,6 +160,44 @@ def test_a_sender_that_is_started_again_is_taken_at_once(before: int) -> None:
     assert taken[-90:] == list(range(10, 100)), "a few frames at most are held for late ones"
     assert count.restarts == 1 or before < 5
     assert count.lost == 0
+
+
+@pytest.mark.parametrize("apart", [1500, -1500, 4500, 200_000, -200_000])
+def test_two_senders_behind_one_address_lose_nothing_and_are_told(apart: int) -> None:
+    """Frame by frame in turns, then the first one ends."""
+    first, second = list(range(300_000, 300_200)), list(range(300_000 + apart, 300_210 + apart))
+    numbers = [*first[:50], *(number for pair in zip(second, first[50:], strict=False) for number in pair), *second[150:]]
+    kept, sent = Kept(), [replace(frame, arrived=0.005 * k) for k, frame in enumerate(frames(numbers))]
+    health = LiveSession(Given(sent), lambda rate, up: Numbers(), [kept], waits=True).run()
+    # The first of the second sender, before anything showed that there are two; four are held back until the second is alone.
+    taken = [found.frame.number for found in kept.frames]
+    assert taken == [*first[:50], second[0], *first[50:], *second[154:]]
+    assert (health.lost, health.late, health.restarts, health.others) == (0, 0, 1, 154)
+    (told,) = [finding for finding in session_findings(health, "x") if finding.code == "live-other-sender"]
+    assert "154 frames" in told.sentence
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux says when a datagram came")
+@pytest.mark.parametrize("set_by", [0, 3600, -3600])
+def test_a_datagram_that_waited_is_as_old_as_it_is(set_by: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or as old as the one before, or new, where the wall clock was set meanwhile."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
+    ):
+        listening.bind(("127.0.0.1", 0))
+        opened, reader = time.monotonic(), DatagramReader(listening)
+        sender.sendto(b"one", listening.getsockname())
+        sender.sendto(b"two", listening.getsockname())
+        sent = time.monotonic()
+        time.sleep(0.02)
+        wall = time.time_ns
+        monkeypatch.setattr("asterism.live.datagrams.time.time_ns", lambda: wall() + set_by * 10**9)
+        (one, _, first), (two, _, second) = reader.read(), reader.read()
+    assert (one, two) == (b"one", b"two")
+    assert opened - 1e-3 <= first <= second <= time.monotonic()
+    # Both clocks are read one after the other.
+    assert (second < sent + 0.01) == (set_by >= 0)
 
 
 def test_a_sender_that_begins_anew_after_a_silence_loses_no_frame() -> None:

@@ -456,16 +456,21 @@ def test_a_slow_page_gets_the_newest_frame_and_every_beep() -> None:
     page.sounded([3.0, -1.0, math.nan, "x", None, 1e9, 5.0])
     page.sounded({"a": 1})
     assert page.tone_latency() == pytest.approx((4.0, 4.98, 2))
-    assert page.body() is None, "lines are chosen when enough frames were seen"
+    known = page.body()
+    assert known is not None and known["sides"] == ["left", "left", "left", "right"] and not known["bones"], "lines need more frames"
     for number in range(60):
         page.send(AnalysedFrame(labelled(leg(140 + number % 7), number=number)))
     body = page.body()
-    assert body is not None and body["sides"] == ["left", "left", "left", "right"] and [0, 1] in [sorted(bone) for bone in body["bones"]]
+    assert body is not None and [0, 1] in [sorted(bone) for bone in body["bones"]] and page.body() is body, "it is told once"
+    page.send(AnalysedFrame(replace(labelled(leg(140)), markers=("RTHI", "RKNE", "RANK", "LANK"))))
+    other = page.body()
+    assert other is not None and other["markers"][0] == "RTHI" and other["sides"][0] == "right", "another marker set is another body"
 
 
 HEALTH: dict[str, Any] = dict.fromkeys(("rate", "frames", "lost", "late", "damaged", "dropped", "p50", "p999", "not sounded"), 0) | {
     "problems": []
 }
+INK = "({ canvas }) => canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.some(value => value)"
 MOMENT = """globalThis.hear = (name, age) => {
   const live = Asterism.live, at = live.clock.at(performance.now()) - age, cue = { name, sound: "beep" };
   live.told(JSON.stringify({ sent: at, moments: [{ cue, at, done: at, time: 0 }] }));
@@ -559,13 +564,16 @@ def test_a_page_that_sleeps_holds_nobody_back_and_hears_no_old_sounds(monkeypatc
 
     try:
         quick, slow, odd = (Listener(address, answers=answers) for answers in (True, False, True))
+        send(170)
         for each in (quick, slow, odd):
-            each.next("health")
+            each.next("picture")
+            told = {kind for news in each.before for kind in news}
+            assert {"source", "health", "names", "body"} <= told, "a picture says nothing before its names are known"
         for words in ("{", "[]", '{"seen": "x", "ping": [], "sounded": {"a": 1}}', '{"sounded": [1e999, null]}'):
             odd.socket.send(words)
         odd.socket.send(json.dumps({"ping": 5}))
         assert odd.next("pong")["pong"] == 5, "what is not understood is passed over"
-        for _ in range(6):  # as many pictures are under way
+        for _ in range(5):  # six pictures are under way
             send(170)
             slow.next("picture")
         monkeypatch.setattr(live_page, "_STALE", 60.0)
@@ -618,6 +626,9 @@ def test_the_page_shows_counts_words_and_markers() -> None:
             tab.wait("document.getElementById('state').textContent.includes('frames/s')")
             tab.wait("document.getElementById('rules').innerText.includes('0.40 m')")
             tab.wait("document.getElementById('missing').textContent === 'none'")
+            tab.wait("Asterism.live.drawn > 3 && Asterism.live.curves.charts.length === 1")
+            assert tab.value("Asterism.live.port.worker !== null"), "what is drawn delays no sound"
+            assert tab.value(f"[...Asterism.drawing.sheets.values()].map({INK})", in_worker=True) == [True] * 3
             assert tab.value("Asterism.live.sounds.on") is None, "silent until somebody asks for sound"
             tab.value("document.getElementById('sound').click(); globalThis.loud = Asterism.live.sounds.gain.gain.value")
             tab.wait("Asterism.live.sounds.gain.gain.value > 0.01")
@@ -643,6 +654,12 @@ def test_the_page_shows_counts_words_and_markers() -> None:
             after = tab.value("[Asterism.live.camera.yaw, Asterism.live.camera.zoom]")
             assert after[0] == pytest.approx(before[0] - 0.4) and after[1] == pytest.approx(3 * before[1])
             assert tab.value("document.documentElement.scrollWidth") <= 390
+            # The same in a browser whose Workers cannot draw.
+            tab.call("Page.enable")
+            tab.call("Page.addScriptToEvaluateOnNewDocument", source="delete HTMLCanvasElement.prototype.transferControlToOffscreen")
+            tab.call("Page.reload")
+            tab.wait("Asterism.live && Asterism.live.port.worker === null && Asterism.live.drawn > 3")
+            assert tab.value(f"[...Asterism.live.port.drawing.sheets.values()].map({INK})") == [True] * 3
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(address.replace("token=", "token=x"))
     finally:

@@ -60,6 +60,10 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         most = health.late > health.frames
         mend = "Number each frame one higher than the last, and let one sender send." if most else "Look at the network."
         found.append(Finding("live-late", _WARNING if most else _NOTE, where, sentence, mend))
+    if health.others:
+        sentence = f"{where}: two programs send through one address: {counted(health.others, 'frame')} of the second not used."
+        mend = "Stop one of them, or give each a port of its own."
+        found.append(Finding("live-other-sender", _WARNING, where, sentence, mend))
     if health.dropped:
         sentence = f"{where}: {counted(health.dropped, 'frame')} went without labels, since newer ones waited."
         mend = "Close other programs, or lower the rate; a recording holds them all."
