@@ -20,8 +20,8 @@ from asterism.formats import metres_per_unit
 from asterism.live.addresses import Query
 from asterism.live.clock import SampleNumbers
 from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
+from asterism.live.lsl_library import lsl_library
 from asterism.live.mocap_channels import ChannelLayout, layout_of_channels
-from asterism.live.packages import packages_for
 from asterism.live.reporting import axis_unknown, labels_given, reconnected
 from asterism.recording import Floats
 from asterism.recording.display import significant
@@ -125,9 +125,7 @@ class FromLsl:
     """
 
     def __init__(self, address: str, rate: float = float("nan")) -> None:
-        with packages_for("lsl://"):
-            import pylsl
-        self._lsl = pylsl
+        self._lsl = lsl_library()
         self._guard = threading.Lock()
         self._closed = False
         self.damaged, self._lost, self._clock_unknown, self._counter_broken = 0, 0, False, False
