@@ -23,6 +23,7 @@ from models import trained
 
 import asterism
 from asterism import AsterismError
+from asterism.cameras.files import write_rig
 from asterism.cli import main
 from asterism.files.journal import Journal
 from asterism.findings import Severity
@@ -48,9 +49,11 @@ from asterism.live import (
     session_findings,
 )
 from asterism.live.chain import LabelChain
+from asterism.live.datagrams import DatagramReader
 from asterism.live.replay import Replay
 from asterism.recording import MarkerSet, Recording
 from asterism.simulation import simulate_walks
+from asterism.simulation.cameras import ring_rig
 
 RATE = 100.0
 
@@ -157,6 +160,44 @@ def test_a_sender_that_is_started_again_is_taken_at_once(before: int) -> None:
     assert taken[-90:] == list(range(10, 100)), "a few frames at most are held for late ones"
     assert count.restarts == 1 or before < 5
     assert count.lost == 0
+
+
+@pytest.mark.parametrize("apart", [1500, -1500, 4500, 200_000, -200_000])
+def test_two_senders_behind_one_address_lose_nothing_and_are_told(apart: int) -> None:
+    """Frame by frame in turns, then the first one ends."""
+    first, second = list(range(300_000, 300_200)), list(range(300_000 + apart, 300_210 + apart))
+    numbers = [*first[:50], *(number for pair in zip(second, first[50:], strict=False) for number in pair), *second[150:]]
+    kept, sent = Kept(), [replace(frame, arrived=0.005 * k) for k, frame in enumerate(frames(numbers))]
+    health = LiveSession(Given(sent), lambda rate, up: Numbers(), [kept], waits=True).run()
+    # The first of the second sender, before anything showed that there are two; four are held back until the second is alone.
+    taken = [found.frame.number for found in kept.frames]
+    assert taken == [*first[:50], second[0], *first[50:], *second[154:]]
+    assert (health.lost, health.late, health.restarts, health.others) == (0, 0, 1, 154)
+    (told,) = [finding for finding in session_findings(health, "x") if finding.code == "live-other-sender"]
+    assert "154 frames" in told.sentence
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux says when a datagram came")
+@pytest.mark.parametrize("set_by", [0, 3600, -3600])
+def test_a_datagram_that_waited_is_as_old_as_it_is(set_by: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or as old as the one before, or new, where the wall clock was set meanwhile."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
+    ):
+        listening.bind(("127.0.0.1", 0))
+        opened, reader = time.monotonic(), DatagramReader(listening)
+        sender.sendto(b"one", listening.getsockname())
+        sender.sendto(b"two", listening.getsockname())
+        sent = time.monotonic()
+        time.sleep(0.02)
+        wall = time.time_ns
+        monkeypatch.setattr("asterism.live.datagrams.time.time_ns", lambda: wall() + set_by * 10**9)
+        (one, _, first), (two, _, second) = reader.read(), reader.read()
+    assert (one, two) == (b"one", b"two")
+    assert opened - 1e-3 <= first <= second <= time.monotonic()
+    # Both clocks are read one after the other.
+    assert (second < sent + 0.01) == (set_by >= 0)
 
 
 def test_a_sender_that_begins_anew_after_a_silence_loses_no_frame() -> None:
@@ -622,9 +663,37 @@ def test_a_format_that_cannot_be_written_is_refused_before_a_session_begins(tmp_
         (["udp://127.0.0.1:0", "--speed", "2"], "its own time"),
         (["udp://127.0.0.1:0", "--loop"], "its own time"),
         (["--replay", "walk.c3d", "--empty", "2"], "--empty is of images"),
+        (["--replay", "walk.c3d", "--no-analysis", "--hip", "bell"], "--no-analysis leaves out"),
+        (["--replay", "blobs.csv"], "add --rig FILE"),
+        (["--replay", "video.avi"], "videos of the other cameras"),
+        (["--replay", "walk.trc", "--rig", "rig.toml"], "leave --rig out"),
+        (["udp://127.0.0.1:0?together=1"], "add --rig FILE"),
+        (["udp://127.0.0.1:0/points"], "points means nothing behind"),
+        (["natnet://127.0.0.1?lokal=127.0.0.1"], "lokal means nothing there; choose from local"),
+        (["qtm://127.0.0.1?udp=1"], "no options"),
+        (["vicon://127.0.0.1?udp=1"], "no options"),
+        (["lsl://?colour=red"], "choose from host, name, source_id, type, uid"),
+        (["ws-listen://127.0.0.1:0?tokn=SECRET"], "choose from origin, token"),
+        (["udp://127.0.0.1:0?togeter=1", "--rig", "rig.toml"], "choose from together"),
+        (["udp://127.0.0.1:0?together=maybe", "--rig", "rig.toml"], "neither 1 nor 0"),
+        (["natnet://127.0.0.1", "--rig", "rig.toml"], "leave --rig out"),
+        *(
+            (["--replay", "walk.trc", "--markers", "helen-hayes", "--to", address], told)
+            for address, told in (
+                ("udp://127.0.0.1:1?x=SECRET", "no options"),
+                ("osc://127.0.0.1:1/joint", "joint means nothing"),
+                ("lsl://A?x=1", "no options"),
+                ("natnet://127.0.0.1?x=1", "choose from data, multicast, unicast"),
+            )
+        ),
     ],
-    ids=["a folder", "rate", "host", "two", "a file's rate", "speed", "loop", "empty"],
 )
-def test_what_cannot_be_meant_is_refused(words: list[str], told: str, capsys) -> None:
-    assert main(["live", *words]) == 2
-    assert told in capsys.readouterr().err
+def test_what_cannot_be_meant_is_refused(words: list[str], told: str, tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_rig(ring_rig(cameras=2, rng=np.random.default_rng(0)), Path("rig.toml"))
+    Path("blobs.csv").write_text("frame,camera,x,y\n0,c1,1,2\n1,c1,1,2\n")
+    Path("video.avi").write_bytes(b"RIFF")
+    asterism.write("walk.trc", Recording(np.zeros((3, 1, 3)), ("A",), rate=RATE))
+    assert main(["live", *words, "--seconds", "0.1"]) == 2
+    said = capsys.readouterr().err
+    assert told in said and "SECRET" not in said

@@ -79,7 +79,7 @@ class Health:
     """What is counted while a session runs.
 
     before     frames that came while the labelling was made, and have no labels
-    frames, lost, late, restarts  see `FrameCount`
+    frames, lost, late, restarts, others  see `FrameCount`
     damaged    packets that could not be read
     dropped    frames that were taken and not labelled, since newer ones waited
     labelled   frames with their labels
@@ -102,6 +102,7 @@ class Health:
     lost: int = 0
     late: int = 0
     restarts: int = 0
+    others: int = 0
     damaged: int = 0
     dropped: int = 0
     labelled: int = 0
@@ -240,21 +241,18 @@ class LiveSession:
     def health(self) -> Health:
         """What was counted so far."""
         now, health = time.monotonic(), self._health
-        health.frames, health.lost, health.late, health.restarts = (
-            self._count.received,
-            self._count.lost,
-            self._count.late,
-            self._count.restarts,
-        )
+        count = self._count
+        health.frames, health.lost, health.late, health.restarts = count.received, count.lost, count.late, count.restarts
+        health.others = count.others
         # What a source left out itself, and tells, was not lost on the way.
         health.lost = max(0, health.lost - int(getattr(self.source, "dropped", 0)))
         health.damaged, health.jumps = self.source.damaged, self._clock.jumps
         health.unsent = {}
         for output in self.outputs:
-            count = self._refused.get(id(output), 0) + int(getattr(output, "dropped", 0))
-            if count:
+            unsent = self._refused.get(id(output), 0) + int(getattr(output, "dropped", 0))
+            if unsent:
                 name = str(getattr(output, "name", type(output).__name__))
-                health.unsent[name] = health.unsent.get(name, 0) + count
+                health.unsent[name] = health.unsent.get(name, 0) + unsent
         arrivals = np.array(self._arrivals)
         health.silent = float(now - arrivals[-1]) if len(arrivals) else 0.0
         recent = arrivals[arrivals > now - 1.0]

@@ -20,6 +20,7 @@ from asterism.files.plain import as_json
 from asterism.findings import Finding, Severity
 from asterism.formats.kept_blobs import KeptImage
 from asterism.live.blobs.budget import BlobBudget, telling
+from asterism.live.blobs.camera_clock import CameraClock
 from asterism.live.blobs.gathering import ByNumber, ByTime, CameraArrivals, RigFrame
 from asterism.live.blobs.judging import JudgeProcess, judge
 from asterism.live.blobs.recorder import BlobRecorder
@@ -127,6 +128,9 @@ class RigSource:
         self._reconstructor = Reconstructor(self.rig, settings)
         # Compiled and loaded before the first frame, which must not wait for it.
         Reconstructor(self.rig, settings).push([np.array([[0.0, 0.0], [9.0, 9.0]])] * len(self.rig))
+        clock = CameraClock()
+        for at in (0.0, 1.0):
+            clock.observe(at, at)
         self._gather: ByNumber | ByTime = (ByNumber if source.numbered_together else ByTime)(len(self.rig), source.rate)
         self.about = SourceAbout(name or source.name, source.rate / (speed if math.isfinite(speed) else 1.0), rig.vertical)
         self.dropped, self.cut = 0, 0
@@ -232,11 +236,11 @@ class RigSource:
                 blobs = self._source.read(max(1e-4, wait))
                 if blobs is not None:
                     self._push(blobs)
-                # A file that waits has its own time, which stands still while nothing comes.
-                if not self._waits:
-                    self._put(time.monotonic())
-                elif blobs is not None:
+                    # By when it came: others that came with it may wait in the socket, and no frame goes on without those.
                     self._put(blobs.arrived)
+                elif not self._waits:
+                    # A file that waits has its own time, which stands still while nothing comes.
+                    self._put(time.monotonic())
         except SourceEnded:
             self._put(math.inf)
         except Exception as problem:  # the reader must not wait for ever
