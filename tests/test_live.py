@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +23,9 @@ from models import trained
 
 import asterism
 from asterism import AsterismError
+from asterism.cameras.files import write_rig
 from asterism.cli import main
+from asterism.files.journal import Journal
 from asterism.findings import Severity
 from asterism.labelling.live.stream import FrameLabels
 from asterism.live import (
@@ -46,9 +49,11 @@ from asterism.live import (
     session_findings,
 )
 from asterism.live.chain import LabelChain
+from asterism.live.datagrams import DatagramReader
 from asterism.live.replay import Replay
 from asterism.recording import MarkerSet, Recording
 from asterism.simulation import simulate_walks
+from asterism.simulation.cameras import ring_rig
 
 RATE = 100.0
 
@@ -155,6 +160,44 @@ def test_a_sender_that_is_started_again_is_taken_at_once(before: int) -> None:
     assert taken[-90:] == list(range(10, 100)), "a few frames at most are held for late ones"
     assert count.restarts == 1 or before < 5
     assert count.lost == 0
+
+
+@pytest.mark.parametrize("apart", [1500, -1500, 4500, 200_000, -200_000])
+def test_two_senders_behind_one_address_lose_nothing_and_are_told(apart: int) -> None:
+    """Frame by frame in turns, then the first one ends."""
+    first, second = list(range(300_000, 300_200)), list(range(300_000 + apart, 300_210 + apart))
+    numbers = [*first[:50], *(number for pair in zip(second, first[50:], strict=False) for number in pair), *second[150:]]
+    kept, sent = Kept(), [replace(frame, arrived=0.005 * k) for k, frame in enumerate(frames(numbers))]
+    health = LiveSession(Given(sent), lambda rate, up: Numbers(), [kept], waits=True).run()
+    # The first of the second sender, before anything showed that there are two; four are held back until the second is alone.
+    taken = [found.frame.number for found in kept.frames]
+    assert taken == [*first[:50], second[0], *first[50:], *second[154:]]
+    assert (health.lost, health.late, health.restarts, health.others) == (0, 0, 1, 154)
+    (told,) = [finding for finding in session_findings(health, "x") if finding.code == "live-other-sender"]
+    assert "154 frames" in told.sentence
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux says when a datagram came")
+@pytest.mark.parametrize("set_by", [0, 3600, -3600])
+def test_a_datagram_that_waited_is_as_old_as_it_is(set_by: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or as old as the one before, or new, where the wall clock was set meanwhile."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
+    ):
+        listening.bind(("127.0.0.1", 0))
+        opened, reader = time.monotonic(), DatagramReader(listening)
+        sender.sendto(b"one", listening.getsockname())
+        sender.sendto(b"two", listening.getsockname())
+        sent = time.monotonic()
+        time.sleep(0.02)
+        wall = time.time_ns
+        monkeypatch.setattr("asterism.live.datagrams.time.time_ns", lambda: wall() + set_by * 10**9)
+        (one, _, first), (two, _, second) = reader.read(), reader.read()
+    assert (one, two) == (b"one", b"two")
+    assert opened - 1e-3 <= first <= second <= time.monotonic()
+    # Both clocks are read one after the other.
+    assert (second < sent + 0.01) == (set_by >= 0)
 
 
 def test_a_sender_that_begins_anew_after_a_silence_loses_no_frame() -> None:
@@ -270,6 +313,45 @@ def test_a_session_ends_after_its_seconds_which_begin_when_it_can_label() -> Non
     endless = Given(frames(list(range(100_000))))
     health = LiveSession(endless, slow, waits=True).run(0.2)
     assert 0 < health.labelled < 1000 and health.frames == health.labelled
+
+
+@pytest.mark.parametrize(
+    ("rate", "stamp", "enough"),
+    [
+        (5.0, lambda at: at, 5),
+        (5.0, lambda at: math.floor(1000 * at) / 1000, 5),
+        (120.0, lambda at: math.floor(1000 * at) / 1000, 30),
+        (100.0, lambda at: math.floor(at / 0.0156) * 0.0156, 30),
+        (50.0, lambda at: at + (at > 0.1), 30),
+    ],
+    ids=["slow", "milliseconds", "120 Hz in milliseconds", "clock of Windows", "clock set"],
+)
+def test_the_rate_is_found_as_soon_as_the_times_tell_it(rate: float, stamp: Callable[[float], float], enough: int) -> None:
+    """The source ends when its frames are labelled: who needs more of them waits in vain."""
+    kept, found, sought = Kept(), list[float](), list[bool]()
+
+    class Waiting(Given):
+        def read(self, timeout: float) -> LiveFrame | None:
+            sought.append(session.seeks_rate)
+            try:
+                return super().read(timeout)
+            except SourceEnded:
+                if len(kept.frames) == enough:
+                    raise
+                time.sleep(0.001)
+                return None
+
+    def made(rate: float, up: object) -> Numbers:
+        found.append(rate)
+        return Numbers()
+
+    came = [LiveFrame(n, stamp(n / rate), 50.0 + n / rate, np.zeros((1, 3))) for n in range(enough)]
+    source = Waiting(came, math.nan)
+    session = LiveSession(source, made, [kept])
+    health = session.run(30.0)
+    assert sought[:3] == [False, True, True], "it can be told while the rate is sought"
+    assert health.labelled == enough and not session.seeks_rate
+    assert found == [pytest.approx(rate, rel=0.01)]
 
 
 def test_times_that_do_not_grow_need_a_rate() -> None:
@@ -489,12 +571,40 @@ def test_the_command_records_what_it_plays(tmp_path: Path, walks: list[Recording
     written = asterism.read(tmp_path / "out.c3d")
     assert len(written) == 60 and set(walks[5].labels) <= set(written.labels)
     assert not (tmp_path / "out.c3d.live").exists()
-    # What a killed session leaves is told, and can be written.
-    recorded(tmp_path / "next.c3d.live", list(range(40)))
-    assert main([*words, "-o", str(tmp_path / "next.c3d")]) == 2
-    assert "--finish" in capsys.readouterr().err
-    assert main(["live", "--finish", str(tmp_path / "next.c3d.live"), "-o", str(tmp_path / "next.c3d")]) == 0
-    assert len(asterism.read(tmp_path / "next.c3d")) == 40
+
+
+def test_what_a_killed_session_left_is_written_once_and_is_then_in_nobodys_way(tmp_path: Path, capsys) -> None:
+    output, left = tmp_path / "next.c3d", tmp_path / "next.c3d.live"
+    begin = ["live", "udp://127.0.0.1:0", "--rate", "100", "--markers", "helen-hayes", "--seconds", "0.1", "-o", str(output)]
+    write = ["live", "--finish", str(left), "-o", str(output), "--json", "-"]
+    recorded(left, list(range(40)))
+    assert main(begin) == 2 and f"--finish {left}" in capsys.readouterr().err and left.exists()
+    # A session that still runs writes to it: what there is can be written, and the file stays.
+    running = Journal(left, "asterism live 1")
+    assert main(begin) == 2 and "now" in capsys.readouterr().err
+    assert main(write) == 0 and left.exists()
+    assert [finding["code"] for finding in json.loads(capsys.readouterr().out)["findings"]] == ["live-not-finished"]
+    running.close()
+    assert main(write) == 2 and "--overwrite" in capsys.readouterr().err and left.exists(), "the recording is there"
+    assert main([*write, "--overwrite"]) == 0
+    assert json.loads(capsys.readouterr().out)["frames"] == len(asterism.read(output)) == 40 and not left.exists()
+    # Bytes that cannot be read are kept under another name.
+    for name in ("next.c3d.live.damaged", "next.c3d.live.damaged1"):
+        recorded(left, list(range(40)))
+        left.write_bytes(left.read_bytes()[:-9])
+        assert main([*write, "--overwrite"]) == 1 and "live-cut-off" in capsys.readouterr().out
+        assert len(asterism.read(output)) == 20 and not left.exists() and (tmp_path / name).exists()
+    output.unlink()
+    # A session that was killed before its first frame keeps nobody from the next.
+    recorded(left, [])
+    assert main(begin) == 1 and not left.exists()
+
+
+@pytest.mark.parametrize("words", [["udp://127.0.0.1:0"], ["--model", "gait.model"], ["--lines"], ["--lower-body", "plug-in-gait"]])
+def test_what_begins_no_session_takes_no_options_of_one(tmp_path: Path, words: list[str], capsys) -> None:
+    recorded(tmp_path / "walk.live", list(range(20)))
+    assert main(["live", "--finish", str(tmp_path / "walk.live"), "-o", str(tmp_path / "walk.c3d"), *words]) == 2
+    assert "begins none" in capsys.readouterr().err and not (tmp_path / "walk.c3d").exists()
 
 
 def test_a_source_that_sends_nothing_is_told(tmp_path: Path, capsys) -> None:
@@ -553,9 +663,37 @@ def test_a_format_that_cannot_be_written_is_refused_before_a_session_begins(tmp_
         (["udp://127.0.0.1:0", "--speed", "2"], "its own time"),
         (["udp://127.0.0.1:0", "--loop"], "its own time"),
         (["--replay", "walk.c3d", "--empty", "2"], "--empty is of images"),
+        (["--replay", "walk.c3d", "--no-analysis", "--hip", "bell"], "--no-analysis leaves out"),
+        (["--replay", "blobs.csv"], "add --rig FILE"),
+        (["--replay", "video.avi"], "videos of the other cameras"),
+        (["--replay", "walk.trc", "--rig", "rig.toml"], "leave --rig out"),
+        (["udp://127.0.0.1:0?together=1"], "add --rig FILE"),
+        (["udp://127.0.0.1:0/points"], "points means nothing behind"),
+        (["natnet://127.0.0.1?lokal=127.0.0.1"], "lokal means nothing there; choose from local"),
+        (["qtm://127.0.0.1?udp=1"], "no options"),
+        (["vicon://127.0.0.1?udp=1"], "no options"),
+        (["lsl://?colour=red"], "choose from host, name, source_id, type, uid"),
+        (["ws-listen://127.0.0.1:0?tokn=SECRET"], "choose from origin, token"),
+        (["udp://127.0.0.1:0?togeter=1", "--rig", "rig.toml"], "choose from together"),
+        (["udp://127.0.0.1:0?together=maybe", "--rig", "rig.toml"], "neither 1 nor 0"),
+        (["natnet://127.0.0.1", "--rig", "rig.toml"], "leave --rig out"),
+        *(
+            (["--replay", "walk.trc", "--markers", "helen-hayes", "--to", address], told)
+            for address, told in (
+                ("udp://127.0.0.1:1?x=SECRET", "no options"),
+                ("osc://127.0.0.1:1/joint", "joint means nothing"),
+                ("lsl://A?x=1", "no options"),
+                ("natnet://127.0.0.1?x=1", "choose from data, multicast, unicast"),
+            )
+        ),
     ],
-    ids=["a folder", "rate", "host", "two", "a file's rate", "speed", "loop", "empty"],
 )
-def test_what_cannot_be_meant_is_refused(words: list[str], told: str, capsys) -> None:
-    assert main(["live", *words]) == 2
-    assert told in capsys.readouterr().err
+def test_what_cannot_be_meant_is_refused(words: list[str], told: str, tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_rig(ring_rig(cameras=2, rng=np.random.default_rng(0)), Path("rig.toml"))
+    Path("blobs.csv").write_text("frame,camera,x,y\n0,c1,1,2\n1,c1,1,2\n")
+    Path("video.avi").write_bytes(b"RIFF")
+    asterism.write("walk.trc", Recording(np.zeros((3, 1, 3)), ("A",), rate=RATE))
+    assert main(["live", *words, "--seconds", "0.1"]) == 2
+    said = capsys.readouterr().err
+    assert told in said and "SECRET" not in said

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 import multiprocessing
+import queue
 import socket
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -25,6 +27,7 @@ from asterism.cli import main
 from asterism.formats.csv_blobs import read_blobs, write_blobs
 from asterism.live import HostPort, LiveFrame, SourceEnded, recording_of
 from asterism.live.blobs import JsonBlobs, ReplayBlobs, RigProcess, RigSource, blobs_as_json, blobs_of_json
+from asterism.live.blobs.gathering import LONGEST_WAIT
 from asterism.live.camera_frames import LiveBlobs
 from asterism.reconstruction import ReconstructionSettings, Reconstructor, reconstruct
 from asterism.reconstruction.rays import frame_to_rays, to_rays
@@ -317,6 +320,55 @@ def test_a_flood_of_blobs_leaves_the_markers_and_is_told() -> None:
     assert told(source) >= {"live-many-blobs"} and source.cut == 10 * 2 * (1512 - 150)
 
 
+class Fed:
+    """A camera system that sends what it is given, when it is given."""
+
+    damaged = 0
+    name = "fed"
+    rate = 10.0
+    numbered_together = True
+
+    def __init__(self, cameras: tuple[str, ...]) -> None:
+        self.cameras, self.images = cameras, queue.Queue[LiveBlobs]()
+
+    def read(self, timeout: float) -> LiveBlobs | None:
+        try:
+            return self.images.get(timeout=timeout)
+        except queue.Empty:
+            return None
+
+    def close(self) -> None:
+        pass
+
+
+def test_noise_and_cameras_are_judged_by_another_process_and_here_where_that_was_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig, learn = ring(3), Reconstructor.learn
+    monkeypatch.setattr(Reconstructor, "learn", lambda *_: pytest.fail("frames waited for a judgement"))
+    fed = Fed(rig.names)
+    source = RigSource(fed, rig)
+    for image in images(rig, 48):
+        fed.images.put(replace(image, arrived=time.monotonic()))
+        if image.camera == "c3":
+            assert source.read(30.0) is not None
+        if source._frames == 24 and image.camera == "c3":
+            assert source._judging is not None
+            source._judging.join(60.0)
+            assert source._reconstructor.noise_known
+            assert source._reconstructor.model is not None and 0.1 < source._reconstructor.model.noise[0] < 0.3
+    judges = multiprocessing.active_children()
+    assert [process.name for process in judges] == ["live judge"]
+    source._learn_elsewhere(RATE)
+    assert min(camera.seen for camera in source.cameras()) > 0.9
+    judges[0].kill()
+    judges[0].join(60.0)
+    source._fits = ()
+    monkeypatch.setattr(Reconstructor, "learn", learn)
+    source._learn_elsewhere(RATE)
+    assert min(camera.seen for camera in source.cameras()) > 0.9
+    source.close()
+    assert not multiprocessing.active_children()
+
+
 PORTS = HostPort("127.0.0.1", 0)
 
 
@@ -349,6 +401,27 @@ def test_datagrams_become_points_in_a_process_of_their_own_and_are_kept(tmp_path
     with pytest.raises(AsterismError, match="no live recording"):
         recording_of(tmp_path / "walk.blobs")
     assert len(read_blobs(tmp_path / "walk.blobs")) == 60, "asking whether it is something else clears nothing"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux says when a datagram came")
+def test_images_that_waited_in_the_socket_are_as_old_as_they_are_and_make_whole_frames() -> None:
+    rig = ring(3)
+    blobs = JsonBlobs(PORTS, rig.names, RATE, numbered_together=True)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for image in images(rig, 30):
+            sender.sendto(blobs_as_json(image), ("127.0.0.1", blobs.port))
+    sent = time.monotonic()
+    # Longer than a frame waits for a camera at most.
+    time.sleep(1.5 * LONGEST_WAIT)
+    source = RigSource(blobs, rig)
+    try:
+        until = time.monotonic() + 60.0
+        while min(state.count.received for state in source._gather.cameras) < 30:
+            assert time.monotonic() < until
+        assert [state.without for state in source._gather.cameras] == [0, 0, 0]
+        assert max(state.seen for state in source._gather.cameras) < sent + LONGEST_WAIT
+    finally:
+        source.close()
 
 
 def refused(*_: object) -> JsonBlobs:

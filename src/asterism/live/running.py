@@ -16,10 +16,12 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.live.analysis import NOTHING, AnalysedFrame, LiveAnalysis
 from asterism.live.chain import LabelChain, LabelledFrame, MakeLabeller
-from asterism.live.clock import FrameCount, SourceClock
+from asterism.live.clock import FrameCount, SourceClock, rows_of
 from asterism.live.feedback import Feedback
 from asterism.live.frames import TURN, LiveFrame, LiveSource, SourceEnded
+from asterism.live.pauses import short_pauses
 from asterism.recording import Floats
+from asterism.recording.rates import TO_RATE, RateOfTimes, rate_of_times
 
 _QUEUE = 0.1
 """s of frames that wait for their labels at most. A walking body is found again after it. Half of it drops frames at each pause of the
@@ -30,9 +32,10 @@ with twice as much a cable that is out is shown a second later."""
 _AT_ONCE = 0.002
 """s within which a frame that was there already is read; a tenth of a millisecond is usual. Twice as long takes a new frame for an old one
 at 500 Hz; with half of it a busy machine takes an old one for new."""
-_TO_RATE = 30
-"""Frames by whose times the rate is found where a source does not say it: an irregular sender's to within 1 %. Half of them tell it half as
-well; with twice as many labels begin 0.3 s later at 100 Hz."""
+_FEWEST, _SURE = 4, 0.01
+"""Frames from which on times may tell the rate, and the share of it by which they may be off then, so that a slow sender's is known in a
+second. Three frames say nothing of how times scatter; five take one frame more. Half of the share takes 8 frames of 5 Hz instead of 5, with
+twice as much irregular times are off by a tenth. Where they never tell it so well, `TO_RATE` frames have to do."""
 _SLOWEST = 1.0
 """s from frame to frame from which on times are no seconds: milliseconds of 1,000 Hz. Half of it still tells those of 500 Hz, with twice as
 much a body cannot be followed anyway."""
@@ -76,7 +79,7 @@ class Health:
     """What is counted while a session runs.
 
     before     frames that came while the labelling was made, and have no labels
-    frames, lost, late, restarts  see `FrameCount`
+    frames, lost, late, restarts, others  see `FrameCount`
     damaged    packets that could not be read
     dropped    frames that were taken and not labelled, since newer ones waited
     labelled   frames with their labels
@@ -99,6 +102,7 @@ class Health:
     lost: int = 0
     late: int = 0
     restarts: int = 0
+    others: int = 0
     damaged: int = 0
     dropped: int = 0
     labelled: int = 0
@@ -177,6 +181,10 @@ class LiveSession:
 
         Raises AsterismError where the labelling cannot begin.
         """
+        with short_pauses():
+            return self._run(seconds)
+
+    def _run(self, seconds: float) -> Health:
         self._rate = self.source.about.rate
         threads = [
             threading.Thread(target=self._read, name="live source", daemon=True),
@@ -221,6 +229,11 @@ class LiveSession:
         return self.source.about.vertical if self.vertical is None else self.vertical
 
     @property
+    def seeks_rate(self) -> bool:
+        """Whether frames came and none is labelled yet, since their rate has to be found by their times."""
+        return bool(self._arrivals) and not np.isfinite(self._rate)
+
+    @property
     def has_ended(self) -> bool:
         """Whether no frame comes any more."""
         return self._ended
@@ -228,21 +241,18 @@ class LiveSession:
     def health(self) -> Health:
         """What was counted so far."""
         now, health = time.monotonic(), self._health
-        health.frames, health.lost, health.late, health.restarts = (
-            self._count.received,
-            self._count.lost,
-            self._count.late,
-            self._count.restarts,
-        )
+        count = self._count
+        health.frames, health.lost, health.late, health.restarts = count.received, count.lost, count.late, count.restarts
+        health.others = count.others
         # What a source left out itself, and tells, was not lost on the way.
         health.lost = max(0, health.lost - int(getattr(self.source, "dropped", 0)))
         health.damaged, health.jumps = self.source.damaged, self._clock.jumps
         health.unsent = {}
         for output in self.outputs:
-            count = self._refused.get(id(output), 0) + int(getattr(output, "dropped", 0))
-            if count:
+            unsent = self._refused.get(id(output), 0) + int(getattr(output, "dropped", 0))
+            if unsent:
                 name = str(getattr(output, "name", type(output).__name__))
-                health.unsent[name] = health.unsent.get(name, 0) + count
+                health.unsent[name] = health.unsent.get(name, 0) + unsent
         arrivals = np.array(self._arrivals)
         health.silent = float(now - arrivals[-1]) if len(arrivals) else 0.0
         recent = arrivals[arrivals > now - 1.0]
@@ -279,7 +289,7 @@ class LiveSession:
         if self.recorder is not None:
             self.recorder.frame(frame)
         # Until the rate is known nothing is labelled, and the first frames wait for it.
-        most = max(2, round(_QUEUE * self._rate)) if np.isfinite(self._rate) else _TO_RATE
+        most = max(2, round(_QUEUE * self._rate)) if np.isfinite(self._rate) else TO_RATE
         with self._there:
             while self.waits and len(self._queue) >= most and not self._ended:
                 self._there.wait(TURN)
@@ -335,19 +345,19 @@ class LiveSession:
 
     def _frames_for_rate(self) -> list[LiveFrame]:
         """The first frames, by whose times the rate is found."""
-        taken: list[LiveFrame] = []
-        while len(taken) < _TO_RATE:
+        taken, found = list[LiveFrame](), RateOfTimes(math.nan, 0.0, math.inf)
+        while len(taken) < TO_RATE and not (len(taken) >= _FEWEST and 0 < found.sd < _SURE * found.step):
             frame = self._wait()
             if frame is None:
                 return taken
             taken.append(frame)
-        step = float(np.median(np.diff([frame.time for frame in taken]) / np.maximum(1, np.diff([frame.number for frame in taken]))))
-        if not step > 0:
+            found = rate_of_times(rows_of([each.number for each in taken]), [each.time for each in taken])
+        if not found.step > 0:
             raise AsterismError(f"{self.source.about.name}: its times do not grow from frame to frame; say its rate with --rate.")
-        if step >= _SLOWEST:
-            sentence = f"its times grow by {step:g} from frame to frame, and are read as seconds"
+        if found.step >= _SLOWEST:
+            sentence = f"its times grow by {found.step:g} from frame to frame, and are read as seconds"
             raise AsterismError(f"{self.source.about.name}: {sentence}; send seconds, or say its rate with --rate.")
-        self._rate = 1.0 / step
+        self._rate = found.rate
         return taken
 
     def _wait(self) -> LiveFrame | None:

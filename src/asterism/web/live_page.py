@@ -63,7 +63,8 @@ class ToPage:
         self._count = 0
         self._picture: tuple[int, str] = (0, "")
         self._shown: deque[LabelledFrame] = deque(maxlen=_TO_BONES)
-        self._bones: list[list[int]] | None = None
+        self._body: dict[str, Any] | None = None
+        self._has_lines = False
         self._moments: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_MOMENTS)
         self._moment_count = 0
         self._wakers: list[Callable[[], object]] = []
@@ -81,10 +82,21 @@ class ToPage:
             for moment in moments:
                 self._moment_count += 1
                 self._moments.append((self._moment_count, moment))
-            if self._bones is None and frame.labelled.markers:
-                self._shown.append(frame.labelled)
+            self._look_at(frame.labelled)
         if moments:
             self._wake()
+
+    def _look_at(self, labelled: LabelledFrame) -> None:
+        """Keep what tells of the body: at first, and anew with other markers."""
+        markers = labelled.markers
+        if not markers:
+            return
+        if self._body is None or self._body["markers"] != markers:
+            self._shown.clear()
+            self._has_lines = False
+            self._body = {"markers": markers, "sides": marker_sides(markers), "bones": []}
+        if not self._has_lines:
+            self._shown.append(labelled)
 
     def close(self) -> None:
         """The session has ended; what was shown last stays."""
@@ -170,20 +182,26 @@ class ToPage:
         }
 
     def body(self) -> dict[str, Any] | None:
-        """Names, sides and lines of the markers; None until enough frames showed them."""
+        """Names, sides and lines of the markers, the same object until that changes; None while no marker is known.
+
+        There are no lines until enough frames showed the markers.
+        """
         with self._guard:
-            shown = list(self._shown)
-        if len(shown) < _TO_BONES:
-            return None
-        markers = shown[-1].markers
-        if self._bones is None:
-            same = [each for each in shown if each.markers == markers]
-            positions = np.full((len(same), len(markers), 3), np.nan)
-            for t, each in enumerate(same):
-                given = each.indices >= 0
-                positions[t, given] = each.frame.points[each.indices[given]]
-            self._bones = marker_bones(positions, markers)
-        return {"markers": list(markers), "sides": list(marker_sides(markers)), "bones": self._bones}
+            body, shown = self._body, list(self._shown)
+        if body is None or len(shown) < _TO_BONES:
+            return body
+        markers = body["markers"]
+        positions = np.full((len(shown), len(markers), 3), np.nan)
+        for t, each in enumerate(shown):
+            given = each.indices >= 0
+            positions[t, given] = each.frame.points[each.indices[given]]
+        made = {**body, "bones": marker_bones(positions, markers)}
+        with self._guard:
+            # Other markers may have come meanwhile.
+            if self._body is body:
+                self._body, self._has_lines = made, True
+                self._shown.clear()
+            return self._body
 
     def sounded(self, latencies: object) -> None:
         """Take what a page tells of its sounds: ms from the arrival of the frame to the beginning of the sound, each."""
@@ -224,6 +242,8 @@ def serve_live(session: LiveSession, page: ToPage, place: PageAddress, say: Call
         import uvicorn
 
         from asterism.web.guard import Guard
+    # The shipped marker sets are read now, for a twentieth of a second, and not while frames wait for their labels.
+    marker_sides(())
     token = secrets.token_urlsafe(24)
     listening = bound(place)
     port = listening.getsockname()[1]
@@ -271,7 +291,7 @@ class _Follower:
     ahead: int = 0
     gone: bool = False
     _names: dict[str, Any] = field(default_factory=dict)
-    _told_body: bool = False
+    _body: dict[str, Any] | None = None
     _told_end: bool = False
     _health_at: float = -math.inf
     _picture_at: float = -math.inf
@@ -302,26 +322,26 @@ class _Follower:
             await self._say({"moments": moments, "sent": _ms(time.monotonic())})
 
     async def _rest(self, now: float) -> None:
-        """A picture, and from time to time what is around it."""
+        """A picture, and from time to time what is around it; at first that, since a picture says nothing without it."""
+        if now >= self._health_at + _HEALTH or (self.session.has_ended and not self._told_end):
+            self._health_at, self._told_end = now, self.session.has_ended
+            await self._say({"health": _plain_health(self.session, self.page)})
+            if (control := _camera_control(self.session)) is not None:
+                await self._say({"cameras": control.camera_states()})
         if now >= self._picture_at + 1 / _PICTURES and self.ahead < _AHEAD:
             self._picture_at = max(now - 1 / _PICTURES, self._picture_at + 1 / _PICTURES)
             if (found := self.page.picture(self.picture)) is not None:
                 if (names := self.page.names()) != self._names:
                     self._names = names
                     await self._say({"names": names})
+                if (body := self.page.body()) is not self._body:
+                    self._body = body
+                    await self._say({"body": body})
                 self.picture, text = found
                 self.ahead += 1
                 await self.send(text)
         elif self.ahead >= _AHEAD:
             self._picture_at = now
-        if not self._told_body and (body := self.page.body()) is not None:
-            self._told_body = True
-            await self._say({"body": body})
-        if now >= self._health_at + _HEALTH or (self.session.has_ended and not self._told_end):
-            self._health_at, self._told_end = now, self.session.has_ended
-            await self._say({"health": _plain_health(self.session, self.page)})
-            if (control := _camera_control(self.session)) is not None:
-                await self._say({"cameras": control.camera_states()})
 
     async def told(self, text: str) -> None:
         """Take what the page says; what is not understood is passed over."""

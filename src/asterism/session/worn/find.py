@@ -19,7 +19,7 @@ from scipy.special import expit, log_softmax
 
 from asterism.errors import AsterismError, NoMarkers
 from asterism.geometry import rotate_z_up
-from asterism.recording import Clouds, Floats, Ints, MarkerSet, Recording, shipped_sets, worn_marker_sets
+from asterism.recording import Clouds, Floats, Ints, MarkerSet, Recording, labelled_live, shipped_sets, worn_marker_sets
 from asterism.recording.display import significant
 from asterism.recording.marker_set import is_unnamed
 from asterism.session.people import people_in
@@ -236,7 +236,10 @@ class SetFinder:
         return tuple(WornMarkers(_name_of(one), MarkerSet.load(one), GIVEN) for one in self.given)
 
     def _by_names(self, recording: Recording) -> WornMarkers | None:
-        """The set of which most markers are named; None where the names are of none."""
+        """The set of which most markers are named; None where they are of none, or of one that was found live, in a second."""
+        live = labelled_live(recording.log)
+        if live is not None and not live.settings.get("markers"):
+            return None
         worn = worn_marker_sets(recording.labels)
         if not worn:
             return None
