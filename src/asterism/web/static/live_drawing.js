@@ -74,13 +74,13 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
       }
       const top = 4, bottom = height - 4, left = 40, x = time => left + (width - left) * (1 - (end - time) / SECONDS);
       this.drawTicks(pen, x, end, bottom, colours);
-      if (low > high) return;
+      pen.fillStyle = colours["--soft"];
+      if (low > high) { pen.fillText("no value yet", 0, top + 8); return; }
       for (const bound of bounds) [low, high] = [Math.min(low, bound), Math.max(high, bound)];
       // A value that stands still is a line in the middle, not its noise over the whole height.
       const least = { degrees: 10, m: 0.02, s: 0.05, "%": 5 }[unit] || 0.1, lacks = Math.max(0, least - (high - low)) / 2;
       [low, high] = [low - lacks, high + lacks];
       const y = value => bottom - (bottom - top) * (value - low) / (high - low);
-      pen.fillStyle = colours["--soft"];
       pen.fillText(shown(high, unit), 0, top + 8);
       pen.fillText(shown(low, unit), 0, bottom);
       pen.strokeStyle = colours["--soft"];
