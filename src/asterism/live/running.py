@@ -381,10 +381,6 @@ class LiveSession:
             self._health.named += named
             self._health.bare += not named and 2 * len(found.frame.points) >= len(found.markers)
         self._first = found.frame.arrived if self._first is None else self._first
-        if found.markers and self._ready is None:
-            # Frames that waited while the set was sought say nothing of those that follow.
-            self._ready = found.done
-            self._health.searched = max(0.0, found.done - self._first) if self._searches else 0.0
         self._searches = self._searches or not found.markers
         if not self._searches or (self._ready is not None and found.frame.arrived >= self._ready):
             self._latencies.append(found.done - found.frame.arrived)
@@ -399,3 +395,7 @@ class LiveSession:
                 output.send(analysed)
             except OSError:
                 self._refused[id(output)] = self._refused.get(id(output), 0) + 1
+        if found.markers and self._ready is None:
+            # Frames that waited while the set was sought, and what follows from its labels was made, say nothing of those after them.
+            self._ready = time.monotonic()
+            self._health.searched = max(0.0, self._ready - self._first) if self._searches else 0.0
