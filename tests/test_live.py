@@ -365,6 +365,8 @@ def test_frames_that_waited_while_the_set_was_sought_say_nothing_of_the_latency(
         given = 0
 
         def read(self, timeout: float) -> LiveFrame | None:
+            if self.given == 2:
+                until(lambda: slow.held)
             frame = super().read(timeout)
             self.given += 1
             return None if frame is None else replace(frame, arrived=time.monotonic())
@@ -389,8 +391,8 @@ def test_frames_that_waited_while_the_set_was_sought_say_nothing_of_the_latency(
         def __init__(self) -> None:
             self.held: list[int] = []
 
-    source = Coming(frames(list(range(60))))
-    session = LiveSession(source, lambda rate, up: Seeking(), waits=True, analysis=Slow())
+    source, slow = Coming(frames(list(range(60)))), Slow()
+    session = LiveSession(source, lambda rate, up: Seeking(), waits=True, analysis=slow)
     assert session.run().labelled == 60
     assert len(session._latencies) == 60 - 13
 
