@@ -23,9 +23,11 @@ from models import trained
 
 import asterism
 from asterism import AsterismError
+from asterism.cameras.files import write_rig
 from asterism.cli import main
 from asterism.files.journal import Journal
 from asterism.findings import Severity
+from asterism.formats import analog_channels
 from asterism.labelling.live.stream import FrameLabels
 from asterism.live import (
     AnalysedFrame,
@@ -47,11 +49,13 @@ from asterism.live import (
     recording_of,
     session_findings,
 )
+from asterism.live.analog import AnalogDevice, AnalogSamples
 from asterism.live.chain import LabelChain
 from asterism.live.datagrams import DatagramReader
 from asterism.live.replay import Replay
 from asterism.recording import MarkerSet, Recording
 from asterism.simulation import simulate_walks
+from asterism.simulation.cameras import ring_rig
 
 RATE = 100.0
 
@@ -598,6 +602,54 @@ def test_what_a_killed_session_left_is_written_once_and_is_then_in_nobodys_way(t
     assert main(begin) == 1 and not left.exists()
 
 
+def test_analog_channels_are_in_the_recording_where_their_rates_are_whole_multiples(tmp_path: Path, capsys) -> None:
+    """Ten samples of one device and five of another in each frame, of which one are lost; 3.3 of a third; a fourth with another clock."""
+    numbers = [n for n in range(100, 200) if n != 150]
+    devices = [AnalogDevice("EMG", 1000.0, ("soleus", ""), ("V", "V")), AnalogDevice("plate", 500.0, ("soleus",), ("N",))]
+    devices += [AnalogDevice("odd", 330.0, ("a",), ("V",)), AnalogDevice("away", 1000.0, ("b",), ("V",))]
+    recorder, left, output = (
+        LiveRecorder(tmp_path / "walk.c3d.live", "QTM", None, rate=RATE),
+        tmp_path / "walk.c3d.live",
+        tmp_path / "walk.c3d",
+    )
+
+    def samples(device: AnalogDevice, number: int) -> AnalogSamples:
+        first, end = (round(at * device.rate / RATE) for at in (number, number + 1))
+        first, end = (first + 10**6, end + 10**6) if device.name == "away" else (first, end)
+        return AnalogSamples(device, first, np.add.outer(np.arange(first, end), 0.5 * np.arange(len(device.channels))))
+
+    for n, frame in zip(numbers, frames(numbers), strict=True):
+        recorder.frame(replace(frame, analog=tuple(samples(device, n) for device in devices)))
+    recorder.close()
+    assert main(["live", "--finish", str(left), "-o", str(output)]) == 0
+    told = capsys.readouterr().err
+    for why in ("odd: its 330 Hz", "away: its samples are not numbered", "EMG: 10 samples of 1,000 were lost", "plate: 5 samples of 500"):
+        assert why in told
+    assert (tmp_path / "walk.analog.npz").exists()
+    emg, second, plate = analog_channels(asterism.read(output))
+    assert [(each.name, each.unit, each.rate) for each in (emg, second, plate)] == [
+        ("soleus", "V", 1000.0),
+        ("EMG 2", "V", 1000.0),
+        ("plate soleus", "N", 1000.0),
+    ]
+    expected = np.where(np.arange(1000) // 10 == 50, 0.0, np.arange(1000, 2000))
+    np.testing.assert_array_equal(emg.samples, expected)
+    np.testing.assert_array_equal(second.samples, np.where(expected > 0, expected + 0.5, 0.0))
+    np.testing.assert_array_equal(plate.samples, np.repeat(np.where(np.arange(500) // 5 == 50, 0.0, np.arange(500, 1000)), 2))
+    ezc3d = pytest.importorskip("ezc3d")
+    theirs = ezc3d.c3d(str(output))
+    np.testing.assert_array_equal(theirs["data"]["analogs"][0], np.stack([emg.samples, second.samples, plate.samples]))
+    assert theirs["parameters"]["ANALOG"]["RATE"]["value"] == [1000.0] and theirs["data"]["points"].shape[2] == 100
+    # Where nothing is left out, nothing is beside; a format without channels says so.
+    (tmp_path / "walk.analog.npz").unlink()
+    recorder = LiveRecorder(left, "QTM", None, rate=RATE)
+    for n, frame in zip(range(40), frames(list(range(40))), strict=True):
+        recorder.frame(replace(frame, analog=(samples(devices[0], n),)))
+    recorder.close()
+    assert main(["live", "--finish", str(left), "-o", str(output), "--overwrite"]) == 0 and not capsys.readouterr().err
+    assert not (tmp_path / "walk.analog.npz").exists()
+
+
 @pytest.mark.parametrize("words", [["udp://127.0.0.1:0"], ["--model", "gait.model"], ["--lines"], ["--lower-body", "plug-in-gait"]])
 def test_what_begins_no_session_takes_no_options_of_one(tmp_path: Path, words: list[str], capsys) -> None:
     recorded(tmp_path / "walk.live", list(range(20)))
@@ -661,9 +713,37 @@ def test_a_format_that_cannot_be_written_is_refused_before_a_session_begins(tmp_
         (["udp://127.0.0.1:0", "--speed", "2"], "its own time"),
         (["udp://127.0.0.1:0", "--loop"], "its own time"),
         (["--replay", "walk.c3d", "--empty", "2"], "--empty is of images"),
+        (["--replay", "walk.c3d", "--no-analysis", "--hip", "bell"], "--no-analysis leaves out"),
+        (["--replay", "blobs.csv"], "add --rig FILE"),
+        (["--replay", "video.avi"], "videos of the other cameras"),
+        (["--replay", "walk.trc", "--rig", "rig.toml"], "leave --rig out"),
+        (["udp://127.0.0.1:0?together=1"], "add --rig FILE"),
+        (["udp://127.0.0.1:0/points"], "points means nothing behind"),
+        (["natnet://127.0.0.1?lokal=127.0.0.1"], "lokal means nothing there; choose from local"),
+        (["qtm://127.0.0.1?udp=1"], "no options"),
+        (["vicon://127.0.0.1?udp=1"], "no options"),
+        (["lsl://?colour=red"], "choose from host, name, source_id, type, uid"),
+        (["ws-listen://127.0.0.1:0?tokn=SECRET"], "choose from origin, token"),
+        (["udp://127.0.0.1:0?togeter=1", "--rig", "rig.toml"], "choose from together"),
+        (["udp://127.0.0.1:0?together=maybe", "--rig", "rig.toml"], "neither 1 nor 0"),
+        (["natnet://127.0.0.1", "--rig", "rig.toml"], "leave --rig out"),
+        *(
+            (["--replay", "walk.trc", "--markers", "helen-hayes", "--to", address], told)
+            for address, told in (
+                ("udp://127.0.0.1:1?x=SECRET", "no options"),
+                ("osc://127.0.0.1:1/joint", "joint means nothing"),
+                ("lsl://A?x=1", "no options"),
+                ("natnet://127.0.0.1?x=1", "choose from data, multicast, unicast"),
+            )
+        ),
     ],
-    ids=["a folder", "rate", "host", "two", "a file's rate", "speed", "loop", "empty"],
 )
-def test_what_cannot_be_meant_is_refused(words: list[str], told: str, capsys) -> None:
-    assert main(["live", *words]) == 2
-    assert told in capsys.readouterr().err
+def test_what_cannot_be_meant_is_refused(words: list[str], told: str, tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_rig(ring_rig(cameras=2, rng=np.random.default_rng(0)), Path("rig.toml"))
+    Path("blobs.csv").write_text("frame,camera,x,y\n0,c1,1,2\n1,c1,1,2\n")
+    Path("video.avi").write_bytes(b"RIFF")
+    asterism.write("walk.trc", Recording(np.zeros((3, 1, 3)), ("A",), rate=RATE))
+    assert main(["live", *words, "--seconds", "0.1"]) == 2
+    said = capsys.readouterr().err
+    assert told in said and "SECRET" not in said

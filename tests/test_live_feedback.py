@@ -278,7 +278,7 @@ def test_names_that_a_session_lacks_are_said_once_with_the_near_ones() -> None:
     rules = (
         KNEE,
         FeedbackRule("bend", "value", of="left knee flexon"),
-        FeedbackRule("even", "symmetry", of="stride", each="range", swing=1.0),
+        FeedbackRule("even", "symmetry", of="step length", each="range", swing=1.0),
     )
     feedback = Feedback(rules, say=said.append)
     for number in range(700):
@@ -290,7 +290,8 @@ def test_names_that_a_session_lacks_are_said_once_with_the_near_ones() -> None:
             assert said == ['The rule "knee" is silent: the marker set has no LTHI; near are LTHY.'], "angles come after some seconds"
     assert said[1:] == [
         'The rule "bend" is silent: there is no value left knee flexon; near are left knee flexion, right hip flexion.',
-        'The rule "even" is silent: there is no value left stride and no right stride.',
+        'The rule "even" is silent: there is no value left step length and no right step length; '
+        "steps are found where the marker set has heels, toes and a pelvis.",
     ]
     assert [finding.code for finding in feedback.findings()] == ["live-rule-silent"] * 3
     feedback.judge(frame)
@@ -475,7 +476,14 @@ MOMENT = """globalThis.hear = (name, age) => {
   const live = Asterism.live, at = live.clock.at(performance.now()) - age, cue = { name, sound: "beep" };
   live.told(JSON.stringify({ sent: at, moments: [{ cue, at, done: at, time: 0 }] }));
   return live.log.length;
-}"""
+};
+globalThis.show = age => {
+  const live = Asterism.live, at = live.clock.at(performance.now()) - age, cues = [[0.4, "0.40 m", 1, 0.5, ""]];
+  live.rules[0].sound = "tone";
+  live.told(JSON.stringify({ ...live.newest, at, latency: 0, cues }));
+  return live.sounds.tones.has(live.rules[0].name);
+};
+globalThis.slept = () => { Asterism.live.heard -= 60000; Asterism.live.watch(); return document.getElementById("state").textContent; };"""
 
 
 @needs_chromium
@@ -644,6 +652,17 @@ def test_the_page_shows_counts_words_and_markers() -> None:
             assert tab.value("Asterism.live.sounds.tone('t', 0.5)")
             tab.wait("Asterism.live.sounds.tones.get('t')[1].gain.value > 0.2")
             tab.wait("Asterism.live.sounds.tones.get('t')[1].gain.value < 0.01")  # a tone that nobody keeps up ends
+            assert tab.value("[show(60000), show(0), show(60000)]") == [False, True, False], "a tone is of what is done now"
+            # The system takes the sound away: no tone goes on when it is back, and who touches the page gets it back.
+            tab.value("Asterism.live.sounds.tone('t', 0.5), Asterism.live.sounds.context.suspend()")
+            tab.wait("!Asterism.live.sounds.tones.has('t') && !document.getElementById('unheard').hidden")
+            for kind in ("mousePressed", "mouseReleased"):
+                tab.call("Input.dispatchMouseEvent", type=kind, x=500, y=500, button="left", clickCount=1)
+            tab.wait("Asterism.live.sounds.context.state === 'running' && document.getElementById('unheard').hidden")
+            # A cable that is out closes nothing: what is shown is old, and the page connects anew.
+            assert "nothing heard for 60 s" in tab.value("globalThis.link = Asterism.live.socket, slept()")
+            assert tab.value("!Asterism.live.sounds.tones.size && document.querySelector('#stage.old') && link !== Asterism.live.socket")
+            tab.wait("!document.querySelector('#stage.old') && Asterism.live.clock.isKnown")
             tab.resize(390, 844, is_phone=True)
             before = tab.value("[Asterism.live.camera.yaw, Asterism.live.camera.zoom]")
             for kind, apart in (("touchStart", 20), ("touchMove", 60), ("touchEnd", None)):

@@ -85,6 +85,10 @@ def _check(options: LiveOptions) -> None:
         raise AsterismError("a model has its own marker set; give either --model or --markers.")
     if options.rate is not None and not 0 < options.rate < math.inf:
         raise AsterismError(f"--rate {options.rate:g} is no rate; give frames per second, above 0.")
+    unused = {"--static": options.static, "--measure": options.measure, "--lower-body": options.lower_body, "--hip": options.hip}
+    given = next((name for name, value in unused.items() if value and not options.analysis), None)
+    if given is not None:
+        raise AsterismError(f"{given} is for the angles of joints, which --no-analysis leaves out; leave one of them out.")
     if not options.page and (options.host != LiveOptions.host or options.port):
         raise AsterismError("--host and --port are those of the page; add --page.")
     if options.output is not None:

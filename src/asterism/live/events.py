@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -366,6 +367,7 @@ class LiveEvents:
         self._kept: deque[tuple[float, Floats]] = deque(maxlen=_MOST_KEPT)
         self._waiting: deque[_ToldStep] = deque()
         self._learned = -math.inf
+        self._learning: Iterator[bool] | None = None
         self._floor = self.leg_length = self._upright = math.nan
         self._before, self._speeds, self._exchanged = np.full((2, 2, 3), np.nan), np.zeros((2, 2, 3)), 0.0
         self._pelvis.clear()
@@ -479,8 +481,12 @@ class LiveEvents:
                 event = self._told(foot, kind, time)
                 if event is not None:
                     found.append(event)
-        if self._waiting and time >= max(self._learned + self.rules.every, self._waiting[0].time + self.rules.behind[1]):
-            self._learn(time)
+        due = self._waiting and time >= max(self._learned + self.rules.every, self._waiting[0].time + self.rules.behind[1])
+        if due and self._learning is None:
+            self._learning = self._learn(time)
+        # A part of it each frame, so that none is late by all of them.
+        if self._learning is not None and next(self._learning, True):
+            self._learning = None
         # What is no step forwards of somebody upright is followed, and not told.
         return [] if found and (self._goes_backwards(time, pelvis) or self._upright < self.rules.upright) else found
 
@@ -594,8 +600,8 @@ class LiveEvents:
         heights = np.array([row[first : first + 2, 2].mean() for at, row in self._kept if begins <= at <= ends])
         return float(np.nanmean(heights)) if np.isfinite(heights).any() else math.nan
 
-    def _learn(self, time: float) -> None:
-        """What the recording's rules say of events that are over, from the curves on both sides of them."""
+    def _learn(self, time: float) -> Iterator[bool]:
+        """What the recording's rules say of events that are over, from the curves on both sides of them; False after each part."""
         due = [told for told in self._waiting if told.time + self.rules.behind[1] <= time]
         self._waiting = deque(told for told in self._waiting if told.time + self.rules.behind[1] > time)
         self._learned = time
@@ -612,7 +618,8 @@ class LiveEvents:
             feet = feet_of(Recording(positions, ("LHEE", "LTOE", "RHEE", "RTOE", "SACR"), rate))
         except AsterismError:
             return
-        for side in {told.foot.side for told in due} & set(feet.sides):
+        for side in sorted({told.foot.side for told in due} & set(feet.sides)):
+            yield False
             events = events_by_markers(feet, side, self.offline, self.on_treadmill)
             for told in due:
                 own = [(times[0] + event.time, event.sigma) for event in events if event.label == told.kind and told.foot.side == side]

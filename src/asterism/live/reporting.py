@@ -22,6 +22,7 @@ class WithFindings(Protocol):
 
 
 _NO_LABELS = ("live-no-points", "live-no-set", "live-few-points", "live-other-markers", "live-unit")
+_SILENT_TOLD = ("live-unconnected", "live-camera-silent", "live-camera-not-opened")
 _DAMAGED_TOLD = ("live-format", "live-camera-size", "live-camera-damaged")
 _NOTE, _WARNING, _ERROR = Severity.NOTE, Severity.WARNING, Severity.ERROR
 
@@ -42,7 +43,7 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
     found = own_findings(parts)
     if health.problem:
         found.append(Finding("live-ended", _ERROR, where, f"{where}: the session ended early.", health.problem))
-    if not health.frames and not health.damaged:
+    if not health.frames and not health.damaged and not any(finding.code in _SILENT_TOLD for finding in found):
         mend = "Look whether it sends, to this address and port, and whether a firewall is between."
         found.append(Finding("live-silent", _ERROR, where, f"{where}: no frame came.", mend))
     found += _no_labels(health, where, found)

@@ -17,6 +17,7 @@ from urllib.parse import parse_qsl, urlsplit
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
+from asterism.live.addresses import Query
 from asterism.live.analysis import AnalysedFrame
 from asterism.live.datagrams import damaged_json, frame_of_json, why_damaged
 from asterism.live.frames import LiveFrame, SourceAbout
@@ -75,12 +76,14 @@ def websocket_place(address: str) -> WebSocketPlace:
     if not host or (listens and port is None):
         raise AsterismError(f"{address} names no host and port; write for example {example}.")
     port = (443 if parts.scheme.lower() == "wss" else 80) if port is None else port
-    name, said = f"{parts.scheme.lower()}://{host}:{port}{parts.path}", parse_qsl(parts.query) if listens else []
-    unknown = sorted({key for key, _ in said} - {"origin", "token"})
-    if unknown:
-        raise AsterismError(f"{name}: nothing is known by {unknown[0]}; what can be said is origin and token, as in {example}.")
-    origins = tuple(value for key, value in said if key == "origin")
-    return WebSocketPlace(address, name, listens, host, port, origins, dict(said).get("token", ""))
+    name = f"{parts.scheme.lower()}://{host}:{port}{parts.path}"
+    origins, token = tuple[str, ...](), ""
+    # What is said to who waits elsewhere is theirs to understand.
+    if listens:
+        query = Query(address, bare=True)
+        origins, token = query.texts("origin"), query.text("token", "")
+        query.check_all_used()
+    return WebSocketPlace(address, name, listens, host, port, origins, token)
 
 
 class _Endpoint:

@@ -39,8 +39,8 @@ def list(options: ListCamerasOptions) -> None:
     Webcams are found by this system, machine vision cameras by the GenTL producers that their makers' drivers install. With --settings each
     is opened. Write a file with -o, give each camera its name in the rig there, and use it with --cameras.
     """
+    from asterism.live.addresses import without_password
     from asterism.live.cameras import SETTINGS, CameraGroup, CameraSpec, save_cameras
-    from asterism.live.cameras.addresses import without_password
     from asterism.live.cameras.settings import setting_text
 
     _console.check_outputs([options.output, options.json], [options.cameras], options.overwrite)

@@ -17,8 +17,8 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.live.addresses import Query
 from asterism.live.camera_frames import LiveImage
-from asterism.live.cameras.addresses import Query
 from asterism.live.cameras.camera import BUFFERS, CameraAbout, CameraGone, LiveCamera
 from asterism.live.cameras.features import Features
 from asterism.live.cameras.numbering import FrameIds, NumbersByTime

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from asterism.detection.sources import images, open_source
 from asterism.detection.times import read_times
 from asterism.errors import AsterismError
+from asterism.live.addresses import Query
 from asterism.live.camera_frames import LiveImage
-from asterism.live.cameras.addresses import Query
 from asterism.live.cameras.camera import BUFFERS, CameraAbout, LiveCamera
 from asterism.live.cameras.pixels import DepthByImages
 from asterism.live.cameras.settings import SettingValue

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.live.addresses import Query
 from asterism.live.camera_frames import LiveImage
-from asterism.live.cameras.addresses import Query
 from asterism.live.cameras.camera import BUFFERS, CameraAbout, CameraGone, LiveCamera
 from asterism.live.cameras.settings import SettingValue, size_of
 from asterism.recording import Floats

@@ -6,6 +6,7 @@
   const COLOURS = ["left", "right", "middle", "soft", "line", "accent"].map(name => `--${name}`);
   const STALE = 500;     // ms after which a sound belongs to another movement than the one that is made
   const ASLEEP = 2000;   // ms without a word, of which there are two a second: the page slept, and its clock may have stopped
+  const GONE = 6000;     // ms without a word after which the page connects anew: a radio network that roams is back before
   const PINGS = 8;       // of which the fastest says what the server's clock shows
   const LOG = 1024;      // sounds whose times are kept
   const NUMBERS = 6;     // pictures from one change of numbers to the next: nobody reads sixty a second, and each costs a new layout
@@ -33,7 +34,7 @@
   class Live {
     // port: to what draws
     constructor(port) {
-      Object.assign(this, { port, camera: new Asterism.Camera(), body: null, newest: null, sounds: new Asterism.Sounds(), pictures: 0, drawn: 0, drawnAt: [], behind: 0 });
+      Object.assign(this, { port, camera: new Asterism.Camera(), body: null, newest: null, sounds: new Asterism.Sounds(isHeard => { $("unheard").hidden = isHeard; }), pictures: 0, drawn: 0, drawnAt: [], behind: 0 });
       Object.assign(this, { clock: new ServerClock(), rules: [], heard: Date.now(), log: [], sounded: [], missed: 0 });
       this.token = new URLSearchParams(location.search).get("token") || "";
       port.canvases({ body: $("body"), latency: $("latency") });
@@ -54,7 +55,9 @@
       };
       document.addEventListener("visibilitychange", awake);
       awake();
-      setInterval(() => this.ping(), 1000);
+      // A system that takes the sound away, as for a telephone call, gives it back to whoever touches the page.
+      for (const kind of ["pointerdown", "keydown"]) document.addEventListener(kind, () => this.sounds.resume());
+      setInterval(() => { this.watch(); this.ping(); this.sounds.told(); }, 1000);
     }
 
     // A picture was drawn.
@@ -112,17 +115,34 @@
 
     listen() {
       const socket = this.socket = new WebSocket(`ws://${location.host}/ws?token=${encodeURIComponent(this.token)}`);
+      const isMine = () => socket === this.socket;
       let isOpen = false;
-      socket.addEventListener("open", () => { isOpen = true; this.clock.forget(); for (let n = 0; n < 3; n++) this.ping(); });
-      socket.addEventListener("message", event => this.told(event.data));
+      socket.addEventListener("open", () => { isOpen = true; this.heard = Date.now(); this.clock.forget(); for (let n = 0; n < 3; n++) this.ping(); });
+      socket.addEventListener("message", event => { if (isMine()) this.told(event.data); });
       socket.addEventListener("close", async () => {
-        this.sounds.quiet();
-        this.clock.forget();
-        if (!this.ended) this.state("no connection", true);
+        if (!isMine()) return;
+        this.lost("no connection");
         // A server of another session knows this address no more; who asks on and on gets no other answer.
         if (!isOpen && await this.isRefused()) this.state("this address is of an earlier session; open the one that the command printed", true);
-        else setTimeout(() => this.listen(), 1000);
+        else setTimeout(() => { if (isMine()) this.listen(); }, 1000);
       });
+    }
+
+    lost(words) {
+      this.sounds.quiet();
+      this.clock.forget();
+      if (!this.ended) this.state(words, true);
+    }
+
+    // A cable that is out closes no connection: the page sees only that nobody says anything.
+    watch() {
+      const seconds = (Date.now() - this.heard) / 1000;
+      if (this.socket.readyState !== WebSocket.OPEN || 1000 * seconds < ASLEEP) return;
+      this.lost(`nothing heard for ${seconds.toFixed(0)} s`);
+      if (1000 * seconds < GONE) return;
+      const old = this.socket;
+      this.listen();
+      old.close();
     }
 
     async isRefused() {
@@ -217,6 +237,8 @@
     state(words, bad) {
       if ($("state").textContent !== words) $("state").textContent = words;
       $("state").className = bad ? "bad" : "good";
+      // What was told last is not taken for what is told now.
+      $("stage").classList.toggle("old", bad);
     }
 
     healthIs(health) {

@@ -10,11 +10,19 @@
   const LAPSE = 0.5;                // s after which a tone ends that nobody keeps up: the page was put to sleep, or the connection broke
 
   class Sounds {
+    // tell: told whether what is to sound is heard: systems take the sound away, and give it back only when a person touches the page
+    constructor(tell) { this.tell = tell; }
+
     // Browsers give sound only after a person asked for it.
     start(volume) {
-      this.context = this.context || new AudioContext({ latencyHint: "interactive" });
-      this.context.resume();
-      if (!this.gain) {
+      this.on = true;
+      if (!this.context) {
+        this.context = new AudioContext({ latencyHint: "interactive" });
+        this.context.addEventListener("statechange", () => {
+          // Its clock stands meanwhile: a tone would go on when it is back.
+          if (this.context.state !== "running") this.quiet();
+          this.told();
+        });
         this.gain = this.context.createGain();
         // Its own value at first would be the full scale.
         this.gain.gain.value = 0;
@@ -22,13 +30,20 @@
         Object.assign(this, { tones: new Map(), begun: new Map(), beeps: 0 });
       }
       this.volume(volume);
-      this.on = true;
+      this.resume();
     }
 
     stop() {
       this.on = false;
       this.quiet();
+      this.told();
     }
+
+    resume() {
+      if (this.on && this.context.state !== "running") this.context.resume().catch(() => {});
+    }
+
+    told() { this.tell(!this.on || this.context.state === "running"); }
 
     // Ends what sounds now; what begins later is heard.
     quiet() {
