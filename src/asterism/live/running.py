@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.live.analysis import NOTHING, AnalysedFrame, LiveAnalysis
 from asterism.live.chain import LabelChain, LabelledFrame, MakeLabeller
 from asterism.live.clock import FrameCount, SourceClock, rows_of
@@ -237,6 +238,10 @@ class LiveSession:
     def has_ended(self) -> bool:
         """Whether no frame comes any more."""
         return self._ended
+
+    def findings(self) -> list[Finding]:
+        """What a person should know of the marker set that was found."""
+        return [] if self._chain is None else self._chain.findings()
 
     def health(self) -> Health:
         """What was counted so far."""
