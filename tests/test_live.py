@@ -27,6 +27,7 @@ from asterism.cameras.files import write_rig
 from asterism.cli import main
 from asterism.files.journal import Journal
 from asterism.findings import Severity
+from asterism.formats import analog_channels
 from asterism.labelling.live.stream import FrameLabels
 from asterism.live import (
     AnalysedFrame,
@@ -48,6 +49,7 @@ from asterism.live import (
     recording_of,
     session_findings,
 )
+from asterism.live.analog import AnalogDevice, AnalogSamples
 from asterism.live.chain import LabelChain
 from asterism.live.datagrams import DatagramReader
 from asterism.live.replay import Replay
@@ -598,6 +600,54 @@ def test_what_a_killed_session_left_is_written_once_and_is_then_in_nobodys_way(t
     # A session that was killed before its first frame keeps nobody from the next.
     recorded(left, [])
     assert main(begin) == 1 and not left.exists()
+
+
+def test_analog_channels_are_in_the_recording_where_their_rates_are_whole_multiples(tmp_path: Path, capsys) -> None:
+    """Ten samples of one device and five of another in each frame, of which one are lost; 3.3 of a third; a fourth with another clock."""
+    numbers = [n for n in range(100, 200) if n != 150]
+    devices = [AnalogDevice("EMG", 1000.0, ("soleus", ""), ("V", "V")), AnalogDevice("plate", 500.0, ("soleus",), ("N",))]
+    devices += [AnalogDevice("odd", 330.0, ("a",), ("V",)), AnalogDevice("away", 1000.0, ("b",), ("V",))]
+    recorder, left, output = (
+        LiveRecorder(tmp_path / "walk.c3d.live", "QTM", None, rate=RATE),
+        tmp_path / "walk.c3d.live",
+        tmp_path / "walk.c3d",
+    )
+
+    def samples(device: AnalogDevice, number: int) -> AnalogSamples:
+        first, end = (round(at * device.rate / RATE) for at in (number, number + 1))
+        first, end = (first + 10**6, end + 10**6) if device.name == "away" else (first, end)
+        return AnalogSamples(device, first, np.add.outer(np.arange(first, end), 0.5 * np.arange(len(device.channels))))
+
+    for n, frame in zip(numbers, frames(numbers), strict=True):
+        recorder.frame(replace(frame, analog=tuple(samples(device, n) for device in devices)))
+    recorder.close()
+    assert main(["live", "--finish", str(left), "-o", str(output)]) == 0
+    told = capsys.readouterr().err
+    for why in ("odd: its 330 Hz", "away: its samples are not numbered", "EMG: 10 samples of 1,000 were lost", "plate: 5 samples of 500"):
+        assert why in told
+    assert (tmp_path / "walk.analog.npz").exists()
+    emg, second, plate = analog_channels(asterism.read(output))
+    assert [(each.name, each.unit, each.rate) for each in (emg, second, plate)] == [
+        ("soleus", "V", 1000.0),
+        ("EMG 2", "V", 1000.0),
+        ("plate soleus", "N", 1000.0),
+    ]
+    expected = np.where(np.arange(1000) // 10 == 50, 0.0, np.arange(1000, 2000))
+    np.testing.assert_array_equal(emg.samples, expected)
+    np.testing.assert_array_equal(second.samples, np.where(expected > 0, expected + 0.5, 0.0))
+    np.testing.assert_array_equal(plate.samples, np.repeat(np.where(np.arange(500) // 5 == 50, 0.0, np.arange(500, 1000)), 2))
+    ezc3d = pytest.importorskip("ezc3d")
+    theirs = ezc3d.c3d(str(output))
+    np.testing.assert_array_equal(theirs["data"]["analogs"][0], np.stack([emg.samples, second.samples, plate.samples]))
+    assert theirs["parameters"]["ANALOG"]["RATE"]["value"] == [1000.0] and theirs["data"]["points"].shape[2] == 100
+    # Where nothing is left out, nothing is beside; a format without channels says so.
+    (tmp_path / "walk.analog.npz").unlink()
+    recorder = LiveRecorder(left, "QTM", None, rate=RATE)
+    for n, frame in zip(range(40), frames(list(range(40))), strict=True):
+        recorder.frame(replace(frame, analog=(samples(devices[0], n),)))
+    recorder.close()
+    assert main(["live", "--finish", str(left), "-o", str(output), "--overwrite"]) == 0 and not capsys.readouterr().err
+    assert not (tmp_path / "walk.analog.npz").exists()
 
 
 @pytest.mark.parametrize("words", [["udp://127.0.0.1:0"], ["--model", "gait.model"], ["--lines"], ["--lower-body", "plug-in-gait"]])

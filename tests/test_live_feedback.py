@@ -278,7 +278,7 @@ def test_names_that_a_session_lacks_are_said_once_with_the_near_ones() -> None:
     rules = (
         KNEE,
         FeedbackRule("bend", "value", of="left knee flexon"),
-        FeedbackRule("even", "symmetry", of="stride", each="range", swing=1.0),
+        FeedbackRule("even", "symmetry", of="step length", each="range", swing=1.0),
     )
     feedback = Feedback(rules, say=said.append)
     for number in range(700):
@@ -290,7 +290,8 @@ def test_names_that_a_session_lacks_are_said_once_with_the_near_ones() -> None:
             assert said == ['The rule "knee" is silent: the marker set has no LTHI; near are LTHY.'], "angles come after some seconds"
     assert said[1:] == [
         'The rule "bend" is silent: there is no value left knee flexon; near are left knee flexion, right hip flexion.',
-        'The rule "even" is silent: there is no value left stride and no right stride.',
+        'The rule "even" is silent: there is no value left step length and no right step length; '
+        "steps are found where the marker set has heels, toes and a pelvis.",
     ]
     assert [finding.code for finding in feedback.findings()] == ["live-rule-silent"] * 3
     feedback.judge(frame)

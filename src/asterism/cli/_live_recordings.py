@@ -91,13 +91,18 @@ def _write_kept(kept: Path, output: Path, rate: float | None) -> int:
     """Write what was kept; how many frames it had."""
     from asterism.formats import write
     from asterism.live import recording_of
-    from asterism.live.analog import write_analog
+    from asterism.live.analog import channels_of_frames, write_analog
 
-    session = recording_of(kept, rate)
-    for lost in write(output, session.recording()):
+    session, is_c3d = recording_of(kept, rate), output.suffix.casefold() == ".c3d"
+    recording = session.recording()
+    found = channels_of_frames(session.analog, session.times, recording.rate)
+    for lost in write(output, recording, analog=found.channels if is_c3d else ()):
         _console.notice(f"{output} does not hold {lost}.")
-    if session.analog:
-        write_analog(analog_beside(output), session.analog, session.times)
+    if session.analog and (found.beside or not is_c3d):
+        beside = analog_beside(output)
+        write_analog(beside, session.analog, session.times)
+        for why in found.beside if is_c3d else [f"{output} holds no analog channels"]:
+            _console.notice(f"{why}; {beside} has all of it.")
     return len(session.times)
 
 

@@ -10,6 +10,7 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
   const TICKS = 256;      // events that are kept
   const LATENCIES = 600;  // in their curve: ten seconds of pictures
   const SOMETIMES = 6;    // pictures from one drawing of the latency to the next
+  const AT_ONCE = 4;      // curves drawn with one picture, in turn: half of them jerk where ten are seen, twice as many take half the time of a picture
   const WAITING = 2;      // pictures that wait to be drawn: one that comes early is not lost to the next, and none is older than that
   const STANDS = 30;      // drawings in a row after which one still waits: it is left out, since all that follow would be late by one
   const UNDRAWN = 60;     // pictures on their way to a Worker that has not taken them: a second of them; what comes then is left out
@@ -23,9 +24,9 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
     return value === null || Number.isNaN(value) ? "–" : value.toFixed(digits) + mark;
   }
 
-  // A canvas, and how large it is on the page.
+  // A canvas, how large it is on the page, and whether it is scrolled away.
   class Sheet {
-    constructor(canvas) { Object.assign(this, { canvas, width: 0, height: 0, ratio: 1 }); }
+    constructor(canvas) { Object.assign(this, { canvas, width: 0, height: 0, ratio: 1, isSeen: true }); }
 
     // Its pen, in the page's pixels, on nothing.
     pen() {
@@ -129,7 +130,7 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
     // when it was drawn (ms since 1970).
     constructor(answer) {
       Object.assign(this, { answer, camera: new Asterism.Camera(), up: [0, 0, 1], body: null, newest: null, colours: {}, sheets: new Map(), charts: [] });
-      Object.assign(this, { traces: new Traces(), latencies: [], waiting: [], taken: 0, drawn: 0, answered: 0, stands: 0, changed: false, asked: false });
+      Object.assign(this, { traces: new Traces(), latencies: [], waiting: [], taken: 0, drawn: 0, answered: 0, stands: 0, turn: 0, changed: false, asked: false });
     }
 
     // One of: told, text of the server; canvases by name; charts with their canvases; the size of a canvas; colours; the view.
@@ -191,13 +192,22 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
       if (next) this.newest = next;
       if (!this.newest || !(next || this.changed)) return;
       if (sheet && sheet.width) this.person(sheet);
-      for (const chart of this.charts) { const on = this.sheets.get(chart.name); if (on.width && this.traces.count) this.traces.draw(on, chart, this.colours); }
+      this.curves();
       if (this.changed || this.drawn % SOMETIMES === 0) this.latency();
       this.changed = false;
       if (!next) return;
       this.drawn++;
       this.answered = this.taken;
       this.answer({ taken: this.taken, drawn: this.drawn, at: next.at, when: performance.timeOrigin + performance.now() });
+    }
+
+    // Those that are seen, in turn; all of them after a change, as of their size.
+    curves() {
+      if (!this.traces.count) return;
+      const seen = this.charts.filter(({ name }) => this.sheets.get(name).width && this.sheets.get(name).isSeen);
+      const from = this.changed ? 0 : this.turn, to = this.changed ? seen.length : from + AT_ONCE;
+      for (const chart of seen.slice(from, to)) this.traces.draw(this.sheets.get(chart.name), chart, this.colours);
+      this.turn = to < seen.length ? to : 0;
     }
 
     person(sheet) {
@@ -298,6 +308,7 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
       if (worker) worker.onmessage = event => answered(event.data);
       else this.drawing = new Drawing(answered);
       this.sizes = new ResizeObserver(entries => { for (const { target } of entries) this.sized(target); });
+      this.views = new IntersectionObserver(entries => { for (const { target, isIntersecting } of entries) this.tell({ of: target.dataset.name, size: { isSeen: isIntersecting } }); });
     }
 
     tell(message, handed = []) {
@@ -318,7 +329,7 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
     }
 
     charts(laid) {
-      for (const canvas of this.laid || []) this.sizes.unobserve(canvas);
+      for (const canvas of this.laid || []) { this.sizes.unobserve(canvas); this.views.unobserve(canvas); }
       this.laid = laid.map(chart => chart.canvas);
       const charts = laid.map(chart => ({ ...chart, canvas: this.handed(chart.name, chart.canvas) }));
       this.tell({ charts }, this.worker ? charts.map(chart => chart.canvas) : []);
@@ -332,6 +343,7 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
 
     watch(canvas) {
       // In the screen's own pixels they change too when the window goes to another screen; not every browser tells of that.
+      this.views.observe(canvas);
       try { this.sizes.observe(canvas, { box: "device-pixel-content-box" }); } catch { this.sizes.observe(canvas); }
     }
 
@@ -343,16 +355,17 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
   // A port whose drawing is in a Worker, unless the browser's Workers cannot draw.
   async function openDrawing(answer) {
     let worker = null;
-    if (HTMLCanvasElement.prototype.transferControlToOffscreen && typeof Worker === "function") {
-      worker = new Worker("/static/live_drawing.js");
-      const can = await new Promise(tell => {
-        worker.onmessage = event => tell(event.data.can);
-        worker.onerror = () => tell(false);
-        setTimeout(() => tell(false), PATIENCE);
-      });
-      if (!can) { worker.terminate(); worker = null; }
-    }
-    return new DrawingPort(worker, answer);
+    try {
+      worker = HTMLCanvasElement.prototype.transferControlToOffscreen ? new Worker("/static/live_drawing.js") : null;
+    } catch { /* a browser that allows none */ }
+    if (!worker) return new DrawingPort(null, answer);
+    const can = await new Promise(tell => {
+      worker.onmessage = event => tell(event.data.can);
+      worker.onerror = () => tell(false);
+      setTimeout(() => tell(false), PATIENCE);
+    });
+    if (!can) worker.terminate();
+    return new DrawingPort(can ? worker : null, answer);
   }
 
   if (typeof document === "undefined" && typeof importScripts === "function") {
