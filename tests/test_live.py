@@ -21,17 +21,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from models import trained
+from waiting import until
 
 import asterism
 from asterism import AsterismError
 from asterism.cameras.files import write_rig
 from asterism.cli import main
 from asterism.files.journal import Journal
-from asterism.findings import Severity
+from asterism.findings import Finding, Severity
 from asterism.formats import analog_channels
 from asterism.labelling.live.stream import FrameLabels
 from asterism.live import (
     AnalysedFrame,
+    FrameAnalysis,
     FrameCount,
     HostPort,
     JsonDatagrams,
@@ -379,6 +381,45 @@ def test_the_rate_is_found_as_soon_as_the_times_tell_it(rate: float, stamp: Call
     assert sought[:3] == [False, True, True], "it can be told while the rate is sought"
     assert health.labelled == enough and not session.seeks_rate
     assert found == [pytest.approx(rate, rel=0.01)]
+
+
+def test_frames_that_waited_while_the_set_was_sought_say_nothing_of_the_latency() -> None:
+    """Angles are made when the set is known, which may take seconds: until then ten frames wait, and one is to join them."""
+
+    class Coming(Given):
+        given = 0
+
+        def read(self, timeout: float) -> LiveFrame | None:
+            if self.given == 2:
+                until(lambda: slow.held)
+            frame = super().read(timeout)
+            self.given += 1
+            return None if frame is None else replace(frame, arrived=time.monotonic())
+
+    class Seeking(Numbers):
+        marker_set: MarkerSet | None = None
+
+        def push(self, points: object) -> FrameLabels | None:
+            self.marker_set = MarkerSet(("A", "B")) if self.pushed else None
+            return super().push(points)
+
+    class Slow:
+        def push(self, found: LabelledFrame) -> FrameAnalysis:
+            if found.markers and not self.held:
+                self.held.append(found.frame.number)
+                until(lambda: source.given == 2 + 10 + 1)
+            return FrameAnalysis()
+
+        def findings(self) -> list[Finding]:
+            return []
+
+        def __init__(self) -> None:
+            self.held: list[int] = []
+
+    source, slow = Coming(frames(list(range(60)))), Slow()
+    session = LiveSession(source, lambda rate, up: Seeking(), waits=True, analysis=slow)
+    assert session.run().labelled == 60
+    assert len(session._latencies) == 60 - 13
 
 
 def test_times_that_do_not_grow_need_a_rate() -> None:
