@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 from contextlib import suppress
@@ -10,6 +9,7 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
+from asterism.files.processes import clean_context
 from asterism.reconstruction.streaming import Judgement, RecentFrames, judged
 
 _NICE = 10
@@ -17,24 +17,15 @@ _NICE = 10
 (19 is the most) a judgement on a busy machine comes after the next one is due."""
 
 
-def process_context(module: str) -> Any:
-    """How processes are begun that import a module; where there is a server that forks them, it is imported once."""
-    servers = "forkserver" in multiprocessing.get_all_start_methods()
-    context: Any = multiprocessing.get_context("forkserver" if servers else "spawn")
-    if servers:
-        context.set_forkserver_preload([module])
-    return context
-
-
 class JudgeProcess:
     """Judges noise and cameras in a process of its own: some tenths of a second of Python, for which frames would wait otherwise.
 
-    context  of `process_context`; None for its own
+    context  of `clean_context`; None for its own
     pipe     for `judge`; it may be given to another process, and is then closed here. Nothing runs before `begin`
     """
 
     def __init__(self, context: Any = None) -> None:
-        self._context = process_context(__name__) if context is None else context
+        self._context = clean_context(__name__) if context is None else context
         self.pipe, self._there = self._context.Pipe()
         self._process: Any = None
 

@@ -20,8 +20,9 @@ import numpy as np
 from asterism.cameras import Rig
 from asterism.errors import AsterismError
 from asterism.files.plain import as_json
+from asterism.files.processes import clean_context
 from asterism.findings import Finding
-from asterism.live.blobs.judging import JudgeProcess, process_context
+from asterism.live.blobs.judging import JudgeProcess
 from asterism.live.blobs.rig_source import RigCameraHealth, RigSource
 from asterism.live.camera_frames import BlobSource
 from asterism.live.frames import TURN, LiveFrame, SourceAbout, SourceEnded
@@ -71,7 +72,7 @@ class RigProcess:
     def __init__(
         self, open_blobs: OpenBlobs, rig: Rig, settings: ReconstructionSettings | None = None, *, name: str = "", keep: Path | None = None
     ) -> None:
-        context = process_context(__name__)
+        context = clean_context(__name__)
         self._pipe, there = context.Pipe()
         # A process that ends with this one may not begin another.
         self._judge = JudgeProcess(context)

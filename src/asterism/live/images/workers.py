@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
 import os
 import signal
 import threading
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from asterism.detection.running import MOST_BLOBS
 from asterism.errors import AsterismError
 from asterism.files.plain import as_json
+from asterism.files.processes import clean_context
 from asterism.findings import Finding, Severity
 from asterism.live.camera_frames import LiveBlobs
 from asterism.live.cameras import CameraHealth, CameraSpec, SettingOutcome, camera_findings, save_cameras
@@ -76,8 +76,7 @@ class _CameraProcess:
 
     @classmethod
     def begin(cls, places: Sequence[CameraPlace], settings: WorkerSettings) -> _CameraProcess:
-        # Not forked: it would share locks that compiled kernels and threads hold, and the pipes of the others, which then never end.
-        context = multiprocessing.get_context("spawn")
+        context = clean_context(work.__module__, "cv2")
         pipe, out = context.Pipe(duplex=False)
         theirs, orders = context.Pipe(duplex=False)
         names = ", ".join(place.name for place in places)
