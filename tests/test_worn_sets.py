@@ -16,16 +16,19 @@ import asterism
 from asterism import AsterismError
 from asterism.cli import main
 from asterism.files.cache import cache_folder
+from asterism.findings import Finding
 from asterism.labelling import virtual_model
+from asterism.live import LiveSession, Replay, SessionWatch, make_labeller
 from asterism.recording import Disagreement, MarkerSet, Recording
-from asterism.session import LiveLabeller, SetFinder, label_file
+from asterism.session import FileLabeller, LabellingOptions, LiveLabeller, SetFinder, label_file
 from asterism.session.coincident import coincident_findings
 from asterism.session.labeller import findings_on_sets
+from asterism.session.left_over import LeftOver
 from asterism.session.mirror import exchanged_sides
 from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules
 from asterism.session.worn.find import SetCertainty, SetEvidence, _most_probable, evidence_of
 from asterism.session.worn.fit import FrameFit
-from asterism.simulation import simulate_walks
+from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
 from asterism.skeleton import virtual_people
 
 
@@ -509,3 +512,45 @@ def test_a_marker_of_one_side_tells_a_mirror_image(mirrored: bool, tmp_path: Pat
     run("label", tmp_path / "walk.c3d", "-o", tmp_path / "out", "--markers", "cmu")
     said = capsys.readouterr().err
     assert ("RBAC fits on the other side only" in said) == mirrored, said
+
+
+def told_by_both_doors(recording: Recording, markers: str, folder: Path) -> tuple[list[Finding], list[Finding]]:
+    """What `asterism label` and a live session say of a set that was named, of findings on sets."""
+    asterism.write(folder / "walk.c3d", recording)
+    label = FileLabeller([], LabellingOptions(markers=[markers])).label(folder / "walk.c3d").findings
+    watch = SessionWatch("lab", recording.vertical, timed=False)
+    make = make_labeller(None, markers, 0)
+    LiveSession(Replay(folder / "walk.c3d", speed=float("inf")), make, watch=watch, waits=True).run()
+    codes = ("label-other-set", "label-few-markers", "live-other-markers")
+    return tuple([one for one in found if one.code in codes] for found in (label, watch.findings()))  # type: ignore[return-value]
+
+
+def test_a_set_that_is_half_there_beside_points_without_a_label_is_told_by_every_door(tmp_path: Path) -> None:
+    (label,), (live,) = told_by_both_doors(anonymous(person("plug-in-gait")), "vicon-53", tmp_path)
+    assert (label.code, live.code) == ("label-other-set", "live-other-markers")
+    for one in (label, live):
+        assert "of 53 markers" in one.sentence and "plug-in-gait (39 of 39 markers)" in one.mend
+
+
+@pytest.mark.parametrize("worn", ["all", "hidden", "legs"])
+def test_hidden_markers_ghosts_and_a_part_of_a_set_are_no_other_set(worn: str, tmp_path: Path) -> None:
+    walk = person("plug-in-gait")
+    if worn == "legs":
+        shown = [m for m, name in enumerate(walk.labels) if name[1:4] in ("ASI", "PSI", "THI", "KNE", "TIB", "ANK", "HEE", "TOE")]
+        walk = walk.select([walk.labels[m] for m in shown])
+    clouds, _ = simulate_gaps_and_ghosts(walk, *((3, 3) if worn == "hidden" else (0, 0)), seed=2)
+    label, live = told_by_both_doors(Recording.from_clouds(clouds), "plug-in-gait", tmp_path)
+    assert [one.code for one in label] == (["label-few-markers"] if worn == "legs" else []) and not live
+
+
+@pytest.mark.parametrize(
+    ("unseen", "points", "told"),
+    [(13, 14, True), (13, 0, False), (13, 3, False), (3, 14, False), (4, 14, False), (5, 5, True), (0, 39, False)],
+    ids=["wrong set", "part of it", "part and ghosts", "hidden", "few hidden", "an eighth", "second person"],
+)
+def test_another_set_leaves_both_markers_and_points_over(unseen: int, points: int, told: bool) -> None:
+    shown = np.where(np.arange(39) < unseen, 0.01, 0.9)
+    left = LeftOver.of(shown, np.full(100, points))
+    assert left.tells is told and (left.markers, left.unseen, left.points) == (39, unseen, points)
+    # what comes and goes for half of the time is a ghost
+    assert not LeftOver.of(shown, np.where(np.arange(100) % 2, points, 0)).tells

@@ -114,7 +114,7 @@ def _warn(session: LiveSession, ended: threading.Event) -> None:
             )
         # A source counts in another thread: what changes while it is asked is said the next time.
         with suppress(RuntimeError):
-            for finding in own_findings([session.source]):
+            for finding in own_findings([session.source, session]):
                 if finding.severity > Severity.NOTE and (finding.code, finding.where) not in said:
                     said.add((finding.code, finding.where))
                     _console.notice(str(finding))

@@ -53,7 +53,7 @@ def live(options: LiveOptions) -> None:
         source.close()
         if recorder is not None:
             recorder.close()
-    parts = [source, *session.outputs, session.analysis, session.feedback, session.watch]
+    parts = [source, session, *session.outputs, session.analysis, session.feedback, session.watch]
     findings = session_findings(health, source.about.name, recorder, parts)
     if recorder is not None and options.output is not None:
         write_recorded(recorder, options.output, options.rate)

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from asterism.findings import Finding
 from asterism.labelling.live.stream import FrameLabels
 from asterism.labelling.marker_model import MarkerModel
 from asterism.live.frames import LiveFrame
@@ -120,6 +121,10 @@ class LabelChain:
     def refusal(self) -> str:
         """Why no marker set could be found yet; "" where that was not tried."""
         return str(getattr(self._labeller, "refusal", ""))
+
+    def findings(self) -> list[Finding]:
+        """What a person should know of the marker set that was found."""
+        return list(getattr(self._labeller, "findings", ()))
 
     def _pushed(self, frame: LiveFrame | None) -> LabelledFrame | None:
         self._waiting.append(frame)

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.live.analysis import NOTHING, AnalysedFrame, LiveAnalysis
 from asterism.live.chain import LabelChain, LabelledFrame, MakeLabeller
 from asterism.live.clock import FrameCount, SourceClock, rows_of
@@ -238,6 +239,10 @@ class LiveSession:
         """Whether no frame comes any more."""
         return self._ended
 
+    def findings(self) -> list[Finding]:
+        """What a person should know of the marker set that was found."""
+        return [] if self._chain is None else self._chain.findings()
+
     def health(self) -> Health:
         """What was counted so far."""
         now, health = time.monotonic(), self._health
@@ -381,10 +386,6 @@ class LiveSession:
             self._health.named += named
             self._health.bare += not named and 2 * len(found.frame.points) >= len(found.markers)
         self._first = found.frame.arrived if self._first is None else self._first
-        if found.markers and self._ready is None:
-            # Frames that waited while the set was sought say nothing of those that follow.
-            self._ready = found.done
-            self._health.searched = max(0.0, found.done - self._first) if self._searches else 0.0
         self._searches = self._searches or not found.markers
         if not self._searches or (self._ready is not None and found.frame.arrived >= self._ready):
             self._latencies.append(found.done - found.frame.arrived)
@@ -399,3 +400,7 @@ class LiveSession:
                 output.send(analysed)
             except OSError:
                 self._refused[id(output)] = self._refused.get(id(output), 0) + 1
+        if found.markers and self._ready is None:
+            # Frames that waited while the set was sought, and what follows from its labels was made, say nothing of those after them.
+            self._ready = time.monotonic()
+            self._health.searched = max(0.0, self._ready - self._first) if self._searches else 0.0

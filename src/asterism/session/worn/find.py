@@ -316,16 +316,21 @@ class SetFinder:
 
         own = self._evidence[path]
         assert own is not None
-        nearest = np.argsort(-own.chances(self.certainty)[0], kind="stable")[:3]
-        names, fit = list(placed_sets()), own.fits[0]
-        few = ", ".join(f"{names[at]} ({(fit.given[at] >= 0).sum()} of {len(placed_sets()[names[at]])} markers)" for at in nearest.tolist())
+        few = ", ".join(f"{name} ({seen} of {size} markers)" for name, (seen, size) in nearest_sets(own, self.certainty).items())
         size = unlike_a_person(recording.positions)
         size = f"{size}; " if size else ""
         return NoSetWorn(
-            f"{path}: its {fit.given.shape[1]} points are like no shipped marker set; {size}the nearest are {few}. Name one of them with "
-            "--markers, write one of your own (`asterism body place` makes it from a labelled trial), train on labelled files, "
-            "or name the points once by clicking with `asterism review --serve`."
+            f"{path}: its {own.fits[0].given.shape[1]} points are like no shipped marker set; {size}the nearest are {few}. Name one "
+            "of them with --markers, write one of your own (`asterism body place` makes it from a labelled trial), train on labelled "
+            "files, or name the points once by clicking with `asterism review --serve`."
         )
+
+
+def nearest_sets(evidence: SetEvidence, certainty: SetCertainty | None = None, most: int = 3) -> dict[str, tuple[int, int]]:
+    """The shipped sets that points are most like, the first ones first: how many markers of each have a point in a frame, of how many."""
+    nearest = np.argsort(-evidence.chances(certainty or SetCertainty())[0], kind="stable")[:most].tolist()
+    names, fit = list(placed_sets()), evidence.fits[0]
+    return {names[at]: (int((fit.given[at] >= 0).sum()), len(placed_sets()[names[at]])) for at in nearest}
 
 
 def evidence_of(
