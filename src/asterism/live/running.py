@@ -372,6 +372,10 @@ class LiveSession:
             while not self._queue and not self._all_read:
                 self._there.wait(TURN)
             frame = self._queue.popleft() if self._queue else None
+            # However slow this is, what is shown is not old; what waits at the end is labelled.
+            while not self.waits and self._chain is not None and self._queue and not self._ended and _is_old(frame):
+                frame = self._queue.popleft()
+                self._health.dropped += 1
             self._there.notify_all()
             return frame
 
@@ -404,3 +408,7 @@ class LiveSession:
             # Frames that waited while the set was sought, and what follows from its labels was made, say nothing of those after them.
             self._ready = time.monotonic()
             self._health.searched = max(0.0, self._ready - self._first) if self._searches else 0.0
+
+
+def _is_old(frame: LiveFrame | None) -> bool:
+    return frame is not None and time.monotonic() - frame.arrived > _QUEUE
