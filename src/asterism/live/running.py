@@ -332,7 +332,7 @@ class LiveSession:
                 self._chain = self._made()
             for frame in begin:
                 self._passed_on(self._chain.push(frame))
-            while (next_frame := self._queue.take()) is not None:
+            while (next_frame := self._next()) is not None:
                 self._passed_on(self._chain.push(next_frame))
             for found in self._chain.flush():
                 self._passed_on(found)
@@ -357,6 +357,14 @@ class LiveSession:
             raise AsterismError(f"{self.source.about.name}: {sentence}; send seconds, or say its rate with --rate.")
         self._rate = found.rate
         return taken
+
+    def _next(self) -> LiveFrame | None:
+        """The oldest frame that waits; None at the end."""
+        # However slow this is, what is shown is not old. What waits at the end, or for the rate, is labelled.
+        fresh = self.waits or self._chain is None
+        frame, left_out = self._queue.take_fresh(math.inf, lambda each: not fresh and not self._queue.is_stopped and _is_old(each))
+        self._health.dropped += left_out
+        return frame
 
     def _passed_on(self, found: LabelledFrame | None) -> None:
         if found is None:
@@ -387,3 +395,7 @@ class LiveSession:
             # Frames that waited while the set was sought, and what follows from its labels was made, say nothing of those after them.
             self._ready = time.monotonic()
             self._health.searched = max(0.0, self._ready - self._first) if self._searches else 0.0
+
+
+def _is_old(frame: LiveFrame) -> bool:
+    return time.monotonic() - frame.arrived > _QUEUE

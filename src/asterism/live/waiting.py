@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from asterism.live.frames import TURN
@@ -49,6 +50,13 @@ class WaitingFrames(Generic[Frame]):
             frame = self._frames.popleft() if self._frames else None
             self._there.notify_all()
             return frame
+
+    def take_fresh(self, timeout: float, is_old: Callable[[Frame], bool]) -> tuple[Frame | None, int]:
+        """The oldest frame that is not old, or the newest one; and how many older ones were left out for it."""
+        frame, left_out = self.take(timeout), 0
+        while frame is not None and is_old(frame) and (newer := self.take(0.0)) is not None:
+            frame, left_out = newer, left_out + 1
+        return frame, left_out
 
     @property
     def is_over(self) -> bool:

@@ -162,17 +162,15 @@ class RigSource:
     def read(self, timeout: float) -> LiveFrame | None:
         """The points of the next frame; None where none came within so many seconds. Raises SourceEnded."""
         self._wanted = True
-        frame = self._queue.take(timeout)
+        # However slow this is, what is shown is not old. What waited for the first call is dropped, too, and nobody's.
+        frame, left_out = self._queue.take_fresh(timeout, lambda each: not self._waits and time.monotonic() - each.arrived > _QUEUE)
+        self.dropped += left_out if self._frames else 0
         if frame is None:
             if not self._queue.is_over:
                 return None
             if self._failed is not None:
                 raise self._failed
             raise SourceEnded
-        # However slow this is, what is shown is not old. What waited for the first call is dropped, too, and nobody's.
-        while not self._waits and time.monotonic() - frame.arrived > _QUEUE and (newer := self._queue.take(0.0)) is not None:
-            frame = newer
-            self.dropped += self._frames > 0
         return self._reconstructed(frame)
 
     def close(self) -> None:
