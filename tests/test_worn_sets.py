@@ -361,7 +361,7 @@ def in_a_corner(recording: Recording, axes: list[int]) -> Recording:
 def test_a_wrong_vertical_is_noticed(door: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Labels are those of the file that says what is up; a finding tells what was taken. Who says what is up is believed."""
     # of legs alone the reader sees too little, so that labelling has to; each vertical is labelled, so few markers are tried sooner
-    by_door = {"points": ("optitrack-rizzoli-lower", 10), "names": ("plug-in-gait", 5)}
+    by_door = {"points": ("helen-hayes", 10), "names": ("plug-in-gait", 5)}
     markers, frames = by_door.get(door, ("helen-hayes", 20))
     truth = person(markers).frames(slice(0, frames))
     file, straight = (tmp_path / name for name in ("wrong.c3d", "right.c3d"))
