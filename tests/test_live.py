@@ -182,6 +182,22 @@ def test_two_senders_behind_one_address_lose_nothing_and_are_told(apart: int) ->
     assert "154 frames" in told.sentence
 
 
+def test_frames_that_waited_too_long_are_left_out_while_newer_ones_wait() -> None:
+    now = time.monotonic()
+    session = LiveSession(Given([]), lambda rate, up: Numbers())
+    session._rate, session._chain = RATE, LabelChain(Numbers(), RATE)
+    for frame, arrived in zip(frames(list(range(6))), [now - 3.0, now - 2.0, now + 60.0, now + 60.0, now - 2.0, now - 1.0], strict=True):
+        session._take(replace(frame, arrived=arrived))
+    taken = [frame.number for _ in range(3) if (frame := session._next())]
+    assert taken == [2, 3, 5] and session._health.dropped == 3, "the newest is never left out"
+    # At the end all that wait are labelled.
+    for frame in frames([6, 7]):
+        session._take(replace(frame, arrived=now - 2.0))
+    session.stop()
+    taken = [frame.number for _ in range(2) if (frame := session._next())]
+    assert taken == [6, 7] and session._health.dropped == 3
+
+
 class Stamping:
     """A socket whose datagrams came at times (s on the wall clock, or None where that is not said)."""
 
