@@ -377,7 +377,7 @@ def test_the_rate_is_found_as_soon_as_the_times_tell_it(rate: float, stamp: Call
 
     class Waiting(Given):
         def read(self, timeout: float) -> LiveFrame | None:
-            sought.append(session.seeks_rate)
+            sought.append(session.pending.startswith("its rate is sought"))
             try:
                 return super().read(timeout)
             except SourceEnded:
@@ -395,7 +395,7 @@ def test_the_rate_is_found_as_soon_as_the_times_tell_it(rate: float, stamp: Call
     session = LiveSession(source, made, [kept])
     health = session.run(30.0)
     assert sought[:3] == [False, True, True], "it can be told while the rate is sought"
-    assert health.labelled == enough and not session.seeks_rate
+    assert health.labelled == enough and not session.pending
     assert found == [pytest.approx(rate, rel=0.01)]
 
 
@@ -456,6 +456,7 @@ def test_numbers_that_stand_still_are_told() -> None:
     health = LiveSession(Given(frames([7] * 10)), lambda rate, up: Numbers()).run()
     (finding,) = [finding for finding in session_findings(health, "there") if finding.code == "live-late"]
     assert finding.severity == Severity.WARNING and "one higher" in finding.mend
+    assert not {"live-restarted", "live-no-labels"} & {finding.code for finding in session_findings(health, "there")}
 
 
 def test_datagrams_go_in_labelled_and_out() -> None:
@@ -509,6 +510,14 @@ def test_a_sender_is_told_what_is_wrong_with_its_frames(changed: dict[str, objec
         (finding,) = source.findings()
     source.close()
     assert finding.code == "live-format" and why in finding.sentence
+    assert source.unread == (type({**whole, **changed}["frame"]) is int)
+
+
+def test_frames_that_could_not_be_read_were_not_lost_on_the_way() -> None:
+    came = Given(frames([0, 1, 4, 7]))
+    came.damaged, came.unread = 3, 2  # type: ignore[attr-defined]
+    health = LiveSession(came, lambda rate, up: Numbers()).run()
+    assert (health.damaged, health.lost) == (3, 2), "four numbers are missing, two of them came; the third was no frame"
 
 
 def test_a_session_says_that_it_gave_no_labels() -> None:

@@ -229,9 +229,13 @@ class LiveSession:
         return self.source.about.vertical if self.vertical is None else self.vertical
 
     @property
-    def seeks_rate(self) -> bool:
-        """Whether frames came and none is labelled yet, since their rate has to be found by their times."""
-        return bool(self._arrivals) and not np.isfinite(self._rate)
+    def pending(self) -> str:
+        """Why nothing is labelled yet although frames may come, as a person reads it; "" where they are labelled."""
+        if self._chain is not None:
+            return ""
+        if np.isfinite(self._rate):
+            return "the labelling is being made, which takes longest the first time"
+        return "its rate is sought by the times of its frames; with --rate labels begin at once" if self._arrivals else ""
 
     @property
     def has_ended(self) -> bool:
@@ -248,8 +252,8 @@ class LiveSession:
         count = self._count
         health.frames, health.lost, health.late, health.restarts = count.received, count.lost, count.late, count.restarts
         health.others = count.others
-        # What a source left out itself, and tells, was not lost on the way.
-        health.lost = max(0, health.lost - int(getattr(self.source, "dropped", 0)))
+        # What a source left out itself or could not read, and tells, was not lost on the way.
+        health.lost = max(0, health.lost - sum(int(getattr(self.source, told, 0)) for told in ("dropped", "unread")))
         health.damaged, health.jumps = self.source.damaged, self._clock.jumps
         health.unsent = {}
         for output in self.outputs:
