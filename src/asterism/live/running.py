@@ -172,6 +172,7 @@ class LiveSession:
     _latencies: deque[float] = field(default_factory=lambda: deque(maxlen=_LATENCIES))
     _rate: float = float("nan")
     _chain: LabelChain | None = None
+    _begun: float = -math.inf
     _first: float | None = None
     _ready: float | None = None
     _searches: bool = False
@@ -186,7 +187,7 @@ class LiveSession:
             return self._run(seconds)
 
     def _run(self, seconds: float) -> Health:
-        self._rate = self.source.about.rate
+        self._rate, self._begun = self.source.about.rate, time.monotonic()
         threads = [
             threading.Thread(target=self._read, name="live source", daemon=True),
             threading.Thread(target=self._work, name="live labels", daemon=True),
@@ -300,10 +301,7 @@ class LiveSession:
                 self._there.wait(TURN)
             self._queue.append(frame)
             while len(self._queue) > most and not self.waits:
-                self._queue.popleft()
-                # The labelling is still being made where the rate had to be found first: no machine that is too slow.
-                self._health.before += self._chain is None
-                self._health.dropped += self._chain is not None
+                self._leave_out(self._queue.popleft())
             self._there.notify_all()
 
     def _pass_over(self, seconds: float) -> None:
@@ -311,16 +309,19 @@ class LiveSession:
         # What came in a shorter time waits for its labels, as always.
         if self.waits or seconds <= _QUEUE:
             return
+        ready, looks = time.monotonic(), math.ceil(2 * seconds * self._rate)
         try:
-            for _ in range(math.ceil(2 * seconds * self._rate)):
+            while looks > 0:
                 begin = time.monotonic()
                 frame = self.source.read(_AT_ONCE)
                 if frame is None:
                     return
-                if time.monotonic() - begin > _AT_ONCE / 2:
-                    # It was waited for, so that it is new.
+                if frame.arrived >= ready and time.monotonic() - begin > _AT_ONCE / 2:
+                    # It was waited for, so that it is new. Of many sources all are as new as they are read.
                     self._take(frame)
                     return
+                # What says that it came before ends by itself; of others no more are passed over than can have come.
+                looks -= frame.arrived >= ready
                 self._health.before += 1
         except SourceEnded:
             self._ended = True
@@ -373,11 +374,20 @@ class LiveSession:
                 self._there.wait(TURN)
             frame = self._queue.popleft() if self._queue else None
             # However slow this is, what is shown is not old; what waits at the end is labelled.
-            while not self.waits and self._chain is not None and self._queue and not self._ended and _is_old(frame):
+            while frame is not None and self._queue and not self._ended and self._is_old(frame):
+                self._leave_out(frame)
                 frame = self._queue.popleft()
-                self._health.dropped += 1
             self._there.notify_all()
             return frame
+
+    def _is_old(self, frame: LiveFrame) -> bool:
+        return not self.waits and self._chain is not None and time.monotonic() - frame.arrived > _QUEUE
+
+    def _leave_out(self, frame: LiveFrame) -> None:
+        # It came before the session, or the labelling is still being made where the rate had to be found first: no machine is too slow.
+        before = self._chain is None or frame.arrived < self._begun
+        self._health.before += before
+        self._health.dropped += not before
 
     def _passed_on(self, found: LabelledFrame | None) -> None:
         if found is None:
@@ -408,7 +418,3 @@ class LiveSession:
             # Frames that waited while the set was sought, and what follows from its labels was made, say nothing of those after them.
             self._ready = time.monotonic()
             self._health.searched = max(0.0, self._ready - self._first) if self._searches else 0.0
-
-
-def _is_old(frame: LiveFrame | None) -> bool:
-    return frame is not None and time.monotonic() - frame.arrived > _QUEUE
