@@ -188,7 +188,8 @@ def test_what_a_source_says_came_before_is_passed_over_however_long_it_takes_to_
     session = LiveSession(Given(sent), lambda rate, up: Numbers())
     session._rate = RATE
     session._pass_over(1.0)
-    assert session._health.before == 7 and [frame.number for frame in session._queue] == [7]
+    waiting = session._next()
+    assert session._health.before == 7 and waiting is not None and waiting.number == 7
 
 
 def test_frames_that_waited_too_long_are_left_out_while_newer_ones_wait() -> None:
@@ -197,13 +198,13 @@ def test_frames_that_waited_too_long_are_left_out_while_newer_ones_wait() -> Non
     session._rate, session._chain = RATE, LabelChain(Numbers(), RATE)
     for frame, arrived in zip(frames(list(range(6))), [now - 3.0, now - 2.0, now + 60.0, now + 60.0, now - 2.0, now - 1.0], strict=True):
         session._take(replace(frame, arrived=arrived))
-    taken = [frame.number for _ in range(3) if (frame := session._wait())]
+    taken = [frame.number for _ in range(3) if (frame := session._next())]
     assert taken == [2, 3, 5] and session._health.dropped == 3, "the newest is never left out"
     # At the end all that wait are labelled.
     for frame in frames([6, 7]):
         session._take(replace(frame, arrived=now - 2.0))
     session.stop()
-    taken = [frame.number for _ in range(2) if (frame := session._wait())]
+    taken = [frame.number for _ in range(2) if (frame := session._next())]
     assert taken == [6, 7] and session._health.dropped == 3
 
 

@@ -534,6 +534,7 @@ class Listener:
         self.before = list[dict[str, Any]]()
         while kind not in (news := json.loads(self.socket.recv(timeout=60))):
             self.before.append(news)
+            assert len(self.before) < 100, f"there is no {kind} among a hundred messages"
             self.seen(news)
         self.seen(news)
         return dict(news)
@@ -587,10 +588,17 @@ def test_a_page_that_sleeps_holds_nobody_back_and_hears_no_old_sounds(monkeypatc
             odd.socket.send(words)
         odd.socket.send(json.dumps({"ping": 5}))
         assert odd.next("pong")["pong"] == 5, "what is not understood is passed over"
-        for _ in range(5):  # six pictures are under way
+        slow.socket.send('{"seen": 1}')
+        for _ in range(6):
             send(170)
             slow.next("picture")
+        # As many are under way as can be. A page that was heard a moment ago is only far away.
+        monkeypatch.setattr(live_page, "_ASLEEP", 60.0)
         monkeypatch.setattr(live_page, "_STALE", 60.0)
+        send(140)
+        assert slow.next("moments")["moments"]
+        assert quick.next("moments")["moments"]
+        monkeypatch.setattr(live_page, "_ASLEEP", 0.0)
         for _ in range(20):
             send(170)
             send(140)
