@@ -109,10 +109,10 @@ class Tab:
         answer = self._answer("Runtime.evaluate", {"expression": code, "awaitPromise": True, "returnByValue": True}, in_worker)
         return answer.get("result", {}).get("result", {}).get("value")
 
-    def wait(self, code: str, seconds: float = 60.0) -> Any:
+    def wait(self, code: str, seconds: float = 60.0, *, in_worker: bool = False) -> Any:
         """The value of a piece of script as soon as it is true."""
         until = time.monotonic() + seconds
-        while not (value := self.value(code)):
+        while not (value := self.value(code, in_worker=in_worker)):
             assert time.monotonic() < until, f"{code} is never true; the page: {self.value('document.body.innerText')}"
             time.sleep(0.05)
         return value

@@ -7,6 +7,7 @@ import json
 import math
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -20,17 +21,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from models import trained
+from waiting import until
 
 import asterism
 from asterism import AsterismError
 from asterism.cameras.files import write_rig
 from asterism.cli import main
 from asterism.files.journal import Journal
-from asterism.findings import Severity
+from asterism.findings import Finding, Severity
 from asterism.formats import analog_channels
 from asterism.labelling.live.stream import FrameLabels
 from asterism.live import (
     AnalysedFrame,
+    FrameAnalysis,
     FrameCount,
     HostPort,
     JsonDatagrams,
@@ -179,10 +182,58 @@ def test_two_senders_behind_one_address_lose_nothing_and_are_told(apart: int) ->
     assert "154 frames" in told.sentence
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux says when a datagram came")
-@pytest.mark.parametrize("set_by", [0, 3600, -3600])
-def test_a_datagram_that_waited_is_as_old_as_it_is(set_by: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_that_waited_too_long_are_left_out_while_newer_ones_wait() -> None:
+    now = time.monotonic()
+    session = LiveSession(Given([]), lambda rate, up: Numbers())
+    session._rate, session._chain = RATE, LabelChain(Numbers(), RATE)
+    for frame, arrived in zip(frames(list(range(6))), [now - 3.0, now - 2.0, now + 60.0, now + 60.0, now - 2.0, now - 1.0], strict=True):
+        session._take(replace(frame, arrived=arrived))
+    taken = [frame.number for _ in range(3) if (frame := session._next())]
+    assert taken == [2, 3, 5] and session._health.dropped == 3, "the newest is never left out"
+    # At the end all that wait are labelled.
+    for frame in frames([6, 7]):
+        session._take(replace(frame, arrived=now - 2.0))
+    session.stop()
+    taken = [frame.number for _ in range(2) if (frame := session._next())]
+    assert taken == [6, 7] and session._health.dropped == 3
+
+
+class Stamping:
+    """A socket whose datagrams came at times (s on the wall clock, or None where that is not said)."""
+
+    def __init__(self, came: list[float | None]) -> None:
+        self._came = iter(came)
+
+    def setsockopt(self, *_: object) -> None:
+        pass
+
+    def recvmsg(self, *_: object) -> tuple[bytes, list[tuple[int, int, bytes]], int, str]:
+        came = next(self._came)
+        notes = [] if came is None else [(socket.SOL_SOCKET, 35, struct.pack("@ll", int(came), round(1e9 * (came % 1.0))))]
+        return b"data", [(socket.SOL_SOCKET, 1, b"x"), *notes], 0, "sender"
+
+
+def test_a_datagram_that_waited_is_as_old_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     """Or as old as the one before, or new, where the wall clock was set meanwhile."""
+    now, wall = 100.0, 5000.0
+    monkeypatch.setattr("asterism.live.datagrams.sys.platform", "linux")
+    monkeypatch.setattr("asterism.live.datagrams.time.monotonic", lambda: now)
+    monkeypatch.setattr("asterism.live.datagrams.time.time_ns", lambda: round(wall * 1e9))
+    reader = DatagramReader(Stamping([5001.5, 5002.25, None, 5019.0, 8600.0, 1400.0, 8629.5]))  # type: ignore[arg-type]
+    now, wall = 110.0, 5010.0
+    assert [reader.read()[2] for _ in range(2)] == pytest.approx([101.5, 102.25])
+    assert reader.read()[2] == now, "a datagram without a stamp is new"
+    now, wall = 120.0, 5020.0
+    assert reader.read()[2] == pytest.approx(119.0)
+    # The clock was set back by an hour while one waited that came at its old time: it is no newer than now.
+    assert reader.read()[2] == now
+    now, wall = 130.0, 8630.0
+    # And on: it is no older than the one before.
+    assert reader.read()[2] == 120.0
+    assert reader.read()[2] == pytest.approx(129.5)
+
+
+def test_the_system_says_when_a_datagram_came() -> None:
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
@@ -190,16 +241,8 @@ def test_a_datagram_that_waited_is_as_old_as_it_is(set_by: int, monkeypatch: pyt
         listening.bind(("127.0.0.1", 0))
         opened, reader = time.monotonic(), DatagramReader(listening)
         sender.sendto(b"one", listening.getsockname())
-        sender.sendto(b"two", listening.getsockname())
-        sent = time.monotonic()
-        time.sleep(0.02)
-        wall = time.time_ns
-        monkeypatch.setattr("asterism.live.datagrams.time.time_ns", lambda: wall() + set_by * 10**9)
-        (one, _, first), (two, _, second) = reader.read(), reader.read()
-    assert (one, two) == (b"one", b"two")
-    assert opened - 1e-3 <= first <= second <= time.monotonic()
-    # Both clocks are read one after the other.
-    assert (second < sent + 0.01) == (set_by >= 0)
+        data, address, arrived = reader.read()
+        assert (data, address) == (b"one", ("127.0.0.1", sender.getsockname()[1])) and opened <= arrived <= time.monotonic()
 
 
 def test_a_sender_that_begins_anew_after_a_silence_loses_no_frame() -> None:
@@ -354,6 +397,45 @@ def test_the_rate_is_found_as_soon_as_the_times_tell_it(rate: float, stamp: Call
     assert sought[:3] == [False, True, True], "it can be told while the rate is sought"
     assert health.labelled == enough and not session.seeks_rate
     assert found == [pytest.approx(rate, rel=0.01)]
+
+
+def test_frames_that_waited_while_the_set_was_sought_say_nothing_of_the_latency() -> None:
+    """Angles are made when the set is known, which may take seconds: until then ten frames wait, and one is to join them."""
+
+    class Coming(Given):
+        given = 0
+
+        def read(self, timeout: float) -> LiveFrame | None:
+            if self.given == 2:
+                until(lambda: slow.held)
+            frame = super().read(timeout)
+            self.given += 1
+            return None if frame is None else replace(frame, arrived=time.monotonic())
+
+    class Seeking(Numbers):
+        marker_set: MarkerSet | None = None
+
+        def push(self, points: object) -> FrameLabels | None:
+            self.marker_set = MarkerSet(("A", "B")) if self.pushed else None
+            return super().push(points)
+
+    class Slow:
+        def push(self, found: LabelledFrame) -> FrameAnalysis:
+            if found.markers and not self.held:
+                self.held.append(found.frame.number)
+                until(lambda: source.given == 2 + 10 + 1)
+            return FrameAnalysis()
+
+        def findings(self) -> list[Finding]:
+            return []
+
+        def __init__(self) -> None:
+            self.held: list[int] = []
+
+    source, slow = Coming(frames(list(range(60)))), Slow()
+    session = LiveSession(source, lambda rate, up: Seeking(), waits=True, analysis=slow)
+    assert session.run().labelled == 60
+    assert len(session._latencies) == 60 - 13
 
 
 def test_times_that_do_not_grow_need_a_rate() -> None:

@@ -20,6 +20,7 @@ from waiting import LONG, taken
 
 from asterism import AsterismError
 from asterism.findings import Finding
+from asterism.formats.mocap_channels import layout_of_channels
 from asterism.live import (
     AnalysedFrame,
     Cue,
@@ -34,7 +35,6 @@ from asterism.live import (
 )
 from asterism.live.clock import SampleNumbers
 from asterism.live.lsl_source import FromLsl, StreamChoice
-from asterism.live.mocap_channels import layout_of_channels
 
 # Read by the library as it is loaded: nothing leaves this machine, and no other process of the tests is heard.
 _CONFIG = Path(tempfile.gettempdir()) / f"asterism-lsl-{os.getpid()}.cfg"

@@ -103,7 +103,11 @@ def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource
         specs = with_settings(specs, {"rate": options.rate})
     sizes = {camera.name: camera.size for camera in rig if camera.size is not None}
     settings = WorkerSettings(empty=options.empty, sizes=sizes, in_order="number" if played else "")
-    workers = CameraWorkers(specs, settings, numbered_together=bool(played))
+    try:
+        workers = CameraWorkers(specs, settings, numbered_together=bool(played))
+    except AsterismError as problem:
+        # Of videos the problem names the file.
+        raise AsterismError(f"{problem}" if options.cameras is None else f"{options.cameras}: {problem}") from problem
     beside = cameras_beside(options)
     try:
         if beside is not None:

@@ -32,6 +32,7 @@ _READERS = {
     "QTM MAT": "mat.read_mat",
     "storage": "storage.read_marker_table",
     "NPZ": "npz.read_npz",
+    "XDF": "xdf.read_xdf",
 }
 """The function that reads each kind of file, and its module, which is imported when a file needs it."""
 _WRITERS = {
@@ -48,7 +49,7 @@ _FORMS_NOT_WRITTEN = ("Motive CSV", "OptiTrack CSV", "Nexus CSV")
 """Other programs' CSV files that are read; a CSV that is written has Asterism's own columns."""
 _WITH_CONFIDENCE = (".csv", ".npz")
 """Suffixes of text and NPZ files that have a place for the confidence of labels."""
-_KNOWN = "C3D, TRC, CSV, TSV, MAT, MOT, STO and NPZ"
+_KNOWN = "C3D, TRC, CSV, TSV, MAT, MOT, STO, NPZ and XDF"
 
 
 def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None = None) -> Recording:
@@ -206,7 +207,7 @@ def is_recording_file(path: str | Path) -> bool:
     >>> is_recording_file("walk.C3D"), is_recording_file("notes.txt")
     (True, False)
     """
-    return Path(path).suffix.casefold() in (".c3d", *_WRITERS)
+    return Path(path).suffix.casefold() in (".c3d", ".xdf", *_WRITERS)
 
 
 def check_suffix(path: str | Path) -> None:
@@ -215,6 +216,8 @@ def check_suffix(path: str | Path) -> None:
         raise AsterismError(
             f"{path}: this format holds bones and no markers; fit a skeleton to them, as `asterism convert` does, and write that."
         )
+    if Path(path).suffix.casefold() == ".xdf":
+        raise AsterismError(f"{path}: XDF is read and not written; write .c3d, {', '.join(_WRITERS)}.")
     if not is_recording_file(path):
         raise AsterismError(f"{path}: no format has the suffix {Path(path).suffix or '(none)'}; write .c3d, {', '.join(_WRITERS)}.")
 
@@ -383,6 +386,8 @@ def _kind_of(path: Path) -> str:
         return "skeleton"
     if head[:4] == b"PK\x03\x04":
         return "NPZ"
+    if head[:4] == b"XDF:":
+        return "XDF"
     if head.startswith(b"MATLAB ") or head[1:4] == b"HDF" or suffix == ".mat":
         return "QTM MAT"
     if suffix == ".npz":

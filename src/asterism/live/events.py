@@ -369,7 +369,8 @@ class LiveEvents:
         self._pelvis = _CarriedPoint([], [], self.rules)
         self._walked = self._lay = 0.0
         self._begin()
-        # Compiled before the first frame, which must not wait for it.
+        # Compiled, and the sets' files read, before the first frame, which must not wait for it.
+        markers_of_feet(("LHEE",))
         followed(np.zeros((2, 3)), np.eye(3), 0.01, self.rules.jerk, np.zeros(2), self.rules.noise**2)
 
     def _begin(self) -> None:

@@ -17,11 +17,11 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.formats import metres_per_unit
+from asterism.formats.mocap_channels import ChannelLayout, layout_of_channels
 from asterism.live.addresses import Query
 from asterism.live.clock import SampleNumbers
 from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
 from asterism.live.lsl_library import lsl_library
-from asterism.live.mocap_channels import ChannelLayout, layout_of_channels
 from asterism.live.reporting import axis_unknown, labels_given, reconnected
 from asterism.recording import Floats
 from asterism.recording.display import significant

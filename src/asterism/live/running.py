@@ -21,6 +21,7 @@ from asterism.live.clock import FrameCount, SourceClock, rows_of
 from asterism.live.feedback import Feedback
 from asterism.live.frames import TURN, LiveFrame, LiveSource, SourceEnded
 from asterism.live.pauses import short_pauses
+from asterism.live.waiting import WaitingFrames
 from asterism.recording import Floats
 from asterism.recording.rates import TO_RATE, RateOfTimes, rate_of_times
 
@@ -160,10 +161,7 @@ class LiveSession:
     feedback: Feedback | None = None
     vertical: Floats | None = None
     watch: Watch | None = None
-    _queue: deque[LiveFrame] = field(default_factory=deque)
-    _there: threading.Condition = field(default_factory=threading.Condition)
-    _ended: bool = False
-    _all_read: bool = False
+    _queue: WaitingFrames[LiveFrame] = field(init=False)
     _count: FrameCount = field(default_factory=FrameCount)
     _clock: SourceClock = field(default_factory=SourceClock)
     _health: Health = field(default_factory=Health)
@@ -176,6 +174,9 @@ class LiveSession:
     _ready: float | None = None
     _searches: bool = False
     _failed: Exception | None = None
+
+    def __post_init__(self) -> None:
+        self._queue = WaitingFrames(waits=self.waits)
 
     def run(self, seconds: float = math.inf) -> Health:
         """Read and label until the source ends, or so many seconds have passed since the first frame could come.
@@ -220,9 +221,7 @@ class LiveSession:
 
     def stop(self) -> None:
         """End the session: no frame is taken any more, and those that wait are labelled."""
-        with self._there:
-            self._ended = True
-            self._there.notify_all()
+        self._queue.stop()
 
     @property
     def up(self) -> Floats | None:
@@ -237,7 +236,7 @@ class LiveSession:
     @property
     def has_ended(self) -> bool:
         """Whether no frame comes any more."""
-        return self._ended
+        return self._queue.is_stopped
 
     def findings(self) -> list[Finding]:
         """What a person should know of the marker set that was found."""
@@ -270,7 +269,7 @@ class LiveSession:
     def _read(self) -> None:
         """The reader's thread."""
         try:
-            while not self._ended:
+            while not self._queue.is_stopped:
                 frame = self.source.read(TURN)
                 if frame is not None:
                     self._take(frame)
@@ -279,9 +278,7 @@ class LiveSession:
         except Exception as problem:  # the labelling thread must not wait for ever
             self._health.problem = f"{self.source.about.name} failed ({problem}); start it again."
         finally:
-            with self._there:
-                self._ended = self._all_read = True
-                self._there.notify_all()
+            self._queue.close()
 
     def _take(self, frame: LiveFrame) -> None:
         silent = bool(self._arrivals) and frame.arrived - self._arrivals[-1] > _SILENT
@@ -295,16 +292,12 @@ class LiveSession:
             self.recorder.frame(frame)
         # Until the rate is known nothing is labelled, and the first frames wait for it.
         most = max(2, round(_QUEUE * self._rate)) if np.isfinite(self._rate) else TO_RATE
-        with self._there:
-            while self.waits and len(self._queue) >= most and not self._ended:
-                self._there.wait(TURN)
-            self._queue.append(frame)
-            while len(self._queue) > most and not self.waits:
-                self._queue.popleft()
-                # The labelling is still being made where the rate had to be found first: no machine that is too slow.
-                self._health.before += self._chain is None
-                self._health.dropped += self._chain is not None
-            self._there.notify_all()
+        left_out = self._queue.put(frame, most)
+        # While the labelling is still being made, where the rate had to be found first, no machine is too slow.
+        if self._chain is None:
+            self._health.before += left_out
+        else:
+            self._health.dropped += left_out
 
     def _pass_over(self, seconds: float) -> None:
         """Leave out what came while the labelling was made for so many seconds: labels of it would be old, and hold the next ones back."""
@@ -323,7 +316,7 @@ class LiveSession:
                     return
                 self._health.before += 1
         except SourceEnded:
-            self._ended = True
+            self._queue.stop()
 
     def _made(self) -> LabelChain:
         return LabelChain(self.make(self._rate, self.up), self._rate, self.delay)
@@ -339,7 +332,7 @@ class LiveSession:
                 self._chain = self._made()
             for frame in begin:
                 self._passed_on(self._chain.push(frame))
-            while (next_frame := self._wait()) is not None:
+            while (next_frame := self._next()) is not None:
                 self._passed_on(self._chain.push(next_frame))
             for found in self._chain.flush():
                 self._passed_on(found)
@@ -352,7 +345,7 @@ class LiveSession:
         """The first frames, by whose times the rate is found."""
         taken, found = list[LiveFrame](), RateOfTimes(math.nan, 0.0, math.inf)
         while len(taken) < TO_RATE and not (len(taken) >= _FEWEST and 0 < found.sd < _SURE * found.step):
-            frame = self._wait()
+            frame = self._queue.take()
             if frame is None:
                 return taken
             taken.append(frame)
@@ -365,15 +358,13 @@ class LiveSession:
         self._rate = found.rate
         return taken
 
-    def _wait(self) -> LiveFrame | None:
+    def _next(self) -> LiveFrame | None:
         """The oldest frame that waits; None at the end."""
-        with self._there:
-            # A frame that was taken as the session ended is still to come.
-            while not self._queue and not self._all_read:
-                self._there.wait(TURN)
-            frame = self._queue.popleft() if self._queue else None
-            self._there.notify_all()
-            return frame
+        # However slow this is, what is shown is not old. What waits at the end, or for the rate, is labelled.
+        fresh = self.waits or self._chain is None
+        frame, left_out = self._queue.take_fresh(math.inf, lambda each: not fresh and not self._queue.is_stopped and _is_old(each))
+        self._health.dropped += left_out
+        return frame
 
     def _passed_on(self, found: LabelledFrame | None) -> None:
         if found is None:
@@ -386,10 +377,6 @@ class LiveSession:
             self._health.named += named
             self._health.bare += not named and 2 * len(found.frame.points) >= len(found.markers)
         self._first = found.frame.arrived if self._first is None else self._first
-        if found.markers and self._ready is None:
-            # Frames that waited while the set was sought say nothing of those that follow.
-            self._ready = found.done
-            self._health.searched = max(0.0, found.done - self._first) if self._searches else 0.0
         self._searches = self._searches or not found.markers
         if not self._searches or (self._ready is not None and found.frame.arrived >= self._ready):
             self._latencies.append(found.done - found.frame.arrived)
@@ -404,3 +391,11 @@ class LiveSession:
                 output.send(analysed)
             except OSError:
                 self._refused[id(output)] = self._refused.get(id(output), 0) + 1
+        if found.markers and self._ready is None:
+            # Frames that waited while the set was sought, and what follows from its labels was made, say nothing of those after them.
+            self._ready = time.monotonic()
+            self._health.searched = max(0.0, self._ready - self._first) if self._searches else 0.0
+
+
+def _is_old(frame: LiveFrame) -> bool:
+    return time.monotonic() - frame.arrived > _QUEUE

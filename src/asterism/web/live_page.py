@@ -39,6 +39,9 @@ _HEALTH = 0.5
 _STALE = 0.5
 """s after which a sound or an event is not sent any more: who hears it then takes it for what they do now. Half of it loses sounds of a
 radio network that pauses; with twice as much the next step is there."""
+_ASLEEP = 0.5
+"""s without a word from a page whose pictures are all on their way, after which it sleeps and gets no sounds. Half of it holds them back
+while a radio network pauses, until the page has answered; with twice as much a page that wakes has a second of sounds to pass over."""
 _MOMENTS = 200
 """Events and beginnings that wait for pages: seconds of them in a fast run with ten rules. Half and double do as well, since old ones are
 not sent."""
@@ -279,7 +282,7 @@ class _Follower:
     """One page that is open. Lives in the server's event loop.
 
     picture, moment  the numbers of what was sent last
-    seen             the number of the last picture that the page told of, and how many pictures it was not told of
+    ahead, seen      pictures that the page has not told of, and when it told of one, s on `time.monotonic`
     """
 
     session: LiveSession
@@ -289,6 +292,7 @@ class _Follower:
     picture: int = 0
     moment: int = 0
     ahead: int = 0
+    seen: float = -math.inf
     gone: bool = False
     _names: dict[str, Any] = field(default_factory=dict)
     _body: dict[str, Any] | None = None
@@ -314,8 +318,8 @@ class _Follower:
             end()
 
     async def _moments(self) -> None:
-        # A page that does not keep up gets none until they are fresh again.
-        if self.ahead >= _AHEAD and self.page.last_moment > self.moment:
+        # A page that sleeps gets none until they are fresh again. One that is only far away gets them at once.
+        if self.ahead >= _AHEAD and time.monotonic() - self.seen > _ASLEEP:
             return
         self.moment, moments = self.page.moments(self.moment)
         if moments:
@@ -352,7 +356,7 @@ class _Follower:
         if not isinstance(news, dict):
             return
         if isinstance(news.get("seen"), int):
-            self.ahead = max(0, self.ahead - 1)
+            self.ahead, self.seen = max(0, self.ahead - 1), time.monotonic()
             if self.ahead == _AHEAD - 1:
                 self.wake.set()
         if isinstance(news.get("ping"), int | float):

@@ -138,9 +138,10 @@ class RigProcess:
         if self._closed:
             return
         self._closed = True
+        self._say([_STOP])
+        # Behind that, so that nothing is judged in its place.
         self._judge.close()
         with suppress(OSError, EOFError):
-            self._pipe.send_bytes(_STOP)
             until = time.monotonic() + _ENDING
             while not (self._report is not None and self._report.ended) and self._pipe.poll(max(0.0, until - time.monotonic())):
                 self._received(self._pipe.recv_bytes())

@@ -6,7 +6,6 @@ import dataclasses
 import math
 import threading
 import time
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -27,6 +26,7 @@ from asterism.live.blobs.recorder import BlobRecorder
 from asterism.live.camera_frames import BlobSource, LiveBlobs
 from asterism.live.frames import MOST_POINTS, TURN, CameraControl, LiveFrame, OfCameras, SourceAbout, SourceEnded
 from asterism.live.reporting import own_findings
+from asterism.live.waiting import WaitingFrames
 from asterism.reconstruction import ReconstructionSettings, Reconstructor
 from asterism.reconstruction.camera_fit import CameraFit
 from asterism.reconstruction.streaming import WINDOW
@@ -134,14 +134,13 @@ class RigSource:
         self._gather: ByNumber | ByTime = (ByNumber if source.numbered_together else ByTime)(len(self.rig), source.rate)
         self.about = SourceAbout(name or source.name, source.rate / (speed if math.isfinite(speed) else 1.0), rig.vertical)
         self.dropped, self.cut = 0, 0
-        self._queue: deque[RigFrame] = deque()
-        self._there = threading.Condition()
-        self._ended = self._wanted = False
+        self._queue = WaitingFrames[RigFrame](waits=waits)
+        self._wanted = False
         self._failed: Exception | None = None
         self._fits: tuple[CameraFit, ...] = ()
         self._found: dict[tuple[str, str], tuple[Finding, int]] = {}
         self._next, self._frames, self._judged = _FIRST, 0, 0
-        self._closed, self._judgements = False, 0
+        self._closing, self._closed, self._judgements = threading.Lock(), False, 0
         self._points: Floats = np.empty((0, 3))
         self.budget = BlobBudget(source.rate)
         self._judging: threading.Thread | None = None
@@ -162,33 +161,25 @@ class RigSource:
 
     def read(self, timeout: float) -> LiveFrame | None:
         """The points of the next frame; None where none came within so many seconds. Raises SourceEnded."""
-        until = time.monotonic() + timeout
-        with self._there:
-            self._wanted = True
-            while not self._queue:
-                if self._ended:
-                    if self._failed is not None:
-                        raise self._failed
-                    raise SourceEnded
-                left = until - time.monotonic()
-                if left <= 0:
-                    return None
-                self._there.wait(left)
-            frame = self._queue.popleft()
-            # However slow this is, what is shown is not old. What waited for the first call is dropped, too, and nobody's.
-            while not self._waits and self._queue and time.monotonic() - frame.arrived > _QUEUE:
-                frame = self._queue.popleft()
-                self.dropped += self._frames > 0
-            self._there.notify_all()
+        self._wanted = True
+        # However slow this is, what is shown is not old. What waited for the first call is dropped, too, and nobody's.
+        frame, left_out = self._queue.take_fresh(timeout, lambda each: not self._waits and time.monotonic() - each.arrived > _QUEUE)
+        self.dropped += left_out if self._frames else 0
+        if frame is None:
+            if not self._queue.is_over:
+                return None
+            if self._failed is not None:
+                raise self._failed
+            raise SourceEnded
         return self._reconstructed(frame)
 
     def close(self) -> None:
         """Let go of the cameras."""
-        with self._there:
+        with self._closing:
             if self._closed:
                 return
-            self._ended = self._closed = True
-            self._there.notify_all()
+            self._closed = True
+        self._queue.close()
         self._source.close()
         if self._own is not None:
             self._own.close()
@@ -231,7 +222,7 @@ class RigSource:
     def _take(self) -> None:
         """The thread that gathers."""
         try:
-            while not self._ended:
+            while not self._queue.is_stopped:
                 wait = min(TURN, max(0.0, self._gather.due() - time.monotonic()))
                 blobs = self._source.read(max(1e-4, wait))
                 if blobs is not None:
@@ -246,9 +237,7 @@ class RigSource:
         except Exception as problem:  # the reader must not wait for ever
             self._failed = problem
         finally:
-            with self._there:
-                self._ended = True
-                self._there.notify_all()
+            self._queue.close()
 
     def _push(self, blobs: LiveBlobs) -> None:
         camera = self._of.get(blobs.camera)
@@ -262,15 +251,9 @@ class RigSource:
     def _put(self, now: float) -> None:
         most = max(2, round(_QUEUE * self.about.rate)) if math.isfinite(self.about.rate) else 10
         for frame in self._gather.ready(now):
-            with self._there:
-                while self._waits and len(self._queue) >= most and not self._ended:
-                    self._there.wait(TURN)
-                self._queue.append(frame)
-                while len(self._queue) > most and not self._waits:
-                    self._queue.popleft()
-                    # Frames that come before the first one is asked for are nobody's.
-                    self.dropped += self._wanted
-                self._there.notify_all()
+            left_out = self._queue.put(frame, most)
+            # Frames that come before the first one is asked for are nobody's.
+            self.dropped += left_out if self._wanted else 0
 
     def _reconstructed(self, frame: RigFrame) -> LiveFrame:
         xy = self._bounded(frame)
@@ -325,7 +308,7 @@ class RigSource:
         except (OSError, EOFError):
             # The session ends, and is judged at its end; or the process was killed.
             self._judged = 0
-            if not self._ended:
+            if not self._queue.is_stopped:
                 self._learn(rate)
             return
         if found is not None:

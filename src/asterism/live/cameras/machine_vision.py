@@ -146,7 +146,7 @@ class GenicamCamera(LiveCamera):
         except gentl.TimeoutException:
             return None
         except (gentl.GenericException, IndexError) as problem:
-            raise CameraGone(f"{self.name} ({self.address}) is gone ({_first_line(problem)}); look at its cable.") from problem
+            raise CameraGone(f"{self.address} is gone ({_first_line(problem)}); look at its cable.") from problem
         if buffer is None:
             return None
         arrived = time.monotonic()

@@ -172,7 +172,7 @@ class SimulatedCamera(LiveCamera):
             since = due - self._zero
             out, for_how_long = self._faults.gone
             if out <= since < out + for_how_long:
-                raise CameraGone(f"{self.name} is gone: its cable was taken out on purpose.")
+                raise CameraGone("its cable was taken out on purpose.")
             self._next += 1
             if self._rng.random() >= self._faults.lost:
                 break
