@@ -182,6 +182,16 @@ def test_two_senders_behind_one_address_lose_nothing_and_are_told(apart: int) ->
     assert "154 frames" in told.sentence
 
 
+def test_what_a_source_says_came_before_is_passed_over_however_long_it_takes_to_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("asterism.live.running._AT_ONCE", -1.0)
+    sent = [replace(frame, arrived=time.monotonic() + (60.0 if frame.number >= 7 else -3.0)) for frame in frames(list(range(10)))]
+    session = LiveSession(Given(sent), lambda rate, up: Numbers())
+    session._rate = RATE
+    session._pass_over(1.0)
+    waiting = session._next()
+    assert session._health.before == 7 and waiting is not None and waiting.number == 7
+
+
 def test_frames_that_waited_too_long_are_left_out_while_newer_ones_wait() -> None:
     now = time.monotonic()
     session = LiveSession(Given([]), lambda rate, up: Numbers())
@@ -326,7 +336,8 @@ def test_all_frames_are_labelled_in_their_order_and_counted(rate: float) -> None
 
 def test_a_labeller_that_is_too_slow_leaves_old_frames_out_and_tells() -> None:
     kept = Kept()
-    health = LiveSession(Given(frames(list(range(400)))), lambda rate, up: Numbers(seconds=0.002), [kept]).run()
+    sent = [replace(frame, arrived=frame.arrived + time.monotonic()) for frame in frames(list(range(400)))]
+    health = LiveSession(Given(sent), lambda rate, up: Numbers(seconds=0.002), [kept]).run()
     numbers = [each.frame.number for each in kept.frames]
     assert numbers == sorted(numbers) and numbers[-1] == 399, "the newest frame is labelled"
     assert health.dropped > 0 and health.labelled + health.dropped == health.frames == 400
