@@ -56,11 +56,11 @@ class VirtualFrames:
 
 def virtual_frames(marker_set: MarkerSet, people: int, seed: int) -> VirtualFrames:
     """Labelled frames of so many virtual people, not to be written to. The same arguments give the same frames, bit for bit. O(people)."""
-    return _drawn(_WornSet(repr(marker_set), marker_set), people, seed)
+    return _drawn(_SetByText(repr(marker_set), marker_set), people, seed)
 
 
 @dataclass(frozen=True)
-class _WornSet:
+class _SetByText:
     """A marker set by which frames are kept."""
 
     text: str
@@ -69,7 +69,7 @@ class _WornSet:
 
 # Whoever teaches a model again and again draws the same people each time, which takes a second; two sets' frames are 40 MB at most.
 @lru_cache(maxsize=2)
-def _drawn(worn_set: _WornSet, people: int, seed: int) -> VirtualFrames:
+def _drawn(worn_set: _SetByText, people: int, seed: int) -> VirtualFrames:
     from asterism.skeleton import virtual_people
 
     marker_set = worn_set.marker_set
