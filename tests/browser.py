@@ -72,6 +72,8 @@ class Tab:
             time.sleep(0.05)
         self._socket = connect(target["webSocketDebuggerUrl"], max_size=None).__enter__()
         self._count = 0
+        self._workers = list[str]()
+        self.call("Target.setAutoAttach", autoAttach=True, waitForDebuggerOnStart=False, flatten=True)
         self.resize(width, height)
         self.call("Page.navigate", url=address)
 
@@ -84,28 +86,33 @@ class Tab:
         self._process.wait()
         self._folder.cleanup()
 
-    def call(self, method: str, **given: Any) -> Any:
+    def call(self, method: str, *, in_worker: bool = False, **given: Any) -> Any:
         """The answer of DevTools."""
-        answer = self._answer(method, given)
+        answer = self._answer(method, given, in_worker)
         assert "error" not in answer, answer
         return answer["result"]
 
-    def _answer(self, method: str, given: dict[str, Any]) -> dict[str, Any]:
+    def _answer(self, method: str, given: dict[str, Any], in_worker: bool) -> dict[str, Any]:
         self._count += 1
-        self._socket.send(json.dumps({"id": self._count, "method": method, "params": given}))
+        where = {"sessionId": self._workers[-1]} if in_worker else {}
+        self._socket.send(json.dumps({"id": self._count, "method": method, "params": given, **where}))
         while (answer := json.loads(self._socket.recv(timeout=600))).get("id") != self._count:
-            pass
+            if answer["method"] == "Target.attachedToTarget" and answer["params"]["targetInfo"]["type"] == "worker":
+                self._workers.append(answer["params"]["sessionId"])
         return dict(answer)
 
-    def value(self, code: str) -> Any:
-        """The value of a piece of script, of the promise that it gives, or None where it raises or another page is being opened."""
-        answer = self._answer("Runtime.evaluate", {"expression": code, "awaitPromise": True, "returnByValue": True})
+    def value(self, code: str, *, in_worker: bool = False) -> Any:
+        """The value of a piece of script, of the promise that it gives, or None where it raises or another page is being opened.
+
+        in_worker: in the Worker that was begun last, instead of the page
+        """
+        answer = self._answer("Runtime.evaluate", {"expression": code, "awaitPromise": True, "returnByValue": True}, in_worker)
         return answer.get("result", {}).get("result", {}).get("value")
 
-    def wait(self, code: str, seconds: float = 60.0) -> Any:
+    def wait(self, code: str, seconds: float = 60.0, *, in_worker: bool = False) -> Any:
         """The value of a piece of script as soon as it is true."""
         until = time.monotonic() + seconds
-        while not (value := self.value(code)):
+        while not (value := self.value(code, in_worker=in_worker)):
             assert time.monotonic() < until, f"{code} is never true; the page: {self.value('document.body.innerText')}"
             time.sleep(0.05)
         return value

@@ -45,6 +45,18 @@ def _try_fewer_examples(test: Any) -> None:
 
 
 @pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int | None:
+    """One more than there are cores: tests of browsers, sockets and processes wait, and a worker for each core left a sixth of them idle.
+
+    Each worker imports all test files, which takes some four seconds, so that more than one would cost what it gains.
+    """
+    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
+        return None  # xdist does as it says
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return cores + 1
+
+
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     if config.getoption("dist") != "loadfile":
         return None
@@ -120,3 +132,11 @@ def kept_virtual_people() -> Iterator[None]:
 def no_terminal_width(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tables are as wide as they need, whatever width the environment tells."""
     monkeypatch.delenv("COLUMNS", raising=False)
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
+    """Every other worker imports the test files from the last to the first: what one has compiled to bytecode the others need not."""
+    outcome = yield
+    if isinstance(collector, pytest.Dir) and int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % 2:
+        outcome.get_result().result.reverse()

@@ -113,6 +113,9 @@ def test_the_rate_comes_from_the_caller_the_comment_or_the_times(tmp_path: Path)
     assert read_blobs(written(tmp_path, rows)).rate == 50
     assert read_blobs(written(tmp_path, "# rate=60\n" + rows)).rate == 60
     assert read_blobs(written(tmp_path, "# rate=60\n" + rows), rate=25).rate == 25
+    # Whole milliseconds of 120 Hz are steps of 8, 8 and 9.
+    rounded = "".join(f"{n},{1000 * n // 120 / 1000},a,1,2\n" for n in range(60))
+    assert read_blobs(written(tmp_path, "frame,time,camera,x,y\n" + rounded)).rate == 120
 
 
 HEAD = "frame,camera,x,y,size,time\n0,a,1,2,3,0.1\n"

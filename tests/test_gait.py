@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from on_the_spot import kicking, marching, standing_movements
 
 import asterism
 from asterism import AsterismError, Recording, formats
@@ -662,3 +664,37 @@ def test_somebody_who_squats_in_place_has_no_rate_of_steps() -> None:
     walk.positions[:, :, 0] -= 0.95 * pelvis[:, :, 0]
     walk.positions[:, :4, 0] *= 0.05
     assert not [one for one in analyse_gait(replace(walk, rate=400.0)).findings if one.code == "gait-rate-doubtful"]
+
+
+@pytest.mark.parametrize("name", standing_movements())
+def test_feet_that_stay_where_they_are_take_no_steps(name: str) -> None:
+    walking = find_events(standing_movements()[name])
+    assert not walking.events and not walking.treadmill
+
+
+def test_who_marches_on_the_spot_takes_steps_from_when_a_foot_leaves_to_when_it_is_back() -> None:
+    recording, swings = marching()
+    walking = find_events(recording)
+    assert not walking.treadmill
+    for side in "LR":
+        for label, truth in ((OFF, swings[side]), (STRIKE, swings[side] + 0.5)):
+            told = [event.time for event in walking.of(side, label)]
+            np.testing.assert_allclose(told, truth, atol=0.07, err_msg=f"{side} {label}")
+
+
+def test_who_kicks_strikes_when_the_foot_comes_down() -> None:
+    recording, lands = kicking()
+    walking = find_events(recording)
+    assert [(event.side, event.label) for event in walking.events] == [("R", OFF), ("R", STRIKE)]
+    assert walking.events[1].time == pytest.approx(lands, abs=0.07)
+
+
+@pytest.mark.skipif("ASTERISM_DATA" not in os.environ, reason="needs ASTERISM_DATA")
+@pytest.mark.parametrize(
+    ("path", "events"),
+    [("lab51-multiactivity/squats1.trc", 0), ("fullbody61/markers_Squat2.trc", 0), ("fullbody61/markers_StairUp3.trc", 10)],
+    ids=["squats", "squat", "stairs"],
+)
+def test_real_squats_are_no_steps_and_stairs_are(path: str, events: int) -> None:
+    found = find_events(asterism.read(Path(os.environ["ASTERISM_DATA"]) / "movement" / path))
+    assert len(found.events) == events

@@ -7,10 +7,12 @@ import json
 import math
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,15 +21,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from models import trained
+from waiting import until
 
 import asterism
 from asterism import AsterismError
+from asterism.cameras.files import write_rig
 from asterism.cli import main
-from asterism.findings import Severity
+from asterism.files.journal import Journal
+from asterism.findings import Finding, Severity
+from asterism.formats import analog_channels
 from asterism.labelling.live.stream import FrameLabels
 from asterism.labelling.live.study_process import make_studies
 from asterism.live import (
     AnalysedFrame,
+    FrameAnalysis,
     FrameCount,
     HostPort,
     JsonDatagrams,
@@ -46,10 +53,13 @@ from asterism.live import (
     recording_of,
     session_findings,
 )
+from asterism.live.analog import AnalogDevice, AnalogSamples
 from asterism.live.chain import LabelChain
+from asterism.live.datagrams import DatagramReader
 from asterism.live.replay import Replay
 from asterism.recording import MarkerSet, Recording
 from asterism.simulation import simulate_walks
+from asterism.simulation.cameras import ring_rig
 
 RATE = 100.0
 
@@ -158,6 +168,94 @@ def test_a_sender_that_is_started_again_is_taken_at_once(before: int) -> None:
     assert count.lost == 0
 
 
+@pytest.mark.parametrize("apart", [1500, -1500, 4500, 200_000, -200_000])
+def test_two_senders_behind_one_address_lose_nothing_and_are_told(apart: int) -> None:
+    """Frame by frame in turns, then the first one ends."""
+    first, second = list(range(300_000, 300_200)), list(range(300_000 + apart, 300_210 + apart))
+    numbers = [*first[:50], *(number for pair in zip(second, first[50:], strict=False) for number in pair), *second[150:]]
+    kept, sent = Kept(), [replace(frame, arrived=0.005 * k) for k, frame in enumerate(frames(numbers))]
+    health = LiveSession(Given(sent), lambda rate, up: Numbers(), [kept], waits=True).run()
+    # The first of the second sender, before anything showed that there are two; four are held back until the second is alone.
+    taken = [found.frame.number for found in kept.frames]
+    assert taken == [*first[:50], second[0], *first[50:], *second[154:]]
+    assert (health.lost, health.late, health.restarts, health.others) == (0, 0, 1, 154)
+    (told,) = [finding for finding in session_findings(health, "x") if finding.code == "live-other-sender"]
+    assert "154 frames" in told.sentence
+
+
+def test_what_a_source_says_came_before_is_passed_over_however_long_it_takes_to_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("asterism.live.running._AT_ONCE", -1.0)
+    sent = [replace(frame, arrived=time.monotonic() + (60.0 if frame.number >= 7 else -3.0)) for frame in frames(list(range(10)))]
+    session = LiveSession(Given(sent), lambda rate, up: Numbers())
+    session._rate = RATE
+    session._pass_over(1.0)
+    waiting = session._next()
+    assert session._health.before == 7 and waiting is not None and waiting.number == 7
+
+
+def test_frames_that_waited_too_long_are_left_out_while_newer_ones_wait() -> None:
+    now = time.monotonic()
+    session = LiveSession(Given([]), lambda rate, up: Numbers())
+    session._rate, session._chain = RATE, LabelChain(Numbers(), RATE)
+    for frame, arrived in zip(frames(list(range(6))), [now - 3.0, now - 2.0, now + 60.0, now + 60.0, now - 2.0, now - 1.0], strict=True):
+        session._take(replace(frame, arrived=arrived))
+    taken = [frame.number for _ in range(3) if (frame := session._next())]
+    assert taken == [2, 3, 5] and session._health.dropped == 3, "the newest is never left out"
+    # At the end all that wait are labelled.
+    for frame in frames([6, 7]):
+        session._take(replace(frame, arrived=now - 2.0))
+    session.stop()
+    taken = [frame.number for _ in range(2) if (frame := session._next())]
+    assert taken == [6, 7] and session._health.dropped == 3
+
+
+class Stamping:
+    """A socket whose datagrams came at times (s on the wall clock, or None where that is not said)."""
+
+    def __init__(self, came: list[float | None]) -> None:
+        self._came = iter(came)
+
+    def setsockopt(self, *_: object) -> None:
+        pass
+
+    def recvmsg(self, *_: object) -> tuple[bytes, list[tuple[int, int, bytes]], int, str]:
+        came = next(self._came)
+        notes = [] if came is None else [(socket.SOL_SOCKET, 35, struct.pack("@ll", int(came), round(1e9 * (came % 1.0))))]
+        return b"data", [(socket.SOL_SOCKET, 1, b"x"), *notes], 0, "sender"
+
+
+def test_a_datagram_that_waited_is_as_old_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or as old as the one before, or new, where the wall clock was set meanwhile."""
+    now, wall = 100.0, 5000.0
+    monkeypatch.setattr("asterism.live.datagrams.sys.platform", "linux")
+    monkeypatch.setattr("asterism.live.datagrams.time.monotonic", lambda: now)
+    monkeypatch.setattr("asterism.live.datagrams.time.time_ns", lambda: round(wall * 1e9))
+    reader = DatagramReader(Stamping([5001.5, 5002.25, None, 5019.0, 8600.0, 1400.0, 8629.5]))  # type: ignore[arg-type]
+    now, wall = 110.0, 5010.0
+    assert [reader.read()[2] for _ in range(2)] == pytest.approx([101.5, 102.25])
+    assert reader.read()[2] == now, "a datagram without a stamp is new"
+    now, wall = 120.0, 5020.0
+    assert reader.read()[2] == pytest.approx(119.0)
+    # The clock was set back by an hour while one waited that came at its old time: it is no newer than now.
+    assert reader.read()[2] == now
+    now, wall = 130.0, 8630.0
+    # And on: it is no older than the one before.
+    assert reader.read()[2] == 120.0
+    assert reader.read()[2] == pytest.approx(129.5)
+
+
+def test_the_system_says_when_a_datagram_came() -> None:
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
+    ):
+        listening.bind(("127.0.0.1", 0))
+        opened, reader = time.monotonic(), DatagramReader(listening)
+        sender.sendto(b"one", listening.getsockname())
+        data, address, arrived = reader.read()
+        assert (data, address) == (b"one", ("127.0.0.1", sender.getsockname()[1])) and opened <= arrived <= time.monotonic()
+
+
 def test_a_sender_that_begins_anew_after_a_silence_loses_no_frame() -> None:
     count, kept = FrameCount(), Kept()
     assert [count.takes(number) for number in (0, 1, 2, 0)] == [True, True, True, False]
@@ -239,7 +337,8 @@ def test_all_frames_are_labelled_in_their_order_and_counted(rate: float) -> None
 
 def test_a_labeller_that_is_too_slow_leaves_old_frames_out_and_tells() -> None:
     kept = Kept()
-    health = LiveSession(Given(frames(list(range(400)))), lambda rate, up: Numbers(seconds=0.002), [kept]).run()
+    sent = [replace(frame, arrived=frame.arrived + time.monotonic()) for frame in frames(list(range(400)))]
+    health = LiveSession(Given(sent), lambda rate, up: Numbers(seconds=0.002), [kept]).run()
     numbers = [each.frame.number for each in kept.frames]
     assert numbers == sorted(numbers) and numbers[-1] == 399, "the newest frame is labelled"
     assert health.dropped > 0 and health.labelled + health.dropped == health.frames == 400
@@ -273,6 +372,84 @@ def test_a_session_ends_after_its_seconds_which_begin_when_it_can_label() -> Non
     assert 0 < health.labelled < 1000 and health.frames == health.labelled
 
 
+@pytest.mark.parametrize(
+    ("rate", "stamp", "enough"),
+    [
+        (5.0, lambda at: at, 5),
+        (5.0, lambda at: math.floor(1000 * at) / 1000, 5),
+        (120.0, lambda at: math.floor(1000 * at) / 1000, 30),
+        (100.0, lambda at: math.floor(at / 0.0156) * 0.0156, 30),
+        (50.0, lambda at: at + (at > 0.1), 30),
+    ],
+    ids=["slow", "milliseconds", "120 Hz in milliseconds", "clock of Windows", "clock set"],
+)
+def test_the_rate_is_found_as_soon_as_the_times_tell_it(rate: float, stamp: Callable[[float], float], enough: int) -> None:
+    """The source ends when its frames are labelled: who needs more of them waits in vain."""
+    kept, found, sought = Kept(), list[float](), list[bool]()
+
+    class Waiting(Given):
+        def read(self, timeout: float) -> LiveFrame | None:
+            sought.append(session.pending.startswith("its rate is sought"))
+            try:
+                return super().read(timeout)
+            except SourceEnded:
+                if len(kept.frames) == enough:
+                    raise
+                time.sleep(0.001)
+                return None
+
+    def made(rate: float, up: object) -> Numbers:
+        found.append(rate)
+        return Numbers()
+
+    came = [LiveFrame(n, stamp(n / rate), 50.0 + n / rate, np.zeros((1, 3))) for n in range(enough)]
+    source = Waiting(came, math.nan)
+    session = LiveSession(source, made, [kept])
+    health = session.run(30.0)
+    assert sought[:3] == [False, True, True], "it can be told while the rate is sought"
+    assert health.labelled == enough and not session.pending
+    assert found == [pytest.approx(rate, rel=0.01)]
+
+
+def test_frames_that_waited_while_the_set_was_sought_say_nothing_of_the_latency() -> None:
+    """Angles are made when the set is known, which may take seconds: until then ten frames wait, and one is to join them."""
+
+    class Coming(Given):
+        given = 0
+
+        def read(self, timeout: float) -> LiveFrame | None:
+            if self.given == 2:
+                until(lambda: slow.held)
+            frame = super().read(timeout)
+            self.given += 1
+            return None if frame is None else replace(frame, arrived=time.monotonic())
+
+    class Seeking(Numbers):
+        marker_set: MarkerSet | None = None
+
+        def push(self, points: object) -> FrameLabels | None:
+            self.marker_set = MarkerSet(("A", "B")) if self.pushed else None
+            return super().push(points)
+
+    class Slow:
+        def push(self, found: LabelledFrame) -> FrameAnalysis:
+            if found.markers and not self.held:
+                self.held.append(found.frame.number)
+                until(lambda: source.given == 2 + 10 + 1)
+            return FrameAnalysis()
+
+        def findings(self) -> list[Finding]:
+            return []
+
+        def __init__(self) -> None:
+            self.held: list[int] = []
+
+    source, slow = Coming(frames(list(range(60)))), Slow()
+    session = LiveSession(source, lambda rate, up: Seeking(), waits=True, analysis=slow)
+    assert session.run().labelled == 60
+    assert len(session._latencies) == 60 - 13
+
+
 def test_times_that_do_not_grow_need_a_rate() -> None:
     still = [LiveFrame(n, 0.0, 0.0, np.zeros((1, 3))) for n in range(40)]
     with pytest.raises(AsterismError, match="say its rate with --rate"):
@@ -291,6 +468,7 @@ def test_numbers_that_stand_still_are_told() -> None:
     health = LiveSession(Given(frames([7] * 10)), lambda rate, up: Numbers()).run()
     (finding,) = [finding for finding in session_findings(health, "there") if finding.code == "live-late"]
     assert finding.severity == Severity.WARNING and "one higher" in finding.mend
+    assert not {"live-restarted", "live-no-labels"} & {finding.code for finding in session_findings(health, "there")}
 
 
 def test_datagrams_go_in_labelled_and_out() -> None:
@@ -344,6 +522,14 @@ def test_a_sender_is_told_what_is_wrong_with_its_frames(changed: dict[str, objec
         (finding,) = source.findings()
     source.close()
     assert finding.code == "live-format" and why in finding.sentence
+    assert source.unread == (type({**whole, **changed}["frame"]) is int)
+
+
+def test_frames_that_could_not_be_read_were_not_lost_on_the_way() -> None:
+    came = Given(frames([0, 1, 4, 7]))
+    came.damaged, came.unread = 3, 2  # type: ignore[attr-defined]
+    health = LiveSession(came, lambda rate, up: Numbers()).run()
+    assert (health.damaged, health.lost) == (3, 2), "four numbers are missing, two of them came; the third was no frame"
 
 
 def test_a_session_says_that_it_gave_no_labels() -> None:
@@ -490,12 +676,88 @@ def test_the_command_records_what_it_plays(tmp_path: Path, walks: list[Recording
     written = asterism.read(tmp_path / "out.c3d")
     assert len(written) == 60 and set(walks[5].labels) <= set(written.labels)
     assert not (tmp_path / "out.c3d.live").exists()
-    # What a killed session leaves is told, and can be written.
-    recorded(tmp_path / "next.c3d.live", list(range(40)))
-    assert main([*words, "-o", str(tmp_path / "next.c3d")]) == 2
-    assert "--finish" in capsys.readouterr().err
-    assert main(["live", "--finish", str(tmp_path / "next.c3d.live"), "-o", str(tmp_path / "next.c3d")]) == 0
-    assert len(asterism.read(tmp_path / "next.c3d")) == 40
+
+
+def test_what_a_killed_session_left_is_written_once_and_is_then_in_nobodys_way(tmp_path: Path, capsys) -> None:
+    output, left = tmp_path / "next.c3d", tmp_path / "next.c3d.live"
+    begin = ["live", "udp://127.0.0.1:0", "--rate", "100", "--markers", "helen-hayes", "--seconds", "0.1", "-o", str(output)]
+    write = ["live", "--finish", str(left), "-o", str(output), "--json", "-"]
+    recorded(left, list(range(40)))
+    assert main(begin) == 2 and f"--finish {left}" in capsys.readouterr().err and left.exists()
+    # A session that still runs writes to it: what there is can be written, and the file stays.
+    running = Journal(left, "asterism live 1")
+    assert main(begin) == 2 and "now" in capsys.readouterr().err
+    assert main(write) == 0 and left.exists()
+    assert [finding["code"] for finding in json.loads(capsys.readouterr().out)["findings"]] == ["live-not-finished"]
+    running.close()
+    assert main(write) == 2 and "--overwrite" in capsys.readouterr().err and left.exists(), "the recording is there"
+    assert main([*write, "--overwrite"]) == 0
+    assert json.loads(capsys.readouterr().out)["frames"] == len(asterism.read(output)) == 40 and not left.exists()
+    # Bytes that cannot be read are kept under another name.
+    for name in ("next.c3d.live.damaged", "next.c3d.live.damaged1"):
+        recorded(left, list(range(40)))
+        left.write_bytes(left.read_bytes()[:-9])
+        assert main([*write, "--overwrite"]) == 1 and "live-cut-off" in capsys.readouterr().out
+        assert len(asterism.read(output)) == 20 and not left.exists() and (tmp_path / name).exists()
+    output.unlink()
+    # A session that was killed before its first frame keeps nobody from the next.
+    recorded(left, [])
+    assert main(begin) == 1 and not left.exists()
+
+
+def test_analog_channels_are_in_the_recording_where_their_rates_are_whole_multiples(tmp_path: Path, capsys) -> None:
+    """Ten samples of one device and five of another in each frame, of which one are lost; 3.3 of a third; a fourth with another clock."""
+    numbers = [n for n in range(100, 200) if n != 150]
+    devices = [AnalogDevice("EMG", 1000.0, ("soleus", ""), ("V", "V")), AnalogDevice("plate", 500.0, ("soleus",), ("N",))]
+    devices += [AnalogDevice("odd", 330.0, ("a",), ("V",)), AnalogDevice("away", 1000.0, ("b",), ("V",))]
+    recorder, left, output = (
+        LiveRecorder(tmp_path / "walk.c3d.live", "QTM", None, rate=RATE),
+        tmp_path / "walk.c3d.live",
+        tmp_path / "walk.c3d",
+    )
+
+    def samples(device: AnalogDevice, number: int) -> AnalogSamples:
+        first, end = (round(at * device.rate / RATE) for at in (number, number + 1))
+        first, end = (first + 10**6, end + 10**6) if device.name == "away" else (first, end)
+        return AnalogSamples(device, first, np.add.outer(np.arange(first, end), 0.5 * np.arange(len(device.channels))))
+
+    for n, frame in zip(numbers, frames(numbers), strict=True):
+        recorder.frame(replace(frame, analog=tuple(samples(device, n) for device in devices)))
+    recorder.close()
+    assert main(["live", "--finish", str(left), "-o", str(output)]) == 0
+    told = capsys.readouterr().err
+    for why in ("odd: its 330 Hz", "away: its samples are not numbered", "EMG: 10 samples of 1,000 were lost", "plate: 5 samples of 500"):
+        assert why in told
+    assert (tmp_path / "walk.analog.npz").exists()
+    emg, second, plate = analog_channels(asterism.read(output))
+    assert [(each.name, each.unit, each.rate) for each in (emg, second, plate)] == [
+        ("soleus", "V", 1000.0),
+        ("EMG 2", "V", 1000.0),
+        ("plate soleus", "N", 1000.0),
+    ]
+    expected = np.where(np.arange(1000) // 10 == 50, 0.0, np.arange(1000, 2000))
+    np.testing.assert_array_equal(emg.samples, expected)
+    np.testing.assert_array_equal(second.samples, np.where(expected > 0, expected + 0.5, 0.0))
+    np.testing.assert_array_equal(plate.samples, np.repeat(np.where(np.arange(500) // 5 == 50, 0.0, np.arange(500, 1000)), 2))
+    ezc3d = pytest.importorskip("ezc3d")
+    theirs = ezc3d.c3d(str(output))
+    np.testing.assert_array_equal(theirs["data"]["analogs"][0], np.stack([emg.samples, second.samples, plate.samples]))
+    assert theirs["parameters"]["ANALOG"]["RATE"]["value"] == [1000.0] and theirs["data"]["points"].shape[2] == 100
+    # Where nothing is left out, nothing is beside; a format without channels says so.
+    (tmp_path / "walk.analog.npz").unlink()
+    recorder = LiveRecorder(left, "QTM", None, rate=RATE)
+    for n, frame in zip(range(40), frames(list(range(40))), strict=True):
+        recorder.frame(replace(frame, analog=(samples(devices[0], n),)))
+    recorder.close()
+    assert main(["live", "--finish", str(left), "-o", str(output), "--overwrite"]) == 0 and not capsys.readouterr().err
+    assert not (tmp_path / "walk.analog.npz").exists()
+
+
+@pytest.mark.parametrize("words", [["udp://127.0.0.1:0"], ["--model", "gait.model"], ["--lines"], ["--lower-body", "plug-in-gait"]])
+def test_what_begins_no_session_takes_no_options_of_one(tmp_path: Path, words: list[str], capsys) -> None:
+    recorded(tmp_path / "walk.live", list(range(20)))
+    assert main(["live", "--finish", str(tmp_path / "walk.live"), "-o", str(tmp_path / "walk.c3d"), *words]) == 2
+    assert "begins none" in capsys.readouterr().err and not (tmp_path / "walk.c3d").exists()
 
 
 def test_a_source_that_sends_nothing_is_told(tmp_path: Path, capsys) -> None:
@@ -554,9 +816,37 @@ def test_a_format_that_cannot_be_written_is_refused_before_a_session_begins(tmp_
         (["udp://127.0.0.1:0", "--speed", "2"], "its own time"),
         (["udp://127.0.0.1:0", "--loop"], "its own time"),
         (["--replay", "walk.c3d", "--empty", "2"], "--empty is of images"),
+        (["--replay", "walk.c3d", "--no-analysis", "--hip", "bell"], "--no-analysis leaves out"),
+        (["--replay", "blobs.csv"], "add --rig FILE"),
+        (["--replay", "video.avi"], "videos of the other cameras"),
+        (["--replay", "walk.trc", "--rig", "rig.toml"], "leave --rig out"),
+        (["udp://127.0.0.1:0?together=1"], "add --rig FILE"),
+        (["udp://127.0.0.1:0/points"], "points means nothing behind"),
+        (["natnet://127.0.0.1?lokal=127.0.0.1"], "lokal means nothing there; choose from local"),
+        (["qtm://127.0.0.1?udp=1"], "no options"),
+        (["vicon://127.0.0.1?udp=1"], "no options"),
+        (["lsl://?colour=red"], "choose from host, name, source_id, type, uid"),
+        (["ws-listen://127.0.0.1:0?tokn=SECRET"], "choose from origin, token"),
+        (["udp://127.0.0.1:0?togeter=1", "--rig", "rig.toml"], "choose from together"),
+        (["udp://127.0.0.1:0?together=maybe", "--rig", "rig.toml"], "neither 1 nor 0"),
+        (["natnet://127.0.0.1", "--rig", "rig.toml"], "leave --rig out"),
+        *(
+            (["--replay", "walk.trc", "--markers", "helen-hayes", "--to", address], told)
+            for address, told in (
+                ("udp://127.0.0.1:1?x=SECRET", "no options"),
+                ("osc://127.0.0.1:1/joint", "joint means nothing"),
+                ("lsl://A?x=1", "no options"),
+                ("natnet://127.0.0.1?x=1", "choose from data, multicast, unicast"),
+            )
+        ),
     ],
-    ids=["a folder", "rate", "host", "two", "a file's rate", "speed", "loop", "empty"],
 )
-def test_what_cannot_be_meant_is_refused(words: list[str], told: str, capsys) -> None:
-    assert main(["live", *words]) == 2
-    assert told in capsys.readouterr().err
+def test_what_cannot_be_meant_is_refused(words: list[str], told: str, tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_rig(ring_rig(cameras=2, rng=np.random.default_rng(0)), Path("rig.toml"))
+    Path("blobs.csv").write_text("frame,camera,x,y\n0,c1,1,2\n1,c1,1,2\n")
+    Path("video.avi").write_bytes(b"RIFF")
+    asterism.write("walk.trc", Recording(np.zeros((3, 1, 3)), ("A",), rate=RATE))
+    assert main(["live", *words, "--seconds", "0.1"]) == 2
+    said = capsys.readouterr().err
+    assert told in said and "SECRET" not in said

@@ -1,5 +1,6 @@
 """Cameras: what is asked of them by name, images of simulated, played and streamed ones, and what is found of them while they run."""
 
+import io
 import json
 import math
 import signal
@@ -16,8 +17,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import Tab, needs_chromium
+from rich.console import Console
 
 from asterism.cli import main
+from asterism.cli.live_cameras import watch
 from asterism.errors import AsterismError
 from asterism.files.toml import read_toml
 from asterism.findings import Severity
@@ -776,3 +779,22 @@ def test_the_page_shows_cameras_and_what_became_of_what_was_set(served, tmp_path
         tab.value("document.querySelector('#cameras button').click()")
         tab.wait("document.getElementById('cameras').textContent.includes('gain is not set.')")
     assert source.asked == [("gain", 6.0)]
+
+
+@pytest.mark.parametrize("columns", [72, 80, 140])
+def test_a_table_of_cameras_cuts_no_word_and_says_what_is_wrong_below(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a narrow terminal headings go below each other, and what says nothing of any camera has no column."""
+    written = io.StringIO()
+    monkeypatch.setattr(watch._console, "console", lambda: Console(file=written, width=columns, height=24, force_terminal=True))
+    well = CameraHealth("left", 900, 0, 0, 0, 0, 0, 60.0, 41.0, 0.0, 12.0, math.nan, -8.0, 31.0, 0.0, {}, "")
+    table = watch._LiveTable()
+    table([well, replace(well, camera="right", drift=math.nan)])
+    first = written.getvalue()
+    assert "lost" not in first or columns > 100
+    table([replace(well, lost=17, dropped=1234, saturated=0.12, temperature=41.0, last_seen=2.0, problem="no image comes.")])
+    table([])
+    said = written.getvalue()
+    assert "\N{HORIZONTAL ELLIPSIS}" not in said and "left: no image comes." in said
+    assert "-8 ± 31" in first
+    for word in ("camera", "images/s", "brightness", "fetched", "saturated", "1,234", "12.0", *(("°C", "ago") if columns > 100 else ())):
+        assert word in said.removeprefix(first)

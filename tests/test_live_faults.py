@@ -38,6 +38,9 @@ def watched(
         ({"points": 1000 * BODY, "labelled": 0}, ["live-unit"]),
         ({"points": BODY / 1000, "labelled": 0}, ["live-unit"]),
         ({"points": BODY, "labelled": 2}, ["live-other-markers"]),
+        ({"points": BODY, "labelled": 12}, ["live-other-markers"]),
+        ({"points": BODY[:12]}, []),
+        ({"points": np.concatenate([BODY[:17], BODY[:3] + np.array([0.05, 0.0, 0.0])]), "labelled": 17}, []),
         ({"points": BODY[:3], "labelled": 0}, ["live-few-points"]),
         ({"points": np.tile(BODY, (100, 1))}, ["live-many-points"]),
         ({"points": np.concatenate([BODY, BODY + np.array([1.0, 0.0, 0.0])])}, ["live-second-body"]),
@@ -48,7 +51,25 @@ def watched(
         ({"points": BODY, "slower": 60.0, "seconds": 12.0}, ["live-rate-changed"]),
         ({"points": BODY, "comes": 95.0, "slower": 104.0}, []),
     ],
-    ids=["well", "none", "mm", "m", "others", "wand", "flood", "two", "no-set", "rate", "other-set", "lying", "slower", "busy"],
+    ids=[
+        "well",
+        "none",
+        "mm",
+        "m",
+        "others",
+        "half",
+        "part",
+        "hidden",
+        "wand",
+        "flood",
+        "two",
+        "no-set",
+        "rate",
+        "other-set",
+        "lying",
+        "slower",
+        "busy",
+    ],
 )
 def test_what_is_wrong_with_all_frames_is_said_within_seconds_and_at_the_end(what: dict, codes: list[str]) -> None:
     assert watched(**what) == (codes, codes)
@@ -60,6 +81,15 @@ def test_the_axis_along_which_a_body_is_tallest_is_named() -> None:
     for n in range(300):
         watch.add(LabelledFrame(LiveFrame(n, n / RATE, n / RATE, BODY), MARKERS, none, np.zeros(20), n / RATE), RATE)
     assert "--vertical z" in watch.findings()[0].mend
+
+
+def test_frames_from_before_the_set_was_known_say_nothing_of_its_labels() -> None:
+    told = list[str]()
+    watch = SessionWatch("lab", tell=lambda finding: told.append(finding.code))
+    for n in range(200):
+        names, own = (MARKERS, np.arange(20)) if n >= 170 else ((), np.empty(0, dtype=np.int64))
+        watch.add(LabelledFrame(LiveFrame(n, n / RATE, n / RATE, BODY), names, own, np.ones(len(own)), n / RATE), RATE)
+    assert watch.findings() == [] and told == []
 
 
 def test_a_person_who_walks_in_and_out_is_no_fault() -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 import re
+import socket
 import threading
 import time
 import urllib.error
@@ -276,7 +278,7 @@ def test_names_that_a_session_lacks_are_said_once_with_the_near_ones() -> None:
     rules = (
         KNEE,
         FeedbackRule("bend", "value", of="left knee flexon"),
-        FeedbackRule("even", "symmetry", of="stride", each="range", swing=1.0),
+        FeedbackRule("even", "symmetry", of="step length", each="range", swing=1.0),
     )
     feedback = Feedback(rules, say=said.append)
     for number in range(700):
@@ -288,7 +290,8 @@ def test_names_that_a_session_lacks_are_said_once_with_the_near_ones() -> None:
             assert said == ['The rule "knee" is silent: the marker set has no LTHI; near are LTHY.'], "angles come after some seconds"
     assert said[1:] == [
         'The rule "bend" is silent: there is no value left knee flexon; near are left knee flexion, right hip flexion.',
-        'The rule "even" is silent: there is no value left stride and no right stride.',
+        'The rule "even" is silent: there is no value left step length and no right step length; '
+        "steps are found where the marker set has heels, toes and a pelvis.",
     ]
     assert [finding.code for finding in feedback.findings()] == ["live-rule-silent"] * 3
     feedback.judge(frame)
@@ -454,21 +457,39 @@ def test_a_slow_page_gets_the_newest_frame_and_every_beep() -> None:
     page.sounded([3.0, -1.0, math.nan, "x", None, 1e9, 5.0])
     page.sounded({"a": 1})
     assert page.tone_latency() == pytest.approx((4.0, 4.98, 2))
-    assert page.body() is None, "lines are chosen when enough frames were seen"
+    known = page.body()
+    assert known is not None and known["sides"] == ["left", "left", "left", "right"] and not known["bones"], "lines need more frames"
     for number in range(60):
         page.send(AnalysedFrame(labelled(leg(140 + number % 7), number=number)))
     body = page.body()
-    assert body is not None and body["sides"] == ["left", "left", "left", "right"] and [0, 1] in [sorted(bone) for bone in body["bones"]]
+    assert body is not None and [0, 1] in [sorted(bone) for bone in body["bones"]] and page.body() is body, "it is told once"
+    page.send(AnalysedFrame(replace(labelled(leg(140)), markers=("RTHI", "RKNE", "RANK", "LANK"))))
+    other = page.body()
+    assert other is not None and other["markers"][0] == "RTHI" and other["sides"][0] == "right", "another marker set is another body"
 
 
 HEALTH: dict[str, Any] = dict.fromkeys(("rate", "frames", "lost", "late", "damaged", "dropped", "p50", "p999", "not sounded"), 0) | {
     "problems": []
 }
+INK = "({ canvas }) => canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.some(value => value)"
 MOMENT = """globalThis.hear = (name, age) => {
   const live = Asterism.live, at = live.clock.at(performance.now()) - age, cue = { name, sound: "beep" };
   live.told(JSON.stringify({ sent: at, moments: [{ cue, at, done: at, time: 0 }] }));
   return live.log.length;
-}"""
+};
+globalThis.show = age => {
+  const live = Asterism.live, at = live.clock.at(performance.now()) - age, cues = [[0.4, "0.40 m", 1, 0.5, ""]];
+  live.rules[0].sound = "tone";
+  live.told(JSON.stringify({ ...live.newest, at, latency: 0, cues }));
+  return live.sounds.tones.has(live.rules[0].name);
+};
+globalThis.slept = () => {
+  const live = Asterism.live, link = live.socket;
+  live.heard -= 60000;
+  live.watch();
+  const [state, stage] = ["state", "stage"].map(name => document.getElementById(name));
+  return [state.textContent, live.sounds.tones.size, stage.className.includes("old"), live.socket === link];
+};"""
 
 
 @needs_chromium
@@ -513,6 +534,7 @@ class Listener:
         self.before = list[dict[str, Any]]()
         while kind not in (news := json.loads(self.socket.recv(timeout=60))):
             self.before.append(news)
+            assert len(self.before) < 100, f"there is no {kind} among a hundred messages"
             self.seen(news)
         self.seen(news)
         return dict(news)
@@ -520,6 +542,23 @@ class Listener:
     def seen(self, news: dict[str, Any]) -> None:
         if self.answers and "picture" in news:
             self.socket.send(json.dumps({"seen": news["picture"]}))
+
+
+def test_what_is_sent_to_the_page_waits_for_no_answer() -> None:
+    from asterism.web.serving import PageAddress, bound
+
+    async def sends_at_once() -> int:
+        accepted = asyncio.get_running_loop().create_future()
+        listening = bound(PageAddress())
+        async with await asyncio.start_server(lambda reader, writer: accepted.set_result(writer), sock=listening):
+            _, ours = await asyncio.open_connection(*listening.getsockname())
+            theirs = await accepted
+            at_once = theirs.get_extra_info("socket").getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+            for writer in (ours, theirs):
+                writer.close()
+        return int(at_once)
+
+    assert asyncio.run(sends_at_once())
 
 
 def test_a_page_that_sleeps_holds_nobody_back_and_hears_no_old_sounds(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -540,16 +579,26 @@ def test_a_page_that_sleeps_holds_nobody_back_and_hears_no_old_sounds(monkeypatc
 
     try:
         quick, slow, odd = (Listener(address, answers=answers) for answers in (True, False, True))
+        send(170)
         for each in (quick, slow, odd):
-            each.next("health")
+            each.next("picture")
+            told = {kind for news in each.before for kind in news}
+            assert {"source", "health", "names", "body"} <= told, "a picture says nothing before its names are known"
         for words in ("{", "[]", '{"seen": "x", "ping": [], "sounded": {"a": 1}}', '{"sounded": [1e999, null]}'):
             odd.socket.send(words)
         odd.socket.send(json.dumps({"ping": 5}))
         assert odd.next("pong")["pong"] == 5, "what is not understood is passed over"
-        for _ in range(6):  # as many pictures are under way
+        slow.socket.send('{"seen": 1}')
+        for _ in range(6):
             send(170)
             slow.next("picture")
+        # As many are under way as can be. A page that was heard a moment ago is only far away.
+        monkeypatch.setattr(live_page, "_ASLEEP", 60.0)
         monkeypatch.setattr(live_page, "_STALE", 60.0)
+        send(140)
+        assert slow.next("moments")["moments"]
+        assert quick.next("moments")["moments"]
+        monkeypatch.setattr(live_page, "_ASLEEP", 0.0)
         for _ in range(20):
             send(170)
             send(140)
@@ -599,6 +648,9 @@ def test_the_page_shows_counts_words_and_markers() -> None:
             tab.wait("document.getElementById('state').textContent.includes('frames/s')")
             tab.wait("document.getElementById('rules').innerText.includes('0.40 m')")
             tab.wait("document.getElementById('missing').textContent === 'none'")
+            tab.wait("Asterism.live.drawn > 3 && Asterism.live.curves.charts.length === 1")
+            assert tab.value("Asterism.live.port.worker !== null"), "what is drawn delays no sound"
+            tab.wait(f"Asterism.drawing.sheets.size === 3 && [...Asterism.drawing.sheets.values()].every({INK})", in_worker=True)
             assert tab.value("Asterism.live.sounds.on") is None, "silent until somebody asks for sound"
             tab.value("document.getElementById('sound').click(); globalThis.loud = Asterism.live.sounds.gain.gain.value")
             tab.wait("Asterism.live.sounds.gain.gain.value > 0.01")
@@ -614,6 +666,16 @@ def test_the_page_shows_counts_words_and_markers() -> None:
             assert tab.value("Asterism.live.sounds.tone('t', 0.5)")
             tab.wait("Asterism.live.sounds.tones.get('t')[1].gain.value > 0.2")
             tab.wait("Asterism.live.sounds.tones.get('t')[1].gain.value < 0.01")  # a tone that nobody keeps up ends
+            assert tab.value("[show(60000), show(0), show(60000)]") == [False, True, False], "a tone is of what is done now"
+            # The system takes the sound away: no tone goes on when it is back, and who touches the page gets it back.
+            tab.value("Asterism.live.sounds.tone('t', 0.5), Asterism.live.sounds.context.suspend()")
+            tab.wait("!Asterism.live.sounds.tones.has('t') && !document.getElementById('unheard').hidden")
+            for kind in ("mousePressed", "mouseReleased"):
+                tab.call("Input.dispatchMouseEvent", type=kind, x=500, y=500, button="left", clickCount=1)
+            tab.wait("Asterism.live.sounds.context.state === 'running' && document.getElementById('unheard').hidden")
+            # A cable that is out closes nothing: what is shown is old, and the page connects anew.
+            assert tab.value("slept()") == ["nothing heard for 60 s", 0, True, False]
+            tab.wait("!document.querySelector('#stage.old') && Asterism.live.clock.isKnown")
             tab.resize(390, 844, is_phone=True)
             before = tab.value("[Asterism.live.camera.yaw, Asterism.live.camera.zoom]")
             for kind, apart in (("touchStart", 20), ("touchMove", 60), ("touchEnd", None)):
@@ -624,6 +686,12 @@ def test_the_page_shows_counts_words_and_markers() -> None:
             after = tab.value("[Asterism.live.camera.yaw, Asterism.live.camera.zoom]")
             assert after[0] == pytest.approx(before[0] - 0.4) and after[1] == pytest.approx(3 * before[1])
             assert tab.value("document.documentElement.scrollWidth") <= 390
+            # The same in a browser whose Workers cannot draw.
+            tab.call("Page.enable")
+            tab.call("Page.addScriptToEvaluateOnNewDocument", source="delete HTMLCanvasElement.prototype.transferControlToOffscreen")
+            tab.call("Page.reload")
+            tab.wait("Asterism.live && Asterism.live.port.worker === null && Asterism.live.drawn > 3")
+            tab.wait(f"[...Asterism.live.port.drawing.sheets.values()].every({INK})")
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(address.replace("token=", "token=x"))
     finally:

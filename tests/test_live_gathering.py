@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from asterism.live.blobs._clock_kernels import fit_line
 from asterism.live.blobs._follow_kernels import link_blobs
 from asterism.live.blobs.camera_clock import CameraClock
 from asterism.live.blobs.gathering import LONGEST_WAIT, ByNumber, ByTime, RigFrame
@@ -160,6 +161,29 @@ def test_a_clock_is_known_as_well_as_it_says(seed: int) -> None:
     assert clock.offset_sd(clock.last_time) < scatter
     assert abs(clock.drift_ppm - ppm) < 5 * clock.drift_sd_ppm
     assert clock.drift_sd_ppm < 15 and clock.jumps == 0
+
+
+@pytest.mark.kernels
+@given(st.integers(0, 10_000), st.integers(1, 40))
+@settings(max_examples=30, deadline=None)
+def test_the_line_through_two_clocks_is_that_of_its_twin(seed: int, many: int) -> None:
+    """The twin goes by matrices."""
+    rng = np.random.default_rng(seed)
+    since, scatter, quartz = np.sort(rng.uniform(-20, 0, many)), 1e-3, 1e-4
+    least = 50.0 + 3e-5 * since + rng.exponential(1e-3, many) + 0.2 * (rng.random(many) < 0.2)
+    variance = np.empty((2, 2))
+    found = fit_line(since, least, scatter, quartz, variance)
+    line, spread, expected = np.array([least.min(), 0.0]), scatter, np.empty((2, 2))
+    columns = np.column_stack([np.ones(many), since])
+    for _ in range(4):
+        rest = least - columns @ line
+        usual = 1.4826 * np.median(np.abs(rest - np.median(rest)))
+        spread = math.sqrt((many * usual**2 + scatter**2) / (many + 1))
+        weighted = columns.T / (1.0 + (rest / (3 * spread)) ** 2) / spread**2
+        expected = np.linalg.inv(weighted @ columns + np.diag([0.0, quartz**-2]))
+        line = expected @ (weighted @ least)
+    np.testing.assert_allclose(found, [*line, spread], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(variance, expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("by", [3600.0, -3600.0, 0.3, -0.3, 0.05])

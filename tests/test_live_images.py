@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -25,6 +26,7 @@ from asterism.cli import main
 from asterism.detection import BlobSettings, DetectionSettings, RunningDetection, detect
 from asterism.detection.running import MOST_BLOBS
 from asterism.files.toml import read_toml
+from asterism.live import Health, session_findings
 from asterism.live.blobs import RigSource
 from asterism.live.camera_frames import LiveBlobs, LiveImage
 from asterism.live.cameras import CameraHealth, CameraSpec, LiveCamera, load_cameras
@@ -349,6 +351,32 @@ def test_from_images_to_points_as_off_line(filmed: tuple[list[Path], Path]) -> N
     assert np.median(np.concatenate(apart)) < 1e-3
     assert (np.concatenate(apart) < 5e-3).mean() > 0.9
     assert sum(len(frame.points) for frame in frames) == pytest.approx(sum(len(points) for points in expected), rel=0.1)
+
+
+def test_one_fault_of_a_video_is_one_finding(filmed: tuple[list[Path], Path], tmp_path: Path) -> None:
+    """One of three videos ends early, and the images of another are not those of the rig."""
+    folders, rig_file = filmed
+    rig = read_rig(rig_file)
+    short, small = (tmp_path / folder.name for folder in folders[1:])
+    shutil.copytree(folders[1], short, ignore=lambda _, names: sorted(names)[20:])
+    saved(small, [np.zeros((128, 160), np.uint8)] * 40)
+    workers = CameraWorkers(
+        videos_together([folders[0], short, small], rig, speed=math.inf),
+        WorkerSettings(in_order="number", sizes=dict.fromkeys(rig.names, (320, 256))),
+        workers=1,
+        numbered_together=True,
+    )
+    source = RigSource(workers, rig, waits=True)
+    try:
+        with suppress(SourceEnded):
+            while source.read(PATIENCE) is not None:
+                pass
+    finally:
+        source.close()
+    found = session_findings(Health(frames=40, labelled=40, markers=1, shown=40, damaged=source.damaged), source.about.name, None, [source])
+    assert {(finding.code, finding.where) for finding in found} == {("live-camera-ended", short.name), ("live-camera-size", small.name)}
+    sentences = " ".join(finding.sentence for finding in found)
+    assert "ends after 20 images" in sentences and "has 40" in sentences and "40 images not searched: images are 160 x 128" in sentences
 
 
 @pytest.mark.parametrize(

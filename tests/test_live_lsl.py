@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import atexit
 import os
+import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -18,6 +20,7 @@ from waiting import LONG, taken
 
 from asterism import AsterismError
 from asterism.findings import Finding
+from asterism.formats.mocap_channels import layout_of_channels
 from asterism.live import (
     AnalysedFrame,
     Cue,
@@ -32,7 +35,6 @@ from asterism.live import (
 )
 from asterism.live.clock import SampleNumbers
 from asterism.live.lsl_source import FromLsl, StreamChoice
-from asterism.live.mocap_channels import layout_of_channels
 
 # Read by the library as it is loaded: nothing leaves this machine, and no other process of the tests is heard.
 _CONFIG = Path(tempfile.gettempdir()) / f"asterism-lsl-{os.getpid()}.cfg"
@@ -53,6 +55,21 @@ def sockets() -> None:
         pytest.skip("liblsl cannot open its sockets here")
     if not pylsl.resolve_byprop("source_id", outlet.get_info().source_id(), timeout=LONG):
         pytest.skip("liblsl does not find its own streams here")
+
+
+@pytest.mark.parametrize(("own", "tells"), [("", False), ("[lab]\nSessionID = mine\n", False), ("[log]\nlevel = 0\n", True)])
+def test_the_library_tells_no_more_than_the_person_wants(own: str, tells: bool, tmp_path: Path) -> None:
+    """Its own words go past Python, to where failures of the command are told."""
+    if own:
+        (tmp_path / "lsl_api.cfg").write_text(own)
+    code = (
+        "from asterism.live.lsl_library import lsl_library, lsl_settings; library = lsl_library();"
+        "library.StreamOutlet(library.StreamInfo('probe', 'Probe', 1, 0, 'float32', 'probe')); print(lsl_settings())"
+    )
+    away = {name: value for name, value in os.environ.items() if name != "LSLAPICFG"} | {"HOME": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, env=away, timeout=LONG, check=True)
+    assert bool(done.stderr) == tells
+    assert done.stdout.startswith(own) and ("level = -1" in done.stdout) != tells
 
 
 def points_of(names: Sequence[str], unit: str = "", of: str = "marker") -> list[dict[str, str]]:
@@ -179,7 +196,7 @@ def test_what_is_no_motion_capture_is_refused(name: str) -> None:
     eeg = outlet(name, [{"label": each, "type": "EEG", "unit": "microvolts"} for each in ("Fp1", "Fp2", "Cz")], kind="EEG")
     with pytest.raises(AsterismError, match="3 channels, and they are no places of markers"):
         open_source(f"lsl://{name}?type=eeg")
-    with pytest.raises(AsterismError, match="nothing is known by colour"):
+    with pytest.raises(AsterismError, match="colour means nothing there"):
         open_source(f"lsl://{name}?colour=red")
     with pytest.raises(AsterismError, match="names no stream"):
         open_output("lsl://", SourceAbout("given", 100.0))

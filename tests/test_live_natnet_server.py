@@ -185,7 +185,7 @@ def test_a_client_that_says_nothing_more_is_forgotten(single: ToNatNet, monkeypa
     assert not single._clients
 
 
-@pytest.mark.parametrize("address", ["natnet://", "natnet://127.0.0.1?multicast=10.0.0.1", "natnet://127.0.0.1?data=x", "natnet://a?b=c"])
+@pytest.mark.parametrize("address", ["natnet://", "natnet://127.0.0.1?multicast=10.0.0.1", "natnet://127.0.0.1?data=0"])
 def test_an_address_that_is_none_says_what_one_is(address: str) -> None:
     with pytest.raises(AsterismError, match=r"natnet://192\.168\.1\.20"):
         open_output(address, ABOUT)

@@ -23,7 +23,7 @@ from asterism.live import HostPort, LiveRecorder, open_source, recording_of
 from asterism.live.analog import write_analog
 from asterism.live.blobs import RigSource
 from asterism.live.qtm_packets import QtmSettings, blobs_of_packet, points_of_packet, settings_of_xml
-from asterism.live.sources import open_blobs
+from asterism.live.sources import blobs_of
 from asterism.simulation.cameras.rigs import ring_rig
 
 qtm_rt = pytest.importorskip("qtm_rt", reason="the vendor's package qtm-rt is the judge of these packets")
@@ -422,7 +422,7 @@ def test_qtms_blobs_and_its_calibration_give_points_in_metres(tmp_path: Path) ->
             time.sleep(0.01)
 
     server = QtmServer(frames, xml)
-    source = RigSource(open_blobs(f"qtm://127.0.0.1:{server.port}", rig.names), rig)
+    source = RigSource(blobs_of(f"qtm://127.0.0.1:{server.port}", rig.names)(), rig)
     try:
         frame = next(frame for frame in taken(source, 20) if len(frame.points) == 2)
         np.testing.assert_allclose(frame.points[np.argsort(-frame.points[:, 0])], marker, atol=5e-4)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import multiprocessing
+import queue
 import socket
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -315,6 +316,71 @@ def test_a_flood_of_blobs_leaves_the_markers_and_is_told() -> None:
     # A quarter of the flood's blobs are as large, and markers are where they were a frame before.
     assert max(np.quantile(misses(frame), 0.75) for frame in frames[2:]) < 0.005
     assert told(source) >= {"live-many-blobs"} and source.cut == 10 * 2 * (1512 - 150)
+
+
+class Fed:
+    """A camera system that sends what it is given, when it is given."""
+
+    damaged = 0
+    name = "fed"
+    rate = 10.0
+    numbered_together = True
+
+    def __init__(self, cameras: tuple[str, ...]) -> None:
+        self.cameras, self.images = cameras, queue.Queue[LiveBlobs]()
+
+    def read(self, timeout: float) -> LiveBlobs | None:
+        try:
+            return self.images.get(timeout=timeout)
+        except queue.Empty:
+            return None
+
+    def close(self) -> None:
+        pass
+
+
+def test_noise_and_cameras_are_judged_by_another_process_and_here_where_that_was_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig, learn = ring(3), Reconstructor.learn
+    monkeypatch.setattr(Reconstructor, "learn", lambda *_: pytest.fail("frames waited for a judgement"))
+    fed = Fed(rig.names)
+    source = RigSource(fed, rig)
+    for image in images(rig, 48):
+        fed.images.put(replace(image, arrived=time.monotonic()))
+        if image.camera == "c3":
+            assert source.read(30.0) is not None
+        if source._frames == 24 and image.camera == "c3":
+            assert source._judging is not None
+            source._judging.join(60.0)
+            assert source._reconstructor.noise_known
+            assert source._reconstructor.model is not None and 0.1 < source._reconstructor.model.noise[0] < 0.3
+    judges = multiprocessing.active_children()
+    assert [process.name for process in judges] == ["live judge"]
+    source._learn_elsewhere(RATE)
+    assert min(camera.seen for camera in source.cameras()) > 0.9
+    judges[0].kill()
+    judges[0].join(60.0)
+    source._fits = ()
+    monkeypatch.setattr(Reconstructor, "learn", learn)
+    source._learn_elsewhere(RATE)
+    assert min(camera.seen for camera in source.cameras()) > 0.9
+    source.close()
+    assert not multiprocessing.active_children()
+
+
+def test_images_that_waited_to_be_read_make_whole_frames() -> None:
+    """They are as old as they are: nothing that came with them, and is read after them, is given up."""
+    rig = ring(3)
+    fed, begun = Fed(rig.names), time.monotonic() - 100.0
+    for image in images(rig, 40):
+        fed.images.put(replace(image, arrived=begun + image.time))
+    source = RigSource(fed, rig)
+    try:
+        until = time.monotonic() + 60.0
+        while min(state.count.received for state in source._gather.cameras) < 40:
+            assert time.monotonic() < until
+        assert [state.without for state in source._gather.cameras] == [0, 0, 0]
+    finally:
+        source.close()
 
 
 PORTS = HostPort("127.0.0.1", 0)

@@ -105,7 +105,7 @@ class Told:
 
 
 def test_what_a_study_says_counts_beside_the_frames_of_its_tracks() -> None:
-    tracks = TrackEvidence(3, LinkRules().limits(RATE), 0.9, 0.1)
+    tracks = TrackEvidence(3, LinkRules(), RATE, 0.9, 0.1)
     tracks.link(np.array([[0.0, 0.0, 1.0], [0.5, 0.0, 1.0], [1.0, 0.0, 1.0], [1.5, 0.0, 1.0]]), [])
     tracks.add(np.full((4, 3), 2.0))
     study = Study(
@@ -152,7 +152,8 @@ def test_a_study_is_forgotten_with_its_tracks(walks, model) -> None:
         stream.push(points)
     tracks = stream._tracks
     assert tracks.seen[tracks.current].all() and len(set(tracks.serial[tracks.current])) == 15
-    stream.push(np.empty((0, 3)))
+    for _ in range(50):
+        stream.push(np.empty((0, 3)))
     stream.push(walks[5].positions[41])
     assert not tracks.seen[tracks.current].any()
     assert (tracks.serial >= 0).sum() == 15, "rows without a track have no number"

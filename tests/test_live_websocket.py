@@ -203,9 +203,7 @@ def test_nobody_there_is_told_at_once() -> None:
         open_source("ws-listen://192.0.2.1:8765")
 
 
-@pytest.mark.parametrize(
-    "address", ["ws://", "ws-listen://127.0.0.1", "ws://127.0.0.1:99999", "wss://:8765", "ws-listen://127.0.0.1:0?tokn=x"]
-)
+@pytest.mark.parametrize("address", ["ws://", "ws-listen://127.0.0.1", "ws://127.0.0.1:99999", "wss://:8765"])
 def test_an_address_that_is_none_says_what_one_is(address: str) -> None:
     for opened in (open_source, lambda given: open_output(given, ABOUT)):
         with pytest.raises(AsterismError, match=r"ws://192\.168\.1\.5:8765"):

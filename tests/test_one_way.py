@@ -36,7 +36,7 @@ from asterism.web import CorrectionSession, SessionOptions
 from asterism.web.app import make_app
 from asterism.web.finishing import spans_of
 
-FRAMES = slice(0, 60)
+FRAMES = slice(0, 36)
 Rows = list[dict[str, Any]]
 
 

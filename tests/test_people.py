@@ -10,9 +10,12 @@ import pytest
 from asterism import MarkerModel, Recording
 from asterism.labelling import TrainingRules
 from asterism.labelling.training.people import one_person_each, prefixes_of_people
+from asterism.labelling.training.trials import TrainingTrial
 from asterism.simulation import simulate_walks
 
-BRIEF = TrainingRules(virtual_people=0, trial_frames=20, stretches=1, stretch_frames=40)
+BRIEF = TrainingRules(
+    virtual_people=0, folds=2, trial_frames=8, trials=(TrainingTrial(), TrainingTrial(0.2, 3)), stretches=1, stretch_frames=30
+)
 
 ASIDE = np.array([0.0, 2.0, 0.0])
 

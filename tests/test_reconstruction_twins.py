@@ -15,7 +15,7 @@ from asterism.reconstruction._compose_kernels import compose
 from asterism.reconstruction._fit_kernels import FitWorkspace, closest_point, fit, fit_and_prune, fit_workspace
 from asterism.reconstruction._frame_kernels import attach_available, count_visibility
 from asterism.reconstruction._hypothesis_kernels import holders_by_blob
-from asterism.reconstruction._input_kernels import END, FIRST, FrameArrays, RigArrays, first_of_duplicates, frame_arrays
+from asterism.reconstruction._input_kernels import END, FIRST, GATE, FrameArrays, RigArrays, first_of_duplicates, frame_arrays
 from asterism.reconstruction._order_kernels import ascending
 from asterism.reconstruction._plain_kernels import _compose_pairs, merge_versions
 from asterism.reconstruction._score_kernels import best_blob, score
@@ -183,6 +183,17 @@ def test_composition_finds_what_trying_all_pairs_of_blobs_finds(seed: int) -> No
     assert gated == passing
     assert [tuple(rays) for rays in found.rays[:count].tolist()] == expected
     assert count > 14, "nothing to decide"
+
+
+def test_pairs_of_a_wide_gate_are_all_composed_however_many_there_are() -> None:
+    """Two cameras, all blobs of one with all of the other: more pairs than there is room for at once."""
+    _, _, arrays, frame, _ = crowd(0, cameras=2, markers=20)
+    arrays.limits[GATE] = 1e4
+    found, count, gated = compose(arrays, frame)
+    expected, pairs = twins.composed(arrays, frame)
+    fullest = int((frame.grid[:, END] - frame.grid[:, FIRST]).max())
+    assert gated == pairs > 16 * fullest
+    assert [tuple(row) for row in found.rays[:count].tolist()] == expected
 
 
 def test_hypotheses_without_shared_blobs_are_those_of_the_twin() -> None:

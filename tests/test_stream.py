@@ -15,10 +15,12 @@ from asterism.labelling.body.model import BodyRules, factors
 from asterism.labelling.body.subject import SubjectRules, adapt_body
 from asterism.labelling.live.body import LiveBody, LiveRules
 from asterism.labelling.live.stream import FrameLabels, Stream, _assign, _margins
+from asterism.labelling.live.tracks import TrackEvidence
 from asterism.labelling.live.twins import LiveTwins
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Recording
 from asterism.simulation import simulate_walks
+from asterism.tracking.linking import LinkRules
 
 pytestmark = pytest.mark.kernels
 
@@ -122,6 +124,29 @@ def test_a_stream_begins_anew_after_everybody_left_and_after_a_flush(walks, ense
 
 
 @pytest.mark.slow
+def test_tracks_go_on_behind_lost_frames_as_at_a_lower_rate(walks) -> None:
+    whole, half = (TrackEvidence(1, LinkRules(), rate, 1.0, 1.0) for rate in (100.0, 50.0))
+    links = 0
+    for points in list(walks[5].clouds())[::2]:
+        xyz = points[np.argsort(points[:, 0])]
+        previous = whole.link(xyz, [])
+        whole.lose()
+        np.testing.assert_array_equal(previous, half.link(xyz, []))
+        links += int((previous >= 0).sum())
+    assert links > 0.95 * 99 * len(walks[5].labels)
+
+
+@pytest.mark.parametrize("lost", [lambda t: t % 2 == 1, lambda t: t % 20 < 4], ids=["every second", "four in twenty"])
+def test_lost_frames_cost_no_labels(walks, ensemble, lost) -> None:
+    clouds, truth = simulate_gaps_and_ghosts(walks[5], 2, 1, 2, number_tracks=False)
+    stream, right, seen = ensemble.stream(100.0), 0, 0
+    for t, points in enumerate(clouds):
+        frame = stream.push(np.empty((0, 3)) if t > 20 and lost(t) else points)
+        if t > 20 and not lost(t):
+            right, seen = right + int((frame.indices == truth[t]).sum()), seen + len(truth[t])
+    assert right > 0.975 * seen
+
+
 def test_memory_does_not_grow_with_time(walks, ensemble) -> None:
     clouds, _ = simulate_gaps_and_ghosts(walks[5], 2, 3, 0)
     stream = ensemble.stream(100.0, 10)

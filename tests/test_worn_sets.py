@@ -16,16 +16,19 @@ import asterism
 from asterism import AsterismError
 from asterism.cli import main
 from asterism.files.cache import cache_folder
+from asterism.findings import Finding
 from asterism.labelling import virtual_model
+from asterism.live import LiveSession, Replay, SessionWatch, make_labeller
 from asterism.recording import Disagreement, MarkerSet, Recording
-from asterism.session import LiveLabeller, SetFinder, label_file
+from asterism.session import FileLabeller, LabellingOptions, LiveLabeller, SetFinder, label_file
 from asterism.session.coincident import coincident_findings
 from asterism.session.labeller import findings_on_sets
+from asterism.session.left_over import LeftOver
 from asterism.session.mirror import exchanged_sides
 from asterism.session.worn import BY_NAMES, BY_POINTS, GIVEN, FindRules
 from asterism.session.worn.find import SetCertainty, SetEvidence, _most_probable, evidence_of
 from asterism.session.worn.fit import FrameFit
-from asterism.simulation import simulate_walks
+from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
 from asterism.skeleton import virtual_people
 
 
@@ -58,10 +61,10 @@ def test_a_set_is_found_by_its_points(markers: str) -> None:
 
 def test_points_left_over_make_a_set_less_sure() -> None:
     """Points that no marker explains may be of a set that is not shipped: what is stated falls, and stays a probability."""
-    whole = anonymous(person("optitrack-rizzoli-lower"))
-    beside = whole.positions[:, :12] + np.array([0.0, 0.0, 0.045])
+    whole = anonymous(person("optitrack-rizzoli-lower").frames(slice(0, 6)))
+    beside = whole.positions[:, :6] + np.array([0.0, 0.0, 0.045])
     more = replace(
-        whole, positions=np.concatenate([whole.positions, beside], axis=1), labels=tuple(f"*{m}" for m in range(len(whole.labels) + 12))
+        whole, positions=np.concatenate([whole.positions, beside], axis=1), labels=tuple(f"*{m}" for m in range(len(whole.labels) + 6))
     )
     worn = found(more)
     assert worn.shown < worn.points
@@ -184,9 +187,9 @@ def test_options_that_contradict_each_other(tmp_path: Path) -> None:
 
 def test_a_file_without_any_label_is_no_success(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Points that keep no distance get no name, and the exit status says it."""
-    drift = np.random.default_rng(5).normal(0.0, 0.02, size=(40, 24, 3)).cumsum(axis=0)
-    scattered = np.random.default_rng(6).uniform(0.0, 2.0, size=(24, 3)) + drift
-    asterism.write(tmp_path / "dust.c3d", Recording(scattered, tuple(f"*{m}" for m in range(24)), 100.0))
+    drift = np.random.default_rng(5).normal(0.0, 0.02, size=(12, 16, 3)).cumsum(axis=0)
+    scattered = np.random.default_rng(6).uniform(0.0, 2.0, size=(16, 3)) + drift
+    asterism.write(tmp_path / "dust.c3d", Recording(scattered, tuple(f"*{m}" for m in range(16)), 100.0))
     status = main(["label", str(tmp_path / "dust.c3d"), "--markers", "helen-hayes", "-o", str(tmp_path / "out")])
     assert status == 1
     labelled = asterism.read(tmp_path / "out" / "dust.c3d")
@@ -358,7 +361,7 @@ def in_a_corner(recording: Recording, axes: list[int]) -> Recording:
 def test_a_wrong_vertical_is_noticed(door: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Labels are those of the file that says what is up; a finding tells what was taken. Who says what is up is believed."""
     # of legs alone the reader sees too little, so that labelling has to; each vertical is labelled, so few markers are tried sooner
-    by_door = {"points": ("optitrack-rizzoli-lower", 10), "names": ("plug-in-gait", 5)}
+    by_door = {"points": ("helen-hayes", 10), "names": ("plug-in-gait", 5)}
     markers, frames = by_door.get(door, ("helen-hayes", 20))
     truth = person(markers).frames(slice(0, frames))
     file, straight = (tmp_path / name for name in ("wrong.c3d", "right.c3d"))
@@ -509,3 +512,45 @@ def test_a_marker_of_one_side_tells_a_mirror_image(mirrored: bool, tmp_path: Pat
     run("label", tmp_path / "walk.c3d", "-o", tmp_path / "out", "--markers", "cmu")
     said = capsys.readouterr().err
     assert ("RBAC fits on the other side only" in said) == mirrored, said
+
+
+def told_by_both_doors(recording: Recording, markers: str, folder: Path) -> tuple[list[Finding], list[Finding]]:
+    """What `asterism label` and a live session say of a set that was named, of findings on sets."""
+    asterism.write(folder / "walk.c3d", recording)
+    label = FileLabeller([], LabellingOptions(markers=[markers])).label(folder / "walk.c3d").findings
+    watch = SessionWatch("lab", recording.vertical, timed=False)
+    make = make_labeller(None, markers, 0)
+    LiveSession(Replay(folder / "walk.c3d", speed=float("inf")), make, watch=watch, waits=True).run()
+    codes = ("label-other-set", "label-few-markers", "live-other-markers")
+    return tuple([one for one in found if one.code in codes] for found in (label, watch.findings()))  # type: ignore[return-value]
+
+
+def test_a_set_that_is_half_there_beside_points_without_a_label_is_told_by_every_door(tmp_path: Path) -> None:
+    (label,), (live,) = told_by_both_doors(anonymous(person("plug-in-gait").frames(slice(0, 100))), "vicon-53", tmp_path)
+    assert (label.code, live.code) == ("label-other-set", "live-other-markers")
+    for one in (label, live):
+        assert "of 53 markers" in one.sentence and "plug-in-gait (39 of 39 markers)" in one.mend
+
+
+@pytest.mark.parametrize("worn", ["all", "hidden", "legs"])
+def test_hidden_markers_ghosts_and_a_part_of_a_set_are_no_other_set(worn: str, tmp_path: Path) -> None:
+    walk = person("plug-in-gait")
+    if worn == "legs":
+        shown = [m for m, name in enumerate(walk.labels) if name[1:4] in ("ASI", "PSI", "THI", "KNE", "TIB", "ANK", "HEE", "TOE")]
+        walk = walk.select([walk.labels[m] for m in shown])
+    clouds, _ = simulate_gaps_and_ghosts(walk, *((3, 3) if worn == "hidden" else (0, 0)), seed=2)
+    label, live = told_by_both_doors(Recording.from_clouds(clouds), "plug-in-gait", tmp_path)
+    assert [one.code for one in label] == (["label-few-markers"] if worn == "legs" else []) and not live
+
+
+@pytest.mark.parametrize(
+    ("unseen", "points", "told"),
+    [(13, 14, True), (13, 0, False), (13, 3, False), (3, 14, False), (4, 14, False), (5, 5, True), (0, 39, False)],
+    ids=["wrong set", "part of it", "part and ghosts", "hidden", "few hidden", "an eighth", "second person"],
+)
+def test_another_set_leaves_both_markers_and_points_over(unseen: int, points: int, told: bool) -> None:
+    shown = np.where(np.arange(39) < unseen, 0.01, 0.9)
+    left = LeftOver.of(shown, np.full(100, points))
+    assert left.tells is told and (left.markers, left.unseen, left.points) == (39, unseen, points)
+    # what comes and goes for half of the time is a ghost
+    assert not LeftOver.of(shown, np.where(np.arange(100) % 2, points, 0)).tells

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asterism.formats.mocap_channels import layout_of_channels
 from asterism.live import LiveFrame, SourceAbout, frame_as_json, frame_of_json
 from asterism.live.blobs.sources import blobs_as_json, blobs_of_json
 from asterism.live.camera_frames import LiveBlobs
 from asterism.live.frames import DamagedPacket
-from asterism.live.mocap_channels import layout_of_channels
 from asterism.live.natnet_packets import NatNetFrames, server_of_packet
 from asterism.live.natnet_server import ToNatNet
 from asterism.live.qtm_packets import blobs_of_packet, points_of_packet, settings_of_xml

@@ -42,7 +42,7 @@ def trials(given: Sequence[Path], batch: _console.Batch, *, without: Path | None
             inside = list(_recordings_in(path, without, batch))
             # a folder among others costs itself alone
             if not inside:
-                nothing = AsterismError(f"{path} holds no recording (C3D, TRC, CSV, TSV, MAT, MOT, STO or NPZ); name another folder.")
+                nothing = AsterismError(f"{path} holds no recording (C3D, TRC, CSV, TSV, MAT, MOT, STO, NPZ or XDF); name another folder.")
                 if len(given) == 1:
                     raise nothing
                 with batch.file(path):

@@ -39,7 +39,14 @@ def open_live_source(options: LiveOptions) -> LiveSource:
     if options.replay is not None:
         if options.rate is not None:
             raise AsterismError(f"{options.replay} has its own rate, and --rate would change its times; play it faster with --speed.")
-        return Replay(options.replay, speed=options.speed, loop=options.loop)
+        try:
+            return Replay(options.replay, speed=options.speed, loop=options.loop)
+        except AsterismError as problem:
+            if _is_of_cameras(options.replay):
+                sentence = f"{options.replay} holds what cameras saw, and points are made of that by their rig; add --rig FILE"
+                others = ", and the videos of the other cameras behind it" if _is_of_one_camera(options.replay) else ""
+                raise AsterismError(f"{sentence}{others}.") from problem
+            raise
     return open_source(_address(options), math.nan if options.rate is None else options.rate)
 
 
@@ -63,22 +70,24 @@ def _address(options: LiveOptions) -> str:
 
 def _of_cameras(options: LiveOptions, rig_file: Path) -> LiveSource:
     """Points of what several cameras see: of their blobs, or of images."""
-    from functools import partial
-    from mimetypes import guess_type
-
     from asterism.cameras.files import read_rig
     from asterism.live.blobs import ReplayBlobs, RigProcess, RigSource
-    from asterism.live.sources import open_blobs
+    from asterism.live.sources import blobs_of
 
     rig, played = read_rig(rig_file), played_files(options)
     if options.cameras is not None or len(played) > 1:
         return _of_images(options, rig, played)
-    if played and (played[0].is_dir() or str(guess_type(played[0].name)[0]).startswith(("video/", "image/"))):
+    if played and _is_of_one_camera(played[0]):
         raise AsterismError(f"{played[0]} is of one camera, and points need two; add the videos of the others behind it.")
     if played:
-        blobs = ReplayBlobs(played[0], rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
+        try:
+            blobs = ReplayBlobs(played[0], rig.names, rate=options.rate, speed=options.speed, loop=options.loop)
+        except AsterismError as problem:
+            if _has_points(played[0]):
+                raise AsterismError(f"{played[0]} holds points already, of which no rig is needed; leave --rig out.") from problem
+            raise
         return RigSource(blobs, rig, waits=True, speed=options.speed)
-    opened = partial(open_blobs, _address(options), rig.names, math.nan if options.rate is None else options.rate)
+    opened = blobs_of(_address(options), rig.names, math.nan if options.rate is None else options.rate)
     return RigProcess(opened, rig, keep=_kept_blobs(options))
 
 
@@ -94,7 +103,11 @@ def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource
         specs = with_settings(specs, {"rate": options.rate})
     sizes = {camera.name: camera.size for camera in rig if camera.size is not None}
     settings = WorkerSettings(empty=options.empty, sizes=sizes, in_order="number" if played else "")
-    workers = CameraWorkers(specs, settings, numbered_together=bool(played))
+    try:
+        workers = CameraWorkers(specs, settings, numbered_together=bool(played))
+    except AsterismError as problem:
+        # Of videos the problem names the file.
+        raise AsterismError(f"{problem}" if options.cameras is None else f"{options.cameras}: {problem}") from problem
     beside = cameras_beside(options)
     try:
         if beside is not None:
@@ -105,6 +118,38 @@ def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource
     except BaseException:
         workers.close()
         raise
+
+
+def _is_of_one_camera(path: Path) -> bool:
+    """Whether a path is a video or a folder of images."""
+    from mimetypes import guess_type
+
+    names = [each.name for each in path.iterdir()] if path.is_dir() else [path.name]
+    return any(str(guess_type(name)[0]).startswith(("video/", "image/")) for name in names)
+
+
+def _is_of_cameras(path: Path) -> bool:
+    """Whether a file holds images or blobs."""
+    from asterism.formats.blobs_2d import read_2d
+
+    if _is_of_one_camera(path):
+        return True
+    try:
+        read_2d(path)
+    except AsterismError:
+        return False
+    return True
+
+
+def _has_points(path: Path) -> bool:
+    """Whether a file is a recording."""
+    from asterism.formats import read
+
+    try:
+        read(path)
+    except AsterismError:
+        return False
+    return True
 
 
 def _kept_blobs(options: LiveOptions) -> Path | None:

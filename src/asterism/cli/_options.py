@@ -68,7 +68,7 @@ class Rules(StrEnum):
 
 Files = Annotated[
     list[Path],
-    typer.Argument(metavar="FILES", help="Recordings, or folders of them: C3D, TRC, CSV, TSV, MAT or NPZ.", show_default=False),
+    typer.Argument(metavar="FILES", help="Recordings, or folders of them: C3D, TRC, CSV, TSV, MAT, NPZ or XDF.", show_default=False),
 ]
 Static = Annotated[
     Path | None,

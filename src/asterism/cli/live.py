@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
@@ -12,6 +11,7 @@ import typer
 from asterism.cli import _clinical, _console
 from asterism.cli._command import takes
 from asterism.cli._live_options import LiveOptions
+from asterism.cli._live_recordings import analog_beside, finish, refuse_unfinished, unfinished_beside, write_recorded
 from asterism.cli._live_sessions import live_session, run_session
 from asterism.cli._live_sources import cameras_beside, open_live_source, played_files
 from asterism.errors import AsterismError
@@ -37,26 +37,26 @@ def live(options: LiveOptions) -> None:
     from asterism.live import LiveRecorder, OfCameras, session_findings
 
     if options.finish is not None:
-        _finish(options)
-        raise typer.Exit(0)
+        raise typer.Exit(exit_status(finish(options, options.finish)))
     _check(options)
-    unfinished = _unfinished(options)
+    unfinished = unfinished_beside(options)
     source = open_live_source(options)
     recorder: LiveRecorder | None = None
     try:
         session = live_session(options, source)
         if unfinished is not None:
-            recorder = LiveRecorder(unfinished, source.about.name, session.up, _console.notice)
+            chosen = str(options.model or options.markers or "")
+            recorder = LiveRecorder(unfinished, source.about.name, session.up, _console.notice, chosen, source.about.rate)
             session.recorder = recorder
         health = run_session(session, options)
     finally:
         source.close()
         if recorder is not None:
             recorder.close()
-    parts = [source, session.labelling, *session.outputs, session.analysis, session.feedback, session.watch]
+    parts = [source, session, *session.outputs, session.analysis, session.feedback, session.watch]
     findings = session_findings(health, source.about.name, recorder, parts)
     if recorder is not None and options.output is not None:
-        _write_recorded(recorder, options.output, options.rate)
+        write_recorded(recorder, options.output, options.rate)
     tone = _tone(session) if options.page else (math.nan, math.nan, 0)
     if options.json != "-" and not options.lines:
         _show(source.about.name, health, tone)
@@ -85,6 +85,10 @@ def _check(options: LiveOptions) -> None:
         raise AsterismError("a model has its own marker set; give either --model or --markers.")
     if options.rate is not None and not 0 < options.rate < math.inf:
         raise AsterismError(f"--rate {options.rate:g} is no rate; give frames per second, above 0.")
+    unused = {"--static": options.static, "--measure": options.measure, "--lower-body": options.lower_body, "--hip": options.hip}
+    given = next((name for name, value in unused.items() if value and not options.analysis), None)
+    if given is not None:
+        raise AsterismError(f"{given} is for the angles of joints, which --no-analysis leaves out; leave one of them out.")
     if not options.page and (options.host != LiveOptions.host or options.port):
         raise AsterismError("--host and --port are those of the page; add --page.")
     if options.output is not None:
@@ -98,18 +102,9 @@ def _check(options: LiveOptions) -> None:
         options.rig,
         *_clinical.measure_files(options.measure),
     ]
-    analog = None if options.output is None else _analog_beside(options.output)
+    analog = None if options.output is None else analog_beside(options.output)
     _console.check_outputs([options.output, analog, cameras_beside(options), options.json], inputs, options.overwrite)
-    unfinished = _unfinished(options)
-    if unfinished is not None and unfinished.exists():
-        raise AsterismError(
-            f"{unfinished} is there from a session that was not finished; write it with --finish {unfinished} -o FILE.c3d, or remove it."
-        )
-
-
-def _unfinished(options: LiveOptions) -> Path | None:
-    """Where frames are kept until the session ends; None where nothing is recorded."""
-    return None if options.output is None else options.output.with_name(options.output.name + ".live")
+    refuse_unfinished(options)
 
 
 def _tone(session: LiveSession) -> tuple[float, float, int]:
@@ -136,43 +131,3 @@ def _show(name: str, health: Health, tone: tuple[float, float, int]) -> None:
         # The page's own clock ends at its sound card.
         rows.append(("sounds after", f"{tone[0]:.0f} ms, one in a hundred after {tone[1]:.0f} ms; sound card and loudspeaker add to it"))
     _console.facts(name, rows)
-
-
-def _finish(options: LiveOptions) -> None:
-    """Write a session that was not finished."""
-    if options.output is None or options.finish is None:
-        raise AsterismError("--finish needs the recording to write; add -o FILE.c3d.")
-    _console.check_outputs([options.output, _analog_beside(options.output)], [options.finish], options.overwrite)
-    frames = _write_kept(options.finish, options.output, options.rate)
-    _console.notice(f"{options.output} holds {frames} frames; {options.finish} is not needed any more.")
-
-
-def _write_recorded(recorder: LiveRecorder, output: Path, rate: float | None) -> None:
-    """Write what was recorded while the session ran; where that fails it is left, and it is said how it is written."""
-    if recorder.kept:
-        try:
-            _write_kept(recorder.path, output, rate)
-        except BaseException:
-            # Whatever hinders it, nothing that was recorded is lost.
-            _console.notice(f"{output} was not written; {recorder.path} has all: --finish {recorder.path} -o {output} writes it.")
-            raise
-    recorder.path.unlink(missing_ok=True)
-
-
-def _write_kept(kept: Path, output: Path, rate: float | None) -> int:
-    """Write what was kept; how many frames it had."""
-    from asterism.formats import write
-    from asterism.live import recording_of
-    from asterism.live.analog import write_analog
-
-    session = recording_of(kept, rate)
-    for lost in write(output, session.recording()):
-        _console.notice(f"{output} does not hold {lost}.")
-    if session.analog:
-        write_analog(_analog_beside(output), session.analog, session.times)
-    return len(session.times)
-
-
-def _analog_beside(output: Path) -> Path:
-    """Where analog samples are written."""
-    return output.with_suffix(".analog.npz")

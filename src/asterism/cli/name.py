@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class NameOptions:
     """What `asterism name` is asked to do."""
 
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording: C3D, TRC, CSV, TSV, MAT or NPZ.", show_default=False)]
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording: C3D, TRC, CSV, TSV, MAT, NPZ or XDF.", show_default=False)]
     names: Annotated[
         Path | None, typer.Option("--names", metavar="CSV", help="Lines of group,marker: the names that you give.", show_default=False)
     ] = None

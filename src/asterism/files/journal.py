@@ -7,7 +7,7 @@ import io
 import os
 import struct
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -122,16 +122,40 @@ class Journal:
             self.lost = getattr(problem, "strerror", None) or str(problem)
 
 
-def steps_of(path: Path, work: str) -> list[Arrays]:
+def read_steps(path: Path, work: str) -> Iterator[Arrays]:
     """The whole steps of this work that a file holds, up to the first one that is damaged or cut off; none where it is no such file.
 
     The file is only read: one that another run still writes to, or whose end is damaged, stays as it is.
     """
-    begin = _begin_of(work)
     with suppress(OSError), open(path, "rb") as stream:
-        if stream.read(len(begin)) == begin:
-            return [_arrays(content) for content in iter(lambda: _next(stream), None)]
-    return []
+        if _begins(stream, work):
+            while (content := _next(stream)) is not None:
+                yield _arrays(content)
+
+
+def unread_bytes(path: Path, work: str) -> int:
+    """How many bytes are behind the last whole step of this work: all of them where a file holds none. 0 where there is no file."""
+    end = 0
+    with suppress(OSError), open(path, "rb") as stream:
+        if _begins(stream, work):
+            end = stream.tell()
+            while _next(stream) is not None:
+                end = stream.tell()
+        return os.fstat(stream.fileno()).st_size - end
+    return 0
+
+
+def in_use(path: Path) -> bool:
+    """Whether another run has a journal open; False where the system does not tell."""
+    with suppress(OSError), open(path, "rb") as stream:
+        return holds(stream.fileno()) is False
+    return False
+
+
+def _begins(stream: io.BufferedReader, work: str) -> bool:
+    """Whether a file holds steps of this work, which are read next."""
+    begin = _begin_of(work)
+    return stream.read(len(begin)) == begin
 
 
 def _begin_of(work: str) -> bytes:

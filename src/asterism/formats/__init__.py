@@ -1,4 +1,4 @@
-"""Files in, recordings out and back: C3D, TRC, CSV, QTM's TSV and MAT, MOT and STO, NPZ; chosen by content and suffix. Blobs as 2D CSV."""
+"""Files in, recordings out and back: C3D, TRC, CSV, QTM TSV and MAT, MOT and STO, NPZ; XDF in; by content and suffix. Blobs: CSV."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -18,6 +18,7 @@ from asterism.formats._columns import Points, recording_of
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats._describe import described
 from asterism.formats._writing import all_points
+from asterism.formats.c3d.analog import AnalogChannel
 from asterism.recording import Clouds, Evidence, Ints, Labelling, MarkerSet, Recording, as_vertical, label_states
 
 _READERS = {
@@ -31,6 +32,7 @@ _READERS = {
     "QTM MAT": "mat.read_mat",
     "storage": "storage.read_marker_table",
     "NPZ": "npz.read_npz",
+    "XDF": "xdf.read_xdf",
 }
 """The function that reads each kind of file, and its module, which is imported when a file needs it."""
 _WRITERS = {
@@ -47,7 +49,7 @@ _FORMS_NOT_WRITTEN = ("Motive CSV", "OptiTrack CSV", "Nexus CSV")
 """Other programs' CSV files that are read; a CSV that is written has Asterism's own columns."""
 _WITH_CONFIDENCE = (".csv", ".npz")
 """Suffixes of text and NPZ files that have a place for the confidence of labels."""
-_KNOWN = "C3D, TRC, CSV, TSV, MAT, MOT, STO and NPZ"
+_KNOWN = "C3D, TRC, CSV, TSV, MAT, MOT, STO, NPZ and XDF"
 
 
 def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None = None) -> Recording:
@@ -108,7 +110,12 @@ def read_clouds(path: str | Path, vertical: ArrayLike | str | None = None) -> Cl
 
 
 def write(
-    path: str | Path, recording: Recording | Clouds, *, labelling: Labelling | None = None, clouds: Clouds | None = None
+    path: str | Path,
+    recording: Recording | Clouds,
+    *,
+    labelling: Labelling | None = None,
+    clouds: Clouds | None = None,
+    analog: Sequence[AnalogChannel] = (),
 ) -> list[str]:
     """Write a recording in the format of the suffix; clouds as .npz or .csv. An existing file is replaced completely or not at all.
 
@@ -117,6 +124,7 @@ def write(
     labelling  what gave the recording its labels, by `Recording.with_labelling`: its confidence is written, too, in C3D, CSV and NPZ;
                `read_confidence` reads it
     clouds     the clouds that were labelled, by default the recording's own without its labels
+    analog     channels of a new C3D file, all with as many samples in each frame
 
     Returns what the format cannot carry, a phrase each; an empty list where it carries everything. A recording that was read
     from C3D and is written as C3D keeps everything else unchanged.
@@ -151,14 +159,15 @@ def write(
         return csv_long.write_long(path, recording, confidence)
     if suffix == ".c3d":
         states = None if labelling is None else label_states(labelling, recording.clouds() if clouds is None else clouds)
-        return write_c3d(path, _with_computed(recording), confidence, states)
+        return write_c3d(path, _with_computed(recording), confidence, states, analog)
     check_suffix(path)
-    if confidence is None:
-        return list(_function(_WRITERS[suffix])(path, recording))
-    if suffix in _WITH_CONFIDENCE:
-        return list(_function(_WRITERS[suffix])(path, recording, confidence))
     # What a format cannot hold is said, never dropped in silence.
-    return [*_function(_WRITERS[suffix])(path, recording), "the confidence of the labels"]
+    left = ["the analog channels"] if analog else []
+    if confidence is None:
+        return [*_function(_WRITERS[suffix])(path, recording), *left]
+    if suffix in _WITH_CONFIDENCE:
+        return [*_function(_WRITERS[suffix])(path, recording, confidence), *left]
+    return [*_function(_WRITERS[suffix])(path, recording), "the confidence of the labels", *left]
 
 
 def read_confidence(path: str | Path, *, opened: Any = None) -> LabelConfidence | None:
@@ -198,7 +207,7 @@ def is_recording_file(path: str | Path) -> bool:
     >>> is_recording_file("walk.C3D"), is_recording_file("notes.txt")
     (True, False)
     """
-    return Path(path).suffix.casefold() in (".c3d", *_WRITERS)
+    return Path(path).suffix.casefold() in (".c3d", ".xdf", *_WRITERS)
 
 
 def check_suffix(path: str | Path) -> None:
@@ -207,6 +216,8 @@ def check_suffix(path: str | Path) -> None:
         raise AsterismError(
             f"{path}: this format holds bones and no markers; fit a skeleton to them, as `asterism convert` does, and write that."
         )
+    if Path(path).suffix.casefold() == ".xdf":
+        raise AsterismError(f"{path}: XDF is read and not written; write .c3d, {', '.join(_WRITERS)}.")
     if not is_recording_file(path):
         raise AsterismError(f"{path}: no format has the suffix {Path(path).suffix or '(none)'}; write .c3d, {', '.join(_WRITERS)}.")
 
@@ -375,6 +386,8 @@ def _kind_of(path: Path) -> str:
         return "skeleton"
     if head[:4] == b"PK\x03\x04":
         return "NPZ"
+    if head[:4] == b"XDF:":
+        return "XDF"
     if head.startswith(b"MATLAB ") or head[1:4] == b"HDF" or suffix == ".mat":
         return "QTM MAT"
     if suffix == ".npz":

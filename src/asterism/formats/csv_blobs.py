@@ -18,6 +18,7 @@ from asterism.files.text import cell_text, cells_of, decoded, delimiter_of, line
 from asterism.formats.kept_blobs import KEPT_SUFFIX, read_kept_blobs
 from asterism.recording import Blobs, Floats, Ints
 from asterism.recording.arrays import checked_rate
+from asterism.recording.rates import rate_of_times
 
 _COLUMNS = {
     "frame": r"frame([_ ]?(no|number|id|index))?|sync_index",
@@ -333,12 +334,12 @@ def _rate(declared: str | None, times: Floats | None) -> float:
     if number is not None and 0 < number < 1e6:
         return float(number)
     if times is not None:
-        with np.errstate(invalid="ignore"):
-            steps = np.diff(times, axis=0)
-            steps = steps[steps > 0]
-        # The median step: single images may be lost.
-        if len(steps):
-            return float(f"{1.0 / np.median(steps):.6g}")
+        # Of the camera that was seen most.
+        column = times[:, np.isfinite(times).sum(axis=0).argmax()]
+        there = np.flatnonzero(np.isfinite(column))
+        found = rate_of_times(there, column[there]).rate
+        if np.isfinite(found):
+            return found
     return _DEFAULT_RATE
 
 

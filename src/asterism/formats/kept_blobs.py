@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError, guarded_reading
-from asterism.files.journal import Journal, steps_of
+from asterism.files.journal import Journal, read_steps
 from asterism.recording import Blobs, Floats, Ints
+from asterism.recording.rates import rate_of_times
 
 KEPT_SUFFIX = ".blobs"
 _WORK = "asterism blobs 1"
@@ -92,7 +93,7 @@ def read_kept_blobs(path: Path, cameras: Sequence[str] | None = None, rate: floa
     with guarded_reading(path):
         # A file that is not there is told as such.
         path.open("rb").close()
-        steps = steps_of(path, _WORK)
+        steps = list(read_steps(path, _WORK))
         if not steps:
             raise AsterismError(f"{path} holds no blobs of a live session; give the file that `asterism live` left beside its output.")
         head = json.loads(bytes(steps[0][0]))
@@ -121,8 +122,10 @@ def _blobs(
         when = np.full((frames, len(order)), np.nan)
         when[row, camera] = times
     if rate is None:
-        steps = np.diff(times[images[:, 0] == images[0, 0]])
-        rate = float(1.0 / np.median(steps[steps > 0])) if (steps > 0).any() else 100.0
+        first = np.flatnonzero(images[:, 0] == images[0, 0])
+        first = first[np.unique(row[first], return_index=True)[1]]
+        told = rate_of_times(row[first], times[first]).rate
+        rate = told if np.isfinite(told) else 100.0
     return Blobs.from_rows(
         np.repeat(row, counts), np.repeat(camera, counts), blobs[:, :2], order, rate=rate, sizes=blobs[:, 2], frames=frames, times=when
     )

@@ -60,6 +60,17 @@ class EventRules:
     least_swing                of the leg: a foot that moves less against the pelvis stands. At half, a sway of a foot that stands is a
                                step; at double, shuffling steps of 8 cm are missed
     near                       s, within which an event of a plate and one of the markers are the same
+    leaves, leaves_in          m that heel and toe both move at least from where they stood, between an off and the next strike, and s in
+                               which they do so; in less time less is asked in proportion. Feet that stand through squats, blows and
+                               swings of a golf club move by 0 to 4 cm (one that turns about its toe), those of the smallest steps of
+                               `movement` by 11 cm. At half, blows are steps; at double, shuffling steps of 8 cm are missed
+    in_the_air                 of the leg, above where it then stands, at which heel and toe of a foot that strikes still swing, as in a
+                               kick. At half, strikes on stairs are moved; at double, feet that march low on the spot strike in the air
+    lands                      m above where it then stands, at which such a foot strikes; at half and double that is 10 ms later and sooner
+    stays, still               s behind an off in which a foot moves by so many m at least; one that does not leaves so much before it has
+                               gone so far as `leaves` says. Feet of `movement` that step go 3 cm in 0.05 s. At half of `stays` and at
+                               double of `still` feet on the slowest belts, which carry them along by 2 cm, are held for standing
+    moved_sigma                s, standard deviation of events that are told by these
     beside                     m, by which a marker of heel or toe may stand over the edge of a plate that the sole's end is still on. At
                                half, one of 173 events of plates at hand is told by markers instead; at double no other is
     """
@@ -89,6 +100,13 @@ class EventRules:
     least_step: float = 0.12
     least_swing: float = 0.05
     near: float = 0.12
+    leaves: float = 0.04
+    leaves_in: float = 0.3
+    in_the_air: float = 0.08
+    lands: float = 0.02
+    stays: float = 0.1
+    still: float = 0.01
+    moved_sigma: float = 0.05
     beside: float = 0.03
 
 
@@ -146,7 +164,8 @@ def find_events(recording: Recording, plates: Sequence[ForcePlate] = (), rules: 
     whose belt gives way, knock and slap are late, and the jerk with which the heel halts counts instead. What these differ by is part of
     an event's uncertainty. "Ahead" is where the feet point,
     so that turns and treadmills count as straight walks do. Events that break the order strike, off, strike are left out, the less
-    certain first. O(T). Raises AsterismError where the feet's or the pelvis' markers are missing.
+    certain first; so are those between which a foot stays where it stood, while the pelvis moves. O(T). Raises AsterismError where the
+    feet's or the pelvis' markers are missing.
 
     >>> from asterism.simulation import simulate_walks
     >>> walking = find_events(simulate_walks(1, frames=300, markers="helen-hayes", seed=0)[0])
@@ -159,7 +178,7 @@ def find_events(recording: Recording, plates: Sequence[ForcePlate] = (), rules: 
         # a heel that goes first strikes last: none of the rules holds
         return Walking((), feet, treadmill=False, backwards=True)
     found = [event for side in feet.sides for event in events_by_markers(feet, side, rules, belt=False)]
-    if _on_treadmill(feet, found):
+    if _on_treadmill(feet, found, rules):
         found = [event for side in feet.sides for event in events_by_markers(feet, side, rules, belt=True)]
     last = float(feet.times[-1])
     # Of a foot on two plates the first load is its strike, and the last its off: each that comes later here replaces one before.
@@ -169,9 +188,10 @@ def find_events(recording: Recording, plates: Sequence[ForcePlate] = (), rules: 
         if same:
             found.remove(min(same, key=lambda one: abs(one.time - event.time)))
             found.append(event)
-    kept = [event for side in feet.sides for event in _in_order([one for one in found if one.side == side])]
+    of_sides = {side: _in_order([one for one in found if one.side == side]) for side in feet.sides}
+    kept = [event for side, own in of_sides.items() for event in _as_it_goes(feet, side, _of_swings(feet, side, own, rules), rules)]
     inside = [event for event in kept if 0.0 <= event.time <= last]
-    walking = Walking(tuple(sorted(inside, key=lambda event: event.time)), feet, _on_treadmill(feet, inside))
+    walking = Walking(tuple(sorted(inside, key=lambda event: event.time)), feet, _on_treadmill(feet, inside, rules))
     # where the pelvis stays in its place, only the feet tell
     return Walking((), feet, treadmill=True, backwards=True) if walking.treadmill and _stands_in_the_air(walking) else walking
 
@@ -356,6 +376,50 @@ def _in_order(events: Sequence[GaitEvent]) -> list[GaitEvent]:
     return kept
 
 
+def _of_swings(feet: Feet, side: str, events: Sequence[GaitEvent], rules: EventRules) -> list[GaitEvent]:
+    """Those of one foot's events, which come by turns, between which it leaves its place: what is ahead of a moving pelvis may stand."""
+    ends = [None, *events, None] if events and events[0].label == STRIKE else [*events, None]
+    swings = zip(ends[::2], ends[1::2], strict=False)
+    return [one for swing in swings if _leaves(feet, side, *swing, rules) for one in swing if one is not None]
+
+
+def _leaves(feet: Feet, side: str, off: GaitEvent | None, strike: GaitEvent | None, rules: EventRules) -> bool:
+    """Whether a foot moves as a whole from where it stood; None for what lies beyond an end of the recording."""
+    last = len(feet.times) - 1
+    begin = 0 if off is None else min(max(round(RATE * off.time), 0), last)
+    end = last if strike is None else min(max(round(RATE * strike.time), 0), last)
+    stood = end if off is None else begin
+    ways = [np.linalg.norm(points[begin : end + 1] - points[stood], axis=1) for points in (feet.heels[side], feet.toes[side])]
+    # one end alone turns about the other, which stands
+    return bool(np.minimum(*ways).max(initial=0.0) >= rules.leaves * min((end - begin) / (RATE * rules.leaves_in), 1.0)) and end > begin
+
+
+def _as_it_goes(feet: Feet, side: str, events: Sequence[GaitEvent], rules: EventRules) -> list[GaitEvent]:
+    """One foot's events by turns, those moved that the foot itself contradicts.
+
+    Who kicks, or marches on the spot, swings a foot back before it comes down, and leaves it where it is before it goes up.
+    """
+    found, last = list(events), len(feet.times) - 1
+    parts = feet.heels[side], feet.toes[side]
+    for number, event in enumerate(events):
+        begin = min(max(round(RATE * event.time), 0), last)
+        end = min(max(round(RATE * events[number + 1].time), begin), last) if number + 1 < len(events) else last
+        if event.source != "markers":
+            continue
+        if event.label == STRIKE:
+            above = np.minimum(*(part[begin : end + 1, 2] - part[begin : end + 1, 2].min() for part in parts))
+            moved = int(np.argmax(above <= rules.lands)) if above[0] > rules.in_the_air * feet.leg_length else 0
+        else:
+            gone = np.minimum(*(np.linalg.norm(part[begin : end + 1] - part[begin], axis=1) for part in parts))
+            stays = round(RATE * rules.stays)
+            # a belt carries a foot along that stands
+            still = len(gone) > stays and gone[: stays + 1].max() < rules.still
+            moved = max(int(np.argmax(gone > rules.leaves)) - stays, 0) if still else 0
+        if moved > 0:
+            found[number] = replace(event, time=(begin + moved) / RATE, sigma=rules.moved_sigma)
+    return found
+
+
 def _stands_in_the_air(walking: Walking) -> bool:
     """Whether feet are higher between strike and off than between off and strike: somebody who walks backwards swings them there."""
     feet, higher = walking.feet, []
@@ -369,14 +433,22 @@ def _stands_in_the_air(walking: Walking) -> bool:
     return bool(higher) and float(np.median(higher)) > 0.0
 
 
-def _on_treadmill(feet: Feet, events: Sequence[GaitEvent]) -> bool:
-    """Whether feet that stand move backwards as fast as the pelvis is overtaken: then the floor moves."""
+def _on_treadmill(feet: Feet, events: Sequence[GaitEvent], rules: EventRules) -> bool:
+    """Whether feet that stand move along where they point by more than the pelvis moves: then the floor moves."""
     slid = []
     for side in feet.sides:
         own = sorted((event for event in events if event.side == side), key=lambda event: event.time)
         for strike, off in pairwise(own):
             if strike.label == STRIKE and off.label == OFF:
                 middle = [int(RATE * (strike.time + share * (off.time - strike.time))) for share in (0.3, 0.6)]
-                moved = [points[middle[1]] - points[middle[0]] for points in (feet.heels[side], feet.pelvis)]
-                slid.append(np.linalg.norm(moved[0][:2]) - np.linalg.norm(moved[1][:2]))
-    return bool(slid) and float(np.median(slid)) > 0.0
+                foot, pelvis = ((points[middle[1]] - points[middle[0]])[:2] for points in (feet.heels[side], feet.pelvis))
+                slid.append(slides(foot, pelvis, feet.ahead[middle[0]]))
+    return bool(slid) and float(np.median(slid)) > rules.still
+
+
+def slides(foot: Floats, pelvis: Floats, ahead: Floats) -> float:
+    """m by which the way (2,) of a foot that stands, along where feet point (2,), is longer than that of the pelvis: a belt carries it.
+
+    Who walks backwards on a belt slides ahead; feet that jump apart and together go across.
+    """
+    return abs(float(foot @ ahead)) - float(np.linalg.norm(pelvis))

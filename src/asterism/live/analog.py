@@ -1,4 +1,4 @@
-"""Analog samples (force plates, EMG) that came with frames in; what a recording keeps of them, and a NumPy file beside it, out."""
+"""Analog samples (force plates, EMG) that came with frames in; what a recording keeps of them, its channels, and a file beside it, out."""
 
 from __future__ import annotations
 
@@ -7,13 +7,20 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from asterism.files.atomic import write_atomically
 from asterism.recording import Floats, Ints
+from asterism.recording.display import counted
+
+if TYPE_CHECKING:
+    from asterism.formats import AnalogChannel
+
+_LONGEST = 100
+"""Letters of a label in C3D, of at most 127 bytes, some letters having two. Half and double do as well, up to that."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +86,79 @@ def analog_of_arrays(chunks: Sequence[Sequence[NDArray[Any]]]) -> tuple[KeptAnal
             at += count * width
     whole = {name: (np.concatenate(samples[name]), np.concatenate(values[name])) for name in devices if samples[name]}
     return tuple(KeptAnalog(devices[name], *arrays) for name, arrays in whole.items())
+
+
+@dataclass(frozen=True)
+class ChannelsOfFrames:
+    """Analog channels as C3D holds them: a whole number of samples in each frame, the same for all.
+
+    channels  those that fit
+    beside    of each device that does not fit as a whole, why: a sentence
+    """
+
+    channels: tuple[AnalogChannel, ...]
+    beside: tuple[str, ...]
+
+
+def channels_of_frames(kept: Sequence[KeptAnalog], frame_times: Floats, rate: float) -> ChannelsOfFrames:
+    """The channels of devices whose rates are whole multiples of the frames'.
+
+    frame_times: (T,) s on the clock by which samples are numbered, NaN for lost frames. A slower device has its samples several times, as
+    often as the fastest one asks for. Lost samples are 0, as C3D knows none that are missing, and their device is among `beside`, too.
+    O(samples).
+    """
+    # Processes that read cameras need no formats, and start sooner without them.
+    from asterism.formats import AnalogChannel
+
+    fitting, beside = list[tuple[KeptAnalog, int, Floats]](), list[str]()
+    for device in kept:
+        placed = _placed(device, frame_times, rate)
+        if isinstance(placed, str):
+            beside.append(f"{device.device.name}: {placed}")
+        else:
+            fitting.append((device, len(placed) // len(frame_times), placed))
+    most = max((times for _, times, _ in fitting), default=1)
+    channels, names = list[AnalogChannel](), set[str]()
+    for device, times, values in fitting:
+        about = device.device
+        if most % times:
+            beside.append(f"{about.name}: its {about.rate:g} Hz are no whole part of the fastest device's {most * rate:g} Hz")
+            continue
+        lost = int(np.isnan(values).all(axis=1).sum())
+        if lost:
+            beside.append(f"{about.name}: {counted(lost, 'sample')} of {len(values):,} were lost and are 0 there")
+        held = np.repeat(np.nan_to_num(values), most // times, axis=0)
+        said = f"{about.name}, {about.rate:g} Hz" + (f", each sample {most // times} times" if most > times else "")
+        for column in range(values.shape[1]):
+            name = about.channels[column] if column < len(about.channels) and about.channels[column] else f"{about.name} {column + 1}"
+            # Two devices may call their channels alike.
+            name = name if name not in names else f"{about.name} {name}"
+            names.add(name)
+            unit = about.units[column] if column < len(about.units) else ""
+            channels.append(AnalogChannel(name[:_LONGEST], unit, said[:_LONGEST], held[:, column], most * rate))
+    return ChannelsOfFrames(tuple(channels), tuple(beside))
+
+
+def _placed(kept: KeptAnalog, frame_times: Floats, rate: float) -> Floats | str:
+    """(T * k, c) samples of a device in their frames, NaN for lost ones; or why they are in none."""
+    frames, samples_per_s = len(frame_times), kept.device.rate
+    ratio = samples_per_s / rate
+    times = round(ratio) if np.isfinite(ratio) else 0
+    # Up to the end the samples must stay within a frame of their own.
+    if times < 1 or abs(ratio - times) * frames > times:
+        return f"its {samples_per_s:g} Hz are no whole multiple of {rate:g} Hz"
+    known = np.flatnonzero(np.isfinite(frame_times))
+    ahead = frame_times[known] * samples_per_s - known * times
+    first = float(np.median(ahead)) if len(known) else np.nan
+    if not len(known) or np.abs(ahead - first).max() > times:
+        return "the frames do not follow each other evenly on its clock"
+    place = kept.samples - round(first)
+    inside = (place >= 0) & (place < frames * times)
+    if 2 * inside.sum() < len(place):
+        return "its samples are not numbered by the clock of the frames"
+    values = np.full((frames * times, kept.values.shape[1]), np.nan)
+    values[place[inside]] = kept.values[inside]
+    return values
 
 
 def write_analog(path: Path, kept: Sequence[KeptAnalog], frame_times: Floats) -> None:

@@ -143,9 +143,9 @@ class LabelChain:
         return str(getattr(self._labeller, "refusal", ""))
 
     def findings(self) -> list[Finding]:
-        """What a person should know of the labeller's studies."""
+        """What a person should know of the marker set that was found, and of the studies."""
         said = getattr(self._labeller, "study_findings", None)
-        return [] if said is None else list(said())
+        return [*getattr(self._labeller, "findings", ()), *([] if said is None else said())]
 
     def wait_for_studies(self) -> None:
         """Wait until the labeller's process has begun, so that the first frames have what it says; not for long."""

@@ -7,6 +7,9 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+from asterism.recording import Ints
 
 WINDOW = 10.0
 """s over which the fastest frame stands for the way without waiting. Half of it calls a slow second the usual one; twice as long hides that
@@ -34,24 +37,28 @@ class RecentMost:
     def __init__(self) -> None:
         self._buckets: deque[tuple[float, float]] = deque()
         """(begin s, the greatest value) of each half second"""
+        self.most = -math.inf
+        """The greatest one; minus infinity where there is none."""
 
     def add(self, at: float, value: float) -> None:
         """Take a value at a time, s; times grow."""
         if self._buckets and at - self._buckets[-1][0] < BUCKET:
-            self._buckets[-1] = (self._buckets[-1][0], max(self._buckets[-1][1], value))
+            begun, most = self._buckets[-1]
+            if value > most:
+                self._buckets[-1] = begun, value
         else:
             self._buckets.append((at, value))
-        while self._buckets[0][0] < at - WINDOW:
-            self._buckets.popleft()
+        if self._buckets[0][0] < at - WINDOW:
+            while self._buckets[0][0] < at - WINDOW:
+                self._buckets.popleft()
+            self.most = max(value for _, value in self._buckets)
+        elif value > self.most:
+            self.most = value
 
     def clear(self) -> None:
         """Forget all of them."""
         self._buckets.clear()
-
-    @property
-    def most(self) -> float:
-        """The greatest one; minus infinity where there is none."""
-        return max((value for _, value in self._buckets), default=-math.inf)
+        self.most = -math.inf
 
 
 @dataclass
@@ -100,6 +107,7 @@ class FrameCount:
     lost      numbers that were passed over
     late      frames that came after a later one, or twice: they are not used
     restarts  times that the numbers began anew
+    others    frames of a second sender behind the same address, whose numbers go on beside: they are not used, but for the first one
 
     >>> count = FrameCount()
     >>> [count.takes(number) for number in (7, 8, 11, 10, 11)], count.lost, count.late
@@ -110,33 +118,75 @@ class FrameCount:
     lost: int = 0
     late: int = 0
     restarts: int = 0
+    others: int = 0
     _last: int | None = None
     _behind: int = 0
     _before: int = 0
+    _beside: int | None = None
+    """the last of the numbers from which these jumped away, or that go on beside"""
+    _jump: tuple[int, int] | None = None
+    """lost ones and restarts that were counted for the jump, while nothing shows that the numbers before it go on"""
+    _heard: int = 0
+    """frames that were taken up to when one of those was heard"""
+    _in_a_row: int = 0
 
     def takes(self, number: int, window: int = 1000, *, silent: bool = False) -> bool:
         """Whether a frame of this number is a new one; window: frames by which a late one may be behind; silent: nothing came for a second.
 
         A number that is farther behind, or farther ahead than ten windows, is that of a source that began anew: nothing was lost. So are
         late ones that follow each other, since a network delays one frame or two, and not a row of them; and one after a silence, for which
-        no network holds a frame back.
+        no network holds a frame back. Where the numbers from which they jumped go on, there are two senders, and the first is heard until
+        the second sends five frames in a row.
         """
         if self._last is not None:
             ahead = number - self._last
+            if abs(ahead) >= window and not silent and self._goes_on_beside(number, window):
+                return self._of_another(number)
+            self._in_a_row = 0
             self._behind = 0 if ahead > 0 else self._behind + 1 if number == self._before + 1 else 1
             self._before = number
             if -window < ahead <= 0 and self._behind < _IN_A_ROW and not silent:
                 self.late += 1
                 return False
-            if 0 < ahead <= 10 * window:
-                self.lost += ahead - 1
-            else:
-                self.restarts += 1
+            lost, restarts = (ahead - 1, 0) if 0 < ahead <= 10 * window else (0, 1)
+            self.lost, self.restarts = self.lost + lost, self.restarts + restarts
+            if abs(ahead) >= window:
+                self._beside, self._jump, self._heard = self._last, (lost, restarts), self.received
         self._last = number
         self.received += 1
         return True
 
+    def _goes_on_beside(self, number: int, window: int) -> bool:
+        return self._beside is not None and 0 < number - self._beside < window and self.received - self._heard < window
 
+    def _of_another(self, number: int) -> bool:
+        """Whether a frame is taken that goes on with the numbers beside those that are heard."""
+        self._in_a_row += 1
+        self._heard = self.received
+        if self._jump is None and self._in_a_row < _IN_A_ROW:
+            self._beside = number
+            self.others += 1
+            return False
+        # The first sender goes on: there was no jump. Or the one that is heard has ended.
+        lost, restarts = self._jump or (0, -1)
+        self.lost, self.restarts, self.others = self.lost - lost, self.restarts - restarts, self.others + (self._jump is not None)
+        self._last, self._beside, self._jump, self._in_a_row = number, self._last, None, 0
+        self.received += 1
+        return True
+
+
+def rows_of(numbers: ArrayLike) -> Ints:
+    """(n,) the frame of a recording in which each frame stands: numbers go on, and where the source began anew the next one follows.
+
+    >>> rows_of([7, 8, 10, 0, 1]).tolist()
+    [0, 1, 3, 4, 5]
+    """
+    steps = np.diff(np.asarray(numbers, dtype=np.int64))
+    return np.concatenate([[0], np.cumsum(np.where((steps < 1) | (steps > _GAP), 1, steps))])
+
+
+_GAP = 10_000
+"""Numbers that may lack; a farther one is that of a source that began anew. Half and double do as well: a minute at 200 Hz."""
 _STEPS = 128
 """Latest steps between two time stamps, by which their spread is known. Half of them know it badly; twice as many adapt late."""
 _TIMING = 0.02

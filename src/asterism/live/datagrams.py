@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import select
 import socket
+import struct
+import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,6 +21,7 @@ from asterism.findings import Finding, Severity
 from asterism.live.clock import StreamTimes
 from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
 from asterism.live.reporting import times_made
+from asterism.recording.display import counted
 
 LARGEST = 65_507
 """Bytes of the largest UDP datagram."""
@@ -51,14 +56,35 @@ def why_damaged(data: bytes) -> str:
     return read if isinstance(read, str) else ""
 
 
-def damaged_json(where: str, why: str) -> list[Finding]:
-    """What `why_damaged` said of the first frame that could not be read; nothing for ""."""
-    mend = "Send frames as docs/live-sources.md says, JSON."
-    return (
-        [Finding("live-format", Severity.WARNING, where, f"{where}: of the first packet that could not be read, {why}.", mend)]
-        if why
-        else []
-    )
+@dataclass
+class DamagedJson:
+    """What could not be read of what a sender sent.
+
+    count     messages
+    numbered  those of them that had a number of a frame: it is missing among those that were read, and nothing was lost on the way
+    why       what is wrong with the first, "" for none
+    """
+
+    count: int = 0
+    numbered: int = 0
+    why: str = ""
+
+    def add(self, data: bytes) -> None:
+        """Count a message."""
+        self.count += 1
+        self.why = self.why or why_damaged(data)
+        with suppress(ValueError, RecursionError):
+            content = json.loads(data.decode("utf-8"))
+            self.numbered += isinstance(content, dict) and type(content.get("frame")) is int
+
+    def findings(self, where: str) -> list[Finding]:
+        """How many, and what is wrong with the first."""
+        sentence = f"{where}: {counted(self.count, 'packet')} could not be read; of the first, {self.why}."
+        return (
+            [Finding("live-format", Severity.WARNING, where, sentence, "Send frames as docs/live-sources.md says, JSON.")]
+            if self.why
+            else []
+        )
 
 
 def _read(data: bytes, arrived: float) -> LiveFrame | str:
@@ -129,7 +155,7 @@ class JsonDatagrams:
     """
 
     def __init__(self, place: HostPort, rate: float = float("nan")) -> None:
-        self.damaged, self._why = 0, ""
+        self._damaged = DamagedJson()
         self.about = SourceAbout(f"JSON at {place}", rate)
         self._socket = ListeningSocket(place)
         self._times = StreamTimes(rate)
@@ -138,17 +164,26 @@ class JsonDatagrams:
         self._others = dict[str, int]()
 
     @property
+    def damaged(self) -> int:
+        """Packets that could not be read."""
+        return self._damaged.count
+
+    @property
+    def unread(self) -> int:
+        """Frames that came and could not be read."""
+        return self._damaged.numbered
+
+    @property
     def port(self) -> int:
         """The port that is listened to: a free one where 0 was asked for."""
         return self._socket.port
 
     def read(self, timeout: float) -> LiveFrame | None:
         """The next frame that is whole."""
-        for data, sender in self._socket.received(timeout):
-            frame = frame_of_json(data, time.monotonic())
+        for data, sender, arrived in self._socket.received(timeout):
+            frame = frame_of_json(data, arrived)
             if frame is None:
-                self.damaged += 1
-                self._why = self._why or why_damaged(data)
+                self._damaged.add(data)
             elif self._hears(sender, frame):
                 return replace(frame, time=self._times.of(frame.number, frame.time, frame.arrived))
         return None
@@ -161,7 +196,7 @@ class JsonDatagrams:
             sentence = f"{where}: several programs send to it. {self._heard} is heard; these were not: {others}."
             mend = "Stop the others, or give each a port of its own."
             found.append(Finding("live-other-sender", Severity.WARNING, where, sentence, mend))
-        return [*found, *damaged_json(where, self._why)]
+        return [*found, *self._damaged.findings(where)]
 
     def close(self) -> None:
         """Stop listening."""
@@ -192,6 +227,49 @@ RECEIVE_BUFFER = 1 << 20
 machine; with twice as much what waits is older than what is shown may be."""
 
 
+_TIMESTAMPS = 35
+"""SO_TIMESTAMPNS of Linux, which `socket` has no name for: the system says with each datagram when it came."""
+_TIMESPEC = struct.Struct("@ll")
+
+
+class DatagramReader:
+    """Reads datagrams, each with when it came: by the system's own stamp where it gives one, as Linux does, else when it is read.
+
+    A datagram that waited in the socket, while this program started or was busy, is told as old as it is. A wall clock that is set
+    meanwhile moves none before the one ahead of it, nor behind now.
+    """
+
+    def __init__(self, listening: socket.socket) -> None:
+        self._socket, self._stamps = listening, False
+        if sys.platform == "linux":
+            with suppress(OSError):
+                listening.setsockopt(socket.SOL_SOCKET, _TIMESTAMPS, 1)
+                self._stamps = True
+        self._last = time.monotonic()
+
+    def fileno(self) -> int:
+        """For `select`."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def read(self, most: int = LARGEST) -> tuple[bytes, Any, float]:
+        """A datagram of so many bytes at most, its sender's address, and s on this machine's clock; raises what the socket does."""
+        if not self._stamps:
+            data, sender = self._socket.recvfrom(most)
+            return data, sender, time.monotonic()
+        data, notes, _, sender = self._socket.recvmsg(most, socket.CMSG_SPACE(_TIMESPEC.size))
+        came = now = time.monotonic()
+        for level, kind, stamp in notes:
+            if level == socket.SOL_SOCKET and kind == _TIMESTAMPS and len(stamp) == _TIMESPEC.size:
+                seconds, nanoseconds = _TIMESPEC.unpack(stamp)
+                came = now - 1e-9 * (time.time_ns() - 1_000_000_000 * seconds - nanoseconds)
+        self._last = min(now, max(self._last, came))
+        return data, sender, self._last
+
+
 class ListeningSocket:
     """A UDP socket that listens. Raises AsterismError where the address is none of this machine's, or the port is taken."""
 
@@ -199,6 +277,9 @@ class ListeningSocket:
         self._socket, address = socket_for(place, "udp://127.0.0.1:5000")
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+            # Of a burst each is read by a single call of the system.
+            self._socket.setblocking(False)
+            self._reader = DatagramReader(self._socket)
             self._socket.bind(address)
         except OSError as problem:
             self._socket.close()
@@ -212,17 +293,27 @@ class ListeningSocket:
         """The port that is listened to: a free one where 0 was asked for."""
         return int(self._socket.getsockname()[1])
 
-    def received(self, timeout: float) -> Iterator[tuple[bytes, str]]:
-        """Datagrams that come within so many seconds, each with the address of its sender; fewer where the socket is closed meanwhile."""
+    def received(self, timeout: float) -> Iterator[tuple[bytes, str, float]]:
+        """Datagrams that come within so many seconds, each with the address of its sender and when it came, see `DatagramReader`; fewer
+        where the socket is closed meanwhile."""
         until = time.monotonic() + timeout
-        while (left := until - time.monotonic()) > 0:
+        while True:
             try:
-                self._socket.settimeout(left)
-                data, sender = self._socket.recvfrom(LARGEST + 1)
+                data, sender, arrived = self._reader.read(LARGEST + 1)
+            except BlockingIOError:
+                left = until - time.monotonic()
+                try:
+                    if left <= 0 or not select.select([self._socket], [], [], left)[0]:
+                        return
+                except (OSError, ValueError):
+                    # it was closed
+                    return
             except OSError:
-                # nothing came, or the socket was closed
                 return
-            yield data, f"{sender[0]}:{sender[1]}"
+            else:
+                yield data, f"{sender[0]}:{sender[1]}", arrived
+                if time.monotonic() >= until:
+                    return
 
     def close(self) -> None:
         """Stop listening."""

@@ -19,6 +19,7 @@ from asterism.live.analysis import EVENTS, NOTHING, FrameAnalysis
 from asterism.live.chain import LabelledFrame
 from asterism.live.cues import Cue, FeedbackRule
 from asterism.live.measures import Change, LiveSymmetry, Repetitions
+from asterism.live.steps import LiveSteps
 from asterism.recording import Floats, canonical
 
 _MARKERS = {"angle": 3, "distance": 2, "height": 1}
@@ -277,6 +278,9 @@ class Feedback:
             if absent:
                 near = difflib.get_close_matches(absent[0], known, n=3, cutoff=0.5)
                 advice = f"; near are {', '.join(near)}" if near else "" if known else "; angles are not found in this session"
+                # No other name helps: all of them are there, or none.
+                if known and absent[0] in LiveSteps.units:
+                    advice = "; steps are found where the marker set has heels, toes and a pelvis"
                 said.append(f'The rule "{rule.name}" is silent: {what} {" and no ".join(absent)}{advice}.')
         return said
 

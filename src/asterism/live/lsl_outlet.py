@@ -12,9 +12,10 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.live.addresses import Query
 from asterism.live.analysis import AnalysedFrame
 from asterism.live.clock import SourceClock
-from asterism.live.packages import packages_for
+from asterism.live.lsl_library import lsl_library
 
 _KEPT = 2
 """s of samples that are kept for a receiver that is slow; the library drops the oldest. Twice as many are too old; half of them are too few
@@ -37,12 +38,12 @@ class ToLsl:
     """
 
     def __init__(self, address: str, rate: float) -> None:
-        with packages_for("lsl://"):
-            import pylsl
+        pylsl = lsl_library()
         parts = urlsplit(address)
         self.name = address
         self._title = unquote(parts.netloc + parts.path)
-        if not self._title or parts.query:
+        Query(address).check_all_used()
+        if not self._title:
             raise AsterismError(f"{address} names no stream; write for example lsl://Asterism.")
         self._lsl, self._rate = pylsl, rate if math.isfinite(rate) else pylsl.IRREGULAR_RATE
         self._clock = SourceClock()

@@ -10,17 +10,18 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
-from urllib.parse import parse_qsl, unquote, urlsplit
+from urllib.parse import unquote, urlsplit
 
 import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.formats import metres_per_unit
+from asterism.formats.mocap_channels import ChannelLayout, layout_of_channels
+from asterism.live.addresses import Query
 from asterism.live.clock import SampleNumbers
 from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
-from asterism.live.mocap_channels import ChannelLayout, layout_of_channels
-from asterism.live.packages import packages_for
+from asterism.live.lsl_library import lsl_library
 from asterism.live.reporting import axis_unknown, labels_given, reconnected
 from asterism.recording import Floats
 from asterism.recording.display import significant
@@ -62,13 +63,11 @@ class StreamChoice:
     @classmethod
     def of(cls, address: str) -> StreamChoice:
         """The choice that an address makes. Raises AsterismError where it makes none that is known."""
-        parts = urlsplit(address)
-        wanted = dict(parse_qsl(parts.query))
+        query, parts = Query(address), urlsplit(address)
+        wanted = {key: value for key in _KEYS if (value := query.text(key, ""))}
+        query.check_all_used()
         if name := unquote(parts.netloc + parts.path):
             wanted["name"] = name
-        unknown = sorted(set(wanted) - set(_KEYS))
-        if unknown:
-            raise AsterismError(f"{address}: nothing is known by {unknown[0]}; a stream is chosen by {', '.join(_KEYS)}.")
         return cls(wanted)
 
     def fits(self, properties: Mapping[str, str]) -> bool:
@@ -126,9 +125,7 @@ class FromLsl:
     """
 
     def __init__(self, address: str, rate: float = float("nan")) -> None:
-        with packages_for("lsl://"):
-            import pylsl
-        self._lsl = pylsl
+        self._lsl = lsl_library()
         self._guard = threading.Lock()
         self._closed = False
         self.damaged, self._lost, self._clock_unknown, self._counter_broken = 0, 0, False, False

@@ -20,8 +20,9 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
+from asterism.live.addresses import in_words
 from asterism.live.clock import StreamTimes
-from asterism.live.datagrams import LARGEST, RECEIVE_BUFFER, HostPort
+from asterism.live.datagrams import RECEIVE_BUFFER, DatagramReader, HostPort
 from asterism.live.frames import LiveFrame, SourceAbout
 from asterism.live.natnet_packets import FRAME, NatNetFrames, NatNetServer, server_of_packet
 from asterism.live.reporting import axis_unknown, labels_given, reconnected, times_made
@@ -63,7 +64,7 @@ class FromNatNet:
         self._early = deque[tuple[bytes, str, float]](maxlen=_EARLY)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-        self._sockets = [self._socket]
+        self._readers = [DatagramReader(self._socket)]
         try:
             self._socket.bind((local, 0))
             self.server = self._greeted()
@@ -73,7 +74,7 @@ class FromNatNet:
             self.close()
             if problem.errno == errno.EADDRNOTAVAIL:
                 raise AsterismError(f"{local} is no address of this machine; give its own in the network of Motive, or none.") from problem
-            raise AsterismError(f"{place.host}: cannot be reached ({problem}); look at the address and the network.") from problem
+            raise AsterismError(f"{place.host}: cannot be reached ({in_words(problem)}); look at the address and the network.") from problem
         except AsterismError:
             self.close()
             raise
@@ -107,7 +108,7 @@ class FromNatNet:
         while (left := until - time.monotonic()) > 0:
             self._socket.settimeout(left)
             try:
-                data, (sender, *_) = self._socket.recvfrom(LARGEST)
+                data, (sender, *_), arrived = self._readers[0].read()
             except TimeoutError:
                 return
             except ConnectionError:
@@ -115,7 +116,7 @@ class FromNatNet:
                 time.sleep(min(left, 0.2))
                 continue
             if data[:2] == struct.pack("<H", FRAME):
-                self._early.append((data, sender, time.monotonic()))
+                self._early.append((data, sender, arrived))
             yield data, sender
 
     def _asked(self, question: bytes, layout: str) -> float | None:
@@ -131,13 +132,14 @@ class FromNatNet:
 
     def _join(self) -> None:
         """Listen to the group to which the server sends, where it does."""
-        for each in self._sockets[1:]:
+        for each in self._readers[1:]:
             each.close()
-        self._sockets = [self._socket]
+        del self._readers[1:]
         if not self.server.group:
             return
         try:
-            self._sockets.append(_in_group(self.server.group, self.server.port, self._local or _own_address(self._sender)))
+            group = _in_group(self.server.group, self.server.port, self._local or _own_address(self._sender))
+            self._readers.append(DatagramReader(group))
         except OSError as problem:
             if problem.errno == errno.EADDRINUSE:
                 raise AsterismError(
@@ -177,17 +179,17 @@ class FromNatNet:
         if now - self._said > _ALIVE and (silent or not self.server.group or not self.server.group_told):
             self._said = now
             self._say(_CONNECT if silent else _KEEP_ALIVE, b"Ping\0" if silent else b"\0")
-        ready, _, _ = select.select(self._sockets, [], [], min(left, _ALIVE))
+        ready, _, _ = select.select(self._readers, [], [], min(left, _ALIVE))
         if not ready:
             return b"", "", now
-        data, (sender, *_) = ready[0].recvfrom(LARGEST)
+        data, (sender, *_), arrived = ready[0].read()
         server = server_of_packet(data)
         if server is not None and sender == self._sender and silent and server != self.server:
             # It was started again, and with other settings.
             self.server = server
             self._frames = NatNetFrames(server.stream, self._scale)
             self._join()
-        return data, sender, time.monotonic()
+        return data, sender, arrived
 
     def _is_ours(self, sender: str, arrived: float) -> bool:
         """Whether a frame is of the server that answered, or of who stands in for it."""
@@ -230,7 +232,7 @@ class FromNatNet:
 
     def close(self) -> None:
         """Stop listening."""
-        for each in self._sockets:
+        for each in self._readers:
             each.close()
 
 

@@ -10,12 +10,13 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import urlsplit
 
 import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
+from asterism.live.addresses import Query
 from asterism.live.analysis import AnalysedFrame
 from asterism.live.clock import SourceClock
 from asterism.live.datagrams import LARGEST
@@ -59,12 +60,15 @@ class NatNetPlace:
         >>> NatNetPlace.of("natnet://192.168.1.20?unicast=1")
         NatNetPlace(host='192.168.1.20', commands=1510, group='', data=1511)
         """
+        query = Query(address, bare=True)
+        group = "" if query.switch("unicast") else query.text("multicast", _GROUP)
+        query.texts("multicast")
+        data = query.whole("data", _DATA)
+        query.check_all_used()
         try:
             parts = urlsplit(address)
-            said = dict(parse_qsl(parts.query))
-            group = "" if said.pop("unicast", "0") not in ("", "0", "no") else said.pop("multicast", _GROUP)
-            data, host, commands = int(said.pop("data", _DATA)), parts.hostname or "", 1510 if parts.port is None else parts.port
-            known = not said and 0 < data < 1 << 16 and host and (not group or 224 <= socket.inet_aton(group)[0] < 240)
+            host, commands = parts.hostname or "", 1510 if parts.port is None else parts.port
+            known = 0 < data < 1 << 16 and host and (not group or 224 <= socket.inet_aton(group)[0] < 240)
         except (ValueError, OSError):
             known = False
         if not known:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -14,12 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.files.journal import Journal, steps_of
+from asterism.files.journal import Journal, in_use, read_steps, unread_bytes
+from asterism.findings import Finding, Severity
 from asterism.live.analog import KeptAnalog, analog_as_arrays, analog_of_arrays
 from asterism.live.chain import LabelledFrame
+from asterism.live.clock import rows_of
 from asterism.live.frames import LiveFrame
 from asterism.live.writing import WritingThread
-from asterism.recording import NULL, Clouds, Floats, Labelling, Recording
+from asterism.recording import LABELLED_LIVE, NULL, Clouds, Floats, Labelling, Recording
+from asterism.recording.rates import rate_of_times
 
 _WORK = "asterism live 1"
 _ARRIVALS = 9
@@ -27,6 +32,10 @@ _ARRIVALS = 9
 _MOST = 4000
 """Frames that wait for the disk at most: 20 s at 200 Hz, some 6 MB. Half of it loses frames while a disk wakes up; at double it is kept by
 a machine that has no room."""
+
+
+_UNKNOWN_RATE = 100.0
+"""Frames per second of a recording whose times do not grow, and whose source said no rate. Half and double are as wrong."""
 
 
 @dataclass
@@ -42,18 +51,31 @@ class LiveRecorder:
 
     path  of the recording, which must be new: `walk.live`. `recording_of` reads it, finished or not
     name, vertical of the source
+    markers  the set, or the model, that somebody chose; "" where the set is found
     tell  what hears at once that the recording ended
+    rate  frames per second that the source says; NaN where it does not
 
     Memory is bounded by `_MOST` frames: where the disk takes longer, frames are not kept, and `lost` counts them. A disk that fails
     ends the recording and not the session: `problem` says why.
     """
 
-    def __init__(self, path: Path, name: str, vertical: Floats | None, tell: Callable[[str], None] = lambda problem: None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        name: str,
+        vertical: Floats | None,
+        tell: Callable[[str], None] = lambda problem: None,
+        markers: str = "",
+        rate: float = math.nan,
+    ) -> None:
         if path.exists():
             raise AsterismError(f"{path} exists; name another file to record to, or remove it.")
         self.path, self.problem, self.lost, self.kept, self._tell = path, "", 0, 0, tell
         self._journal = Journal(path, _WORK)
-        head = {"name": name, "vertical": [0.0, 0.0, 1.0] if vertical is None else vertical.tolist(), "begun": time.time()}
+        up = [0.0, 0.0, 1.0] if vertical is None else vertical.tolist()
+        head: dict[str, Any] = {"name": name, "vertical": up, "begun": time.time(), "markers": markers}
+        if math.isfinite(rate):
+            head["rate"] = rate
         self._written(lambda: [_text(json.dumps(head))])
         self._chunk = _Chunk([], [])
         self._guard = threading.Lock()
@@ -129,6 +151,50 @@ def _arrays_of(chunk: _Chunk) -> list[NDArray[Any]]:
 
 
 @dataclass(frozen=True)
+class LeftBehind:
+    """What a session that was not finished left beside its output.
+
+    in_use  whether a session still writes to it
+    frames  whether frames were recorded; where none were, and nothing is damaged, nobody misses the file
+    """
+
+    in_use: bool
+    frames: bool
+
+
+def left_behind(path: Path) -> LeftBehind:
+    """What an earlier session left in a file; O(1): no more of it is read than shows whether there are frames."""
+    frames = any(len(step[0]) for step in itertools.islice(read_steps(path, _WORK), 1, None))
+    return LeftBehind(in_use(path), frames or unread_bytes(path, _WORK) > 0)
+
+
+def remove_recorded(path: Path) -> Finding | None:
+    """Remove a live recording that was written as a whole, so that the next session of that name can begin.
+
+    Where bytes at its end could not be read it is renamed instead, and the finding says so: whatever they hold, nothing is lost. Where a
+    session still writes to it, it stays.
+    """
+    if in_use(path):
+        sentence = f"{path}: the session that records to it still runs; what it had recorded until now is written."
+        return Finding("live-not-finished", Severity.NOTE, str(path), sentence, "End it with Ctrl-C: then it writes all.")
+    unread = unread_bytes(path, _WORK)
+    if not unread:
+        path.unlink(missing_ok=True)
+        return None
+    beside = (path.with_name(f"{path.name}.damaged{n or ''}") for n in itertools.count())
+    kept = next(each for each in beside if not each.exists())
+    path.rename(kept)
+    sentence = f"{path}: {unread} bytes at its end could not be read; what came before is written. It is kept as {kept.name}."
+    return Finding(
+        "live-cut-off",
+        Severity.WARNING,
+        str(path),
+        sentence,
+        "Where the session was killed they were its last frames; else look at the disk.",
+    )
+
+
+@dataclass(frozen=True)
 class KeptSession:
     """What a live recording holds.
 
@@ -138,6 +204,7 @@ class KeptSession:
     begun      s since 1970
     times      (T,) s on the source's clock, NaN for lost frames
     analog     what devices measured along with them
+    markers    the set, or the model, that somebody chose; "" where the set was found
     """
 
     clouds: Clouds
@@ -146,18 +213,23 @@ class KeptSession:
     begun: float
     times: Floats
     analog: tuple[KeptAnalog, ...] = ()
+    markers: str = ""
 
     def recording(self) -> Recording:
-        """The labelled trajectories, points without a label behind them."""
-        return Recording.from_clouds(self.clouds, self.labelling)
+        """The labelled trajectories, points without a label behind them; the log says that they are labels given live, and no tracks."""
+        recording = Recording.from_clouds(self.clouds, self.labelling)
+        if self.labelling is None:
+            return recording
+        return replace(recording, log=(replace(LABELLED_LIVE, settings={"markers": self.markers}),))
 
 
 def recording_of(path: Path, rate: float | None = None) -> KeptSession:
     """What was recorded live, up to the moment in which it was stopped or killed.
 
-    rate: frames per second, None for what the times show. Raises AsterismError where the file is no live recording, or holds no frame.
+    rate: frames per second, None for what the source said, else what the times show.
+    Raises AsterismError where the file is no live recording, or holds no frame.
     """
-    steps = steps_of(path, _WORK)
+    steps = list(read_steps(path, _WORK))
     if not steps:
         raise AsterismError(f"{path} is no live recording; give the file that a session left beside its output, FILE.c3d.live.")
     head = json.loads(bytes(steps[0][0]))
@@ -167,9 +239,9 @@ def recording_of(path: Path, rate: float | None = None) -> KeptSession:
     numbers, counts = np.concatenate([chunk[0] for chunk in chunks]).T
     times, arrived = np.concatenate([chunk[1] for chunk in chunks]).T
     points = np.concatenate([chunk[2] for chunk in chunks])
-    row = _rows(numbers)
-    step = np.diff(times)[np.diff(row) == 1]
-    rate = rate or (float(1.0 / np.median(step)) if len(step) and np.median(step) > 0 else 100.0)
+    row = rows_of(numbers)
+    rate = float(rate or head.get("rate") or rate_of_times(row, times).rate)
+    rate = rate if math.isfinite(rate) else _UNKNOWN_RATE
     per_frame = np.zeros(row[-1] + 1, dtype=np.int64)
     per_frame[row] = counts
     offsets = np.concatenate([[0], np.cumsum(per_frame)])
@@ -183,14 +255,7 @@ def recording_of(path: Path, rate: float | None = None) -> KeptSession:
     labelling = _labelling(chunks, clouds, row_of, by_number)
     # Recordings of earlier versions have none.
     analog = analog_of_arrays([chunk[7:9] for chunk in chunks if len(chunk) > 7])
-    return KeptSession(clouds, labelling, head["name"], head["begun"], of_row, analog)
-
-
-def _rows(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The frame of the recording in which each frame stands: numbers go on, and where the source began anew the next one follows."""
-    steps = np.diff(numbers)
-    steps = np.where((steps < 1) | (steps > 10_000), 1, steps)
-    return np.concatenate([[0], np.cumsum(steps)])
+    return KeptSession(clouds, labelling, head["name"], head["begun"], of_row, analog, head.get("markers", ""))
 
 
 def _labelling(chunks: list[list[NDArray[Any]]], clouds: Clouds, row_of: dict[float, int], by_number: bool) -> Labelling | None:

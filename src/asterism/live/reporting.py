@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from asterism.findings import Finding, Severity
-from asterism.recording.display import how_often, significant
+from asterism.recording.display import counted, how_often, significant
 
 if TYPE_CHECKING:
     from asterism.live.recording import LiveRecorder
@@ -22,6 +22,8 @@ class WithFindings(Protocol):
 
 
 _NO_LABELS = ("live-no-points", "live-no-set", "live-few-points", "live-other-markers", "live-unit")
+_SILENT_TOLD = ("live-unconnected", "live-camera-silent", "live-camera-not-opened")
+_DAMAGED_TOLD = ("live-format", "live-camera-size", "live-camera-damaged")
 _NOTE, _WARNING, _ERROR = Severity.NOTE, Severity.WARNING, Severity.ERROR
 
 
@@ -41,42 +43,47 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
     found = own_findings(parts)
     if health.problem:
         found.append(Finding("live-ended", _ERROR, where, f"{where}: the session ended early.", health.problem))
-    if not health.frames and not health.damaged:
+    if not health.frames and not health.damaged and not any(finding.code in _SILENT_TOLD for finding in found):
         mend = "Look whether it sends, to this address and port, and whether a firewall is between."
         found.append(Finding("live-silent", _ERROR, where, f"{where}: no frame came.", mend))
-    found += _no_labels(health, where, found)
+    # Numbers that stand still, or two senders, and no network: of what was used by chance nothing follows.
+    most = health.late > health.frames
+    found += [] if most else _no_labels(health, where, found)
     if health.before:
-        sentence = f"{where}: {health.before} frames came while the labelling was made, and have no labels."
+        sentence = f"{where}: {counted(health.before, 'frame')} came while the labelling was made: no labels."
         found.append(Finding("live-before", _NOTE, where, sentence, "Begin the movement when the first labels are there."))
     if health.lost:
         share = significant(100 * health.lost / (health.lost + health.frames), 2)
-        sentence = f"{where}: {health.lost} frames never arrived ({share} %)."
+        sentence = f"{where}: {counted(health.lost, 'frame')} never arrived ({share} %)."
         found.append(Finding("live-lost", _WARNING, where, sentence, "Use a cable instead of radio, or a lower rate."))
     if health.late:
-        sentence = f"{where}: {health.late} frames came twice or after a later one, and were not used."
-        # A number that stands still, or two senders, and no network.
-        most = health.late > health.frames
+        sentence = f"{where}: {counted(health.late, 'frame')} came twice or after a later one: not used."
         mend = "Number each frame one higher than the last, and let one sender send." if most else "Look at the network."
         found.append(Finding("live-late", _WARNING if most else _NOTE, where, sentence, mend))
+    if health.others:
+        sentence = f"{where}: two programs send through one address: {counted(health.others, 'frame')} of the second not used."
+        mend = "Stop one of them, or give each a port of its own."
+        found.append(Finding("live-other-sender", _WARNING, where, sentence, mend))
     if health.dropped:
-        sentence = f"{where}: {health.dropped} frames were not labelled, since newer ones waited."
+        sentence = f"{where}: {counted(health.dropped, 'frame')} went without labels, since newer ones waited."
         mend = "Close other programs, or lower the rate; a recording holds them all."
         found.append(Finding("live-dropped", _WARNING, where, sentence, mend))
-    if health.damaged:
-        sentence = f"{where}: {health.damaged} packets could not be read."
+    # Where somebody who knows has counted them with what is wrong, that is all.
+    if health.damaged and not any(finding.code in _DAMAGED_TOLD for finding in found):
+        sentence = f"{where}: {counted(health.damaged, 'packet')} could not be read."
         mend = "Look whether something else sends to this port, or in another format."
         found.append(Finding("live-damaged", _WARNING, where, sentence, mend))
     if 2 * health.jumps > health.frames:
         sentence = f"{where}: its times do not go as a clock does ({health.jumps} jumps in {health.frames} frames)."
         found.append(Finding("live-times", _WARNING, where, sentence, "Send times in seconds, of when a frame is taken."))
-    elif health.jumps or health.restarts:
+    elif (health.jumps or health.restarts) and not most:
         sentence = f"{where}: its clock or its frame numbers began anew {how_often(max(health.jumps, health.restarts))}."
         found.append(Finding("live-restarted", _WARNING, where, sentence, "Times go on from there; nothing needs to be done."))
     for output, count in health.unsent.items():
-        sentence = f"{output}: {count} frames could not be passed on."
+        sentence = f"{output}: {counted(count, 'frame')} could not be passed on."
         found.append(Finding("live-unsent", _WARNING, output, sentence, "Look whether who receives them runs, and keeps up."))
     if recorder is not None and (recorder.problem or recorder.lost):
-        sentence = recorder.problem or f"{recorder.path}: {recorder.lost} frames were not recorded, since the disk was busy."
+        sentence = recorder.problem or f"{recorder.path}: {counted(recorder.lost, 'frame')} not recorded, since the disk was busy."
         found.append(Finding("live-not-recorded", _ERROR, where, sentence, "Make space, or record to another disk."))
     return found
 

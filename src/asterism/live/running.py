@@ -14,12 +14,16 @@ from typing import Protocol
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.live.analysis import NOTHING, AnalysedFrame, LiveAnalysis
 from asterism.live.chain import LabelChain, LabelledFrame, MakeLabeller
-from asterism.live.clock import FrameCount, SourceClock
+from asterism.live.clock import FrameCount, SourceClock, rows_of
 from asterism.live.feedback import Feedback
 from asterism.live.frames import TURN, LiveFrame, LiveSource, SourceEnded
+from asterism.live.pauses import short_pauses
+from asterism.live.waiting import WaitingFrames
 from asterism.recording import Floats
+from asterism.recording.rates import TO_RATE, RateOfTimes, rate_of_times
 
 _QUEUE = 0.1
 """s of frames that wait for their labels at most. A walking body is found again after it. Half of it drops frames at each pause of the
@@ -30,9 +34,10 @@ with twice as much a cable that is out is shown a second later."""
 _AT_ONCE = 0.002
 """s within which a frame that was there already is read; a tenth of a millisecond is usual. Twice as long takes a new frame for an old one
 at 500 Hz; with half of it a busy machine takes an old one for new."""
-_TO_RATE = 30
-"""Frames by whose times the rate is found where a source does not say it: an irregular sender's to within 1 %. Half of them tell it half as
-well; with twice as many labels begin 0.3 s later at 100 Hz."""
+_FEWEST, _SURE = 4, 0.01
+"""Frames from which on times may tell the rate, and the share of it by which they may be off then, so that a slow sender's is known in a
+second. Three frames say nothing of how times scatter; five take one frame more. Half of the share takes 8 frames of 5 Hz instead of 5, with
+twice as much irregular times are off by a tenth. Where they never tell it so well, `TO_RATE` frames have to do."""
 _SLOWEST = 1.0
 """s from frame to frame from which on times are no seconds: milliseconds of 1,000 Hz. Half of it still tells those of 500 Hz, with twice as
 much a body cannot be followed anyway."""
@@ -76,7 +81,7 @@ class Health:
     """What is counted while a session runs.
 
     before     frames that came while the labelling was made, and have no labels
-    frames, lost, late, restarts  see `FrameCount`
+    frames, lost, late, restarts, others  see `FrameCount`
     damaged    packets that could not be read
     dropped    frames that were taken and not labelled, since newer ones waited
     labelled   frames with their labels
@@ -99,6 +104,7 @@ class Health:
     lost: int = 0
     late: int = 0
     restarts: int = 0
+    others: int = 0
     damaged: int = 0
     dropped: int = 0
     labelled: int = 0
@@ -155,10 +161,7 @@ class LiveSession:
     feedback: Feedback | None = None
     vertical: Floats | None = None
     watch: Watch | None = None
-    _queue: deque[LiveFrame] = field(default_factory=deque)
-    _there: threading.Condition = field(default_factory=threading.Condition)
-    _ended: bool = False
-    _all_read: bool = False
+    _queue: WaitingFrames[LiveFrame] = field(init=False)
     _count: FrameCount = field(default_factory=FrameCount)
     _clock: SourceClock = field(default_factory=SourceClock)
     _health: Health = field(default_factory=Health)
@@ -167,17 +170,25 @@ class LiveSession:
     _latencies: deque[float] = field(default_factory=lambda: deque(maxlen=_LATENCIES))
     _rate: float = float("nan")
     _chain: LabelChain | None = None
+    _begun: float = -math.inf
     _first: float | None = None
     _ready: float | None = None
     _searches: bool = False
     _failed: Exception | None = None
+
+    def __post_init__(self) -> None:
+        self._queue = WaitingFrames(waits=self.waits)
 
     def run(self, seconds: float = math.inf) -> Health:
         """Read and label until the source ends, or so many seconds have passed since the first frame could come.
 
         Raises AsterismError where the labelling cannot begin.
         """
-        self._rate = self.source.about.rate
+        with short_pauses():
+            return self._run(seconds)
+
+    def _run(self, seconds: float) -> Health:
+        self._rate, self._begun = self.source.about.rate, time.monotonic()
         threads = [
             threading.Thread(target=self._read, name="live source", daemon=True),
             threading.Thread(target=self._work, name="live labels", daemon=True),
@@ -215,9 +226,7 @@ class LiveSession:
 
     def stop(self) -> None:
         """End the session: no frame is taken any more, and those that wait are labelled."""
-        with self._there:
-            self._ended = True
-            self._there.notify_all()
+        self._queue.stop()
 
     @property
     def up(self) -> Floats | None:
@@ -225,33 +234,38 @@ class LiveSession:
         return self.source.about.vertical if self.vertical is None else self.vertical
 
     @property
-    def has_ended(self) -> bool:
-        """Whether no frame comes any more."""
-        return self._ended
+    def pending(self) -> str:
+        """Why nothing is labelled yet although frames may come, as a person reads it; "" where they are labelled."""
+        if self._chain is not None:
+            return ""
+        if np.isfinite(self._rate):
+            return "the labelling is being made, which takes longest the first time"
+        return "its rate is sought by the times of its frames; with --rate labels begin at once" if self._arrivals else ""
 
     @property
-    def labelling(self) -> LabelChain | None:
-        """What labels the frames, for what it says of itself; None before it is made."""
-        return self._chain
+    def has_ended(self) -> bool:
+        """Whether no frame comes any more."""
+        return self._queue.is_stopped
+
+    def findings(self) -> list[Finding]:
+        """What a person should know of the marker set that was found, and of the studies."""
+        return [] if self._chain is None else self._chain.findings()
 
     def health(self) -> Health:
         """What was counted so far."""
         now, health = time.monotonic(), self._health
-        health.frames, health.lost, health.late, health.restarts = (
-            self._count.received,
-            self._count.lost,
-            self._count.late,
-            self._count.restarts,
-        )
-        # What a source left out itself, and tells, was not lost on the way.
-        health.lost = max(0, health.lost - int(getattr(self.source, "dropped", 0)))
+        count = self._count
+        health.frames, health.lost, health.late, health.restarts = count.received, count.lost, count.late, count.restarts
+        health.others = count.others
+        # What a source left out itself or could not read, and tells, was not lost on the way.
+        health.lost = max(0, health.lost - sum(int(getattr(self.source, told, 0)) for told in ("dropped", "unread")))
         health.damaged, health.jumps = self.source.damaged, self._clock.jumps
         health.unsent = {}
         for output in self.outputs:
-            count = self._refused.get(id(output), 0) + int(getattr(output, "dropped", 0))
-            if count:
+            unsent = self._refused.get(id(output), 0) + int(getattr(output, "dropped", 0))
+            if unsent:
                 name = str(getattr(output, "name", type(output).__name__))
-                health.unsent[name] = health.unsent.get(name, 0) + count
+                health.unsent[name] = health.unsent.get(name, 0) + unsent
         arrivals = np.array(self._arrivals)
         health.silent = float(now - arrivals[-1]) if len(arrivals) else 0.0
         recent = arrivals[arrivals > now - 1.0]
@@ -264,7 +278,7 @@ class LiveSession:
     def _read(self) -> None:
         """The reader's thread."""
         try:
-            while not self._ended:
+            while not self._queue.is_stopped:
                 frame = self.source.read(TURN)
                 if frame is not None:
                     self._take(frame)
@@ -273,9 +287,7 @@ class LiveSession:
         except Exception as problem:  # the labelling thread must not wait for ever
             self._health.problem = f"{self.source.about.name} failed ({problem}); start it again."
         finally:
-            with self._there:
-                self._ended = self._all_read = True
-                self._there.notify_all()
+            self._queue.close()
 
     def _take(self, frame: LiveFrame) -> None:
         silent = bool(self._arrivals) and frame.arrived - self._arrivals[-1] > _SILENT
@@ -288,36 +300,30 @@ class LiveSession:
         if self.recorder is not None:
             self.recorder.frame(frame)
         # Until the rate is known nothing is labelled, and the first frames wait for it.
-        most = max(2, round(_QUEUE * self._rate)) if np.isfinite(self._rate) else _TO_RATE
-        with self._there:
-            while self.waits and len(self._queue) >= most and not self._ended:
-                self._there.wait(TURN)
-            self._queue.append(frame)
-            while len(self._queue) > most and not self.waits:
-                self._queue.popleft()
-                # The labelling is still being made where the rate had to be found first: no machine that is too slow.
-                self._health.before += self._chain is None
-                self._health.dropped += self._chain is not None
-            self._there.notify_all()
+        most = max(2, round(_QUEUE * self._rate)) if np.isfinite(self._rate) else TO_RATE
+        self._leave_out(self._queue.put(frame, most))
 
     def _pass_over(self, seconds: float) -> None:
         """Leave out what came while the labelling was made for so many seconds: labels of it would be old, and hold the next ones back."""
         # What came in a shorter time waits for its labels, as always.
         if self.waits or seconds <= _QUEUE:
             return
+        ready, looks = time.monotonic(), math.ceil(2 * seconds * self._rate)
         try:
-            for _ in range(math.ceil(2 * seconds * self._rate)):
+            while looks > 0:
                 begin = time.monotonic()
                 frame = self.source.read(_AT_ONCE)
                 if frame is None:
                     return
-                if time.monotonic() - begin > _AT_ONCE / 2:
-                    # It was waited for, so that it is new.
+                if frame.arrived >= ready and time.monotonic() - begin > _AT_ONCE / 2:
+                    # It was waited for, so that it is new. Of many sources all are as new as they are read.
                     self._take(frame)
                     return
+                # What says that it came before ends by itself; of others no more are passed over than can have come.
+                looks -= frame.arrived >= ready
                 self._health.before += 1
         except SourceEnded:
-            self._ended = True
+            self._queue.stop()
 
     def _made(self) -> LabelChain:
         return LabelChain(self.make(self._rate, self.up), self._rate, self.delay)
@@ -333,7 +339,7 @@ class LiveSession:
                 self._chain = self._made()
             for frame in begin:
                 self._passed_on(self._chain.push(frame))
-            while (next_frame := self._wait()) is not None:
+            while (next_frame := self._next()) is not None:
                 self._passed_on(self._chain.push(next_frame))
             for found in self._chain.flush():
                 self._passed_on(found)
@@ -344,30 +350,35 @@ class LiveSession:
 
     def _frames_for_rate(self) -> list[LiveFrame]:
         """The first frames, by whose times the rate is found."""
-        taken: list[LiveFrame] = []
-        while len(taken) < _TO_RATE:
-            frame = self._wait()
+        taken, found = list[LiveFrame](), RateOfTimes(math.nan, 0.0, math.inf)
+        while len(taken) < TO_RATE and not (len(taken) >= _FEWEST and 0 < found.sd < _SURE * found.step):
+            frame = self._queue.take()
             if frame is None:
                 return taken
             taken.append(frame)
-        step = float(np.median(np.diff([frame.time for frame in taken]) / np.maximum(1, np.diff([frame.number for frame in taken]))))
-        if not step > 0:
+            found = rate_of_times(rows_of([each.number for each in taken]), [each.time for each in taken])
+        if not found.step > 0:
             raise AsterismError(f"{self.source.about.name}: its times do not grow from frame to frame; say its rate with --rate.")
-        if step >= _SLOWEST:
-            sentence = f"its times grow by {step:g} from frame to frame, and are read as seconds"
+        if found.step >= _SLOWEST:
+            sentence = f"its times grow by {found.step:g} from frame to frame, and are read as seconds"
             raise AsterismError(f"{self.source.about.name}: {sentence}; send seconds, or say its rate with --rate.")
-        self._rate = 1.0 / step
+        self._rate = found.rate
         return taken
 
-    def _wait(self) -> LiveFrame | None:
+    def _next(self) -> LiveFrame | None:
         """The oldest frame that waits; None at the end."""
-        with self._there:
-            # A frame that was taken as the session ended is still to come.
-            while not self._queue and not self._all_read:
-                self._there.wait(TURN)
-            frame = self._queue.popleft() if self._queue else None
-            self._there.notify_all()
-            return frame
+        # However slow this is, what is shown is not old. What waits at the end, or for the rate, is labelled.
+        fresh = self.waits or self._chain is None
+        frame, left_out = self._queue.take_fresh(math.inf, lambda each: not fresh and not self._queue.is_stopped and _is_old(each))
+        self._leave_out(left_out)
+        return frame
+
+    def _leave_out(self, frames: list[LiveFrame]) -> None:
+        for frame in frames:
+            # It came before the session, or the labelling is still being made where the rate had to be found first: no machine is too slow.
+            before = self._chain is None or frame.arrived < self._begun
+            self._health.before += before
+            self._health.dropped += not before
 
     def _passed_on(self, found: LabelledFrame | None) -> None:
         if found is None:
@@ -380,10 +391,6 @@ class LiveSession:
             self._health.named += named
             self._health.bare += not named and 2 * len(found.frame.points) >= len(found.markers)
         self._first = found.frame.arrived if self._first is None else self._first
-        if found.markers and self._ready is None:
-            # Frames that waited while the set was sought say nothing of those that follow.
-            self._ready = found.done
-            self._health.searched = max(0.0, found.done - self._first) if self._searches else 0.0
         self._searches = self._searches or not found.markers
         if not self._searches or (self._ready is not None and found.frame.arrived >= self._ready):
             self._latencies.append(found.done - found.frame.arrived)
@@ -398,3 +405,11 @@ class LiveSession:
                 output.send(analysed)
             except OSError:
                 self._refused[id(output)] = self._refused.get(id(output), 0) + 1
+        if found.markers and self._ready is None:
+            # Frames that waited while the set was sought, and what follows from its labels was made, say nothing of those after them.
+            self._ready = time.monotonic()
+            self._health.searched = max(0.0, self._ready - self._first) if self._searches else 0.0
+
+
+def _is_old(frame: LiveFrame) -> bool:
+    return time.monotonic() - frame.arrived > _QUEUE

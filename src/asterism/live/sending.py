@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from asterism.errors import AsterismError
+from asterism.live.addresses import Query
 from asterism.live.frames import SourceAbout
 from asterism.live.outputs import ToDatagrams
 from asterism.live.running import LiveOutput
@@ -36,6 +37,8 @@ def open_output(address: str, about: SourceAbout) -> LiveOutput:
     if scheme not in OUTPUTS or "://" not in address:
         known = f"{', '.join(OUTPUTS[:-1])} or {OUTPUTS[-1]}"
         raise AsterismError(f"{address} is nothing to send frames to: an address begins with {known} and ://.")
+    if scheme in ("udp", "osc"):
+        Query(address, bare=True).check_all_used()
     if scheme == "osc":
         from asterism.live.osc import ToOsc
 

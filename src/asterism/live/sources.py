@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from urllib.parse import parse_qsl, urlsplit
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from urllib.parse import urlsplit
 
 from asterism.errors import AsterismError
+from asterism.live.addresses import Query
 from asterism.live.camera_frames import BlobSource
 from asterism.live.datagrams import HostPort, JsonDatagrams
 from asterism.live.frames import LiveSource
@@ -13,6 +16,8 @@ from asterism.live.packages import packages_for
 
 ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet", "qtm", "vicon", "lsl")
 """What can be a source, by the first word of its address: frames as JSON in datagrams or over WebSocket; Motive; QTM; Vicon; LSL."""
+
+_OF_BLOBS = "it says how blobs of cameras are numbered, of which points are made by a rig: add --rig FILE"
 
 
 def host_port(address: str, example: str, port_else: int | None = None) -> HostPort:
@@ -40,15 +45,21 @@ def open_source(address: str, rate: float = float("nan")) -> LiveSource:
             f"{address} is no source: an address begins with {known} and ://, and a recording is played with --replay FILE."
         )
     # A module is imported only where its kind of source is asked for: some need packages of their own.
-    if scheme == "natnet":
-        from asterism.live.natnet import COMMANDS, FromNatNet
-
-        local = dict(parse_qsl(urlsplit(address).query)).get("local", "")
-        return FromNatNet(host_port(address, "natnet://192.168.1.5", COMMANDS), local, rate)
     if scheme == "lsl":
         from asterism.live.lsl_source import FromLsl
 
         return FromLsl(address, rate)
+    if scheme in ("ws", "wss", "ws-listen"):
+        from asterism.live.websocket import FromWebSocket, websocket_place
+
+        return FromWebSocket(websocket_place(address), rate)
+    query = Query(address, bare=True)
+    local = query.text("local", "") if scheme == "natnet" else ""
+    query.check_all_used({"together": _OF_BLOBS} if scheme == "udp" else {})
+    if scheme == "natnet":
+        from asterism.live.natnet import COMMANDS, FromNatNet
+
+        return FromNatNet(host_port(address, "natnet://192.168.1.5", COMMANDS), local, rate)
     if scheme == "qtm":
         with packages_for("qtm://"):
             from asterism.live.qtm import PORT, FromQtm
@@ -58,28 +69,30 @@ def open_source(address: str, rate: float = float("nan")) -> LiveSource:
         from asterism.live.vicon import FromVicon
 
         return FromVicon(host_port(address, "vicon://192.168.1.5", DATASTREAM), rate)
-    if scheme in ("ws", "wss", "ws-listen"):
-        from asterism.live.websocket import FromWebSocket, websocket_place
-
-        return FromWebSocket(websocket_place(address), rate)
     return JsonDatagrams(host_port(address, "udp://127.0.0.1:5000"), rate)
 
 
-def open_blobs(address: str, cameras: Sequence[str], rate: float = float("nan")) -> BlobSource:
-    """The source of blobs at an address, such as udp://127.0.0.1:5000, or udp://127.0.0.1:5000?together=1 where numbers are one exposure.
+def blobs_of(address: str, cameras: Sequence[str], rate: float = float("nan")) -> Callable[[], BlobSource]:
+    """What opens the source of blobs at an address, here or in another process, such as udp://127.0.0.1:5000?together=1.
 
-    cameras: the rig's names. Raises AsterismError where the address is none, or nothing can be read there.
+    cameras: the rig's names. With `together` equal numbers are one exposure. Raises AsterismError where the address is none, as does what
+    is returned where nothing can be read there.
     """
     scheme = address.partition("://")[0].lower()
+    if scheme not in ("udp", "qtm"):
+        raise AsterismError(
+            f"{address} is no source of blobs: an address begins with udp:// or qtm://, and a file is played with --replay FILE. "
+            "Points need no rig: leave --rig out where it sends these."
+        )
+    query = Query(address, bare=True)
+    together = scheme == "udp" and query.switch("together")
+    query.check_all_used()
     if scheme == "qtm":
+        if math.isfinite(rate):
+            raise AsterismError(f"{address}: QTM says the rate of its cameras; leave --rate out.")
         with packages_for("qtm://"):
             from asterism.live.qtm import PORT, QtmBlobs
-        return QtmBlobs(host_port(address, "qtm://192.168.1.5", PORT))
-    if scheme != "udp":
-        raise AsterismError(
-            f"{address} is no source of blobs: an address begins with udp:// or qtm://, and a file is played with --replay FILE."
-        )
+        return partial(QtmBlobs, host_port(address, "qtm://192.168.1.5", PORT))
     from asterism.live.blobs.sources import JsonBlobs
 
-    together = dict(parse_qsl(urlsplit(address).query)).get("together", "")
-    return JsonBlobs(host_port(address, "udp://127.0.0.1:5000"), cameras, rate, numbered_together=together in ("1", "true", "yes"))
+    return partial(JsonBlobs, host_port(address, "udp://127.0.0.1:5000"), cameras, rate, numbered_together=together)

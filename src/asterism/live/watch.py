@@ -7,15 +7,16 @@ them apart is in the points: how many there are, how far they spread and along w
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from asterism.findings import Finding, Severity
 from asterism.live.chain import LabelledFrame
 from asterism.live.reporting import labels_given
-from asterism.recording import Floats
+from asterism.recording import Clouds, Floats
 from asterism.recording.display import significant
+from asterism.session.left_over import LeftOver, sets_to_name
 
 _EACH = 0.1
 """s between two frames that are looked at: what is wrong is wrong in all of them. Half of it costs twice as much and tells no more."""
@@ -33,6 +34,10 @@ _RATE_OFF = 0.1
 and pauses of a busy machine move the rate of 2 s by a twentieth; twice as much hides 100 called 120."""
 
 
+_REMEMBERED = 0.8
+"""Share of what was seen of each marker that the next 2 s leave: 10 s count. At half, somebody who crosses the arms lacks markers; without
+forgetting, who takes other markers on after an hour is told an hour later."""
+_OTHER_SET = "Give the model, or the set, of the markers that are worn."
 _TALLER = 1.5
 """Times as far that points spread along another axis as along what is up, before it is told: a stride is as long as legs are high. Half
 of it is a person with spread arms; twice as much hides a crouching one."""
@@ -42,16 +47,19 @@ _KEPT = ("live-labels-given", "live-unit", "live-rate-changed")
 
 @dataclass(frozen=True)
 class _Look:
-    """A frame: number, arrival, points, spread (3,) m of their middle four fifths, labels, markers of the set, whether they fit it."""
+    """A labelled frame, the spread (3,) m of its middle four fifths, and why no set was found yet."""
 
-    number: int
-    arrived: float
-    points: int
+    found: LabelledFrame
     spread: Floats
-    labelled: int
-    markers: int
-    fits: bool
     refusal: str
+
+    @property
+    def points(self) -> int:
+        return len(self.found.frame.points)
+
+    @property
+    def labelled(self) -> int:
+        return int((self.found.indices >= 0).sum())
 
 
 @dataclass
@@ -80,6 +88,10 @@ class SessionWatch:
     _last: dict[str, Finding] = field(default_factory=dict)
     _kept_rate: bool = False
     _any_point: bool = False
+    _shown: Floats = field(default_factory=lambda: np.zeros(0))
+    """(M,) labels that each marker had in the looks that count, and how many looks these are"""
+    _shown_in: float = 0.0
+    _unlike_looks: list[_Look] = field(default_factory=list)
 
     def add(self, found: LabelledFrame, rate: float, refusal: str = "") -> None:
         """Take a labelled frame; refusal: why no marker set was found yet."""
@@ -91,10 +103,7 @@ class SessionWatch:
         self._next, self._rate = max(1, round(_EACH * rate)), rate
         points = found.frame.points
         spread = np.diff(np.quantile(points, (0.1, 0.9), axis=0), axis=0)[0] if len(points) else np.zeros(3)
-        labelled = int((found.indices >= 0).sum())
-        self._looks.append(
-            _Look(found.frame.number, found.frame.arrived, len(points), spread, labelled, len(found.markers), found.fits, refusal)
-        )
+        self._looks.append(_Look(found, spread, refusal))
         if len(self._looks) == _LOOKS:
             self._judge(rate)
             self._looks.clear()
@@ -105,11 +114,13 @@ class SessionWatch:
             # A session of less than 2 s is judged by what it had.
             self._judge(self._rate)
         wrong, often = self._wrong > self._judged / 2, min(2, self._judged)
-        return [finding for code, finding in self._last.items() if self._times[code] >= often and (wrong or code in _KEPT)]
+        kept = [finding for code, finding in self._last.items() if self._times[code] >= often and (wrong or code in _KEPT)]
+        return [self._with_sets(finding) for finding in kept]
 
     def _judge(self, rate: float) -> None:
         self._judged += 1
         self._any_point = self._any_point or any(look.points for look in self._looks)
+        self._count_shown()
         found = [self._of_rate(rate) if self.timed else None, self._of_points()]
         self._wrong += any(each is not None for each in found)
         for finding in found:
@@ -119,7 +130,7 @@ class SessionWatch:
     def _of_points(self) -> Finding | None:
         looks = self._looks
         points, labelled = (float(np.median([getattr(look, name) for look in looks])) for name in ("points", "labelled"))
-        spread, markers = np.median([look.spread for look in looks], axis=0), looks[-1].markers
+        spread, markers = np.median([look.spread for look in looks], axis=0), len(looks[-1].found.markers)
         if not self._any_point:
             mend = "Look whether the system streams its points. In millimetres that are called metres, they are beyond what is believed."
             return Finding("live-no-points", Severity.WARNING, self.name, f"{self.name}: its frames have no points.", mend)
@@ -132,12 +143,19 @@ class SessionWatch:
                 return None
             sentence = f"{self.name}: no marker set was found yet. {looks[-1].refusal}"
             return Finding("live-no-set", Severity.WARNING, self.name, sentence, "Name the set with --markers, or give a --model.")
+        # Frames from before the set was known say nothing of its labels.
+        looks = [look for look in looks if len(look.found.markers) == markers]
+        labelled = float(np.median([look.labelled for look in looks]))
         if points > 3 * markers + _LOOKS:
             sentence = f"{self.name}: frames have {points:.0f} points, the marker set has {markers}."
             return Finding("live-many-points", Severity.WARNING, self.name, sentence, "Cover reflections, or mask them in the cameras.")
-        fits = 2 * sum(look.fits for look in looks) >= len(looks)
+        fits = 2 * sum(look.found.fits for look in looks) >= len(looks)
         if points and (not fits or points < 0.5 * markers or labelled < _FEW_LABELS * min(points, markers)):
             return self._unlike(points, labelled, spread, markers)
+        left = LeftOver.of(self._shown / max(self._shown_in, 1.0), [look.points - look.labelled for look in looks])
+        if left.tells:
+            self._unlike_looks = list(looks)
+            return Finding("live-other-markers", Severity.WARNING, self.name, left.sentence(self.name, "the set"), _OTHER_SET)
         if min(labelled, points - labelled) > 0.7 * markers:
             sentence = f"{self.name}: {points - labelled:.0f} points are left over beside a body of {labelled:.0f}; one person is labelled."
             return Finding("live-second-body", Severity.NOTE, self.name, sentence, "Have one person in view, or label the recording.")
@@ -163,12 +181,28 @@ class SessionWatch:
         if times > _TALLER:
             mend = f"They are tallest along {axis}: say --vertical {axis} if that is up, else give the model of these markers."
         else:
-            mend = "Give the model, or the set, of the markers that are worn."
+            mend, self._unlike_looks = _OTHER_SET, list(self._looks)
         return Finding("live-other-markers", Severity.WARNING, self.name, sentence, mend)
+
+    def _count_shown(self) -> None:
+        """Add the labels of these looks to those before, of which each judgement forgets a share."""
+        if not self._looks or self._shown.shape != self._looks[-1].found.indices.shape:
+            self._shown, self._shown_in = np.zeros(len(self._looks[-1].found.indices) if self._looks else 0), 0.0
+        own = [look.found.indices >= 0 for look in self._looks if look.found.indices.shape == self._shown.shape and look.points]
+        self._shown = _REMEMBERED * self._shown + np.sum(own, axis=0) if own else self._shown
+        self._shown_in = _REMEMBERED * self._shown_in + len(own) if own else self._shown_in
+
+    def _with_sets(self, finding: Finding) -> Finding:
+        """A finding on other markers, with the sets that the points are like: to find them out takes too long while frames come."""
+        if finding.code != "live-other-markers" or not self._unlike_looks:
+            return finding
+        points, markers = [look.found.frame.points for look in self._unlike_looks], self._unlike_looks[-1].found.markers
+        clouds = Clouds.from_points(points, 1.0 / _EACH, (0.0, 0.0, 1.0) if self.up is None else self.up)
+        return replace(finding, mend=f"{finding.mend} {sets_to_name(clouds, markers)}".strip())
 
     def _of_rate(self, rate: float) -> Finding | None:
         first, last = self._looks[0], self._looks[-1]
-        frames, seconds = last.number - first.number, last.arrived - first.arrived
+        frames, seconds = last.found.frame.number - first.found.frame.number, last.found.frame.arrived - first.found.frame.arrived
         if frames <= 0 or seconds <= 0:
             return None
         seen = frames / seconds

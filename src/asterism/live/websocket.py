@@ -17,8 +17,9 @@ from urllib.parse import parse_qsl, urlsplit
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
+from asterism.live.addresses import Query, in_words
 from asterism.live.analysis import AnalysedFrame
-from asterism.live.datagrams import damaged_json, frame_of_json, why_damaged
+from asterism.live.datagrams import DamagedJson, frame_of_json
 from asterism.live.frames import LiveFrame, SourceAbout
 from asterism.live.outputs import WAITING, labels_as_json, leave_one_out, tells_more
 from asterism.live.packages import packages_for
@@ -75,12 +76,14 @@ def websocket_place(address: str) -> WebSocketPlace:
     if not host or (listens and port is None):
         raise AsterismError(f"{address} names no host and port; write for example {example}.")
     port = (443 if parts.scheme.lower() == "wss" else 80) if port is None else port
-    name, said = f"{parts.scheme.lower()}://{host}:{port}{parts.path}", parse_qsl(parts.query) if listens else []
-    unknown = sorted({key for key, _ in said} - {"origin", "token"})
-    if unknown:
-        raise AsterismError(f"{name}: nothing is known by {unknown[0]}; what can be said is origin and token, as in {example}.")
-    origins = tuple(value for key, value in said if key == "origin")
-    return WebSocketPlace(address, name, listens, host, port, origins, dict(said).get("token", ""))
+    name = f"{parts.scheme.lower()}://{host}:{port}{parts.path}"
+    origins, token = tuple[str, ...](), ""
+    # What is said to who waits elsewhere is theirs to understand.
+    if listens:
+        query = Query(address, bare=True)
+        origins, token = query.texts("origin"), query.text("token", "")
+        query.check_all_used()
+    return WebSocketPlace(address, name, listens, host, port, origins, token)
 
 
 class _Endpoint:
@@ -128,7 +131,7 @@ class _Endpoint:
                 self.problem = "it was closed by the other side"
             # The other side may refuse, be no WebSocket, vanish, or send what is too large: nothing of it ends the attempts.
             except Exception as problem:
-                self.problem = str(problem) or type(problem).__name__
+                self.problem = in_words(problem)
             self._tried.set()
             await asyncio.sleep(_AGAIN)
 
@@ -223,8 +226,8 @@ def _listening(place: WebSocketPlace) -> socket.socket:
         return listening
     except (OSError, OverflowError) as problem:
         raise AsterismError(
-            f"{place.name} cannot be listened to ({problem}): another program has the port, or the address is not of this machine. "
-            "Give another one."
+            f"{place.name} cannot be listened to ({in_words(problem)}): another program has the port, or the address is not of this "
+            "machine. Give another one."
         ) from problem
 
 
@@ -237,12 +240,22 @@ class FromWebSocket:
     """
 
     def __init__(self, place: WebSocketPlace, rate: float = float("nan")) -> None:
-        self.damaged, self._why = 0, ""
+        self._damaged = DamagedJson()
         self.about = SourceAbout(f"JSON at {place.name}", rate)
         self._came: deque[LiveFrame] = deque(maxlen=WAITING)
         self._there = threading.Condition()
         self._closed = False
         self._endpoint = _Endpoint(place, self._listen, 1)
+
+    @property
+    def damaged(self) -> int:
+        """Packets that could not be read."""
+        return self._damaged.count
+
+    @property
+    def unread(self) -> int:
+        """Frames that came and could not be read."""
+        return self._damaged.numbered
 
     @property
     def port(self) -> int:
@@ -256,8 +269,7 @@ class FromWebSocket:
             frame = frame_of_json(data, time.monotonic())
             with self._there:
                 if frame is None:
-                    self.damaged += 1
-                    self._why = self._why or why_damaged(data)
+                    self._damaged.add(data)
                 else:
                     self._came.append(frame)
                     self._there.notify()
@@ -271,7 +283,7 @@ class FromWebSocket:
 
     def findings(self) -> list[Finding]:
         """See `_Endpoint.findings`; and what is wrong with the first message that could not be read."""
-        return [*self._endpoint.findings(), *damaged_json(self.about.name, self._why)]
+        return [*self._endpoint.findings(), *self._damaged.findings(self.about.name)]
 
     def close(self) -> None:
         """Let go of the sender."""

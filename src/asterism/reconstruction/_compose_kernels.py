@@ -43,9 +43,11 @@ class PairAngles(NamedTuple):
 
 
 class ComposeWorkspace(NamedTuple):
-    """What composition works on: epipolar angles of a pair, what is known about each blob, rays (C,) of one hypothesis, and its fit."""
+    """What composition works on: epipolar angles of a pair and its blobs (m, 2) that agree, what is known about each blob, rays (C,) of one
+    hypothesis, and its fit."""
 
     epipolar: PairAngles
+    partners: np.ndarray
     blob_index: BlobIndex
     rays: np.ndarray
     fit: FitWorkspace
@@ -72,7 +74,8 @@ def compose(rig, frame):
     found, count, gated = empty_hypotheses(max(16, 2 * blobs), cameras), 0, 0
     index = BlobIndex(np.full(blobs, -1, np.int64), np.zeros(blobs, np.bool_), np.ones(blobs, np.bool_))
     epipolar = PairAngles(np.empty((2, most)), np.empty((2, most)))
-    work = ComposeWorkspace(epipolar, index, np.empty(cameras, np.int64), fit_workspace())
+    # Room for the partners of some blobs, so that most pairs of cameras are searched at once.
+    work = ComposeWorkspace(epipolar, np.empty((16 * most, 2), np.int64), index, np.empty(cameras, np.int64), fit_workspace())
     # The most rectangular pairs first (`RigArrays.pairs`): their hypotheses lie best, and later pairs find them composed.
     for pair in range(len(rig.pairs)):
         found, count, passed = _compose_pair(rig, frame, pair, found, count, work)
@@ -91,32 +94,52 @@ def _compose_pair(rig, frame, pair, found, count, work):
     a, b = rig.pairs[pair, 0], rig.pairs[pair, 1]
     first_a, first_b = int(frame.grid[a, FIRST]), int(frame.grid[b, FIRST])
     many_a, many_b = int(frame.grid[a, END]) - first_a, int(frame.grid[b, END]) - first_b
-    gated = 0
+    gated, k = 0, 0
     if many_a == 0 or many_b == 0:
         return found, count, gated
     epipolar = work.epipolar
     _epipolar_angles(rig, frame, pair, 0, epipolar)
     _epipolar_angles(rig, frame, pair, 1, epipolar)
-    angle, variance = epipolar.angles[0], epipolar.variances[0]
-    others, variances = epipolar.angles[1], epipolar.variances[1]
     # By angle, so that the blobs within the gate are a stretch of the order.
-    order = ascending(others, many_b)
-    last = many_b
+    order, partners = ascending(epipolar.angles[1], many_b), work.partners
+    while k < many_a:
+        k, many, passed = _partners(
+            rig.limits[GATE], epipolar, order, first_a, first_b, k, many_a, work.blob_index.well_supported, partners
+        )
+        gated += passed
+        for n in range(many):
+            found, count = _compose_blobs(rig, frame, pair, partners[n, 0], partners[n, 1], found, count, work)
+    return found, count, gated
+
+
+@kernel
+def _partners(gate, epipolar, order, first_a, first_b, begin, end, well_supported, out):
+    """The pairs of blobs whose epipolar angles agree, but for those that both lie in hypotheses of many cameras already.
+
+    IN  order: the second camera's blobs by angle; first_a, first_b: the number of each camera's first blob; begin, end: which blobs of the
+        first camera; well_supported of BlobIndex
+    OUT out (m, 2): the numbers of both blobs
+    Returns the first camera's blob to go on with, how many pairs there are, and how many passed the gate. The loop is apart from the
+    composition, in which each look at an array costs a count of its owners. O(n log n), and the pairs that pass.
+
+    Bounds: a blob has three times as many partners at most as the other camera has blobs, and is begun only where there is room for these.
+    """
+    angle, variance, others, variances = epipolar.angles[0], epipolar.variances[0], epipolar.angles[1], epipolar.variances[1]
+    last = len(order)
     # Rays along the baseline have no angle; infinity put them at the end.
     while last > 0 and others[order[last - 1]] == np.inf:
         last -= 1
     # The gate of the stretch must hold for the least exact blob; each pair is then tried by its own variance.
     widest = 0.0
-    for k in range(many_b):
+    for k in range(len(order)):
         widest = max(widest, variances[k])
-    gate = rig.limits[GATE]
-    for k in range(many_a):
-        if angle[k] == np.inf:
-            continue
+    many, gated, k = 0, 0, begin
+    while k < end and many + 3 * len(order) <= len(out):
         half = gate * math.sqrt(variance[k] + widest)
         # An angle near pi has partners near minus pi.
         for turn in range(-1, 2):
             aim = angle[k] + 2.0 * math.pi * turn
+            # Infinite, too.
             if aim - half > math.pi or aim + half < -math.pi:
                 continue
             at = _first_not_below(others, order, last, aim - half)
@@ -128,8 +151,12 @@ def _compose_pair(rig, frame, pair, found, count, work):
                 if miss * miss > gate * gate * (variance[k] + variances[m]):
                     continue
                 gated += 1
-                found, count = _compose_blobs(rig, frame, pair, first_a + k, first_b + m, found, count, work)
-    return found, count, gated
+                # Most pairs of a crowd end here.
+                if not (well_supported[first_a + k] and well_supported[first_b + m]):
+                    out[many, 0], out[many, 1] = first_a + k, first_b + m
+                    many += 1
+        k += 1
+    return k, many, gated
 
 
 @kernel
@@ -195,7 +222,7 @@ def _compose_blobs(rig, frame, pair, i, j, found, count, work):
     Returns Hypotheses and how many there are now. O(C), and the hypotheses of blob i.
     """
     index, rays = work.blob_index, work.rays
-    # Known already, or both have better homes: most pairs of a crowd end here.
+    # Known already, or both have better homes meanwhile.
     if (index.well_supported[i] and index.well_supported[j]) or _is_composed(rig, pair, i, j, index, found):
         return found, count
     many, worth = _grow_hypothesis(rig, frame, pair, i, j, index.available, rays, work.fit)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -21,7 +21,6 @@ from asterism.reconstruction.observation_model import RULES, estimate_observatio
 from asterism.reconstruction.problem import ObservationModel, ReconstructionProblem, common_view, image_bounds
 from asterism.reconstruction.rays import BlobRays, frame_to_rays
 from asterism.reconstruction.reconstruct import FramesPart, assemble, noise_unknown_finding, points_and_residuals, run_global
-from asterism.reconstruction.result import Reconstruction
 from asterism.reconstruction.settings import ReconstructionSettings
 from asterism.reconstruction.summary import rig_findings
 from asterism.recording import Blobs, Floats, Ints
@@ -37,6 +36,41 @@ _FIRST_NOISE = 0.2
 of it more of the first points are lost where the noise is larger."""
 _SAME_NOISE = 0.1
 """By how much of it the noise may differ without being taken anew: the share at which the estimate itself ends its rounds."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecentFrames:
+    """Frames with the points that were made of them, as another process can take them.
+
+    frames          the latest last
+    problem, model  with which their points were made
+    noise_known     whether the model's noise was estimated; is_given  whether it was given, and stays
+    rate            frames per second
+    """
+
+    frames: tuple[tuple[BlobRays, FramesPart], ...]
+    rig: Rig
+    settings: ReconstructionSettings
+    problem: ReconstructionProblem
+    model: ObservationModel
+    noise_known: bool
+    is_given: bool
+    rate: float
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What frames say of the noise and of the cameras.
+
+    problem, model  for the frames that follow; noise_known  whether the noise could be told
+    fits, findings  of the cameras; none where the noise is known for the first time
+    """
+
+    problem: ReconstructionProblem
+    model: ObservationModel
+    noise_known: bool
+    fits: tuple[CameraFit, ...]
+    findings: list[Finding]
 
 
 class Reconstructor:
@@ -115,42 +149,66 @@ class Reconstructor:
 
         rate: frames per second, for what the findings say. Returns how each camera fits, in the rig's order, and what makes the rig
         suspect, as of `asterism.reconstruction.summary`; nothing where the frames are too few or the noise is known for the first time.
-        Takes some tenths of a second for 12 cameras of 50 blobs, half of it in kernels that hold no other thread up.
+        Takes some tenths of a second for 12 cameras of 50 blobs, half of it in kernels that hold no other thread up. Where frames must not
+        wait for it, another process does it: `recent`, there `judged`, and here `take`.
         """
+        recent = self.recent(rate)
+        found = None if recent is None else judged(recent)
+        if recent is None or found is None:
+            return (), []
+        self.take(recent, found)
+        return found.fits, found.findings
+
+    def recent(self, rate: float) -> RecentFrames | None:
+        """What `judged` takes, by the last frames; None before the first one."""
         with self._guard:
-            frames, state = list(self._frames), self._state
-        if state is None or len(frames) < RULES.min_frames:
-            return (), []
-        rays = _joined([rays for rays, _ in frames], rate)
-        problem, model = self._stated(rays.blobs), state[1]
-        newer, known, looked_at = model, self.noise_known, 0
-        if not self._is_given:
-            run = partial(points_and_residuals, rays)
-            # From the noise that is known already, one round is enough where nothing changed.
-            rules = replace(RULES, start_noise=float(model.noise[0]))
-            newer, known, looked_at = estimate_observation_model(problem, rays.blobs.counts, run, self.settings.noise, rules)
-        first = known and not self.noise_known
-        if known and (first or not _agree(model, newer)):
-            with self._guard:
-                self._state, self.noise_known = (problem, newer, problem.arrays(newer, _WORK)), True
-                if not np.array_equal(newer.noise, model.noise):
-                    # Residuals are judged by the noise with which their points were made.
-                    self._frames.clear()
-        if first:
-            return (), []
-        result = self._result(rays.blobs, [part for _, part in frames], problem, model)
-        fits = fit_of_cameras(result, self.rig)
-        return fits, [*([] if known else [noise_unknown_finding(looked_at)]), *rig_findings(result, self.rig, fits)]
+            frames, state = tuple(self._frames), self._state
+        return None if state is None else RecentFrames(frames, self.rig, self.settings, *state[:2], self.noise_known, self._is_given, rate)
+
+    def take(self, recent: RecentFrames, found: Judgement) -> None:
+        """Use the observation model that was found, where it is another one."""
+        first = found.noise_known and not recent.noise_known
+        if not found.noise_known or not (first or not _agree(recent.model, found.model)):
+            return
+        with self._guard:
+            self._state, self.noise_known = (found.problem, found.model, found.problem.arrays(found.model, _WORK)), True
+            if not np.array_equal(found.model.noise, recent.model.noise):
+                # Residuals are judged by the noise with which their points were made.
+                self._frames.clear()
 
     def _stated(self, blobs: Blobs) -> ReconstructionProblem:
-        bounds, corners = image_bounds(blobs, self.rig), self.settings.corners
-        space = common_view(self.rig, bounds, corners)
-        return ReconstructionProblem(self.rig, bounds, corners, space, self.settings.min_cameras, self.settings.gate)
+        return _stated(self.rig, self.settings, blobs)
 
-    def _result(self, blobs: Blobs, parts: Sequence[FramesPart], problem: ReconstructionProblem, model: ObservationModel) -> Reconstruction:
-        begins = blobs.offsets[:: len(self.rig)]
-        moved = [_later(part, int(begin)) for part, begin in zip(parts, begins, strict=False)]
-        return assemble(moved, blobs, problem, model, "global", np.zeros(len(self.rig), dtype=np.int64), (), self.noise_known)
+
+def judged(recent: RecentFrames) -> Judgement | None:
+    """The observation model by some frames, and how each camera fits the others; None where the frames are too few. See `learn`."""
+    frames, model = recent.frames, recent.model
+    if len(frames) < RULES.min_frames:
+        return None
+    rays = _joined([rays for rays, _ in frames], recent.rate)
+    problem = _stated(recent.rig, recent.settings, rays.blobs)
+    newer, known, looked_at = model, recent.noise_known, 0
+    if not recent.is_given:
+        run = partial(points_and_residuals, rays)
+        # From the noise that is known already, one round is enough where nothing changed.
+        rules = replace(RULES, start_noise=float(model.noise[0]))
+        newer, known, looked_at = estimate_observation_model(problem, rays.blobs.counts, run, recent.settings.noise, rules)
+    if known and not recent.noise_known:
+        return Judgement(problem, newer, known, (), [])
+    cameras = len(recent.rig)
+    begins = rays.blobs.offsets[::cameras]
+    moved = [_later(part, int(begin)) for (_, part), begin in zip(frames, begins, strict=False)]
+    lag = np.zeros(cameras, dtype=np.int64)
+    result = assemble(moved, rays.blobs, recent.problem, model, "global", lag, (), recent.noise_known)
+    fits = fit_of_cameras(result, recent.rig)
+    findings = [*([] if known else [noise_unknown_finding(looked_at)]), *rig_findings(result, recent.rig, fits)]
+    return Judgement(problem, newer, known, fits, findings)
+
+
+def _stated(rig: Rig, settings: ReconstructionSettings, blobs: Blobs) -> ReconstructionProblem:
+    bounds, corners = image_bounds(blobs, rig), settings.corners
+    space = common_view(rig, bounds, corners)
+    return ReconstructionProblem(rig, bounds, corners, space, settings.min_cameras, settings.gate)
 
 
 def _joined(frames: Sequence[BlobRays], rate: float) -> BlobRays:

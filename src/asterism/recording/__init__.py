@@ -8,7 +8,7 @@ from asterism.recording.force_plate import ForcePlate
 from asterism.recording.known_labels import Disagreement, check_labels, is_partly_labelled
 from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, plain_name, shipped_marker_sets, shipped_sets, without_subject
 from asterism.recording.place import Place, landmarks
-from asterism.recording.processing import ProcessingStep, log_as_text, log_from_text
+from asterism.recording.processing import LABELLED_LIVE, ProcessingStep, labelled_live, log_as_text, log_from_text
 from asterism.recording.shares import LABEL_STATES, SURE, LabelShares, LabelStates, label_shares, label_states
 from asterism.recording.skeleton_motion import SkeletonMotion
 from asterism.recording.trajectories import Event, Recording, keep_labels, subject_of
@@ -16,6 +16,7 @@ from asterism.recording.verdict import Verdict
 from asterism.recording.worn_set import WornSet, worn_marker_sets
 
 __all__ = [
+    "LABELLED_LIVE",
     "LABEL_STATES",
     "NULL",
     "SURE",
@@ -47,6 +48,7 @@ __all__ = [
     "keep_labels",
     "label_shares",
     "label_states",
+    "labelled_live",
     "landmarks",
     "log_as_text",
     "log_from_text",

@@ -27,6 +27,18 @@ class ProcessingStep:
         return self.action + (f" by {self.by}" if self.by else "") + (f" ({settings})" if settings else "")
 
 
+LABELLED_LIVE = ProcessingStep("labelled", "asterism live")
+"""What is logged of a recording whose labels were given frame by frame, while it was captured. Its columns are these labels: of which track
+a camera system took the points is not known any more. Its names are what was known at that moment, and no person's. The setting `markers`
+names the set, or the model, that somebody chose; "" where the set was found."""
+
+
+def labelled_live(log: Sequence[ProcessingStep]) -> ProcessingStep | None:
+    """The step that gave a recording its present labels, where these were given live; None for labels given otherwise since, or none."""
+    last = next((step for step in reversed(log) if step.action == LABELLED_LIVE.action), None)
+    return last if last is not None and last.by == LABELLED_LIVE.by else None
+
+
 def log_as_text(log: Sequence[ProcessingStep]) -> str:
     """A processing log as JSON of ASCII characters: a list of [action, by, settings]."""
     return json.dumps([[step.action, step.by, dict(step.settings)] for step in log], separators=(",", ":"))

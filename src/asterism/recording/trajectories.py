@@ -16,7 +16,7 @@ from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate, s
 from asterism.recording.clouds import NULL, Clouds, Labelling
 from asterism.recording.display import Rows, as_html, as_text, duration, listed, significant
 from asterism.recording.marker_set import MarkerSet, is_unnamed
-from asterism.recording.processing import ProcessingStep
+from asterism.recording.processing import ProcessingStep, labelled_live
 
 if TYPE_CHECKING:
     import pandas
@@ -214,7 +214,10 @@ class Recording:
         return ~np.isnan(self.positions[:, :, 0])
 
     def clouds(self) -> Clouds:
-        """The recording without its labels: the visible points of each frame, in column order."""
+        """The recording without its labels: the visible points of each frame, in column order.
+
+        Each column is a track, unless the labels were given live: then a column has what was held for one marker, frame by frame.
+        """
         visible = self.visible
         counts = np.concatenate([[0], visible.sum(axis=1)])
         return Clouds(
@@ -223,7 +226,7 @@ class Recording:
             rate=self.rate,
             vertical=self.vertical,
             columns=np.nonzero(visible)[1].astype(np.int64),
-            tracks=np.nonzero(visible)[1].astype(np.int64),
+            tracks=None if labelled_live(self.log) is not None else np.nonzero(visible)[1].astype(np.int64),
         )
 
     def select(self, names: Sequence[str]) -> Recording:

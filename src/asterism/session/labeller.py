@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
@@ -34,6 +34,7 @@ from asterism.recording.display import counted, significant
 from asterism.recording.verdict import OTHER_BODY
 from asterism.session.coincident import coincident_findings
 from asterism.session.labelled import LabelledFile
+from asterism.session.left_over import LeftOver, sets_to_name
 from asterism.session.mirror import mirror_findings
 from asterism.session.names import choose_name_policy, findings_on_names, join_disagreements, merge_file_names
 from asterism.session.options import LabellingOptions
@@ -248,10 +249,10 @@ class FileLabeller:
             raise type(problem)(" ".join([str(problem), *(finding.sentence for finding in source.about.warnings)])) from None
         bodies = [body for one in worn for body in one.bodies]
         labeller, said, shown = self._of_worn(bodies, progress), recording.vertical, worn[0].vertical
+        upright = (recording if shown is None else replace(recording, vertical=shown)).clouds()
         # a person's standing trial narrows the model of the set itself
         if len(bodies) == 1 and self.options.settings.in_time and not self.options.standing:
-            upright = recording if shown is None else replace(recording, vertical=shown)
-            wider = wider_model(labeller.models[0], upright.clouds(), progress=progress)
+            wider = wider_model(labeller.models[0], upright, progress=progress)
             labeller = labeller if wider is None else self._of_wider(labeller, wider)
         if shown is None:
             labelled = labeller.label(path, progress)
@@ -263,9 +264,10 @@ class FileLabeller:
                 labelled = replace(labelled, found=(vertical_finding(str(path), said, shown), *labelled.found))
         findings = [*labelled.found, *findings_on_sets(path, bodies, self._finder.rules)]
         if BY_NAMES not in {one.by for one in bodies}:
-            findings += _few_markers(path, labelled.labelling, labelled.clouds, bodies)
+            findings = [_with_sets(one, bodies, upright) if one.code == "label-nothing" else one for one in findings]
+            findings += _other_set(path, labelled, bodies, upright)
         if labeller.wider is not None:
-            findings.append(_explained_by(path, labeller.wider.name, bodies[0].name))
+            findings.append(_explained_by(path, labeller.wider.name, bodies[0].name, _left_over(labelled)))
         return replace(labelled, worn=tuple(bodies), found=tuple(findings))
 
     def _of_wider(self, labeller: FileLabeller, wider: WiderModel) -> FileLabeller:
@@ -422,9 +424,10 @@ def body_names(models: Sequence[Path]) -> list[str]:
     return names if len(set(names)) == len(names) else [str(i + 1) for i in range(len(names))]
 
 
-def _explained_by(path: Path, wider: str, asked: str) -> Finding:
+def _explained_by(path: Path, wider: str, asked: str, left: LeftOver) -> Finding:
     """That a set which nobody asked for has labelled."""
     sentence = f"{path}: the points beside those of {asked} are like markers of {wider}; all were labelled so, and those of {asked} kept."
+    sentence += f" {left.unseen} of {left.markers} have no label in any frame." if left.tells else ""
     mend = f"Nothing need be done; give --markers {wider} to have all of them."
     return Finding("label-wider-set", Severity.NOTE, str(path), sentence, mend)
 
@@ -459,26 +462,49 @@ def _nothing_labelled(path: Path, labelling: Labelling) -> list[Finding]:
     return [Finding("label-nothing", Severity.ERROR, str(path), f"{path}: no point got a label.", mend)]
 
 
-def _few_markers(path: Path, labelling: Labelling, clouds: Clouds, worn: Sequence[WornMarkers]) -> list[Finding]:
-    """The finding that most markers of a set which nobody has seen worn are not there: fewer points may be those of a smaller set."""
-    counts, given = np.asarray(clouds.counts), (labelling.indices >= 0).sum(axis=1)
-    if not given.any():
+def _left_over(labelled: LabelledFile) -> LeftOver:
+    """What the labels leave over in the frames that show much of the body; it may be out of view in the others."""
+    counts, given = np.asarray(labelled.clouds.counts), labelled.labelling.indices >= 0
+    full = _full(counts)
+    return LeftOver.of(given[full].mean(axis=0), (counts - given.sum(axis=1))[full])
+
+
+def _full(counts: Ints) -> NDArray[np.bool_]:
+    """(T,) the frames with as many points as a usual one."""
+    return counts >= np.median(counts[counts > 0])
+
+
+def _other_set(path: Path, labelled: LabelledFile, worn: Sequence[WornMarkers], some: Clouds) -> list[Finding]:
+    """The finding that another set may be worn than the one that labelled, which nobody has seen worn.
+
+    Most of its markers may not be there: fewer points may be those of a smaller set. Or some are not, beside points that are none of them.
+    some: clouds of a part of the file that says where its points are.
+    """
+    if not labelled.given:
         return []
-    # frames that show much of the body; it may be out of view in the others
-    usual = int(np.median(given[counts >= np.median(counts[counts > 0])]))
+    given = (labelled.labelling.indices >= 0).sum(axis=1)
+    usual, left = int(np.median(given[_full(np.asarray(labelled.clouds.counts))])), _left_over(labelled)
+    names = " and ".join(dict.fromkeys(one.name for one in worn))
     # most of the set: at half of it, a set of thrice as many markers passes; at double, any hidden marker is told
-    if usual >= _MOST * len(labelling.names):
+    few = usual < _MOST * left.markers
+    # where a wider set has labelled, what is left over is known, and that is said
+    if not few and (not left.tells or labelled.labeller.wider is not None):
         return []
-    sentence = (
-        f"{path}: {usual} of {len(labelling.names)} markers of {' and '.join(one.name for one in worn)} have a label in a usual frame; "
-    )
-    sentence += "another set may be worn, part of the body be out of view, or the movement be an unusual one."
-    named = worn[0].by == GIVEN
-    mend = (
-        "Leave --markers out to have the set found, or name the one that is worn" if named else "Name the set that is worn with --markers"
-    )
+    mend = "Leave --markers out to have the set found" if worn[0].by == GIVEN else "Name the set that is worn with --markers"
     mend += "; check the labels with `asterism review`."
-    return [Finding("label-few-markers", Severity.WARNING, str(path), sentence, mend)]
+    if not few:
+        found = Finding("label-other-set", Severity.WARNING, str(path), left.sentence(str(path), names), mend)
+        return [_with_sets(found, worn, some)]
+    sentence = f"{path}: {usual} of {left.markers} markers of {names} have a label in a usual frame; "
+    sentence += "another set may be worn, part of the body be out of view, or the movement be an unusual one."
+    found = Finding("label-few-markers", Severity.WARNING, str(path), sentence, mend)
+    # fewer points may be those of a smaller set; what is left over tells of another one
+    return [_with_sets(found, worn, some) if left.tells else found]
+
+
+def _with_sets(finding: Finding, worn: Sequence[WornMarkers], some: Clouds) -> Finding:
+    """A finding on a set that nobody has seen worn, with the sets that the points are like."""
+    return replace(finding, mend=f"{finding.mend} {sets_to_name(some, [name for one in worn for name in one.marker_set.names])}".strip())
 
 
 def _few_frames(path: Path, counts: Ints) -> list[Finding]:

@@ -8,7 +8,17 @@ from pathlib import Path
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.recording import Clouds, Disagreement, Labelling, MarkerSet, Recording, check_labels, is_partly_labelled, keep_labels
+from asterism.recording import (
+    Clouds,
+    Disagreement,
+    Labelling,
+    MarkerSet,
+    Recording,
+    check_labels,
+    is_partly_labelled,
+    keep_labels,
+    labelled_live,
+)
 from asterism.session.mirror import exchanged_sides
 from asterism.session.options import CHECK, IGNORE, KEEP
 
@@ -17,7 +27,12 @@ _PAIRS_SHOWN = 4
 
 
 def choose_name_policy(recording: Recording, marker_set: MarkerSet, wanted: str | None) -> str | None:
-    """What becomes of the names of a file, where nobody has said: they are checked where it is partly labelled."""
+    """What becomes of the names of a file, where nobody has said: they are checked where it is partly labelled.
+
+    Names that were given live are no person's: all that they were told by is there, and what came after them, too.
+    """
+    if wanted is None and labelled_live(recording.log) is not None:
+        return IGNORE
     return CHECK if wanted is None and is_partly_labelled(recording, marker_set) else wanted
 
 

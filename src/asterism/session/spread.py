@@ -7,7 +7,6 @@ same however often it is begun, since one whose process was lost is begun again.
 from __future__ import annotations
 
 import errno
-import multiprocessing
 import os
 import pickle
 import signal
@@ -23,6 +22,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from asterism.errors import AsterismError
+from asterism.files.processes import clean_context
 from asterism.labelling.shared_work import Each
 
 Task = TypeVar("Task")
@@ -112,12 +112,7 @@ class _Worker(Generic[Task]):
 
     @classmethod
     def begin(cls, function: Callable[[Any], Any]) -> _Worker[Task]:
-        # a fork of this process would share locks that compiled kernels and threads of linear algebra hold
-        servers = "forkserver" in multiprocessing.get_all_start_methods()
-        context = multiprocessing.get_context("forkserver") if servers else multiprocessing.get_context("spawn")
-        if servers:
-            # what each process begins with is imported once
-            context.set_forkserver_preload([__name__, function.__module__])
+        context = clean_context(__name__, function.__module__)
         here, there = context.Pipe()
         process = context.Process(target=_serve, args=(there, function), daemon=True)
         process.start()

@@ -202,14 +202,14 @@ class FrameLabeller:
         # Starts have been through the coarse blurs already.
         fine = tuple(blur for blur in rules.blur if blur < rules.coarse[-1]) or rules.blur[-1:]
         results = []
+        poses, rotations = starts(self.scene, self.body, xy, offsets, rules.headings, self.size, postures)
         # Outlines of postures differ less than their fits do, so each posture sends its own best starts.
-        groups: list[tuple[StartPosture, ...]] = [(posture,) for posture in postures] or [()]
-        for group in groups:
-            poses, rotations = starts(self.scene, self.body, xy, offsets, rules.headings, self.size, group)
-            costs = self._screened(t, poses, rotations)
+        for group in np.split(np.arange(len(poses)), max(len(postures), 1)):
+            own = poses[group], rotations[group]
+            costs = self._screened(t, *own)
             results += [
-                self._fitted(t, self._arms_sought(t, poses[n], rotations[n], self.limb_rules.blur), rotations[n], fine, rules.steps)
-                for n in _different(costs, poses, rotations, _OF_POSTURE if postures else rules.kept)
+                self._fitted(t, self._arms_sought(t, own[0][n], own[1][n], self.limb_rules.blur), own[1][n], fine, rules.steps)
+                for n in _different(costs, *own, _OF_POSTURE if postures else rules.kept)
             ]
         results.sort(key=lambda result: -result.gain)
         best = results[0]

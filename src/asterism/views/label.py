@@ -150,7 +150,7 @@ def _labelled(
     used = replace(labeller, scene=labeller.scene.without(fit.left_out), rules=rules)
     # The general body's places can be off by centimetres on this person, so it is learned before labels are given.
     if rules.personal and len(blobs):
-        own = personal_body(used, known=fit.found)
+        own = personal_body(used, PERSONAL, known=fit.found)
         used = used if own is body else replace(used, body=own, size=None)
     track = _Track(used, body)
     track.run(keeping.progress, keeping.journal)

@@ -54,10 +54,11 @@ def fit_rig(labeller: FrameLabeller, frames: Ints) -> CameraAgreement:
     than that of all: what it contradicts costs more than it gains. At least two cameras are left. Where the cameras disagree, all images
     and each of them are tried mirrored, too. O(frames cameras) labellings where the cameras disagree, else O(frames).
     """
-    best, left_out = _noise_of(labeller, frames), list[int]()
-    if _in_doubt(labeller, best):
+    known = dict[tuple[float, int], BlobLabels]()
+    best, left_out = _noise_of(labeller, frames, known), list[int]()
+    if _in_doubt(labeller, best) and len(_seeing(labeller, left_out)) > 2:
         few = frames[::2]
-        all_of = _noise_of(labeller, few)
+        all_of = _noise_of(labeller, few, known)
         while len(rest := _seeing(labeller, left_out)) > 2:
             # Each camera in turn: what it says is left out, and so is what it misses.
             others = [_noise_of(_without(labeller, [*left_out, c]), few) for c in rest]
@@ -170,35 +171,39 @@ def _sightings(labeller: FrameLabeller, found: dict[int, BlobLabels]) -> tuple[F
     return shown, expected
 
 
-def _noise_of(labeller: FrameLabeller, frames: Ints) -> CameraAgreement:
-    """The noise with which the frames are most probable, and what is found with it."""
-    usual = labeller.rules.noise
-    best = _most_probable(labeller, _found(labeller, frames))
+def _noise_of(labeller: FrameLabeller, frames: Ints, known: dict[tuple[float, int], BlobLabels] | None = None) -> CameraAgreement:
+    """The noise with which the frames are most probable, and what is found with it; known: see `_found`."""
+    usual, known = labeller.rules.noise, {} if known is None else known
+    best = _most_probable(labeller, _found(labeller, frames, known))
     explained = [labeller.explained(each) for each in best.found.values()]
     # A body that is sought with too little noise may not be found at all.
     if best.noise > usual or not explained or np.median(explained) < labeller.rules.enough_gain:
         wide = _at(labeller, max(best.noise, _FAR_OFF * usual))
-        other = _most_probable(labeller, _found(wide, frames))
+        other = _most_probable(labeller, _found(wide, frames, known))
         best = other if other.gain > best.gain else best
     # With its own noise the body is found best.
-    return replace(best, found=_found(_at(labeller, best.noise), frames)) if best.noise > usual else best
+    return replace(best, found=_found(_at(labeller, best.noise), frames, known)) if best.noise > usual else best
 
 
 def _at(labeller: FrameLabeller, noise: float) -> FrameLabeller:
     return replace(labeller, rules=labeller.rules.at_noise(noise))
 
 
-def _found(labeller: FrameLabeller, frames: Ints) -> dict[int, BlobLabels]:
-    """The frames labelled without a start; those in which two cameras have blobs."""
-    out = dict[int, BlobLabels]()
+def _found(labeller: FrameLabeller, frames: Ints, known: dict[tuple[float, int], BlobLabels] | None = None) -> dict[int, BlobLabels]:
+    """The frames labelled without a start; those in which two cameras have blobs.
+
+    known: (noise, frame) -> what this labeller has found before; what is found now is added.
+    """
+    out, known = dict[int, BlobLabels](), {} if known is None else known
     for t in frames.tolist():
         if cameras_with_blobs(labeller.scene.frame(t)[1]).sum() < 2:
             continue
         try:
-            out[t] = labeller.from_nothing(t)
+            found = known.get((labeller.rules.noise, t)) or labeller.from_nothing(t)
         except AsterismError:
             # All cameras that have blobs here look along one line.
             continue
+        out[t] = known[labeller.rules.noise, t] = found
     return out
 
 

@@ -106,6 +106,7 @@ def starts(
     poses of an upright body. O(N). Raises as `middle_of_rays`.
     """
     middle = middle_of_rays(scene, xy, offsets)
+    spreads = _spreads(scene, xy, offsets, middle) if size is None else []
     upright = z_up_rotation(scene.vertical).T
     angles = _angles_of(body, postures) if postures else body.start_angles
     turns = [rotation_from_vector(np.radians(posture.turn)) for posture in postures] or [np.eye(3)] * len(angles)
@@ -115,7 +116,7 @@ def starts(
     for k in range(len(angles)):
         pose = np.concatenate([np.ones(3), np.zeros(6), angles[k]])
         places = posed_points(body, pose, turns[k])[0]
-        pose[:3] = _size_by_spread(scene, places @ np.array([0.0, 0.0, 1.0]), xy, offsets, middle) if size is None else size
+        pose[:3] = _size_by_spread(places @ np.array([0.0, 0.0, 1.0]), spreads) if size is None else size
         for h in range(headings):
             turn, n = 2 * np.pi * h / headings, k * headings + h
             about = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
@@ -137,13 +138,9 @@ def _angles_of(body: ArticulatedBody, postures: tuple[StartPosture, ...]) -> Flo
     return np.asarray(np.clip(out, arrays.low, arrays.high), dtype=np.float64)
 
 
-def _size_by_spread(scene: ViewsScene, heights: Floats, xy: Floats, offsets: Ints, middle: Floats) -> float:
-    """The person's size as a multiple of the body's, from the middle half of the blobs along each image's vertical; within 0.6 to 1.6.
-
-    heights (M,) m: of the body's markers in a posture.
-    """
-    own = np.diff(np.quantile(heights, [0.2, 0.8]))[0]
-    ratios = []
+def _spreads(scene: ViewsScene, xy: Floats, offsets: Ints, middle: Floats) -> list[tuple[float, float]]:
+    """Of each image that tells a size: px over which the middle half of its blobs spreads along the vertical, and px of a metre there."""
+    spreads = []
     for c, camera in enumerate(scene.rig):
         # Near blobs of one image hide how high the body reaches, so four are needed.
         seen = xy[offsets[c] : offsets[c + 1]]
@@ -153,6 +150,16 @@ def _size_by_spread(scene: ViewsScene, heights: Floats, xy: Floats, offsets: Int
             up = (camera.rotation @ scene.vertical)[:2] * np.array(camera.focal) / depth
             length = float(np.linalg.norm(up))
             if length > 1e-6:
-                ratios.append(float(np.diff(np.quantile(seen @ (up / length), [0.2, 0.8]))[0]) / (length * own))
+                spreads.append((float(np.diff(np.quantile(seen @ (up / length), [0.2, 0.8]))[0]), length))
+    return spreads
+
+
+def _size_by_spread(heights: Floats, spreads: list[tuple[float, float]]) -> float:
+    """The person's size as a multiple of the body's, within 0.6 to 1.6.
+
+    heights (M,) m: of the body's markers in a posture; spreads: see `_spreads`.
+    """
+    own = np.diff(np.quantile(heights, [0.2, 0.8]))[0]
+    ratios = [spread / (length * own) for spread, length in spreads]
     # A person is rarely beyond these sizes; a wrong start outside of them would not be left again.
     return float(np.clip(np.median(ratios), 0.6, 1.6)) if ratios else 1.0

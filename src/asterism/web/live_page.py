@@ -39,6 +39,9 @@ _HEALTH = 0.5
 _STALE = 0.5
 """s after which a sound or an event is not sent any more: who hears it then takes it for what they do now. Half of it loses sounds of a
 radio network that pauses; with twice as much the next step is there."""
+_ASLEEP = 0.5
+"""s without a word from a page whose pictures are all on their way, after which it sleeps and gets no sounds. Half of it holds them back
+while a radio network pauses, until the page has answered; with twice as much a page that wakes has a second of sounds to pass over."""
 _MOMENTS = 200
 """Events and beginnings that wait for pages: seconds of them in a fast run with ten rules. Half and double do as well, since old ones are
 not sent."""
@@ -63,7 +66,8 @@ class ToPage:
         self._count = 0
         self._picture: tuple[int, str] = (0, "")
         self._shown: deque[LabelledFrame] = deque(maxlen=_TO_BONES)
-        self._bones: list[list[int]] | None = None
+        self._body: dict[str, Any] | None = None
+        self._has_lines = False
         self._moments: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_MOMENTS)
         self._moment_count = 0
         self._wakers: list[Callable[[], object]] = []
@@ -81,10 +85,21 @@ class ToPage:
             for moment in moments:
                 self._moment_count += 1
                 self._moments.append((self._moment_count, moment))
-            if self._bones is None and frame.labelled.markers:
-                self._shown.append(frame.labelled)
+            self._look_at(frame.labelled)
         if moments:
             self._wake()
+
+    def _look_at(self, labelled: LabelledFrame) -> None:
+        """Keep what tells of the body: at first, and anew with other markers."""
+        markers = labelled.markers
+        if not markers:
+            return
+        if self._body is None or self._body["markers"] != markers:
+            self._shown.clear()
+            self._has_lines = False
+            self._body = {"markers": markers, "sides": marker_sides(markers), "bones": []}
+        if not self._has_lines:
+            self._shown.append(labelled)
 
     def close(self) -> None:
         """The session has ended; what was shown last stays."""
@@ -170,20 +185,26 @@ class ToPage:
         }
 
     def body(self) -> dict[str, Any] | None:
-        """Names, sides and lines of the markers; None until enough frames showed them."""
+        """Names, sides and lines of the markers, the same object until that changes; None while no marker is known.
+
+        There are no lines until enough frames showed the markers.
+        """
         with self._guard:
-            shown = list(self._shown)
-        if len(shown) < _TO_BONES:
-            return None
-        markers = shown[-1].markers
-        if self._bones is None:
-            same = [each for each in shown if each.markers == markers]
-            positions = np.full((len(same), len(markers), 3), np.nan)
-            for t, each in enumerate(same):
-                given = each.indices >= 0
-                positions[t, given] = each.frame.points[each.indices[given]]
-            self._bones = marker_bones(positions, markers)
-        return {"markers": list(markers), "sides": list(marker_sides(markers)), "bones": self._bones}
+            body, shown = self._body, list(self._shown)
+        if body is None or len(shown) < _TO_BONES:
+            return body
+        markers = body["markers"]
+        positions = np.full((len(shown), len(markers), 3), np.nan)
+        for t, each in enumerate(shown):
+            given = each.indices >= 0
+            positions[t, given] = each.frame.points[each.indices[given]]
+        made = {**body, "bones": marker_bones(positions, markers)}
+        with self._guard:
+            # Other markers may have come meanwhile.
+            if self._body is body:
+                self._body, self._has_lines = made, True
+                self._shown.clear()
+            return self._body
 
     def sounded(self, latencies: object) -> None:
         """Take what a page tells of its sounds: ms from the arrival of the frame to the beginning of the sound, each."""
@@ -224,6 +245,8 @@ def serve_live(session: LiveSession, page: ToPage, place: PageAddress, say: Call
         import uvicorn
 
         from asterism.web.guard import Guard
+    # The shipped marker sets are read now, for a twentieth of a second, and not while frames wait for their labels.
+    marker_sides(())
     token = secrets.token_urlsafe(24)
     listening = bound(place)
     port = listening.getsockname()[1]
@@ -259,7 +282,7 @@ class _Follower:
     """One page that is open. Lives in the server's event loop.
 
     picture, moment  the numbers of what was sent last
-    seen             the number of the last picture that the page told of, and how many pictures it was not told of
+    ahead, seen      pictures that the page has not told of, and when it told of one, s on `time.monotonic`
     """
 
     session: LiveSession
@@ -269,9 +292,10 @@ class _Follower:
     picture: int = 0
     moment: int = 0
     ahead: int = 0
+    seen: float = -math.inf
     gone: bool = False
     _names: dict[str, Any] = field(default_factory=dict)
-    _told_body: bool = False
+    _body: dict[str, Any] | None = None
     _told_end: bool = False
     _health_at: float = -math.inf
     _picture_at: float = -math.inf
@@ -294,34 +318,34 @@ class _Follower:
             end()
 
     async def _moments(self) -> None:
-        # A page that does not keep up gets none until they are fresh again.
-        if self.ahead >= _AHEAD and self.page.last_moment > self.moment:
+        # A page that sleeps gets none until they are fresh again. One that is only far away gets them at once.
+        if self.ahead >= _AHEAD and time.monotonic() - self.seen > _ASLEEP:
             return
         self.moment, moments = self.page.moments(self.moment)
         if moments:
             await self._say({"moments": moments, "sent": _ms(time.monotonic())})
 
     async def _rest(self, now: float) -> None:
-        """A picture, and from time to time what is around it."""
+        """A picture, and from time to time what is around it; at first that, since a picture says nothing without it."""
+        if now >= self._health_at + _HEALTH or (self.session.has_ended and not self._told_end):
+            self._health_at, self._told_end = now, self.session.has_ended
+            await self._say({"health": _plain_health(self.session, self.page)})
+            if (control := _camera_control(self.session)) is not None:
+                await self._say({"cameras": control.camera_states()})
         if now >= self._picture_at + 1 / _PICTURES and self.ahead < _AHEAD:
             self._picture_at = max(now - 1 / _PICTURES, self._picture_at + 1 / _PICTURES)
             if (found := self.page.picture(self.picture)) is not None:
                 if (names := self.page.names()) != self._names:
                     self._names = names
                     await self._say({"names": names})
+                if (body := self.page.body()) is not self._body:
+                    self._body = body
+                    await self._say({"body": body})
                 self.picture, text = found
                 self.ahead += 1
                 await self.send(text)
         elif self.ahead >= _AHEAD:
             self._picture_at = now
-        if not self._told_body and (body := self.page.body()) is not None:
-            self._told_body = True
-            await self._say({"body": body})
-        if now >= self._health_at + _HEALTH or (self.session.has_ended and not self._told_end):
-            self._health_at, self._told_end = now, self.session.has_ended
-            await self._say({"health": _plain_health(self.session, self.page)})
-            if (control := _camera_control(self.session)) is not None:
-                await self._say({"cameras": control.camera_states()})
 
     async def told(self, text: str) -> None:
         """Take what the page says; what is not understood is passed over."""
@@ -332,7 +356,7 @@ class _Follower:
         if not isinstance(news, dict):
             return
         if isinstance(news.get("seen"), int):
-            self.ahead = max(0, self.ahead - 1)
+            self.ahead, self.seen = max(0, self.ahead - 1), time.monotonic()
             if self.ahead == _AHEAD - 1:
                 self.wake.set()
         if isinstance(news.get("ping"), int | float):

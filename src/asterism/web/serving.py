@@ -91,7 +91,8 @@ def bound(place: PageAddress) -> socket.socket:
     """A socket that is bound."""
     try:
         resolved = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)[0]
-        listening = socket.socket(resolved[0], resolved[1])
+        # By its protocol asyncio knows TCP, and sends small messages at once; else each waits up to 40 ms for the other end's answer.
+        listening = socket.socket(*resolved[:3])
     except (OSError, OverflowError) as problem:
         raise AsterismError(f"--host {place.host} is no address of this machine; leave it out, or give one of its own.") from problem
     try:

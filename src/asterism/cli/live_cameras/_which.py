@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -59,6 +59,16 @@ def cameras_of(file: Path | None, addresses: Iterable[str]) -> list[CameraSpec]:
     if not found:
         raise AsterismError("no camera was found; plug one in, or name some with --address or --cameras.")
     return [CameraSpec(about.name, about.address) for about in found]
+
+
+def opened_cameras(specs: Sequence[CameraSpec], file: Path | None) -> CameraGroup:
+    """The cameras, open. Raises AsterismError, with the file that names them, where none could be opened."""
+    from asterism.live.cameras import CameraGroup
+
+    try:
+        return CameraGroup(specs)
+    except AsterismError as problem:
+        raise AsterismError(f"{problem}" if file is None else f"{file}: {problem}") from problem
 
 
 def opening_findings(group: CameraGroup) -> list[Finding]:

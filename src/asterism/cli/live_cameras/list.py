@@ -13,7 +13,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import Json, Overwrite
-from asterism.cli.live_cameras._which import Addresses, Cameras, Producer, cameras_of, found_cameras, opening_findings
+from asterism.cli.live_cameras._which import Addresses, Cameras, Producer, cameras_of, found_cameras, opened_cameras, opening_findings
 from asterism.findings import exit_status
 
 
@@ -39,8 +39,8 @@ def list(options: ListCamerasOptions) -> None:
     Webcams are found by this system, machine vision cameras by the GenTL producers that their makers' drivers install. With --settings each
     is opened. Write a file with -o, give each camera its name in the rig there, and use it with --cameras.
     """
-    from asterism.live.cameras import SETTINGS, CameraGroup, CameraSpec, save_cameras
-    from asterism.live.cameras.addresses import without_password
+    from asterism.live.addresses import without_password
+    from asterism.live.cameras import SETTINGS, CameraSpec, save_cameras
     from asterism.live.cameras.settings import setting_text
 
     _console.check_outputs([options.output, options.json], [options.cameras], options.overwrite)
@@ -49,7 +49,7 @@ def list(options: ListCamerasOptions) -> None:
     specs = cameras_of(options.cameras, options.addresses) if named else [CameraSpec(about.name, about.address) for about in abouts]
     findings, rows, said = [], [], {}
     if options.settings and specs:
-        group = CameraGroup(specs)
+        group = opened_cameras(specs, options.cameras)
         findings = opening_findings(group)
         known = [camera.about for camera in group.cameras]
         said = {camera.name: {name: camera.get(name) for name in camera.settings} for camera in group.cameras}

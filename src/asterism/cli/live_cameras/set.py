@@ -12,7 +12,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import Json, Overwrite
-from asterism.cli.live_cameras._which import Addresses, Cameras, cameras_of, opening_findings
+from asterism.cli.live_cameras._which import Addresses, Cameras, cameras_of, opened_cameras, opening_findings
 from asterism.findings import exit_status
 
 
@@ -49,13 +49,13 @@ def set(options: SetCamerasOptions) -> None:
     rounds or cannot do is told for each. Many cameras forget what was set when another program opens them: keep it in a file with -o, and
     give this to --cameras. An exposure that is a number switches the automatic one off.
     """
-    from asterism.live.cameras import CameraGroup, camera_findings, parse_setting, save_cameras, with_settings
+    from asterism.live.cameras import camera_findings, parse_setting, save_cameras, with_settings
 
     _console.check_outputs([options.output, options.json], [], options.overwrite)
     asked = dict(parse_setting(text) for text in options.settings)
     before = cameras_of(options.cameras, options.addresses)
     specs = with_settings(before, asked, options.only)
-    group = CameraGroup([spec for spec in specs if not options.only or spec.name in options.only])
+    group = opened_cameras([spec for spec in specs if not options.only or spec.name in options.only], options.cameras)
     try:
         outcomes = [outcome for outcome in group.outcomes if outcome.setting in asked or not outcome.as_asked]
         if options.output is not None:

@@ -7,7 +7,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,11 +20,13 @@ from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import Json
 from asterism.cli._printable import printable
-from asterism.cli.live_cameras._which import Addresses, Cameras, cameras_of, opening_findings
+from asterism.cli.live_cameras._which import Addresses, Cameras, cameras_of, opened_cameras, opening_findings
 from asterism.errors import AsterismError
 from asterism.findings import exit_status
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from asterism.live.cameras import CameraHealth, LiveCamera, SettingValue
 
 _EVERY = 1.0
@@ -55,7 +57,7 @@ def watch(options: WatchCamerasOptions) -> None:
     On a terminal a table; elsewhere a line for each camera and second. A camera that disappears is opened again and told. What should be
     looked at is said at the end. Stop with Ctrl-C.
     """
-    from asterism.live.cameras import CameraGroup, camera_findings
+    from asterism.live.cameras import camera_findings
 
     if options.lines and options.json == "-":
         raise AsterismError("--lines and --json - both print to standard output; give --json a file.")
@@ -64,7 +66,7 @@ def watch(options: WatchCamerasOptions) -> None:
     if not options.no_blobs:
         # What compiles the first time would keep the first images waiting.
         _blobs_of(np.zeros((8, 8), np.uint8), None)
-    group = CameraGroup(specs)
+    group = opened_cameras(specs, options.cameras)
     watched: list[_Watched] = []
     try:
         group.start()
@@ -208,10 +210,10 @@ class _LiveTable:
 
         self._live = Live(console=_console.console(), auto_refresh=False)
         self._begun = False
+        self._told = set[int]()
 
     def __call__(self, healths: list[CameraHealth]) -> None:
-        from rich import box
-        from rich.table import Table
+        from rich.console import Group
         from rich.text import Text
 
         if not healths:
@@ -220,10 +222,41 @@ class _LiveTable:
         if not self._begun:
             self._live.start()
             self._begun = True
-        table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-        for place, column in enumerate(_COLUMNS):
-            table.add_column(column, justify="left" if place in (0, len(_COLUMNS) - 1) else "right")
-        for health in healths:
-            style = "bold red" if health.problem else ""
-            table.add_row(*(Text(printable(cell), style=style) for cell in _cells(health)))
-        self._live.update(table, refresh=True)
+        rows = [[printable(cell) for cell in _cells(health)[:-1]] for health in healths]
+        # A column that has said something stays.
+        self._told |= {place for row in rows for place, cell in enumerate(row) if place in _ALWAYS or cell not in _NOTHING}
+        told = sorted(self._told)
+        least = [[place for place in told if place not in _LEAST[:left_out]] for left_out in range(len(_LEAST) + 1)]
+        forms = [(list(range(len(_COLUMNS) - 1)), False), (told, False), *((columns, True) for columns in least)]
+        tables = [_table(rows, healths, columns, narrow=narrow) for columns, narrow in forms]
+        # As much as there is room for, and words are never cut.
+        console = self._live.console
+        wide = console.options.update(max_width=_WIDE)
+        table = next((each for each in tables if console.measure(each, options=wide).maximum <= console.width), tables[-1])
+        wrong = [Text(printable(f"{health.camera}: {health.problem}"), style="bold red") for health in healths if health.problem]
+        self._live.update(Group(table, *wrong), refresh=True)
+
+
+_ALWAYS = (0, 1, 4, 6)
+"""Columns that are shown whatever they say: camera, images a second, brightness, blobs."""
+_LEAST = (9, 7, 8, 5, 3)
+"""Columns that a terminal does without where it has no room, the first one first: s ago, temperature, clock, saturation, not fetched."""
+_WIDE = 1000
+"""Letters in which any table has room, so that it says how many it needs. Half and double do as well."""
+_NOTHING = ("0", "0.0", "–")
+"""What a column says that says nothing."""
+
+
+def _table(rows: list[list[str]], healths: list[CameraHealth], columns: Sequence[int], *, narrow: bool) -> Table:
+    """The columns of all cameras; narrow: with the words of a heading one below the other."""
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0) if narrow else (0, 1))
+    for place in columns:
+        heading = _COLUMNS[place].replace(" ", "\n") if narrow else _COLUMNS[place]
+        table.add_column(heading, justify="left" if place == 0 else "right", no_wrap=True)
+    for row, health in zip(rows, healths, strict=True):
+        table.add_row(*(Text(row[place], style="bold red" if health.problem else "") for place in columns))
+    return table

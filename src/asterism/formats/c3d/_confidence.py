@@ -14,10 +14,12 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats.c3d._assemble import assembled
-from asterism.formats.c3d._edit import LOG_GROUP, MOST_STRINGS, floats_record, integers_record, strings_record, with_group, with_number
+from asterism.formats.c3d._channels import ChannelTexts, with_channels, write_analog_header
+from asterism.formats.c3d._edit import LOG_GROUP, MOST_STRINGS, floats_record, integers_record, strings_record, with_group
 from asterism.formats.c3d._file import C3DFile, numbered, ranges
+from asterism.formats.c3d._layout import LIMIT
 from asterism.formats.c3d._numbers import Words
-from asterism.formats.c3d._parameters import BYTE, CHARACTER, FLOAT, INTEGER, Parameters, Record, make_parameter
+from asterism.formats.c3d._parameters import Parameters, Record
 from asterism.recording import Floats, LabelStates
 
 ENDING = " confidence"
@@ -25,8 +27,6 @@ ENDING = " confidence"
 _CHANNELS = "CONFIDENCE_CHANNELS"
 _STEPS = 10_000
 """Integers of a confidence of 1 in files of integers."""
-_MOST_SAMPLES = 65535
-_PER_CHANNEL = ("LABELS", "DESCRIPTIONS", "SCALE", "OFFSET", "UNITS", "GAIN")
 
 
 @dataclass(frozen=True)
@@ -82,9 +82,12 @@ class Channels:
         kept = _kept_channels(file)
         # All channels of a file have as many samples per frame: ours follow the others.
         samples = max(1, file.layout.analog // file.analog_channels if file.analog_channels else 1)
-        if samples * (len(kept) + len(names)) > _MOST_SAMPLES:
+        if samples * (len(kept) + len(names)) > LIMIT:
             raise AsterismError(f"{file.path}: {len(kept) + len(names)} analog channels are more than a C3D file can hold at this rate.")
-        parameters = _with_channels(file, kept, names, samples, 1.0 if general is None else general)
+        # Readers multiply by the general scale, which is divided out here.
+        scale = (1.0 if file.layout.real else 1.0 / _STEPS) / (1.0 if general is None else general)
+        texts = [(name + ENDING, "probability that the label is right", "") for name in names]
+        parameters = with_channels(file, kept, [ChannelTexts(*each, scale) for each in texts], samples)
         return cls(kept, names, samples, _with_summary(parameters, names, summary, len(kept)))
 
     @property
@@ -102,8 +105,7 @@ class Channels:
 
     def write_header(self, raw: bytearray, file: C3DFile) -> None:
         """Write what the header of the new file says of its analog samples."""
-        raw[4:6] = file.processor.bytes_of_unsigned(self.width)
-        raw[18:20] = file.processor.bytes_of_unsigned(self.samples)
+        write_analog_header(raw, file, self.width, self.samples)
 
 
 def with_confidence(file: C3DFile, confidence: LabelConfidence, states: LabelStates) -> bytearray:
@@ -157,72 +159,6 @@ def _encoded(file: C3DFile, values: Floats) -> Words:
         return file.processor.words_of_floats(known)
     # Rounded down: a confidence never reads higher than it is.
     return file.processor.words_of_integers(np.floor(known * _STEPS + 1e-9).astype(np.int16))
-
-
-def _with_channels(file: C3DFile, kept: Sequence[int], names: Sequence[str], samples: int, general: float) -> Parameters:
-    """The group ANALOG with the channels that are kept, and one for each label."""
-    parameters, group = with_group(file.parameters, "ANALOG")
-    processor, many = file.processor, len(kept) + len(names)
-    # Readers multiply by the general scale, which is divided out here.
-    scale = (1.0 if file.layout.real else 1.0 / _STEPS) / general
-    new: dict[str, list[bytes] | list[float]] = {
-        "LABELS": [(name + ENDING).encode("utf-8") for name in names],
-        "DESCRIPTIONS": [b"probability that the label is right"] * len(names),
-        "UNITS": [b""] * len(names),
-        "SCALE": [scale] * len(names),
-        "OFFSET": [0.0] * len(names),
-        "GAIN": [0.0] * len(names),
-    }
-    changes: dict[tuple[str, str], Record | None] = {}
-    for name in _PER_CHANNEL:
-        keys = numbered(file.parameters, "ANALOG", name)
-        first = file.parameters.find("ANALOG", name)
-        # GAIN is optional, and a file without it stays so.
-        if first is None and name == "GAIN":
-            continue
-        default: bytes | float = b"" if isinstance(new[name][0], bytes) else float(name == "SCALE")
-        old = _values_of(file.parameters, keys, isinstance(default, bytes))
-        listed = [old[channel] if channel < len(old) else default for channel in kept] + list(new[name])
-        # Old pages go first: fewer channels need fewer of them.
-        changes.update({("ANALOG", key): None for key in keys})
-        # A parameter has 255 entries at most; more go on in LABELS2 and so on.
-        for page, at in enumerate(range(0, many, MOST_STRINGS)):
-            key = f"{name}{page + 1}" if page else name
-            changes["ANALOG", key] = _record(key, group, listed[at : at + MOST_STRINGS], first, file)
-    for name, value, kind in (("USED", many, int), ("RATE", file.rate * samples, float), ("GEN_SCALE", general, float)):
-        if file.parameters.find("ANALOG", name) is not None:
-            changes["ANALOG", name] = with_number(file.parameters, "ANALOG", name, value)
-        elif kind is int:
-            changes["ANALOG", name] = integers_record(name, group, [int(value)], (), processor)
-        else:
-            changes["ANALOG", name] = floats_record(name, group, [float(value)], (), processor)
-    return parameters.replaced(changes)
-
-
-def _values_of(parameters: Parameters, keys: Sequence[str], texts: bool) -> list[bytes | float]:
-    if texts:
-        return [text for key in keys for text in parameters.raw_strings("ANALOG", key)]
-    return [float(value) for key in keys for value in parameters.values("ANALOG", key)]
-
-
-def _record(name: str, group: int, values: Sequence[bytes | float], like: Record | None, file: C3DFile) -> Record:
-    """A parameter of one value for each channel, in the type that the file had; whole offsets as integers, which others need."""
-    texts = [value for value in values if isinstance(value, bytes)]
-    if texts or (like is not None and like.kind == CHARACTER):
-        width = like.dimensions[0] if like is not None and len(like.dimensions) > 1 else 4
-        return strings_record(name, group, texts, width, file.processor, like)
-    numbers = [float(value) for value in values if not isinstance(value, bytes)]
-    # Other programs demand whole offsets as integers.
-    whole = all(number == int(number) and abs(number) < 2**15 for number in numbers)
-    kind = INTEGER if name.startswith(("OFFSET", "GAIN")) else FLOAT
-    if like is not None and (like.kind != FLOAT or not whole):
-        kind = like.kind
-    if kind == FLOAT:
-        return floats_record(name, group, numbers, (len(numbers),), file.processor)
-    if kind == BYTE:
-        data = bytes(int(number) & 0xFF for number in numbers)
-        return make_parameter(name, group, BYTE, (len(numbers),), data, processor=file.processor)
-    return integers_record(name, group, [int(number) for number in numbers], (len(numbers),), file.processor)
 
 
 def _with_summary(parameters: Parameters, names: Sequence[str], summary: LabelSummary, first: int) -> Parameters:

@@ -27,16 +27,24 @@ from asterism.formats.c3d._layout import LIMIT
 from asterism.formats.c3d._numbers import Words
 from asterism.formats.c3d._parameters import Parameters, Record
 from asterism.formats.c3d._reader import in_metres, scaled, unit_of
+from asterism.formats.c3d.analog import AnalogChannel, with_analog
 from asterism.recording import Floats, Ints, LabelStates, Recording, filled_samples
 
 COMPUTED_ENDING = b"_computed"
 """What follows the label of a computed point where a marker of the recording has the same label."""
 
 
-def write_c3d(path: Path, recording: Recording, confidence: LabelConfidence | None = None, states: LabelStates | None = None) -> list[str]:
+def write_c3d(
+    path: Path,
+    recording: Recording,
+    confidence: LabelConfidence | None = None,
+    states: LabelStates | None = None,
+    analog: Sequence[AnalogChannel] = (),
+) -> list[str]:
     """Write a recording as C3D; a file at `path` is replaced completely or not at all.
 
-    The confidence of labels goes into analog channels and the group ASTERISM; states: what became of the markers.
+    The confidence of labels goes into analog channels and the group ASTERISM; states: what became of the markers; analog: channels of a new
+    file, see `with_analog`.
 
     Where the recording was read from C3D, every unchanged sample (`origin`) is copied bit by bit with its residual
     and cameras, new samples get residual 0 (filled ones below), missing ones are written as the file writes missing points; points that
@@ -56,6 +64,8 @@ def write_c3d(path: Path, recording: Recording, confidence: LabelConfidence | No
     of_c3d = isinstance(recording.source, C3DFile)
     data = rewritten(recording.source, recording, str(path)) if of_c3d else fresh_c3d(recording, str(path))
     lost = []
+    if analog:
+        data = with_analog(parse_c3d(data, str(path)), analog)
     # Computed points give way to a marker's label, which the person must know.
     if isinstance(recording.source, C3DFile):
         renamed = renamed_computed(parse_c3d(data, str(path)), recording.source)

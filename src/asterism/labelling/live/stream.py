@@ -53,6 +53,7 @@ class StreamRules:
     log_odds_scale     nats of what then remains that make one unit of log odds
     takeover_margin    nats by which a labelling from a search must be better, summed over independent frames, to take over
     marker_frames      frames after which a track is held for no flickering point where it has a label
+    lost               s of empty frames behind which tracks go on, as of frames that were lost; in twice as many a body is elsewhere
     ghost_frames       frames after which an unlabelled one is; shorter ones say nothing against the label of a track that lasts
     """
 
@@ -66,6 +67,7 @@ class StreamRules:
     ghost_margin_loss: float = 3.0
     log_odds_scale: float = 3.3
     takeover_margin: float = 5.0
+    lost: float = 0.1
     marker_frames: float = 1.5
     ghost_frames: float = 2.5
 
@@ -158,7 +160,6 @@ class Stream:
         self.rate, self.delay = float(rate), int(delay)
         self._model, self._rules = model, rules or StreamRules()
         self._vertical = as_vertical(vertical)
-        self._limits = LinkRules().limits(self.rate)
         self._independent = 1.0 / (self._rules.independent_after * self.rate)
         labeller = model.labeller
         self._live = None if labeller.model.within is None else LiveBody(labeller.model, model.body_rules, self.rate, LiveRules())
@@ -183,13 +184,13 @@ class Stream:
             self._studies.restart()
         self._forget_person()
         decay = math.exp(-1.0 / (self._rules.evidence_memory * self.rate))
-        self._tracks = TrackEvidence(len(self._model.markers), self._limits, decay, self._independent)
+        self._tracks = TrackEvidence(len(self._model.markers), LinkRules(), self.rate, decay, self._independent)
         self._rival, self._margin = np.zeros(0, dtype=np.int64), 0.0
         self._last_search, self._age = -np.inf, 0
         self._twins.restart()
         self._last_twins, self._twins_compared = -1, False
         self._waiting: deque[_WaitingFrame] = deque()
-        self._pushed = 0
+        self._pushed, self._empty = 0, 0
 
     def _forget_person(self) -> None:
         """Return to the body model of the training."""
@@ -202,8 +203,8 @@ class Stream:
     def push(self, points: ArrayLike) -> FrameLabels | None:
         """Take the next frame's points; give the labels of the frame `delay` pushes ago, None where there is none yet.
 
-        points: (n, 3) m, in any order, n may be 0. Raises AsterismError where they have another shape or are not finite; the frame is then
-        not counted, and the stream can go on.
+        points: (n, 3) m, in any order, n may be 0, as of a frame that was lost: tracks go on behind a few of these. Raises AsterismError
+        where they have another shape or are not finite; the frame is then not counted, and the stream can go on.
         """
         xyz = np.asarray(points, dtype=np.float64)
         if xyz.size == 0:
@@ -218,15 +219,23 @@ class Stream:
         study = None if self._studies is None else self._studies.taken(self._pushed)
         if study is not None:
             self._take_study(study)
+        self._empty = 0 if len(xyz) else self._empty + 1
+        if 0 < self._empty <= self._rules.lost * self.rate:
+            self._tracks.lose()
+            self._tracks.fade()
+            return self._pushed_on(np.zeros(0, dtype=np.int64), place, xyz)
         previous = self._tracks.link(xyz, (frame.rows for frame in self._waiting))
         rival = np.full(len(xyz), NULL, dtype=np.int64)
         if len(self._rival):
             rival[previous >= 0] = self._rival[previous[previous >= 0]]
         self._update(xyz, rival)
-        self._waiting.append(_WaitingFrame(self._pushed, self._tracks.current, place))
+        return self._pushed_on(self._tracks.current, place, xyz)
+
+    def _pushed_on(self, rows: Ints, place: Ints, xyz: Floats) -> FrameLabels | None:
+        """Let a frame wait for its labels, and give those of the oldest. rows (n,) in the table of tracks; place (n,) as pushed."""
+        self._waiting.append(_WaitingFrame(self._pushed, rows, place))
         if self._studies is not None:
-            current = self._tracks.current
-            self._studies.add(self._pushed, xyz, self._tracks.serial[current], unsure=not self._tracks.seen[current].all())
+            self._studies.add(self._pushed, xyz, self._tracks.serial[rows], unsure=not self._tracks.seen[rows].all())
         self._pushed += 1
         return self._labels() if len(self._waiting) > self.delay else None
 

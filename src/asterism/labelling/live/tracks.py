@@ -10,7 +10,8 @@ from scipy.special import logit
 from asterism.labelling.live.study import LEAST_CHANCE, Study
 from asterism.recording import NULL, Floats, Ints
 from asterism.tracking.link_kernels import link_step
-from asterism.tracking.link_workspace_kernels import LinkLimits, make_link_workspace, make_track_ends
+from asterism.tracking.link_workspace_kernels import TrackEnds, make_link_workspace, make_track_ends
+from asterism.tracking.linking import LinkRules
 
 
 class TrackEvidence:
@@ -20,7 +21,7 @@ class TrackEvidence:
     points of a frame and the frames that wait.
 
     markers      M
-    limits       when a point continues a track, at the stream's frame rate
+    rules, rate  when a point continues a track, and frames per second
     decay        share of the evidence that is left after a frame
     independent  share of an independent frame that each further frame of a track counts as
 
@@ -33,8 +34,9 @@ class TrackEvidence:
     known_for    frames that the last study had
     """
 
-    def __init__(self, markers: int, limits: LinkLimits, decay: float, independent: float) -> None:
-        self._limits, self._decay, self._independent = limits, decay, independent
+    def __init__(self, markers: int, rules: LinkRules, rate: float, decay: float, independent: float) -> None:
+        self._rules, self._rate, self._decay, self._independent = rules, rate, decay, independent
+        self._limits, self._lost = rules.limits(rate), 0
         size = 16
         self._ends, self._next_ends, self._workspace = make_track_ends(size), make_track_ends(size), make_link_workspace(size)
         self._evidence, self._prior, self._frames = np.zeros((size, markers)), np.zeros((size, markers)), np.zeros(size)
@@ -58,9 +60,15 @@ class TrackEvidence:
             for array, old in zip(ends, self._ends, strict=True):
                 array[:count] = old[:count]
             self._ends, self._next_ends, self._workspace = ends, make_track_ends(2 * len(xyz)), make_link_workspace(2 * len(xyz))
-        previous = np.empty(len(xyz), dtype=np.int64)
-        link_step(self._ends, len(self.current), xyz, self._limits, self._workspace, previous, self._next_ends)
-        self._ends, self._next_ends = self._next_ends, self._ends
+        previous, step, limits = np.empty(len(xyz), dtype=np.int64), self._lost + 1, self._limits
+        if step > 1:
+            # Over so many frames, points go on as at a rate that is as much lower.
+            limits = self._rules.limits(self._rate / step)
+            _at_rate(self._ends, step)
+        link_step(self._ends, len(self.current), xyz, limits, self._workspace, previous, self._next_ends)
+        self._ends, self._next_ends, self._lost = self._next_ends, self._ends, 0
+        if step > 1:
+            _at_rate(self._ends, 1.0 / step)
         linked = previous >= 0
         rows = np.empty(len(xyz), dtype=np.int64)
         rows[linked] = self.current[previous[linked]]
@@ -69,6 +77,10 @@ class TrackEvidence:
         self.current = rows
         self.release(ended, waiting)
         return previous
+
+    def lose(self) -> None:
+        """A frame is lost: what goes on with the next one is sought as far as it may have moved meanwhile."""
+        self._lost += 1
 
     def _new_rows(self, count: int) -> list[int]:
         """Empty rows for tracks that begin."""
@@ -139,3 +151,9 @@ class TrackEvidence:
         frames = self._frames[rows]
         share = np.minimum(1.0 + self._independent * np.maximum(frames - 1.0, 0.0), max_frames) / np.maximum(frames, 1.0)
         return self._evidence[rows] * share[:, None] + self._prior[rows]
+
+
+def _at_rate(ends: TrackEnds, step: float) -> None:
+    """OUT ends: their motion per frame, of frames that are as many times as far apart."""
+    ends.velocity[:] *= step
+    ends.acceleration[:] *= step * step

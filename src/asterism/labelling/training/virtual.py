@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -54,9 +55,24 @@ class VirtualFrames:
 
 
 def virtual_frames(marker_set: MarkerSet, people: int, seed: int) -> VirtualFrames:
-    """Labelled frames of so many virtual people. The same arguments give the same frames, bit for bit. O(people)."""
+    """Labelled frames of so many virtual people, not to be written to. The same arguments give the same frames, bit for bit. O(people)."""
+    return _drawn(_SetByText(repr(marker_set), marker_set), people, seed)
+
+
+@dataclass(frozen=True)
+class _SetByText:
+    """A marker set by which frames are kept."""
+
+    text: str
+    marker_set: MarkerSet = field(compare=False)
+
+
+# Whoever teaches a model again and again draws the same people each time, which takes a second; two sets' frames are 40 MB at most.
+@lru_cache(maxsize=2)
+def _drawn(worn_set: _SetByText, people: int, seed: int) -> VirtualFrames:
     from asterism.skeleton import virtual_people
 
+    marker_set = worn_set.marker_set
     placed = tuple(name for name in marker_set.names if name in marker_set.places)
     worn = marker_set if len(placed) == len(marker_set) else with_only(marker_set, placed)
     recordings: Sequence[Recording] = virtual_people(worn, people=people, frames=FRAMES_EACH, rate=RATE, seed=seed)
@@ -64,8 +80,10 @@ def virtual_frames(marker_set: MarkerSet, people: int, seed: int) -> VirtualFram
     frames[:, [marker_set.names.index(name) for name in placed]] = np.concatenate([recording.positions for recording in recordings])
     names = [str(recording.metadata["subject"]) for recording in recordings]
     number = {name: i for i, name in enumerate(sorted(set(names)))}
-    whose = np.repeat([number[name] for name in names], [len(recording) for recording in recordings])
-    return VirtualFrames(frames, whose.astype(np.int64))
+    whose = np.repeat([number[name] for name in names], [len(recording) for recording in recordings]).astype(np.int64)
+    for kept in (frames, whose):
+        kept.flags.writeable = False
+    return VirtualFrames(frames, whose)
 
 
 def with_known_places(marker_set: MarkerSet) -> MarkerSet:

@@ -7,6 +7,7 @@ from collections import deque
 
 import numpy as np
 
+from asterism.live.blobs._clock_kernels import fit_line
 from asterism.live.clock import BUCKET, JUMP
 
 _KEPT = 120
@@ -105,19 +106,7 @@ class CameraClock:
         slow = len(least) > 2 and least[-1] - self.offset(float(times[-1])) > _STEP + 10 * self._spread
         self._slow = self._slow + 1 if slow else 0
         self._at = float(times[-1])
-        since = times - self._at
-        offset, drift, spread = float(least.min()), 0.0, _SCATTER
-        for _ in range(4):
-            rest = least - offset - drift * since
-            scatter = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
-            spread = math.sqrt((len(rest) * scatter**2 + _SCATTER**2) / (len(rest) + 1))
-            # Half seconds in which all images were late weigh less.
-            weights = 1.0 / (1.0 + (rest / (3 * spread)) ** 2)
-            information = np.array([[weights.sum(), weights @ since], [weights @ since, weights @ since**2]]) / spread**2
-            information[1, 1] += 1 / _QUARTZ**2
-            self._variance = np.linalg.inv(information)
-            offset, drift = (self._variance @ np.array([weights @ least, weights @ (since * least)]) / spread**2).tolist()
-        self._offset, self._drift, self._spread = offset, drift, spread
+        self._offset, self._drift, self._spread = fit_line(times - self._at, least, _SCATTER, _QUARTZ, self._variance)
 
 
 def same_clock(one: CameraClock, other: CameraClock, most: float) -> bool:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import multiprocessing
 import pickle
 import signal
 import struct
-import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -22,10 +20,13 @@ import numpy as np
 from asterism.cameras import Rig
 from asterism.errors import AsterismError
 from asterism.files.plain import as_json
+from asterism.files.processes import clean_context
 from asterism.findings import Finding
+from asterism.live.blobs.judging import JudgeProcess
 from asterism.live.blobs.rig_source import RigCameraHealth, RigSource
 from asterism.live.camera_frames import BlobSource
 from asterism.live.frames import TURN, LiveFrame, SourceAbout, SourceEnded
+from asterism.live.pauses import short_pauses
 from asterism.reconstruction import ReconstructionSettings
 
 OpenBlobs = Callable[[], BlobSource]
@@ -40,9 +41,6 @@ _REPORT = 0.5
 _ON_THE_WAY = 3
 """Frames that may be on their way between the processes: one that is read, one that waits, one that is written. With one, each waits for
 the other; twice as many are old where this process is too slow."""
-_SWITCH = 5e-4
-"""s after which a thread of the process lets another one run: cameras are judged beside the frames, whose kernels wait for Python three
-times each. Half of it switches for nothing; Python's own 5 ms hold a frame up by 15."""
 _ENDING = 5.0
 """s that the process may take to end; then it is ended. Its threads end within a tenth of a second; a driver may take longer. Half of it
 kills one that only takes its time; twice as much is waited for in vain."""
@@ -74,16 +72,16 @@ class RigProcess:
     def __init__(
         self, open_blobs: OpenBlobs, rig: Rig, settings: ReconstructionSettings | None = None, *, name: str = "", keep: Path | None = None
     ) -> None:
-        servers = "forkserver" in multiprocessing.get_all_start_methods()
-        context: Any = multiprocessing.get_context("forkserver" if servers else "spawn")
-        if servers:
-            # What each process begins with is imported once.
-            context.set_forkserver_preload([__name__])
+        context = clean_context(__name__)
         self._pipe, there = context.Pipe()
-        self._process = context.Process(target=_serve, args=(there, open_blobs, rig, settings, name, keep), name="live rig", daemon=True)
+        # A process that ends with this one may not begin another.
+        self._judge = JudgeProcess(context)
+        words = (there, self._judge.pipe, open_blobs, rig, settings, name, keep)
+        self._process = context.Process(target=_serve, args=words, name="live rig", daemon=True)
         self._process.start()
-        # With our copy open, the end of the process would not end the pipe.
+        # With our copies open, the end of the process would not end the pipes.
         there.close()
+        self._judge.pipe.close()
         self._closed = self._begun = False
         self._report: RigReport | None = None
         try:
@@ -117,6 +115,7 @@ class RigProcess:
         if not self._begun:
             # Frames of the time before are nobody's.
             self._begun = True
+            self._judge.begin()
             self._say(_ON_THE_WAY * [_TAKEN])
         while True:
             if self._closed or (self._report is not None and self._report.ended):
@@ -139,8 +138,10 @@ class RigProcess:
         if self._closed:
             return
         self._closed = True
+        self._say([_STOP])
+        # Behind that, so that nothing is judged in its place.
+        self._judge.close()
         with suppress(OSError, EOFError):
-            self._pipe.send_bytes(_STOP)
             until = time.monotonic() + _ENDING
             while not (self._report is not None and self._report.ended) and self._pipe.poll(max(0.0, until - time.monotonic())):
                 self._received(self._pipe.recv_bytes())
@@ -179,22 +180,27 @@ class RigProcess:
 
 
 def _serve(
-    pipe: Connection[Any, Any], open_blobs: OpenBlobs, rig: Rig, settings: ReconstructionSettings | None, name: str, keep: Path | None
+    pipe: Connection[Any, Any],
+    judge_pipe: Connection[Any, Any],
+    open_blobs: OpenBlobs,
+    rig: Rig,
+    settings: ReconstructionSettings | None,
+    name: str,
+    keep: Path | None,
 ) -> None:
     """Send frames until the source ends, or the pipe says or shows that nobody wants them."""
     # Ctrl-C reaches all processes of a terminal: the first one decides.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    sys.setswitchinterval(_SWITCH)
     blobs = source = None
     try:
         blobs = open_blobs()
-        source = RigSource(blobs, rig, settings, name=name, keep=keep)
+        source = RigSource(blobs, rig, settings, name=name, keep=keep, judge_pipe=judge_pipe)
     except Exception as problem:
         if blobs is not None:
             blobs.close()
         pipe.send(str(problem) if isinstance(problem, AsterismError) else f"{type(problem).__name__}: {problem}")
         return
-    with suppress(OSError, EOFError):
+    with short_pauses(), suppress(OSError, EOFError):
         pipe.send((source.about, getattr(blobs, "port", 0)))
         problem_said = _frames(pipe, source)
         source.close()

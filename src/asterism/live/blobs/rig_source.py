@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import os
-import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +19,14 @@ from asterism.files.plain import as_json
 from asterism.findings import Finding, Severity
 from asterism.formats.kept_blobs import KeptImage
 from asterism.live.blobs.budget import BlobBudget, telling
+from asterism.live.blobs.camera_clock import CameraClock
 from asterism.live.blobs.gathering import ByNumber, ByTime, CameraArrivals, RigFrame
+from asterism.live.blobs.judging import JudgeProcess, judge
 from asterism.live.blobs.recorder import BlobRecorder
 from asterism.live.camera_frames import BlobSource, LiveBlobs
 from asterism.live.frames import MOST_POINTS, TURN, CameraControl, LiveFrame, OfCameras, SourceAbout, SourceEnded
 from asterism.live.reporting import own_findings
+from asterism.live.waiting import WaitingFrames
 from asterism.reconstruction import ReconstructionSettings, Reconstructor
 from asterism.reconstruction.camera_fit import CameraFit
 from asterism.reconstruction.streaming import WINDOW
@@ -78,8 +78,10 @@ class RigCameraHealth:
     systematic: float
 
 
-_NOT_COME = ("live-camera-lost", "live-camera-dropped", "live-camera-silent", "live-camera-not-opened")
-"""What a camera says itself of images that did not come: the same is not told again."""
+_AWAY_TOLD = ("live-camera-silent", "live-camera-not-opened", "live-camera-size", "live-camera-ended", "live-camera-reopened")
+"""Why a source says itself that a camera gave nothing for a while: that it fell silent is the same, and is not told again."""
+_NOT_COME = (*_AWAY_TOLD, "live-camera-lost", "live-camera-dropped")
+"""What it says itself of images that did not come."""
 
 
 class RigSource:
@@ -92,13 +94,14 @@ class RigSource:
               so that the same file gives the same points
     name      instead of the source's
     keep      where the blobs are kept as they come, for `asterism reconstruct`; None for nowhere
+    judge_pipe  the pipe of a `JudgeProcess` that another one begins and ends; None for one of its own
     speed     times as fast as they were taken that the source plays them: frames have the rate at which they were taken, as their times
               have, since labels and speeds of the body are taken from it
 
-    One thread takes blobs and gathers them to frames (see `gathering`), the caller's reconstructs, a third judges noise and cameras every
-    ten seconds. Where frames come faster than their points are made, the oldest that waits is dropped and counted. Where a frame has so
-    many blobs that making its points would take longer than a frame, blobs are left out, those first that are far from where points were
-    just now, then the smallest, and counted.
+    One thread takes blobs and gathers them to frames (see `gathering`), the caller's reconstructs, and a process of low priority judges
+    noise and cameras every ten seconds. Where frames come faster than their points are made, the oldest that waits is dropped and counted.
+    Where a frame has so many blobs that making its points would take longer than a frame, blobs are left out, those first that are far from
+    where points were just now, then the smallest, and counted.
 
     Raises AsterismError where fewer than two cameras of the rig have a pose, or the file to keep exists.
     """
@@ -113,6 +116,7 @@ class RigSource:
         name: str = "",
         keep: Path | None = None,
         speed: float = 1.0,
+        judge_pipe: Connection[Any, Any] | None = None,
     ) -> None:
         known = [camera.name for camera in rig if camera.posed and (not source.cameras or camera.name in source.cameras)]
         self._unknown = {name: 0 for name in source.cameras if name not in rig.names}
@@ -124,20 +128,23 @@ class RigSource:
         self._reconstructor = Reconstructor(self.rig, settings)
         # Compiled and loaded before the first frame, which must not wait for it.
         Reconstructor(self.rig, settings).push([np.array([[0.0, 0.0], [9.0, 9.0]])] * len(self.rig))
+        clock = CameraClock()
+        for at in (0.0, 1.0):
+            clock.observe(at, at)
         self._gather: ByNumber | ByTime = (ByNumber if source.numbered_together else ByTime)(len(self.rig), source.rate)
         self.about = SourceAbout(name or source.name, source.rate / (speed if math.isfinite(speed) else 1.0), rig.vertical)
         self.dropped, self.cut = 0, 0
-        self._queue: deque[RigFrame] = deque()
-        self._there = threading.Condition()
-        self._ended = self._wanted = False
+        self._queue = WaitingFrames[RigFrame](waits=waits)
+        self._wanted = False
         self._failed: Exception | None = None
         self._fits: tuple[CameraFit, ...] = ()
         self._found: dict[tuple[str, str], tuple[Finding, int]] = {}
         self._next, self._frames, self._judged = _FIRST, 0, 0
-        self._closed, self._judgements = False, 0
+        self._closing, self._closed, self._judgements = threading.Lock(), False, 0
         self._points: Floats = np.empty((0, 3))
         self.budget = BlobBudget(source.rate)
-        self._judge: threading.Thread | None = None
+        self._judging: threading.Thread | None = None
+        self._judge, self._own = judge_pipe, None if judge_pipe is not None or waits else JudgeProcess()
         self._recorder = None if keep is None else BlobRecorder(keep, self.rig.names, source.rate, source.numbered_together)
         self._thread = threading.Thread(target=self._take, name="live blobs", daemon=True)
         self._thread.start()
@@ -154,35 +161,29 @@ class RigSource:
 
     def read(self, timeout: float) -> LiveFrame | None:
         """The points of the next frame; None where none came within so many seconds. Raises SourceEnded."""
-        until = time.monotonic() + timeout
-        with self._there:
-            self._wanted = True
-            while not self._queue:
-                if self._ended:
-                    if self._failed is not None:
-                        raise self._failed
-                    raise SourceEnded
-                left = until - time.monotonic()
-                if left <= 0:
-                    return None
-                self._there.wait(left)
-            frame = self._queue.popleft()
-            # However slow this is, what is shown is not old. What waited for the first call is dropped, too, and nobody's.
-            while not self._waits and self._queue and time.monotonic() - frame.arrived > _QUEUE:
-                frame = self._queue.popleft()
-                self.dropped += self._frames > 0
-            self._there.notify_all()
+        self._wanted = True
+        # However slow this is, what is shown is not old. What waited for the first call is dropped, too, and nobody's.
+        frame, left_out = self._queue.take_fresh(timeout, lambda each: not self._waits and time.monotonic() - each.arrived > _QUEUE)
+        self.dropped += len(left_out) if self._frames else 0
+        if frame is None:
+            if not self._queue.is_over:
+                return None
+            if self._failed is not None:
+                raise self._failed
+            raise SourceEnded
         return self._reconstructed(frame)
 
     def close(self) -> None:
         """Let go of the cameras."""
-        with self._there:
+        with self._closing:
             if self._closed:
                 return
-            self._ended = self._closed = True
-            self._there.notify_all()
+            self._closed = True
+        self._queue.close()
         self._source.close()
-        for thread in (self._thread, self._judge):
+        if self._own is not None:
+            self._own.close()
+        for thread in (self._thread, self._judging):
             if thread is not None and thread is not threading.current_thread():
                 thread.join(timeout=5.0)
         if self._recorder is not None:
@@ -212,7 +213,8 @@ class RigSource:
         own = own_findings([self._source])
         # What a camera or its process left out never came either, and is told once, by who knows why.
         told = {finding.where for finding in own if finding.code in _NOT_COME}
-        counts = self._counts(told) if self._frames else []
+        away = {finding.where for finding in own if finding.code in _AWAY_TOLD}
+        counts = self._counts(told, away) if self._frames else []
         # Where a session was so short that it was judged once, that is all there is.
         enough = 1 if self._closed and self._judgements == 1 else 2
         return [*own, *self._names(), *counts, *(finding for finding, times in self._found.values() if times >= enough)]
@@ -220,24 +222,22 @@ class RigSource:
     def _take(self) -> None:
         """The thread that gathers."""
         try:
-            while not self._ended:
+            while not self._queue.is_stopped:
                 wait = min(TURN, max(0.0, self._gather.due() - time.monotonic()))
                 blobs = self._source.read(max(1e-4, wait))
                 if blobs is not None:
                     self._push(blobs)
-                # A file that waits has its own time, which stands still while nothing comes.
-                if not self._waits:
-                    self._put(time.monotonic())
-                elif blobs is not None:
+                    # By when it came: others that came with it may wait in the socket, and no frame goes on without those.
                     self._put(blobs.arrived)
+                elif not self._waits:
+                    # A file that waits has its own time, which stands still while nothing comes.
+                    self._put(time.monotonic())
         except SourceEnded:
             self._put(math.inf)
         except Exception as problem:  # the reader must not wait for ever
             self._failed = problem
         finally:
-            with self._there:
-                self._ended = True
-                self._there.notify_all()
+            self._queue.close()
 
     def _push(self, blobs: LiveBlobs) -> None:
         camera = self._of.get(blobs.camera)
@@ -251,15 +251,9 @@ class RigSource:
     def _put(self, now: float) -> None:
         most = max(2, round(_QUEUE * self.about.rate)) if math.isfinite(self.about.rate) else 10
         for frame in self._gather.ready(now):
-            with self._there:
-                while self._waits and len(self._queue) >= most and not self._ended:
-                    self._there.wait(TURN)
-                self._queue.append(frame)
-                while len(self._queue) > most and not self._waits:
-                    self._queue.popleft()
-                    # Frames that come before the first one is asked for are nobody's.
-                    self.dropped += self._wanted
-                self._there.notify_all()
+            left_out = self._queue.put(frame, most)
+            # Frames that come before the first one is asked for are nobody's.
+            self.dropped += len(left_out) if self._wanted else 0
 
     def _reconstructed(self, frame: RigFrame) -> LiveFrame:
         xy = self._bounded(frame)
@@ -297,16 +291,35 @@ class RigSource:
         self._next = WINDOW if self._frames < WINDOW else self._frames + round(_EVERY * rate)
         if self._waits:
             self._learn(rate)
-        elif self._judge is None or not self._judge.is_alive():
-            self._judge = threading.Thread(target=self._learn, args=(rate,), name="live rig", daemon=True)
-            self._judge.start()
+        elif self._judging is None or not self._judging.is_alive():
+            self._judging = threading.Thread(target=self._learn_elsewhere, args=(rate,), name="live rig", daemon=True)
+            self._judging.start()
+
+    def _learn_elsewhere(self, rate: float) -> None:
+        """The thread that waits for the judgement of another process."""
+        recent = self._reconstructor.recent(rate)
+        if recent is None:
+            return
+        if self._own is not None:
+            self._own.begin()
+        pipe = self._judge if self._own is None else self._own.pipe
+        try:
+            found = None if pipe is None else judge(pipe, recent)
+        except (OSError, EOFError):
+            # The session ends, and is judged at its end; or the process was killed.
+            self._judged = 0
+            if not self._queue.is_stopped:
+                self._learn(rate)
+            return
+        if found is not None:
+            self._reconstructor.take(recent, found)
+            self._believe(found.fits, found.findings)
 
     def _learn(self, rate: float) -> None:
-        if not self._waits and sys.platform == "linux":
-            # Frames first: on Linux each thread has a priority of its own.
-            with suppress(OSError):
-                os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 10)
-        fits, findings = self._reconstructor.learn(rate)
+        self._believe(*self._reconstructor.learn(rate))
+
+    def _believe(self, fits: tuple[CameraFit, ...], findings: Sequence[Finding]) -> None:
+        """Take what a judgement says of the cameras."""
         if not fits:
             return
         self._fits = fits
@@ -333,7 +346,8 @@ class RigSource:
             found.append(Finding("reconstruct-no-pose", Severity.WARNING, listed(self._unposed), sentence, mend))
         return found
 
-    def _counts(self, told: set[str]) -> list[Finding]:
+    def _counts(self, told: set[str], away: set[str]) -> list[Finding]:
+        """What was counted, but for cameras whose images or silence are told already."""
         found, warning, cameras = list[Finding](), Severity.WARNING, self.cameras()
         cable = "Look at cables and at the network, or lower the rate."
         # Those too of which the source does not know.
@@ -351,7 +365,7 @@ class RigSource:
             found.append(Finding("live-camera-late", warning, where, f"images came too late for their frame: {said}.", cable))
         for camera in cameras:
             where = camera.name
-            if camera.times_away:
+            if camera.times_away and where not in away:
                 sentence = f"camera {where} fell silent {how_often(camera.times_away)}{', and is silent now' if camera.away else ''}."
                 found.append(Finding("live-camera-away", warning, where, sentence, "Look at its cable; frames went on without it."))
             if camera.jumps:

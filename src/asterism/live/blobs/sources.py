@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-import time
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -105,29 +105,39 @@ def blobs_of_json(data: bytes, arrived: float) -> LiveBlobs | None:
             return None
         if not isinstance(rows, list) or len(rows) > MOST_BLOBS:
             return None
-        table = _table(rows)
+        xy, sizes = _table(rows)
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError, IndexError):
         return None
-    table = table[(np.abs(table[:, :2]) < _FARTHEST).all(axis=1)]
-    sizes = np.where((table[:, 2] >= 0) & (table[:, 2] < _FARTHEST), table[:, 2], np.nan)
-    return LiveBlobs(str(camera), number, at, arrived, np.ascontiguousarray(table[:, :2]), sizes)
+    near = (np.abs(xy) < _FARTHEST).all(axis=1)
+    if not near.all():
+        xy, sizes = xy[near], sizes[near]
+    return LiveBlobs(str(camera), number, at, arrived, xy, sizes)
 
 
-def _table(rows: list[Any]) -> Floats:
-    """(n, 3) x, y and size of each blob. Raises ValueError or TypeError."""
+def _table(rows: list[Any]) -> tuple[Floats, Floats]:
+    """(n, 2) px, and sizes (n,) px of each blob. Raises ValueError, TypeError or OverflowError."""
     if not rows:
-        return np.empty((0, 3))
-    widths = {len(row) for row in rows}
+        return np.empty((0, 2)), np.empty(0)
+    widths = set(map(len, rows))
+    if set(map(type, rows)) != {list} or not widths <= {2, 3}:
+        raise ValueError
     if widths == {2}:
+        return _numbers(rows, 2), np.full(len(rows), np.nan)
+    table = _numbers([[*row, np.nan][:3] for row in rows], 3)
+    sizes = np.where((table[:, 2] >= 0) & (table[:, 2] < _FARTHEST), table[:, 2], np.nan)
+    return np.ascontiguousarray(table[:, :2]), sizes
+
+
+def _numbers(rows: list[Any], width: int) -> Floats:
+    """(n, width). Twelve cameras at 200 Hz are 2,400 of these a second; NumPy looks at nested lists twice as long."""
+    try:
+        return np.fromiter(chain.from_iterable(rows), np.float64, width * len(rows)).reshape(-1, width)
+    except TypeError:
+        # null is a number that is missing.
         table = np.array(rows, dtype=np.float64)
-        table = np.column_stack([table, np.full(len(table), np.nan)])
-    elif widths <= {2, 3}:
-        table = np.array([[*row, np.nan][:3] for row in rows], dtype=np.float64)
-    else:
-        raise ValueError
-    if table.shape != (len(rows), 3):
-        raise ValueError
-    return table
+        if table.shape != (len(rows), width):
+            raise ValueError from None
+        return table
 
 
 class JsonBlobs:
@@ -153,8 +163,8 @@ class JsonBlobs:
 
     def read(self, timeout: float) -> LiveBlobs | None:
         """The next image that is whole."""
-        for data, _ in self._socket.received(timeout):
-            blobs = blobs_of_json(data, time.monotonic())
+        for data, _, arrived in self._socket.received(timeout):
+            blobs = blobs_of_json(data, arrived)
             if blobs is not None:
                 return blobs
             self.damaged += 1

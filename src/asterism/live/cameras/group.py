@@ -32,7 +32,10 @@ class CameraGroup:
             opened = list(pool.map(self._open, specs))
         self.cameras = [camera for camera in opened if camera is not None]
         if not self.cameras:
-            raise AsterismError("; ".join(self.failed.values()) or "there is no camera; name some in a file for --cameras.")
+            raise AsterismError(
+                " ".join(f"camera {name}: {why}" for name, why in self.failed.items())
+                or "there is no camera; name some in a file for --cameras."
+            )
 
     def _open(self, spec: CameraSpec) -> LiveCamera | None:
         try:

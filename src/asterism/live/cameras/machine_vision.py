@@ -17,8 +17,8 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.live.addresses import Query
 from asterism.live.camera_frames import LiveImage
-from asterism.live.cameras.addresses import Query
 from asterism.live.cameras.camera import BUFFERS, CameraAbout, CameraGone, LiveCamera
 from asterism.live.cameras.features import Features
 from asterism.live.cameras.numbering import FrameIds, NumbersByTime
@@ -146,7 +146,7 @@ class GenicamCamera(LiveCamera):
         except gentl.TimeoutException:
             return None
         except (gentl.GenericException, IndexError) as problem:
-            raise CameraGone(f"{self.name} ({self.address}) is gone ({_first_line(problem)}); look at its cable.") from problem
+            raise CameraGone(f"{self.address} is gone ({_first_line(problem)}); look at its cable.") from problem
         if buffer is None:
             return None
         arrived = time.monotonic()

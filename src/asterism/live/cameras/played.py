@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from asterism.detection.sources import images, open_source
 from asterism.detection.times import read_times
 from asterism.errors import AsterismError
+from asterism.live.addresses import Query
 from asterism.live.camera_frames import LiveImage
-from asterism.live.cameras.addresses import Query
 from asterism.live.cameras.camera import BUFFERS, CameraAbout, LiveCamera
 from asterism.live.cameras.pixels import DepthByImages
 from asterism.live.cameras.settings import SettingValue
 from asterism.live.frames import SourceEnded
 from asterism.recording import Floats
+from asterism.recording.rates import rate_of_times
 
 _RATE = 100.0
 """Hz at which a folder of images is played that nobody tells the rate of, as `asterism detect` takes it."""
@@ -76,7 +77,9 @@ class PlayedCamera(LiveCamera):
     def _rate(self) -> float:
         """Images per second by the file, what was given, or what is usual."""
         if self._stamps is not None and len(self._stamps) > 1:
-            return float(1.0 / np.median(np.diff(self._stamps)))
+            told = rate_of_times(np.arange(len(self._stamps)), self._stamps).rate
+            if math.isfinite(told):
+                return told
         own = self._source.rate
         return own if math.isfinite(own) else self._given_rate if math.isfinite(self._given_rate) else _RATE
 

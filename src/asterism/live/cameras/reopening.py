@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from asterism.errors import AsterismError
+from asterism.live.addresses import without_password
 from asterism.live.camera_frames import LiveImage
-from asterism.live.cameras.addresses import without_password
 from asterism.live.cameras.camera import CameraAbout, CameraGone, LiveCamera
 from asterism.live.cameras.settings import SettingOutcome, SettingValue
 from asterism.live.frames import SourceEnded

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.live.addresses import Query
 from asterism.live.camera_frames import LiveImage
-from asterism.live.cameras.addresses import Query
 from asterism.live.cameras.camera import BUFFERS, CameraAbout, CameraGone, LiveCamera
 from asterism.live.cameras.settings import SettingValue, size_of
 from asterism.recording import Floats
@@ -172,7 +172,7 @@ class SimulatedCamera(LiveCamera):
             since = due - self._zero
             out, for_how_long = self._faults.gone
             if out <= since < out + for_how_long:
-                raise CameraGone(f"{self.name} is gone: its cable was taken out on purpose.")
+                raise CameraGone("its cable was taken out on purpose.")
             self._next += 1
             if self._rng.random() >= self._faults.lost:
                 break

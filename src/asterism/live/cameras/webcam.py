@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.live.addresses import Query, without_password
 from asterism.live.camera_frames import LiveImage
-from asterism.live.cameras.addresses import without_password
 from asterism.live.cameras.camera import BUFFERS, CameraAbout, CameraGone, LiveCamera
 from asterism.live.cameras.found_webcams import quietly, webcam_model
 from asterism.live.cameras.numbering import NumbersByTime
@@ -63,6 +63,9 @@ class OpenCvCamera(LiveCamera):
             os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", str(_PATIENCE))
         scheme, _, where = address.partition("://")
         self._in_network = scheme.lower() in NETWORK
+        # The options of a stream are those of who sends it.
+        if not self._in_network:
+            Query(address).check_all_used()
         self._device = Path(f"/dev/video{where}") if where.isdigit() else Path(where)
         if self._in_network:
             patience = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 1000 * _PATIENCE, cv2.CAP_PROP_READ_TIMEOUT_MSEC, 1000 * _PATIENCE]

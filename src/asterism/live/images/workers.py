@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
 import os
 import signal
 import threading
@@ -23,13 +22,14 @@ from numpy.typing import NDArray
 from asterism.detection.running import MOST_BLOBS
 from asterism.errors import AsterismError
 from asterism.files.plain import as_json
+from asterism.files.processes import clean_context
 from asterism.findings import Finding, Severity
 from asterism.live.camera_frames import LiveBlobs
 from asterism.live.cameras import CameraHealth, CameraSpec, SettingOutcome, camera_findings, save_cameras
 from asterism.live.cameras.settings import setting_value
 from asterism.live.frames import TURN, SourceEnded
 from asterism.live.images.worker import CameraPlace, CameraReport, SearchCounts, SettingOrder, WorkerReady, WorkerSettings, work
-from asterism.recording.display import how_often
+from asterism.recording.display import counted, how_often
 
 _LEAD = 1.0
 """s from when all processes are there to when files begin to play, in which they are opened. At half a long video is late; at double a
@@ -49,6 +49,9 @@ waited for in vain."""
 _AHEAD = 100
 """Images by which a process that reads videos may be ahead of another. Half of them stop it at each pause of the system; twice as many hold
 twice the memory."""
+_ENDS_APART = 2
+"""Images by which files may end apart before it is told, as of `asterism detect`. Half of it tells cameras that were stopped one by one;
+twice as much keeps quiet of a video that was cut."""
 _ORDERS = 32
 """Settings that wait until they are passed on, a tenth of a second: more than a person asks for; half and double do as well."""
 _WAITING = 1000
@@ -73,8 +76,7 @@ class _CameraProcess:
 
     @classmethod
     def begin(cls, places: Sequence[CameraPlace], settings: WorkerSettings) -> _CameraProcess:
-        # Not forked: it would share locks that compiled kernels and threads hold, and the pipes of the others, which then never end.
-        context = multiprocessing.get_context("spawn")
+        context = clean_context(work.__module__, "cv2")
         pipe, out = context.Pipe(duplex=False)
         theirs, orders = context.Pipe(duplex=False)
         names = ", ".join(place.name for place in places)
@@ -297,7 +299,19 @@ class CameraWorkers:
                 sentence = f"camera {name}: {state.report.problem}"
                 mend = "The others go on without it; it takes part when it comes."
                 found.append(Finding("live-camera-not-opened", Severity.ERROR, name, sentence, mend))
-        return found
+        return [*found, *self._ended_early()]
+
+    def _ended_early(self) -> Iterator[Finding]:
+        """Files that are over while others go on, or were longer."""
+        lengths = {name: _length(health) for name, state in self._states.items() if (health := _health(state)) is not None}
+        longest = max(lengths, key=lambda name: lengths[name], default="")
+        for name, length in lengths.items():
+            # Cameras that are stopped by hand end a frame or two apart.
+            if self._states[name].has_ended and lengths[longest] - length > _ENDS_APART:
+                other = f"has {lengths[longest]:,}" if self._states[longest].has_ended else "goes on"
+                sentence = f"camera {name} ends after {counted(length, 'image')}, camera {longest} {other}."
+                mend = "Cut the videos alike: frames behind its end are seen by the others alone."
+                yield Finding("live-camera-ended", Severity.WARNING, name, sentence, mend)
 
     def _open(self) -> None:
         """Wait until all processes are there and all cameras open, or say which is not."""
@@ -469,6 +483,11 @@ def _health(state: _CameraProgress) -> CameraHealth | None:
     return replace(now, **counts, seconds={trouble: before.seconds[trouble] + spent for trouble, spent in now.seconds.items()})
 
 
+def _length(health: CameraHealth) -> int:
+    """Images of a file up to here, those too that could not be used."""
+    return health.images + health.lost + health.dropped + health.damaged
+
+
 def _search(state: _CameraProgress) -> SearchCounts:
     """What is counted of the search, what was counted before the process died added."""
     if state.report is None:
@@ -484,9 +503,14 @@ def _search_findings(name: str, counts: SearchCounts, state: _CameraProgress) ->
         mend = "Look at the memory of this machine, and at the camera's driver."
         found.append(Finding("live-camera-process", Severity.WARNING, name, sentence, mend))
     if counts.refused:
-        sentence = f"camera {name}: {counts.refused} images were of another size or depth and were not searched."
-        mend = counts.problem or "Leave its size alone while it runs."
-        found.append(Finding("live-camera-size", Severity.ERROR if counts.problem else Severity.WARNING, name, sentence, mend))
+        why, _, mend = counts.problem.partition("; ")
+        sentence = (
+            f"camera {name}: {counted(counts.refused, 'image')} not searched: {why.rstrip('.') or 'they were of another size or depth'}."
+        )
+        severity = Severity.ERROR if counts.problem else Severity.WARNING
+        found.append(
+            Finding("live-camera-size", severity, name, sentence, mend[:1].upper() + mend[1:] or "Leave its size alone while it runs.")
+        )
     if counts.crowded:
         sentence = f"camera {name}: {counts.crowded} images showed more than {MOST_BLOBS} blobs, of which the largest are used."
         mend = "Darken the room, lower its exposure, or set its threshold."

@@ -19,7 +19,7 @@ from scipy.special import expit, log_softmax
 
 from asterism.errors import AsterismError, NoMarkers
 from asterism.geometry import rotate_z_up
-from asterism.recording import Clouds, Floats, Ints, MarkerSet, Recording, shipped_sets, worn_marker_sets
+from asterism.recording import Clouds, Floats, Ints, MarkerSet, Recording, labelled_live, shipped_sets, worn_marker_sets
 from asterism.recording.display import significant
 from asterism.recording.marker_set import is_unnamed
 from asterism.session.people import people_in
@@ -236,7 +236,10 @@ class SetFinder:
         return tuple(WornMarkers(_name_of(one), MarkerSet.load(one), GIVEN) for one in self.given)
 
     def _by_names(self, recording: Recording) -> WornMarkers | None:
-        """The set of which most markers are named; None where the names are of none."""
+        """The set of which most markers are named; None where they are of none, or of one that was found live, in a second."""
+        live = labelled_live(recording.log)
+        if live is not None and not live.settings.get("markers"):
+            return None
         worn = worn_marker_sets(recording.labels)
         if not worn:
             return None
@@ -313,16 +316,21 @@ class SetFinder:
 
         own = self._evidence[path]
         assert own is not None
-        nearest = np.argsort(-own.chances(self.certainty)[0], kind="stable")[:3]
-        names, fit = list(placed_sets()), own.fits[0]
-        few = ", ".join(f"{names[at]} ({(fit.given[at] >= 0).sum()} of {len(placed_sets()[names[at]])} markers)" for at in nearest.tolist())
+        few = ", ".join(f"{name} ({seen} of {size} markers)" for name, (seen, size) in nearest_sets(own, self.certainty).items())
         size = unlike_a_person(recording.positions)
         size = f"{size}; " if size else ""
         return NoSetWorn(
-            f"{path}: its {fit.given.shape[1]} points are like no shipped marker set; {size}the nearest are {few}. Name one of them with "
-            "--markers, write one of your own (`asterism body place` makes it from a labelled trial), train on labelled files, "
-            "or name the points once by clicking with `asterism review --serve`."
+            f"{path}: its {own.fits[0].given.shape[1]} points are like no shipped marker set; {size}the nearest are {few}. Name one "
+            "of them with --markers, write one of your own (`asterism body place` makes it from a labelled trial), train on labelled "
+            "files, or name the points once by clicking with `asterism review --serve`."
         )
+
+
+def nearest_sets(evidence: SetEvidence, certainty: SetCertainty | None = None, most: int = 3) -> dict[str, tuple[int, int]]:
+    """The shipped sets that points are most like, the first ones first: how many markers of each have a point in a frame, of how many."""
+    nearest = np.argsort(-evidence.chances(certainty or SetCertainty())[0], kind="stable")[:most].tolist()
+    names, fit = list(placed_sets()), evidence.fits[0]
+    return {names[at]: (int((fit.given[at] >= 0).sum()), len(placed_sets()[names[at]])) for at in nearest}
 
 
 def evidence_of(

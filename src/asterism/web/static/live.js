@@ -1,23 +1,16 @@
-// What the server tells of a live session in; the body, the curves, the counts, words and sounds out.
+// What the server tells of a live session in; sounds, words and counts, and what is to be drawn, out.
 (function (Asterism) {
   "use strict";
 
   const $ = id => document.getElementById(id);
-  const SIDES = ["left", "right", "middle", ""];  // "" for a point without a label
-  const SHOWN = 600;     // latencies in the curve: ten seconds of pictures
+  const COLOURS = ["left", "right", "middle", "soft", "line", "accent"].map(name => `--${name}`);
   const STALE = 500;     // ms after which a sound belongs to another movement than the one that is made
   const ASLEEP = 2000;   // ms without a word, of which there are two a second: the page slept, and its clock may have stopped
+  const GONE = 6000;     // ms without a word after which the page connects anew: a radio network that roams is back before
   const PINGS = 8;       // of which the fastest says what the server's clock shows
   const LOG = 1024;      // sounds whose times are kept
-  const NUMBERS = 6;     // pictures from one change of numbers to the next
-  const WAITING = 2;     // pictures that wait to be drawn: one that comes early is not lost to the next, and none is older than that
-
-  // The palette is asked for once a theme: the browser is slow to tell.
-  const palette = new Map();
-  function colour(name) {
-    if (!palette.has(name)) palette.set(name, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
-    return palette.get(name);
-  }
+  const NUMBERS = 6;     // pictures from one change of numbers to the next: nobody reads sixty a second, and each costs a new layout
+  const DRAWN = ["picture", "moments", "names", "body", "source"];  // what drawing needs to know
 
   // What the server's clock shows, by the fastest of the last pings.
   class ServerClock {
@@ -39,13 +32,16 @@
   }
 
   class Live {
-    constructor() {
-      Object.assign(this, { camera: new Asterism.Camera(), up: [0, 0, 1], body: null, newest: null, latencies: [], sounds: new Asterism.Sounds(), drawn: 0 });
-      Object.assign(this, { clock: new ServerClock(), curves: new Asterism.Curves(colour), rules: [], heard: Date.now(), log: [], sounded: [], opened: false });
-      Object.assign(this, { drawnAt: [], waiting: [], behind: 0, missed: 0 });
+    // port: to what draws
+    constructor(port) {
+      Object.assign(this, { port, camera: new Asterism.Camera(), body: null, newest: null, sounds: new Asterism.Sounds(isHeard => { $("unheard").hidden = isHeard; }), pictures: 0, drawn: 0, drawnAt: [], behind: 0 });
+      Object.assign(this, { clock: new ServerClock(), rules: [], heard: Date.now(), log: [], sounded: [], missed: 0 });
+      this.token = new URLSearchParams(location.search).get("token") || "";
+      port.canvases({ body: $("body"), latency: $("latency") });
+      this.curves = new Asterism.Curves(port);
       this.cameras = new Asterism.Cameras($("cameras"), settings => this.say({ set: settings }));
       this.camera.yaw = 0.8;
-      this.token = new URLSearchParams(location.search).get("token") || "";
+      this.viewed();
       this.listen();
       $("sound").addEventListener("change", () => $("sound").checked ? this.sounds.start($("volume").value / 100) : this.sounds.stop());
       $("volume").addEventListener("input", () => this.sounds.volume($("volume").value / 100));
@@ -59,10 +55,22 @@
       };
       document.addEventListener("visibilitychange", awake);
       awake();
-      new ResizeObserver(() => { this.changed = true; }).observe($("stage"));
-      setInterval(() => this.ping(), 1000);
-      const frame = () => { this.draw(); requestAnimationFrame(frame); };
-      requestAnimationFrame(frame);
+      // A system that takes the sound away, as for a telephone call, gives it back to whoever touches the page.
+      for (const kind of ["pointerdown", "keydown"]) document.addEventListener(kind, () => this.sounds.resume());
+      setInterval(() => { this.watch(); this.ping(); this.sounds.told(); }, 1000);
+    }
+
+    // A picture was drawn.
+    drawnIs({ drawn, at, when }) {
+      this.drawn = drawn;
+      this.drawnAt.push(performance.now());
+      if (this.drawnAt.length > 240) this.drawnAt.shift();
+      if (this.clock.isKnown) this.behind += 0.05 * (this.clock.at(when - performance.timeOrigin) - at - this.behind);
+    }
+
+    viewed() {
+      const { yaw, pitch, zoom } = this.camera;
+      this.port.tell({ view: { yaw, pitch, zoom } });
     }
 
     theme() {
@@ -71,8 +79,8 @@
       if (!$("theme").value) $("theme").value = "auto";
       const set = () => {
         document.documentElement.dataset.theme = $("theme").value === "dark" || ($("theme").value === "auto" && system.matches) ? "dark" : "light";
-        palette.clear();
-        this.changed = true;
+        const style = getComputedStyle(document.documentElement);
+        this.port.tell({ colours: Object.fromEntries(COLOURS.map(name => [name, style.getPropertyValue(name).trim()])) });
       };
       $("theme").addEventListener("change", () => { try { localStorage.setItem(kept, $("theme").value); } catch { /* as above */ } set(); });
       system.addEventListener("change", set);
@@ -83,8 +91,8 @@
     touch(canvas) {
       const fingers = new Map();
       const apart = () => { const [a, b] = [...fingers.values()]; return Math.hypot(a[0] - b[0], a[1] - b[1]); };
-      const turn = (across, down) => { this.camera.turn(across, down); this.changed = true; };
-      const zoom = factor => { this.camera.magnify(factor); this.changed = true; };
+      const turn = (across, down) => { this.camera.turn(across, down); this.viewed(); };
+      const zoom = factor => { this.camera.magnify(factor); this.viewed(); };
       canvas.addEventListener("pointerdown", event => {
         canvas.setPointerCapture(event.pointerId);
         fingers.set(event.pointerId, [event.clientX, event.clientY]);
@@ -107,17 +115,34 @@
 
     listen() {
       const socket = this.socket = new WebSocket(`ws://${location.host}/ws?token=${encodeURIComponent(this.token)}`);
+      const isMine = () => socket === this.socket;
       let isOpen = false;
-      socket.addEventListener("open", () => { isOpen = true; this.clock.forget(); for (let n = 0; n < 3; n++) this.ping(); });
-      socket.addEventListener("message", event => this.told(event.data));
+      socket.addEventListener("open", () => { isOpen = true; this.heard = Date.now(); this.clock.forget(); for (let n = 0; n < 3; n++) this.ping(); });
+      socket.addEventListener("message", event => { if (isMine()) this.told(event.data); });
       socket.addEventListener("close", async () => {
-        this.sounds.quiet();
-        this.clock.forget();
-        if (!this.ended) this.state("no connection", true);
+        if (!isMine()) return;
+        this.lost("no connection");
         // A server of another session knows this address no more; who asks on and on gets no other answer.
         if (!isOpen && await this.isRefused()) this.state("this address is of an earlier session; open the one that the command printed", true);
-        else setTimeout(() => this.listen(), 1000);
+        else setTimeout(() => { if (isMine()) this.listen(); }, 1000);
       });
+    }
+
+    lost(words) {
+      this.sounds.quiet();
+      this.clock.forget();
+      if (!this.ended) this.state(words, true);
+    }
+
+    // A cable that is out closes no connection: the page sees only that nobody says anything.
+    watch() {
+      const seconds = (Date.now() - this.heard) / 1000;
+      if (this.socket.readyState !== WebSocket.OPEN || 1000 * seconds < ASLEEP) return;
+      this.lost(`nothing heard for ${seconds.toFixed(0)} s`);
+      if (1000 * seconds < GONE) return;
+      const old = this.socket;
+      this.listen();
+      old.close();
     }
 
     async isRefused() {
@@ -138,7 +163,7 @@
       // After a sleep the clock is asked for anew, and what came meanwhile makes no sound.
       if (now - this.heard > ASLEEP || now < this.heard) { this.clock.forget(); this.ping(); }
       this.heard = now;
-      if (news.picture !== undefined) this.picture(news);
+      if (news.picture !== undefined) this.picture(news, handled);
       else if (news.moments) for (const moment of news.moments) this.moment(moment, news.sent, handled);
       else if (news.pong !== undefined) this.clock.pong(news.pong, news.now);
       else if (news.health) this.healthIs(news.health);
@@ -147,11 +172,14 @@
       else if (news.refused !== undefined) this.cameras.refused(news.refused);
       else if (news.body) this.body = news.body;
       else if (news.source !== undefined) this.hello(news);
+      // Sounds first.
+      if (DRAWN.some(kind => news[kind] !== undefined)) this.port.told(text, news.picture !== undefined);
+      if (news.names) this.curves.named(news.names);
+      if (news.picture !== undefined) this.show(news);
     }
 
     hello(news) {
       $("source").textContent = news.source;
-      this.up = news.up;
       this.ended = false;
       $("tablet").hidden = !news.address;
       $("address").textContent = news.address;
@@ -161,7 +189,6 @@
     }
 
     named(names) {
-      this.curves.named(names);
       document.querySelector(".feedback").hidden = !names.rules.length;
       this.rules = names.rules.map(rule => {
         const [row, name, value] = ["div", "span", "span"].map(kind => document.createElement(kind));
@@ -174,23 +201,30 @@
       $("rules").replaceChildren(...this.rules.map(rule => rule.row));
     }
 
-    picture(news) {
+    // Whether what is told of a frame is of the movement that is made now. done: when the frame had its labels, of the server's clock.
+    isFresh(done, handled) { return this.clock.isKnown && this.clock.at(handled) - done <= STALE; }
+
+    picture(news, handled) {
+      const isFresh = this.isFresh(news.at + news.latency, handled);
+      this.rules.forEach((rule, n) => { if (rule.sound === "tone" && news.cues[n]) this.sounds.tone(rule.name, isFresh ? news.cues[n][3] : null); });
       this.say({ seen: news.picture });
-      this.waiting.push(news);
-      if (this.waiting.length > WAITING) this.waiting.shift();
-      this.latencies.push(news.latency);
-      if (this.latencies.length > SHOWN) this.latencies.shift();
-      if (this.clock.isKnown) this.behind += 0.05 * (this.clock.at(performance.now()) - news.at - this.behind);
-      this.curves.push(news.time, [...news.values, ...news.cues.map(cue => cue[0])]);
-      this.rules.forEach((rule, n) => { if (rule.sound === "tone" && news.cues[n]) this.sounds.tone(rule.name, news.cues[n][3]); });
+      this.newest = news;
     }
 
-    // An event, or a rule that begins to tell.
+    // Words at once, numbers from time to time.
+    show(news) {
+      const isTurn = this.pictures++ % NUMBERS === 0;
+      this.showRules(isTurn);
+      if (!isTurn) return;
+      this.curves.showNumbers([...news.values, ...news.cues.map(cue => cue[0])]);
+      this.tellMissing();
+    }
+
+    // A rule that begins to tell.
     moment(moment, sent, handled) {
-      if (moment.event) { this.curves.event(moment.event); return; }
       const { cue } = moment;
-      if (!cue.sound || !this.sounds.on) return;
-      if (!this.clock.isKnown || this.clock.at(handled) - moment.done > STALE) { this.missed++; return; }
+      if (!cue || !cue.sound || !this.sounds.on) return;
+      if (!this.isFresh(moment.done, handled)) { this.missed++; return; }
       const began = cue.sound === "beep" ? this.sounds.beep(cue.name) : this.sounds.tone(cue.name, cue.tone);
       if (!began) return;
       const begins = this.sounds.begins;
@@ -202,7 +236,9 @@
 
     state(words, bad) {
       if ($("state").textContent !== words) $("state").textContent = words;
-      $("state").classList.toggle("bad", bad);
+      $("state").className = bad ? "bad" : "good";
+      // What was told last is not taken for what is told now.
+      $("stage").classList.toggle("old", bad);
     }
 
     healthIs(health) {
@@ -213,7 +249,7 @@
       const last = this.sounded.length ? this.sounded[this.sounded.length - 1] : this.lastSounded, ms = value => value === null || value === undefined ? "–" : `${value.toFixed(1)} ms`;
       this.lastSounded = last;
       const rows = { frames: health.frames, lost: health.lost, "late or twice": health.late, damaged: health.damaged, "left out": health.dropped, labels: health.labels,
-        "labels after, half": ms(health.p50), "one in 1,000": ms(health.p999), "picture here after": this.clock.isKnown ? ms(this.behind) : "–",
+        "labels after, half": ms(health.p50), "one in 1,000": ms(health.p999), "picture drawn after": this.clock.isKnown ? ms(this.behind) : "–",
         "last sound began after": ms(last), "the loudspeaker adds": ms(this.sounds.added), "sounds too late": health["not sounded"] + this.missed, "drawn here": `${this.rate()} a second` };
       this.cells = this.cells || new Map();
       for (const [name, value] of Object.entries(rows)) {
@@ -239,103 +275,6 @@
       const now = performance.now();
       while (this.drawnAt.length && now - this.drawnAt[0] > 1000) this.drawnAt.shift();
       return this.drawnAt.length;
-    }
-
-    // Points with their vertical along z, in metres.
-    upright([x, y, z]) {
-      const [a, b, c] = this.up;
-      if (Math.abs(c) > 0.9) return [x / 1000, y / 1000 * Math.sign(c), z / 1000 * Math.sign(c)];
-      if (Math.abs(b) > 0.9) return [x / 1000, -z / 1000 * Math.sign(b), y / 1000 * Math.sign(b)];
-      return [-z / 1000 * Math.sign(a), y / 1000, x / 1000 * Math.sign(a)];
-    }
-
-    draw() {
-      const next = this.waiting.shift();
-      if (next) this.newest = next;
-      if (!this.newest || !(next || this.changed)) return;
-      this.changed = false;
-      this.drawn++;
-      this.drawnAt.push(performance.now());
-      if (this.drawnAt.length > 240) this.drawnAt.shift();
-      const [pen, width, height] = Asterism.penOf($("body")), points = this.newest.points.map(point => this.upright(point));
-      this.follow(points, width, height);
-      this.floor(pen);
-      const at = points.map(point => this.camera.project(...point));
-      this.bones(pen, at);
-      this.points(pen, at);
-      // Numbers change ten times a second: nobody reads sixty, and each costs the browser a new layout.
-      const isTurn = this.drawn % NUMBERS === 1;
-      this.curves.draw(isTurn);
-      this.showRules(isTurn);
-      if (isTurn) { this.latency(); this.tellMissing(); }
-    }
-
-    // All points of a side in one path: hundreds of them are drawn as fast as ten.
-    points(pen, at) {
-      const side = new Array(at.length).fill("");
-      this.newest.indices.forEach((index, m) => { if (index >= 0) side[index] = this.body ? this.body.sides[m] || "middle" : "middle"; });
-      for (const drawn of SIDES) {
-        pen.beginPath();
-        at.forEach((place, i) => {
-          if (!place || side[i] !== drawn) return;
-          const radius = (drawn ? 4 : 2.5) * place[2];
-          pen.moveTo(place[0] + radius, place[1]);
-          pen.arc(place[0], place[1], radius, 0, 7);
-        });
-        if (drawn) { pen.fillStyle = colour(`--${drawn}`); pen.fill(); } else { pen.lineWidth = 1; pen.strokeStyle = colour("--soft"); pen.stroke(); }
-      }
-    }
-
-    // The body stays in the middle: the target follows it, more slowly than it moves.
-    follow(points, width, height) {
-      Object.assign(this.camera, { width, height });
-      if (points.length) {
-        const middle = [0, 1, 2].map(axis => points.reduce((sum, point) => sum + point[axis], 0) / points.length);
-        const share = this.drawn < 3 ? 1 : 0.08;
-        this.camera.target = this.camera.target.map((value, axis) => value + share * (middle[axis] - value));
-        const size = Math.max(0.3, ...points.map(point => Math.hypot(...point.map((value, axis) => value - middle[axis]))));
-        this.camera.size += share * (size - this.camera.size);
-      }
-      this.camera.place();
-    }
-
-    floor(pen) {
-      const [x, y] = this.camera.target.map(value => 0.5 * Math.round(2 * value));
-      pen.strokeStyle = colour("--line");
-      pen.lineWidth = 1;
-      pen.beginPath();
-      for (let k = -4; k <= 4; k++) {
-        this.line(pen, this.camera.project(x + k / 2, y - 2, 0), this.camera.project(x + k / 2, y + 2, 0));
-        this.line(pen, this.camera.project(x - 2, y + k / 2, 0), this.camera.project(x + 2, y + k / 2, 0));
-      }
-      pen.stroke();
-    }
-
-    bones(pen, at) {
-      if (!this.body) return;
-      const indices = this.newest.indices;
-      pen.strokeStyle = colour("--soft");
-      pen.lineWidth = 1.5;
-      pen.beginPath();
-      for (const [a, b] of this.body.bones) if (indices[a] >= 0 && indices[b] >= 0) this.line(pen, at[indices[a]], at[indices[b]]);
-      pen.stroke();
-    }
-
-    line(pen, from, to) {
-      if (!from || !to) return;
-      pen.moveTo(from[0], from[1]);
-      pen.lineTo(to[0], to[1]);
-    }
-
-    latency() {
-      if (!$("health").open) return;
-      const [pen, width, height] = Asterism.penOf($("latency")), most = Math.max(5, ...this.latencies);
-      pen.fillStyle = colour("--soft");
-      pen.fillText(`${most.toFixed(0)}`, 0, 10);
-      pen.strokeStyle = colour("--accent");
-      pen.beginPath();
-      this.latencies.forEach((value, n) => pen.lineTo(22 + (width - 22) * n / (SHOWN - 1), height - 2 - (height - 6) * value / most));
-      pen.stroke();
     }
 
     // Every text that is told, in the colour of its rule; the edge of the picture in the first one's, to be seen from afar.
@@ -373,5 +312,5 @@
     }
   }
 
-  Asterism.live = new Live();
+  Asterism.openDrawing(told => Asterism.live.drawnIs(told)).then(port => { Asterism.live = new Live(port); });
 })(globalThis.Asterism = globalThis.Asterism || {});
