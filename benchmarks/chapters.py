@@ -28,7 +28,7 @@ _SCRIPTS = {
     "gait": "events.events events.peers gaps.gaps kinetics.kinetics parameters.parameters bands.bands speed.speed page.page",
     "live": "rows.packets rows.killed damaged.damaged rows.soak blobs.blobs blobs.agreement share.share "
     "movement.strikes movement.steps movement.angles "
-    "page.tone page.page streams.outputs webcams.webcams",
+    "page.tone silence.silence page.page streams.outputs webcams.webcams",
     "house": "startup.startup install.install install.ci process.process process.cluster",
 }
 CHAPTERS = {

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from on_the_spot import kicking, marching, standing_movements
 
 import asterism
 from asterism import AsterismError, Recording, formats
@@ -665,44 +666,6 @@ def test_somebody_who_squats_in_place_has_no_rate_of_steps() -> None:
     assert not [one for one in analyse_gait(replace(walk, rate=400.0)).findings if one.code == "gait-rate-doubtful"]
 
 
-def rises(times: np.ndarray, begins: float, lasts: float) -> np.ndarray:
-    """From 0 to 1 and back, along a cosine."""
-    return 0.5 - 0.5 * np.cos(2 * np.pi * np.clip((times - begins) / lasts, 0, 1))
-
-
-def upon_feet(pelvis: np.ndarray, **feet: np.ndarray) -> Recording:
-    """Somebody whose pelvis goes along a path (T, 2), ahead and up, over feet that stand but for ways (T, 2) of heel (LH, RH) and toe."""
-    points = {}
-    for side, aside in (("L", 0.1), ("R", -0.1)):
-        for name, end, ahead, high in (("HEE", "H", 0.0, 0.05), ("TOE", "T", 0.2, 0.04)):
-            way = feet.get(side + end, np.zeros_like(pelvis))
-            points[side + name] = np.stack([ahead + way[:, 0], np.full(len(way), aside), high + way[:, 1]], axis=1)
-    for name, ahead, aside in (("LASI", 0.1, 0.12), ("RASI", 0.1, -0.12), ("SACR", 0.0, 0.0)):
-        points[name] = np.stack([ahead + pelvis[:, 0], np.full(len(pelvis), aside), pelvis[:, 1]], axis=1)
-    positions = np.stack(list(points.values()), axis=1)
-    return Recording(positions + np.random.default_rng(0).normal(0.0, 0.0005, positions.shape), tuple(points), 100.0)
-
-
-TEN_SECONDS = np.arange(0.0, 10.0, 0.01)
-
-
-def standing_movements() -> dict[str, Recording]:
-    """What people do on feet that stay: squats, on flat feet and on their toes; sitting down; swaying; a swing of a golf club."""
-    deep = sum(rises(TEN_SECONDS, begins, 1.6) for begins in np.arange(0.5, 8.0, 1.9))
-    toes = np.stack([0.2 - 0.2 * np.cos(0.6 * deep), 0.2 * np.sin(0.6 * deep)], axis=1)
-    turned = 0.9 * rises(TEN_SECONDS, 3.0, 2.0)
-    still = np.full_like(deep, 0.9)
-    return {
-        "squat": upon_feet(np.stack([-0.2 * deep, 0.9 - 0.4 * deep], axis=1)),
-        "squat on the toes": upon_feet(np.stack([-0.1 * deep, 0.9 - 0.4 * deep], axis=1), LH=toes, RH=toes),
-        "sit": upon_feet(np.stack([-0.45 * deep, 0.9 - 0.35 * deep], axis=1)),
-        "sway": upon_feet(np.stack([0.1 * np.sin(0.8 * np.pi * TEN_SECONDS), still], axis=1)),
-        "golf": upon_feet(
-            np.stack([0.12 * turned, still], axis=1), RH=np.stack([0.2 - 0.2 * np.cos(turned), 0.2 * np.sin(turned)], axis=1)
-        ),
-    }
-
-
 @pytest.mark.parametrize("name", standing_movements())
 def test_feet_that_stay_where_they_are_take_no_steps(name: str) -> None:
     walking = find_events(standing_movements()[name])
@@ -710,12 +673,8 @@ def test_feet_that_stay_where_they_are_take_no_steps(name: str) -> None:
 
 
 def test_who_marches_on_the_spot_takes_steps_from_when_a_foot_leaves_to_when_it_is_back() -> None:
-    feet, swings = {}, {}
-    for side, first in (("L", 0.5), ("R", 1.0)):
-        swings[side] = first + np.arange(8.0)
-        up = sum(rises(TEN_SECONDS, begins, 0.5) for begins in swings[side])
-        feet |= {side + "H": np.stack([0.12 * up, 0.24 * up], axis=1), side + "T": np.stack([0.12 * up, 0.17 * up], axis=1)}
-    walking = find_events(upon_feet(np.tile([0.0, 0.9], (len(TEN_SECONDS), 1)), **feet))
+    recording, swings = marching()
+    walking = find_events(recording)
     assert not walking.treadmill
     for side in "LR":
         for label, truth in ((OFF, swings[side]), (STRIKE, swings[side] + 0.5)):
@@ -724,12 +683,10 @@ def test_who_marches_on_the_spot_takes_steps_from_when_a_foot_leaves_to_when_it_
 
 
 def test_who_kicks_strikes_when_the_foot_comes_down() -> None:
-    back, ahead = rises(TEN_SECONDS, 2.0, 0.6), rises(TEN_SECONDS, 2.5, 0.7)
-    way = np.stack([0.8 * ahead - 0.4 * back, 0.5 * rises(TEN_SECONDS, 2.5, 0.8) + 0.25 * back], axis=1)
-    walking = find_events(upon_feet(np.tile([0.0, 0.9], (len(TEN_SECONDS), 1)), RH=way, RT=way))
+    recording, lands = kicking()
+    walking = find_events(recording)
     assert [(event.side, event.label) for event in walking.events] == [("R", OFF), ("R", STRIKE)]
-    # the foot is back on the floor 3.3 s after the first frame, and farthest ahead at 2.9 s
-    assert walking.events[1].time == pytest.approx(3.3, abs=0.07)
+    assert walking.events[1].time == pytest.approx(lands, abs=0.07)
 
 
 @pytest.mark.skipif("ASTERISM_DATA" not in os.environ, reason="needs ASTERISM_DATA")

@@ -182,6 +182,16 @@ def test_two_senders_behind_one_address_lose_nothing_and_are_told(apart: int) ->
     assert "154 frames" in told.sentence
 
 
+def test_what_a_source_says_came_before_is_passed_over_however_long_it_takes_to_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("asterism.live.running._AT_ONCE", -1.0)
+    sent = [replace(frame, arrived=time.monotonic() + (60.0 if frame.number >= 7 else -3.0)) for frame in frames(list(range(10)))]
+    session = LiveSession(Given(sent), lambda rate, up: Numbers())
+    session._rate = RATE
+    session._pass_over(1.0)
+    waiting = session._next()
+    assert session._health.before == 7 and waiting is not None and waiting.number == 7
+
+
 def test_frames_that_waited_too_long_are_left_out_while_newer_ones_wait() -> None:
     now = time.monotonic()
     session = LiveSession(Given([]), lambda rate, up: Numbers())
@@ -326,7 +336,8 @@ def test_all_frames_are_labelled_in_their_order_and_counted(rate: float) -> None
 
 def test_a_labeller_that_is_too_slow_leaves_old_frames_out_and_tells() -> None:
     kept = Kept()
-    health = LiveSession(Given(frames(list(range(400)))), lambda rate, up: Numbers(seconds=0.002), [kept]).run()
+    sent = [replace(frame, arrived=frame.arrived + time.monotonic()) for frame in frames(list(range(400)))]
+    health = LiveSession(Given(sent), lambda rate, up: Numbers(seconds=0.002), [kept]).run()
     numbers = [each.frame.number for each in kept.frames]
     assert numbers == sorted(numbers) and numbers[-1] == 399, "the newest frame is labelled"
     assert health.dropped > 0 and health.labelled + health.dropped == health.frames == 400
@@ -377,7 +388,7 @@ def test_the_rate_is_found_as_soon_as_the_times_tell_it(rate: float, stamp: Call
 
     class Waiting(Given):
         def read(self, timeout: float) -> LiveFrame | None:
-            sought.append(session.seeks_rate)
+            sought.append(session.pending.startswith("its rate is sought"))
             try:
                 return super().read(timeout)
             except SourceEnded:
@@ -395,7 +406,7 @@ def test_the_rate_is_found_as_soon_as_the_times_tell_it(rate: float, stamp: Call
     session = LiveSession(source, made, [kept])
     health = session.run(30.0)
     assert sought[:3] == [False, True, True], "it can be told while the rate is sought"
-    assert health.labelled == enough and not session.seeks_rate
+    assert health.labelled == enough and not session.pending
     assert found == [pytest.approx(rate, rel=0.01)]
 
 
@@ -456,6 +467,7 @@ def test_numbers_that_stand_still_are_told() -> None:
     health = LiveSession(Given(frames([7] * 10)), lambda rate, up: Numbers()).run()
     (finding,) = [finding for finding in session_findings(health, "there") if finding.code == "live-late"]
     assert finding.severity == Severity.WARNING and "one higher" in finding.mend
+    assert not {"live-restarted", "live-no-labels"} & {finding.code for finding in session_findings(health, "there")}
 
 
 def test_datagrams_go_in_labelled_and_out() -> None:
@@ -509,6 +521,14 @@ def test_a_sender_is_told_what_is_wrong_with_its_frames(changed: dict[str, objec
         (finding,) = source.findings()
     source.close()
     assert finding.code == "live-format" and why in finding.sentence
+    assert source.unread == (type({**whole, **changed}["frame"]) is int)
+
+
+def test_frames_that_could_not_be_read_were_not_lost_on_the_way() -> None:
+    came = Given(frames([0, 1, 4, 7]))
+    came.damaged, came.unread = 3, 2  # type: ignore[attr-defined]
+    health = LiveSession(came, lambda rate, up: Numbers()).run()
+    assert (health.damaged, health.lost) == (3, 2), "four numbers are missing, two of them came; the third was no frame"
 
 
 def test_a_session_says_that_it_gave_no_labels() -> None:

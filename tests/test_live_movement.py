@@ -6,6 +6,7 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
+from on_the_spot import kicking, marching, standing_movements
 
 from asterism.gait import cycles_of, find_events, parameters_of
 from asterism.gait.events import OFF, STRIKE
@@ -156,6 +157,27 @@ def test_who_squats_lies_or_goes_backwards_makes_no_step() -> None:
     # The floor moves as the person does: the pelvis stays, and only the feet tell.
     backwards[:, :, :2] -= np.linspace(backwards[0, hips, :2].mean(axis=0), backwards[-1, hips, :2].mean(axis=0), 600)[:, None]
     assert not [event for event in events_of(backwards) if event.time > 3.0]
+
+
+@pytest.mark.parametrize("name", standing_movements())
+def test_feet_that_stay_where_they_are_make_no_step(name: str) -> None:
+    """One end of a foot that moves turns about the other."""
+    assert told_of(standing_movements()[name]) == []
+
+
+def test_a_foot_strikes_where_it_comes_down_and_leaves_when_it_moves() -> None:
+    """Marching on the spot, and a kick: a foot turns back in the air, and a foot that stands is farthest behind at any time."""
+    recording, lands = kicking()
+    assert [(event.side, event.kind) for event in told_of(recording)] == [("right", "toe off"), ("right", "heel strike")]
+    assert told_of(recording)[1].time == pytest.approx(lands, abs=0.07)
+    recording, swings = marching()
+    told = told_of(recording)
+    for side in "LR":
+        for kind, truth in (("toe off", swings[side]), ("heel strike", swings[side] + 0.5)):
+            own = np.array([event.time for event in told if event.side[0].upper() == side and event.kind == kind])
+            # The first step of a stream may begin before it is known where the foot stands.
+            assert len(own) >= len(truth) - 1 and np.abs(own[:, None] - truth).min(axis=1).max() < 0.08, (side, kind)
+    assert max(event.delay for event in told) < 0.15
 
 
 def test_a_stream_that_begins_anew_goes_on() -> None:

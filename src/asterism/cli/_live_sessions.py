@@ -105,13 +105,13 @@ def _warn(session: LiveSession, ended: threading.Event) -> None:
     """What the source finds wrong, as of a camera that was bumped, when it is found; the end repeats it, with all that was counted."""
     from asterism.live import own_findings
 
-    said, rate_told = {(finding.code, finding.where) for finding in own_findings([session.source])}, False
+    said, pending, told = {(finding.code, finding.where) for finding in own_findings([session.source])}, "", set[str]()
     while not ended.wait(1.0):
-        if session.seeks_rate and not rate_told:
-            rate_told = True
-            _console.notice(
-                f"{session.source.about.name}: its rate is sought by the times of its frames; with --rate labels begin at once."
-            )
+        # Said once it lasts: what is made before was loaded in a second or two.
+        before, pending = pending, session.pending
+        if pending and pending == before and pending not in told:
+            told.add(pending)
+            _console.notice(f"{session.source.about.name}: {pending}.")
         # A source counts in another thread: what changes while it is asked is said the next time.
         with suppress(RuntimeError):
             for finding in own_findings([session.source, session]):
@@ -152,6 +152,6 @@ def _tell(session: LiveSession, ended: threading.Event) -> None:
             health = session.health()
             state = "no frames" if health.is_silent else f"{health.rate:.0f} frames/s"
             after = f"after {1000 * health.latency[0]:.1f} ms" if math.isfinite(health.latency[0]) else ""
-            labels = "its rate is sought" if session.seeks_rate else f"labels: {health.labels}"
+            labels = session.pending.partition(",")[0].partition(" by ")[0] or f"labels: {health.labels}"
             words = [state, labels, after, f"{health.lost} lost", f"{health.dropped} left out"]
             line.update(", ".join(word for word in words if word), refresh=True)

@@ -442,6 +442,13 @@ def _on_treadmill(feet: Feet, events: Sequence[GaitEvent], rules: EventRules) ->
             if strike.label == STRIKE and off.label == OFF:
                 middle = [int(RATE * (strike.time + share * (off.time - strike.time))) for share in (0.3, 0.6)]
                 foot, pelvis = ((points[middle[1]] - points[middle[0]])[:2] for points in (feet.heels[side], feet.pelvis))
-                # who walks backwards on a belt slides ahead; feet that jump apart and together go across
-                slid.append(abs(foot @ feet.ahead[middle[0]]) - np.linalg.norm(pelvis))
+                slid.append(slides(foot, pelvis, feet.ahead[middle[0]]))
     return bool(slid) and float(np.median(slid)) > rules.still
+
+
+def slides(foot: Floats, pelvis: Floats, ahead: Floats) -> float:
+    """m by which the way (2,) of a foot that stands, along where feet point (2,), is longer than that of the pelvis: a belt carries it.
+
+    Who walks backwards on a belt slides ahead; feet that jump apart and together go across.
+    """
+    return abs(float(foot @ ahead)) - float(np.linalg.norm(pelvis))

@@ -56,10 +56,35 @@ def why_damaged(data: bytes) -> str:
     return read if isinstance(read, str) else ""
 
 
-def damaged_json(where: str, count: int, why: str) -> list[Finding]:
-    """How many packets could not be read, and what `why_damaged` said of the first; nothing for ""."""
-    sentence = f"{where}: {counted(count, 'packet')} could not be read; of the first, {why}."
-    return [Finding("live-format", Severity.WARNING, where, sentence, "Send frames as docs/live-sources.md says, JSON.")] if why else []
+@dataclass
+class DamagedJson:
+    """What could not be read of what a sender sent.
+
+    count     messages
+    numbered  those of them that had a number of a frame: it is missing among those that were read, and nothing was lost on the way
+    why       what is wrong with the first, "" for none
+    """
+
+    count: int = 0
+    numbered: int = 0
+    why: str = ""
+
+    def add(self, data: bytes) -> None:
+        """Count a message."""
+        self.count += 1
+        self.why = self.why or why_damaged(data)
+        with suppress(ValueError, RecursionError):
+            content = json.loads(data.decode("utf-8"))
+            self.numbered += isinstance(content, dict) and type(content.get("frame")) is int
+
+    def findings(self, where: str) -> list[Finding]:
+        """How many, and what is wrong with the first."""
+        sentence = f"{where}: {counted(self.count, 'packet')} could not be read; of the first, {self.why}."
+        return (
+            [Finding("live-format", Severity.WARNING, where, sentence, "Send frames as docs/live-sources.md says, JSON.")]
+            if self.why
+            else []
+        )
 
 
 def _read(data: bytes, arrived: float) -> LiveFrame | str:
@@ -130,13 +155,23 @@ class JsonDatagrams:
     """
 
     def __init__(self, place: HostPort, rate: float = float("nan")) -> None:
-        self.damaged, self._why = 0, ""
+        self._damaged = DamagedJson()
         self.about = SourceAbout(f"JSON at {place}", rate)
         self._socket = ListeningSocket(place)
         self._times = StreamTimes(rate)
         self._heard: str = ""
         self._last, self._at = 0, -math.inf
         self._others = dict[str, int]()
+
+    @property
+    def damaged(self) -> int:
+        """Packets that could not be read."""
+        return self._damaged.count
+
+    @property
+    def unread(self) -> int:
+        """Frames that came and could not be read."""
+        return self._damaged.numbered
 
     @property
     def port(self) -> int:
@@ -148,8 +183,7 @@ class JsonDatagrams:
         for data, sender, arrived in self._socket.received(timeout):
             frame = frame_of_json(data, arrived)
             if frame is None:
-                self.damaged += 1
-                self._why = self._why or why_damaged(data)
+                self._damaged.add(data)
             elif self._hears(sender, frame):
                 return replace(frame, time=self._times.of(frame.number, frame.time, frame.arrived))
         return None
@@ -162,7 +196,7 @@ class JsonDatagrams:
             sentence = f"{where}: several programs send to it. {self._heard} is heard; these were not: {others}."
             mend = "Stop the others, or give each a port of its own."
             found.append(Finding("live-other-sender", Severity.WARNING, where, sentence, mend))
-        return [*found, *damaged_json(where, self.damaged, self._why)]
+        return [*found, *self._damaged.findings(where)]
 
     def close(self) -> None:
         """Stop listening."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.gait.events import OFF, STRIKE, EventRules, events_by_markers
+from asterism.gait.events import OFF, STRIKE, EventRules, events_by_markers, slides
 from asterism.gait.feet import SIDES, TURNING, FootColumns, feet_of, foot_columns, markers_of_feet
 from asterism.geometry import fit_rigid
 from asterism.live._step_kernels import followed
@@ -38,27 +38,22 @@ class LiveEventRules:
     noise        m, of a marker's place; jerk  m2/s5, how fast accelerations of a foot change: filters follow 15 Hz
     jump         m, by which a point may be elsewhere than expected, beside three standard deviations, or its marker is another one's
     jumped       s of such, after which the point is where it is seen now; at double, feet that come back are told 0.1 s late
-    exchanged    s at most for which left and right foot are given back each other's places, where each is where the other one goes
-    bends        m/s2 by which a foot's speed may change meanwhile: what a frame that comes late leaves open
     rough        s over which misses tell how far points are off, and times: a stream whose times jitter is as much less certain
     lost         m, standard deviation of a point's place above which it tells nothing
-    strike_later, off_later  s, from the turning of heel and toe to the event, before the person's own steps tell it: at half and double
-                 first strikes are 13 to 25 ms off, those that follow are as good
-    prior, steps  steps as which these count, and last ones of the person beside them
-    sigma        s, standard deviation of an event that nothing else is known of; it counts as many steps
+    prior, steps  steps as which the recording's rules count in what lies between a turning and its event, and last ones of the person
+                 beside them; and in how certain that is, with twice their standard deviation
     fall, least_fall  of the usual swing, and m, that a heel goes back (a toe forward) after it turned, until it counts as told. This is the
                  trade of delay against false alarms: at half, strikes of slow steps are told 10 ms sooner, at double of `fall` one in
                  hundred 170 ms later; false ones are as many
     off_soon     s, within which a toe turns, as its speed and acceleration foretell by `sure` standard deviations, when it has left the
                  floor. At half of `sure` offs are told 8 ms sooner and 4 % for nothing, at double 20 ms later
-    slow         of the usual swing per second, below which its speed must be by then
-    whole        of the usual swing: so far a foot goes that has struck twice, so that the off between them was not seen
-    every        s, at least, from one judgement by the recording's rules to the next; at double, times of first steps are 1 ms worse
-    behind       s of curves before and after an event that they look at: a swing, and what their filters need
-    fewest       frames that they need
-    pause        s without a frame after which all but what was learned begins anew: twice a swing's turning
-    latest       s: what is told later is not told
-    moved, moved_in  m, and s: a foot that is no farther from where it was on average over the latter stands, as in a squat
+    behind       s of curves before and after an event that the recording's rules look at: a swing, and what their filters need. They judge
+                 the last steps as often
+    pause        s without a frame after which all but what was learned begins anew, twice a swing's turning; for so long at most left and
+                 right foot are given back each other's places, where each is where the other one goes; and over so long a foot stands of
+                 which heel or toe is where it was
+    floats       m/s up or down below which an end of a foot rests on the floor, be it a stair; at half, stairs hold strikes back, at double
+                 who marches slowly strikes at the top
     seen         frames of a marker, after which it counts as worn
     climbs       m/s by which the floor is believed to rise where no foot comes down to it
     upright      cosine of the angle from feet to pelvis against the vertical, over a second, below which nobody walks: 60 degrees
@@ -71,34 +66,23 @@ class LiveEventRules:
     jerk: float = 2000.0
     jump: float = 0.05
     jumped: float = 0.15
-    exchanged: float = 1.0
-    bends: float = 10.0
     rough: float = 1.0
-    strike_later: float = 0.040
-    off_later: float = -0.015
-    fall: float = 0.04
-    least_fall: float = 0.005
-    whole: float = 0.5
-    off_soon: float = 0.03
-    slow: float = 0.3
-    sure: float = 2.0
+    lost: float = 0.02
     prior: float = 1.0
     steps: int = 6
-    sigma: float = 0.02
-    every: float = 1.0
+    fall: float = 0.04
+    least_fall: float = 0.005
+    off_soon: float = 0.03
+    sure: float = 2.0
     behind: tuple[float, float] = (1.0, 0.4)
     pause: float = 0.3
-    moved: float = 0.02
-    moved_in: float = 0.3
-    lost: float = 0.02
-    latest: float = 0.5
-    fewest: int = 30
-    climbs: float = 0.01
+    floats: float = 0.2
     seen: int = 3
+    climbs: float = 0.01
     upright: float = 0.5
-    lower: float = 0.01
     backwards: float = 0.4
     backwards_in: float = 1.5
+    lower: float = 0.01
 
 
 class _CarriedPoint:
@@ -253,6 +237,10 @@ class _TurningCurve:
         speed = self._sign * (self.state[0, 1] + soon * self.state[0, 2])
         return bool(speed < -sure * self._sd(1, soon))
 
+    def foretold_lift(self, soon: float) -> float:
+        """m/s upwards, so many s from now."""
+        return float(self.state[1, 1] + soon * self.state[1, 2])
+
     def _sd(self, which: int, soon: float) -> float:
         """Standard deviation of the place (0, m) or the speed (1, m/s), foretold so many s from now."""
         cov, jerk = self._cov, self._rules.jerk
@@ -280,32 +268,58 @@ class _TurningCurve:
 class _LiveFoot:
     """One foot: what turns, what was told, and what its last steps say of the time."""
 
-    def __init__(self, side: str, columns: FootColumns, helpers: list[int], rules: LiveEventRules) -> None:
-        self.side, self._rules = side, rules
+    def __init__(self, side: str, columns: FootColumns, helpers: list[int], rules: LiveEventRules, offline: EventRules) -> None:
+        self.side, self._rules, self._offline = side, rules, offline
         self.places = {STRIKE: _CarriedPoint(columns.heels[side], helpers, rules), OFF: _CarriedPoint(columns.toes[side], helpers, rules)}
         self.curves = {STRIKE: _TurningCurve(1.0, rules), OFF: _TurningCurve(-1.0, rules)}
         self.later = {kind: deque[float](maxlen=rules.steps) for kind in KINDS}
         self.swings = {kind: deque[float](maxlen=rules.steps) for kind in KINDS}
         self._squares = {kind: deque[float](maxlen=rules.steps) for kind in KINDS}
         self.usual = dict.fromkeys(KINDS, 0.0)
-        self.moves = False
         self.clear()
 
     def clear(self) -> None:
         """Nothing is known of where it is; what was learned of its steps is."""
         self.last: tuple[str, float] | None = None
-        self.height = math.nan
-        self._stood = np.full(3, np.nan)
+        self.height = self.since = math.nan
+        self._stood, self._ground = np.full((2, 3), np.nan), np.full(2, np.nan)
+        self.moves = self.held = False
         for kind in KINDS:
             self.places[kind].clear()
             self.curves[kind].clear()
 
-    def follow(self, heel: Floats, step: float) -> None:
-        """Keep where the heel (3,) m was."""
-        if math.isfinite(heel[0]):
-            share = 1.0 if math.isnan(self._stood[0]) else 1.0 - math.exp(-step / self._rules.moved_in)
-            self._stood = self._stood + share * (heel - self._stood) if share < 1.0 else heel.copy()
-            self.moves = float(np.linalg.norm(heel - self._stood)) > self._rules.moved
+    def follow(self, ends: Floats, time: float, step: float) -> None:
+        """Keep where heel and toe (2, 3) m were."""
+        way = ends - self._stood
+        known = [math.isfinite(way[0, 0]), math.isfinite(way[1, 0])]
+        if not all(known):
+            # An end that is seen again, or for the first time, stands where it is.
+            self._stood = np.where(np.isnan(self._stood), ends, self._stood)
+            way = np.nan_to_num(ends - self._stood)
+            known = [math.isfinite(ends[0, 0]), math.isfinite(ends[1, 0])]
+            if not any(known):
+                return
+        self._stood = self._stood + (1.0 - math.exp(-step / self._rules.pause)) * way
+        # One end alone turns about the other, which stands.
+        nearest = min(math.dist(end, stood) for end, stood, seen in zip(ends, self._stood, known, strict=True) if seen)
+        moves = nearest > self._offline.still
+        self.since = time if moves and not self.moves else self.since
+        self.moves = moves
+        if self.last is None or self.last[0] == STRIKE:
+            self._ground = np.fmin(self._ground, ends[:, 2])
+
+    def flies(self, leg_length: float) -> bool:
+        """Whether heel and toe are above where the foot stood last, and go up or down: who kicks, or marches, turns in the air."""
+        speeds = [abs(curve.foretold_lift(self._rules.off_soon)) for curve in self.curves.values()]
+        above = np.array([curve.state[1, 0] for curve in self.curves.values()]) - self._ground
+        lands = self._offline.lands if self.held else self._offline.in_the_air * leg_length
+        return bool(above.min() > lands) and min(speeds) > self._rules.floats
+
+    def now(self, kind: str, at: float) -> None:
+        """Keep that it struck or left at a time."""
+        self.last = (kind, at)
+        if kind == STRIKE:
+            self._stood, self._ground = np.full((2, 3), np.nan), np.full(2, np.nan)
 
     def swung(self, kind: str, rise: float) -> None:
         """Keep how far a heel or toe went."""
@@ -320,14 +334,13 @@ class _LiveFoot:
     def sd(self, kind: str) -> float:
         """s, standard deviation of an event: how certain those of recordings are, and how well they were met."""
         own, prior = self._squares[kind], self._rules.prior
-        return math.sqrt((prior * self._rules.sigma**2 + sum(own)) / (prior + len(own)))
+        first = self._offline.strike_sigma if kind == STRIKE else self._offline.off_sigma
+        return math.sqrt((prior * (2.0 * first) ** 2 + sum(own)) / (prior + len(own)))
 
     def offset(self, kind: str) -> float:
         """s, from the turning to the event."""
-        rules = self._rules
-        first = rules.strike_later if kind == STRIKE else rules.off_later
-        own = self.later[kind]
-        return (rules.prior * first + sum(own)) / (rules.prior + len(own))
+        first, own = self._offline.strike_later if kind == STRIKE else self._offline.off_later, self.later[kind]
+        return (self._rules.prior * first + sum(own)) / (self._rules.prior + len(own))
 
 
 @dataclass
@@ -388,7 +401,7 @@ class LiveEvents:
     @property
     def on_treadmill(self) -> bool:
         """Whether the floor moves, as far as the last steps show."""
-        return bool(self._slid) and float(np.median(self._slid)) > 0.0
+        return bool(self._slid) and float(np.median(self._slid)) > self.offline.still
 
     @property
     def belt(self) -> Floats:
@@ -446,7 +459,7 @@ class LiveEvents:
         if columns is None or not columns.pelvis:
             return
         helpers = markers_of_feet(self._markers)
-        self.feet = {side: _LiveFoot(side, columns, helpers[side], self.rules) for side in SIDES if side in columns.heels}
+        self.feet = {side: _LiveFoot(side, columns, helpers[side], self.rules, self.offline) for side in SIDES if side in columns.heels}
         self._pelvis = _CarriedPoint(columns.pelvis, [], self.rules)
 
     def _frame(self, time: float, step: float, points: Floats) -> list[LiveEvent]:
@@ -463,7 +476,7 @@ class LiveEvents:
                 pointing += way
         self._heading(pointing, step)
         self._kept.append((time, row))
-        while self._kept[0][0] < time - sum(self.rules.behind) - self.rules.every - self.rules.latest:
+        while self._kept[0][0] < time - 2.0 * sum(self.rules.behind):
             self._kept.popleft()
         if not math.isfinite(step):
             return []
@@ -474,7 +487,7 @@ class LiveEvents:
         self._put_right(row, step)
         for foot in self.feet.values():
             at = 0 if foot.side == "L" else 2
-            foot.follow(row[at], step)
+            foot.follow(row[at : at + 2], time, step)
             for kind, place in ((STRIKE, at), (OFF, at + 1)):
                 curve = foot.curves[kind]
                 arm = row[place] - pelvis
@@ -482,7 +495,7 @@ class LiveEvents:
                 event = self._told(foot, kind, time)
                 if event is not None:
                     found.append(event)
-        due = self._waiting and time >= max(self._learned + self.rules.every, self._waiting[0].time + self.rules.behind[1])
+        due = self._waiting and time >= max(self._learned + self.rules.behind[0], self._waiting[0].time + self.rules.behind[1])
         if due and self._learning is None:
             self._learning = self._learn(time)
         # A part of it each frame, so that none is late by all of them.
@@ -534,10 +547,10 @@ class LiveEvents:
             self._before, self._speeds = feet.copy(), np.zeros_like(feet)
             return
         same, other = (float(np.linalg.norm((one - expected).mean(axis=1), axis=1).max()) for one in (feet, feet[::-1]))
-        if same - other > self.rules.jump + self.rules.bends * step**2:
+        if same - other > self.rules.jump:
             self._exchanged += step
             # Who is wrong for so long was right: then it is what came before that was exchanged.
-            if self._exchanged < self.rules.exchanged:
+            if self._exchanged < self.rules.pause:
                 row[:4] = feet[::-1].reshape(4, 3)
                 feet = row[:4].reshape(2, 2, 3)
             else:
@@ -550,6 +563,7 @@ class LiveEvents:
 
     def _told(self, foot: _LiveFoot, kind: str, time: float) -> LiveEvent | None:
         rules, curve = self.rules, foot.curves[kind]
+        foot.held = foot.held and foot.curves[STRIKE].known
         if not curve.known or not foot.moves or not math.isfinite(self.leg_length):
             return None
         usual = foot.usual[kind]
@@ -558,17 +572,25 @@ class LiveEvents:
         if max(curve.rise, curve.fall) < least or curve.rise < rules.noise:
             return None
         back = curve.fall >= max(rules.fall * usual, rules.least_fall)
-        soon = curve.velocity < rules.slow * usual and curve.turns_within(rules.off_soon, rules.sure)
+        soon = curve.turns_within(rules.off_soon, rules.sure)
         if not back and (kind == STRIKE or not soon):
             return None
         turned = curve.turned(time)
         at = turned + foot.offset(kind)
         if time < at:
             return None
+        if kind == STRIKE and foot.flies(self.leg_length):
+            foot.held = True
+            return None
+        if kind == OFF and foot.held:
+            # It has not struck yet since it left.
+            curve.anew()
+            return None
+        # A foot that was seen to come down, or to stand where it was, tells the time itself.
+        seen = time if kind == STRIKE and foot.held else foot.since - self.offline.stays if kind == OFF else -math.inf
+        told_so, at, foot.held = seen > at, max(at, seen), False
         rise = curve.rise
         curve.anew()
-        if foot.last is not None and foot.last[0] == kind and rise < rules.whole * usual:
-            return None
         if foot.last is not None and foot.last[0] != kind:
             height = self._height(foot, foot.last[1], at)
             if kind == OFF:
@@ -578,12 +600,15 @@ class LiveEvents:
             if math.isfinite(lift):
                 self._lifts.append(lift)
             foot.height = height
-        foot.last = (kind, at)
+        foot.now(kind, at)
         foot.swung(kind, rise)
-        self._waiting.append(_ToldStep(foot, kind, turned, at))
+        if not told_so:
+            self._waiting.append(_ToldStep(foot, kind, turned, at))
         # What turned before the first frame was not seen to turn, and what is long ago is not told as if it were now.
         return (
-            None if at < self._began or time - at > rules.latest else LiveEvent(KINDS[kind], _SIDE[foot.side], at, time - at, foot.sd(kind))
+            None
+            if at < self._began
+            else LiveEvent(KINDS[kind], _SIDE[foot.side], at, time - at, self.offline.moved_sigma if told_so else foot.sd(kind))
         )
 
     def _stood(self, foot: _LiveFoot, strike: float, off: float) -> None:
@@ -592,7 +617,7 @@ class LiveEvents:
         heel = 0 if foot.side == "L" else 2
         moved = [self._at(place, ends) - self._at(place, begins) for place in (heel, 4)]
         if ends > begins and math.isfinite(moved[0][0] + moved[1][0]):
-            self._slid.append(float(np.hypot(*moved[0]) - np.hypot(*moved[1])))
+            self._slid.append(slides(moved[0], moved[1], self._ahead[0]))
             self._floors.append(moved[0] / (ends - begins))
 
     def _height(self, foot: _LiveFoot, begins: float, ends: float) -> float:
@@ -607,7 +632,7 @@ class LiveEvents:
         self._waiting = deque(told for told in self._waiting if told.time + self.rules.behind[1] > time)
         self._learned = time
         kept = [(at, row) for at, row in self._kept if at >= due[0].time - self.rules.behind[0]]
-        if len(kept) < self.rules.fewest:
+        if len(kept) < 3:
             return
         times = np.array([at for at, _ in kept])
         # Frames that come in bursts must not make a grid as fine as their times are near.

@@ -46,7 +46,9 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
     if not health.frames and not health.damaged and not any(finding.code in _SILENT_TOLD for finding in found):
         mend = "Look whether it sends, to this address and port, and whether a firewall is between."
         found.append(Finding("live-silent", _ERROR, where, f"{where}: no frame came.", mend))
-    found += _no_labels(health, where, found)
+    # Numbers that stand still, or two senders, and no network: of what was used by chance nothing follows.
+    most = health.late > health.frames
+    found += [] if most else _no_labels(health, where, found)
     if health.before:
         sentence = f"{where}: {counted(health.before, 'frame')} came while the labelling was made: no labels."
         found.append(Finding("live-before", _NOTE, where, sentence, "Begin the movement when the first labels are there."))
@@ -56,8 +58,6 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         found.append(Finding("live-lost", _WARNING, where, sentence, "Use a cable instead of radio, or a lower rate."))
     if health.late:
         sentence = f"{where}: {counted(health.late, 'frame')} came twice or after a later one: not used."
-        # A number that stands still, or two senders, and no network.
-        most = health.late > health.frames
         mend = "Number each frame one higher than the last, and let one sender send." if most else "Look at the network."
         found.append(Finding("live-late", _WARNING if most else _NOTE, where, sentence, mend))
     if health.others:
@@ -76,7 +76,7 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
     if 2 * health.jumps > health.frames:
         sentence = f"{where}: its times do not go as a clock does ({health.jumps} jumps in {health.frames} frames)."
         found.append(Finding("live-times", _WARNING, where, sentence, "Send times in seconds, of when a frame is taken."))
-    elif health.jumps or health.restarts:
+    elif (health.jumps or health.restarts) and not most:
         sentence = f"{where}: its clock or its frame numbers began anew {how_often(max(health.jumps, health.restarts))}."
         found.append(Finding("live-restarted", _WARNING, where, sentence, "Times go on from there; nothing needs to be done."))
     for output, count in health.unsent.items():

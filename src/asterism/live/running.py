@@ -170,6 +170,7 @@ class LiveSession:
     _latencies: deque[float] = field(default_factory=lambda: deque(maxlen=_LATENCIES))
     _rate: float = float("nan")
     _chain: LabelChain | None = None
+    _begun: float = -math.inf
     _first: float | None = None
     _ready: float | None = None
     _searches: bool = False
@@ -187,7 +188,7 @@ class LiveSession:
             return self._run(seconds)
 
     def _run(self, seconds: float) -> Health:
-        self._rate = self.source.about.rate
+        self._rate, self._begun = self.source.about.rate, time.monotonic()
         threads = [
             threading.Thread(target=self._read, name="live source", daemon=True),
             threading.Thread(target=self._work, name="live labels", daemon=True),
@@ -229,9 +230,13 @@ class LiveSession:
         return self.source.about.vertical if self.vertical is None else self.vertical
 
     @property
-    def seeks_rate(self) -> bool:
-        """Whether frames came and none is labelled yet, since their rate has to be found by their times."""
-        return bool(self._arrivals) and not np.isfinite(self._rate)
+    def pending(self) -> str:
+        """Why nothing is labelled yet although frames may come, as a person reads it; "" where they are labelled."""
+        if self._chain is not None:
+            return ""
+        if np.isfinite(self._rate):
+            return "the labelling is being made, which takes longest the first time"
+        return "its rate is sought by the times of its frames; with --rate labels begin at once" if self._arrivals else ""
 
     @property
     def has_ended(self) -> bool:
@@ -248,8 +253,8 @@ class LiveSession:
         count = self._count
         health.frames, health.lost, health.late, health.restarts = count.received, count.lost, count.late, count.restarts
         health.others = count.others
-        # What a source left out itself, and tells, was not lost on the way.
-        health.lost = max(0, health.lost - int(getattr(self.source, "dropped", 0)))
+        # What a source left out itself or could not read, and tells, was not lost on the way.
+        health.lost = max(0, health.lost - sum(int(getattr(self.source, told, 0)) for told in ("dropped", "unread")))
         health.damaged, health.jumps = self.source.damaged, self._clock.jumps
         health.unsent = {}
         for output in self.outputs:
@@ -292,28 +297,26 @@ class LiveSession:
             self.recorder.frame(frame)
         # Until the rate is known nothing is labelled, and the first frames wait for it.
         most = max(2, round(_QUEUE * self._rate)) if np.isfinite(self._rate) else TO_RATE
-        left_out = self._queue.put(frame, most)
-        # While the labelling is still being made, where the rate had to be found first, no machine is too slow.
-        if self._chain is None:
-            self._health.before += left_out
-        else:
-            self._health.dropped += left_out
+        self._leave_out(self._queue.put(frame, most))
 
     def _pass_over(self, seconds: float) -> None:
         """Leave out what came while the labelling was made for so many seconds: labels of it would be old, and hold the next ones back."""
         # What came in a shorter time waits for its labels, as always.
         if self.waits or seconds <= _QUEUE:
             return
+        ready, looks = time.monotonic(), math.ceil(2 * seconds * self._rate)
         try:
-            for _ in range(math.ceil(2 * seconds * self._rate)):
+            while looks > 0:
                 begin = time.monotonic()
                 frame = self.source.read(_AT_ONCE)
                 if frame is None:
                     return
-                if time.monotonic() - begin > _AT_ONCE / 2:
-                    # It was waited for, so that it is new.
+                if frame.arrived >= ready and time.monotonic() - begin > _AT_ONCE / 2:
+                    # It was waited for, so that it is new. Of many sources all are as new as they are read.
                     self._take(frame)
                     return
+                # What says that it came before ends by itself; of others no more are passed over than can have come.
+                looks -= frame.arrived >= ready
                 self._health.before += 1
         except SourceEnded:
             self._queue.stop()
@@ -363,8 +366,15 @@ class LiveSession:
         # However slow this is, what is shown is not old. What waits at the end, or for the rate, is labelled.
         fresh = self.waits or self._chain is None
         frame, left_out = self._queue.take_fresh(math.inf, lambda each: not fresh and not self._queue.is_stopped and _is_old(each))
-        self._health.dropped += left_out
+        self._leave_out(left_out)
         return frame
+
+    def _leave_out(self, frames: list[LiveFrame]) -> None:
+        for frame in frames:
+            # It came before the session, or the labelling is still being made where the rate had to be found first: no machine is too slow.
+            before = self._chain is None or frame.arrived < self._begun
+            self._health.before += before
+            self._health.dropped += not before
 
     def _passed_on(self, found: LabelledFrame | None) -> None:
         if found is None:

@@ -21,7 +21,7 @@ class WaitingFrames(Generic[Frame]):
 
     >>> queue = WaitingFrames[int](waits=False)
     >>> [queue.put(number, most=2) for number in range(4)], queue.take(0.0), queue.take(0.0), queue.take(0.0)
-    ([0, 0, 1, 1], 2, 3, None)
+    ([[], [], [0], [1]], 2, 3, None)
     """
 
     def __init__(self, *, waits: bool) -> None:
@@ -29,15 +29,13 @@ class WaitingFrames(Generic[Frame]):
         self._frames: deque[Frame] = deque()
         self._there = threading.Condition()
 
-    def put(self, frame: Frame, most: int) -> int:
-        """Have a frame wait among so many at most; how many older ones were left out for it."""
+    def put(self, frame: Frame, most: int) -> list[Frame]:
+        """Have a frame wait among so many at most; the older ones that were left out for it."""
         with self._there:
             while self._waits and len(self._frames) >= most and not self.is_stopped:
                 self._there.wait(TURN)
             self._frames.append(frame)
-            left_out = 0 if self._waits else max(0, len(self._frames) - most)
-            for _ in range(left_out):
-                self._frames.popleft()
+            left_out = [] if self._waits else [self._frames.popleft() for _ in range(len(self._frames) - most)]
             self._there.notify_all()
             return left_out
 
@@ -51,11 +49,12 @@ class WaitingFrames(Generic[Frame]):
             self._there.notify_all()
             return frame
 
-    def take_fresh(self, timeout: float, is_old: Callable[[Frame], bool]) -> tuple[Frame | None, int]:
-        """The oldest frame that is not old, or the newest one; and how many older ones were left out for it."""
-        frame, left_out = self.take(timeout), 0
+    def take_fresh(self, timeout: float, is_old: Callable[[Frame], bool]) -> tuple[Frame | None, list[Frame]]:
+        """The oldest frame that is not old, or the newest one; and the older ones that were left out for it."""
+        frame, left_out = self.take(timeout), list[Frame]()
         while frame is not None and is_old(frame) and (newer := self.take(0.0)) is not None:
-            frame, left_out = newer, left_out + 1
+            left_out.append(frame)
+            frame = newer
         return frame, left_out
 
     @property

@@ -17,9 +17,9 @@ from urllib.parse import parse_qsl, urlsplit
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.live.addresses import Query
+from asterism.live.addresses import Query, in_words
 from asterism.live.analysis import AnalysedFrame
-from asterism.live.datagrams import damaged_json, frame_of_json, why_damaged
+from asterism.live.datagrams import DamagedJson, frame_of_json
 from asterism.live.frames import LiveFrame, SourceAbout
 from asterism.live.outputs import WAITING, labels_as_json, leave_one_out, tells_more
 from asterism.live.packages import packages_for
@@ -131,7 +131,7 @@ class _Endpoint:
                 self.problem = "it was closed by the other side"
             # The other side may refuse, be no WebSocket, vanish, or send what is too large: nothing of it ends the attempts.
             except Exception as problem:
-                self.problem = str(problem) or type(problem).__name__
+                self.problem = in_words(problem)
             self._tried.set()
             await asyncio.sleep(_AGAIN)
 
@@ -226,8 +226,8 @@ def _listening(place: WebSocketPlace) -> socket.socket:
         return listening
     except (OSError, OverflowError) as problem:
         raise AsterismError(
-            f"{place.name} cannot be listened to ({problem}): another program has the port, or the address is not of this machine. "
-            "Give another one."
+            f"{place.name} cannot be listened to ({in_words(problem)}): another program has the port, or the address is not of this "
+            "machine. Give another one."
         ) from problem
 
 
@@ -240,12 +240,22 @@ class FromWebSocket:
     """
 
     def __init__(self, place: WebSocketPlace, rate: float = float("nan")) -> None:
-        self.damaged, self._why = 0, ""
+        self._damaged = DamagedJson()
         self.about = SourceAbout(f"JSON at {place.name}", rate)
         self._came: deque[LiveFrame] = deque(maxlen=WAITING)
         self._there = threading.Condition()
         self._closed = False
         self._endpoint = _Endpoint(place, self._listen, 1)
+
+    @property
+    def damaged(self) -> int:
+        """Packets that could not be read."""
+        return self._damaged.count
+
+    @property
+    def unread(self) -> int:
+        """Frames that came and could not be read."""
+        return self._damaged.numbered
 
     @property
     def port(self) -> int:
@@ -259,8 +269,7 @@ class FromWebSocket:
             frame = frame_of_json(data, time.monotonic())
             with self._there:
                 if frame is None:
-                    self.damaged += 1
-                    self._why = self._why or why_damaged(data)
+                    self._damaged.add(data)
                 else:
                     self._came.append(frame)
                     self._there.notify()
@@ -274,7 +283,7 @@ class FromWebSocket:
 
     def findings(self) -> list[Finding]:
         """See `_Endpoint.findings`; and what is wrong with the first message that could not be read."""
-        return [*self._endpoint.findings(), *damaged_json(self.about.name, self.damaged, self._why)]
+        return [*self._endpoint.findings(), *self._damaged.findings(self.about.name)]
 
     def close(self) -> None:
         """Let go of the sender."""

@@ -164,7 +164,7 @@ class RigSource:
         self._wanted = True
         # However slow this is, what is shown is not old. What waited for the first call is dropped, too, and nobody's.
         frame, left_out = self._queue.take_fresh(timeout, lambda each: not self._waits and time.monotonic() - each.arrived > _QUEUE)
-        self.dropped += left_out if self._frames else 0
+        self.dropped += len(left_out) if self._frames else 0
         if frame is None:
             if not self._queue.is_over:
                 return None
@@ -253,7 +253,7 @@ class RigSource:
         for frame in self._gather.ready(now):
             left_out = self._queue.put(frame, most)
             # Frames that come before the first one is asked for are nobody's.
-            self.dropped += left_out if self._wanted else 0
+            self.dropped += len(left_out) if self._wanted else 0
 
     def _reconstructed(self, frame: RigFrame) -> LiveFrame:
         xy = self._bounded(frame)

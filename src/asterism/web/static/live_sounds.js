@@ -7,7 +7,9 @@
   const PAUSE = 0.2;                // s from one beep of a rule to its next: a value that trembles about its bound is no alarm bell
   const VOICES = 4;                 // sounds at one time
   const MOST = 0.5;                 // of the full scale, all voices together at the highest volume
-  const LAPSE = 0.5;                // s after which a tone ends that nobody keeps up: the page was put to sleep, or the connection broke
+  // s after which a tone ends that nobody keeps up: the page was put to sleep, or the connection broke. Half of it breaks off where a radio
+  // network pauses; with twice as much a person follows what nobody measures.
+  const LAPSE = 0.4;
 
   class Sounds {
     // tell: told whether what is to sound is heard: systems take the sound away, and give it back only when a person touches the page
