@@ -85,6 +85,15 @@ def test_the_axis_along_which_a_body_is_tallest_is_named() -> None:
     assert "--vertical z" in watch.findings()[0].mend
 
 
+def test_frames_from_before_the_set_was_known_say_nothing_of_its_labels() -> None:
+    told = list[str]()
+    watch = SessionWatch("lab", tell=lambda finding: told.append(finding.code))
+    for n in range(200):
+        names, own = (MARKERS, np.arange(20)) if n >= 170 else ((), np.empty(0, dtype=np.int64))
+        watch.add(LabelledFrame(LiveFrame(n, n / RATE, n / RATE, BODY), names, own, np.ones(len(own)), n / RATE), RATE)
+    assert watch.findings() == [] and told == []
+
+
 def test_a_person_who_walks_in_and_out_is_no_fault() -> None:
     told = list[str]()
     watch = SessionWatch("lab", tell=lambda finding: told.append(finding.code))

@@ -143,6 +143,9 @@ class SessionWatch:
                 return None
             sentence = f"{self.name}: no marker set was found yet. {looks[-1].refusal}"
             return Finding("live-no-set", Severity.WARNING, self.name, sentence, "Name the set with --markers, or give a --model.")
+        # Frames from before the set was known say nothing of its labels.
+        looks = [look for look in looks if len(look.found.markers) == markers]
+        labelled = float(np.median([look.labelled for look in looks]))
         if points > 3 * markers + _LOOKS:
             sentence = f"{self.name}: frames have {points:.0f} points, the marker set has {markers}."
             return Finding("live-many-points", Severity.WARNING, self.name, sentence, "Cover reflections, or mask them in the cameras.")
