@@ -40,6 +40,7 @@ def watched(
         ({"points": BODY, "labelled": 2}, ["live-other-markers"]),
         ({"points": BODY, "labelled": 12}, ["live-other-markers"]),
         ({"points": BODY[:12]}, []),
+        ({"points": np.concatenate([BODY[:14], BODY[:8] + np.array([1.0, 0.0, 0.0])]), "labelled": 14}, []),
         ({"points": np.concatenate([BODY[:17], BODY[:3] + np.array([0.05, 0.0, 0.0])]), "labelled": 17}, []),
         ({"points": BODY[:3], "labelled": 0}, ["live-few-points"]),
         ({"points": np.tile(BODY, (100, 1))}, ["live-many-points"]),
@@ -59,6 +60,7 @@ def watched(
         "others",
         "half",
         "part",
+        "part and reflections",
         "hidden",
         "wand",
         "flood",
@@ -81,6 +83,15 @@ def test_the_axis_along_which_a_body_is_tallest_is_named() -> None:
     for n in range(300):
         watch.add(LabelledFrame(LiveFrame(n, n / RATE, n / RATE, BODY), MARKERS, none, np.zeros(20), n / RATE), RATE)
     assert "--vertical z" in watch.findings()[0].mend
+
+
+def test_frames_from_before_the_set_was_known_say_nothing_of_its_labels() -> None:
+    told = list[str]()
+    watch = SessionWatch("lab", tell=lambda finding: told.append(finding.code))
+    for n in range(200):
+        names, own = (MARKERS, np.arange(20)) if n >= 170 else ((), np.empty(0, dtype=np.int64))
+        watch.add(LabelledFrame(LiveFrame(n, n / RATE, n / RATE, BODY), names, own, np.ones(len(own)), n / RATE), RATE)
+    assert watch.findings() == [] and told == []
 
 
 def test_a_person_who_walks_in_and_out_is_no_fault() -> None:

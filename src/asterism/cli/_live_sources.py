@@ -124,7 +124,8 @@ def _is_of_one_camera(path: Path) -> bool:
     """Whether a path is a video or a folder of images."""
     from mimetypes import guess_type
 
-    return path.is_dir() or str(guess_type(path.name)[0]).startswith(("video/", "image/"))
+    names = [each.name for each in path.iterdir()] if path.is_dir() else [path.name]
+    return any(str(guess_type(name)[0]).startswith(("video/", "image/")) for name in names)
 
 
 def _is_of_cameras(path: Path) -> bool:

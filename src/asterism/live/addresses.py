@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -20,6 +21,21 @@ def without_password(address: str) -> str:
     'rtsp://lab:…@192.168.1.7/stream'
     """
     return re.sub(r"(://[^/@:]*:)[^/]*@", r"\1…@", address)
+
+
+def in_words(problem: BaseException) -> str:
+    """What a failure of the network means, in the system's words and without numbers and names of exceptions; "no answer" for nothing.
+
+    >>> import errno
+    >>> in_words(ConnectionRefusedError(errno.ECONNREFUSED, "Connect call failed ('127.0.0.1', 9)")), in_words(TimeoutError())
+    ('connection refused', 'no answer')
+    """
+    said = str(problem)
+    if isinstance(problem, OSError) and problem.errno is not None:
+        # Numbers below 0 are those of names that are not known.
+        said = os.strerror(problem.errno) if problem.errno > 0 else problem.strerror or said
+        said = said[:1].lower() + said[1:]
+    return said or "no answer"
 
 
 class Query:

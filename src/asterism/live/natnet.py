@@ -20,6 +20,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
+from asterism.live.addresses import in_words
 from asterism.live.clock import StreamTimes
 from asterism.live.datagrams import RECEIVE_BUFFER, DatagramReader, HostPort
 from asterism.live.frames import LiveFrame, SourceAbout
@@ -73,7 +74,7 @@ class FromNatNet:
             self.close()
             if problem.errno == errno.EADDRNOTAVAIL:
                 raise AsterismError(f"{local} is no address of this machine; give its own in the network of Motive, or none.") from problem
-            raise AsterismError(f"{place.host}: cannot be reached ({problem}); look at the address and the network.") from problem
+            raise AsterismError(f"{place.host}: cannot be reached ({in_words(problem)}); look at the address and the network.") from problem
         except AsterismError:
             self.close()
             raise

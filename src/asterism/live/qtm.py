@@ -20,6 +20,7 @@ from qtm_rt.protocol import QTMProtocol
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
+from asterism.live.addresses import in_words
 from asterism.live.analog import AnalogSamples
 from asterism.live.camera_frames import LiveBlobs
 from asterism.live.clock import StreamTimes
@@ -187,14 +188,14 @@ class QtmLink:
             _, protocol = await asyncio.wait_for(made, _PATIENCE)
         except (OSError, OverflowError) as problem:
             return (
-                f"QTM does not answer at {host}, port {port} ({problem or 'no answer'}); start QTM there, look at Project Options, "
+                f"QTM does not answer at {host}, port {port} ({in_words(problem)}); start QTM there, look at Project Options, "
                 "Input/Output, Real-Time Output, for its base port (the one to give is 1 higher), and let a firewall pass it (TCP)."
             )
         self._protocol = protocol
         try:
             await self._begun(protocol)
         except (QRTCommandException, OSError) as problem:
-            said = protocol.refused or str(problem) or "no answer"
+            said = protocol.refused or in_words(problem)
             self._abort()
             return (
                 f"what answers at {host}, port {port}, is not QTM's real-time protocol with little-endian numbers ({said}); "

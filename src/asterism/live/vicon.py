@@ -17,6 +17,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
+from asterism.live.addresses import in_words
 from asterism.live.datagrams import HostPort
 from asterism.live.frames import MOST_POINTS, DamagedPacket, LiveFrame, SourceAbout, believable, joined
 from asterism.live.reporting import axis_unknown, labels_given, reconnected, times_made
@@ -162,7 +163,8 @@ class FromVicon:
             made = socket.create_connection((self._place.host, self._place.port), timeout=patience)
         except (OSError, OverflowError) as problem:
             raise AsterismError(
-                f"no Vicon program answers at {where} ({problem}); start Nexus or Tracker there, and let a firewall pass port {PORT} (TCP)."
+                f"no Vicon program answers at {where} ({in_words(problem)}); start Nexus or Tracker there, and let a firewall pass port "
+                f"{PORT} (TCP)."
             ) from problem
         try:
             made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -178,7 +180,7 @@ class FromVicon:
         except (OSError, DamagedPacket) as problem:
             made.close()
             raise AsterismError(
-                f"what answers at {where} is not Vicon's DataStream ({problem or 'other bytes'}); its port is {PORT} unless it was changed."
+                f"what answers at {where} is not Vicon's DataStream ({in_words(problem)}); its port is {PORT} unless it was changed."
             ) from problem
         except AsterismError:
             made.close()

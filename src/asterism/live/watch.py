@@ -16,7 +16,7 @@ from asterism.live.chain import LabelledFrame
 from asterism.live.reporting import labels_given
 from asterism.recording import Clouds, Floats
 from asterism.recording.display import significant
-from asterism.session.left_over import LeftOver, sets_to_name
+from asterism.session.left_over import LeftOver, left_on_body, sets_to_name
 
 _EACH = 0.1
 """s between two frames that are looked at: what is wrong is wrong in all of them. Half of it costs twice as much and tells no more."""
@@ -143,13 +143,18 @@ class SessionWatch:
                 return None
             sentence = f"{self.name}: no marker set was found yet. {looks[-1].refusal}"
             return Finding("live-no-set", Severity.WARNING, self.name, sentence, "Name the set with --markers, or give a --model.")
+        # Frames from before the set was known say nothing of its labels.
+        looks = [look for look in looks if len(look.found.markers) == markers]
+        labelled = float(np.median([look.labelled for look in looks]))
         if points > 3 * markers + _LOOKS:
             sentence = f"{self.name}: frames have {points:.0f} points, the marker set has {markers}."
             return Finding("live-many-points", Severity.WARNING, self.name, sentence, "Cover reflections, or mask them in the cameras.")
         fits = 2 * sum(look.found.fits for look in looks) >= len(looks)
         if points and (not fits or points < 0.5 * markers or labelled < _FEW_LABELS * min(points, markers)):
             return self._unlike(points, labelled, spread, markers)
-        left = LeftOver.of(self._shown / max(self._shown_in, 1.0), [look.points - look.labelled for look in looks])
+        left = LeftOver.of(
+            self._shown / max(self._shown_in, 1.0), [left_on_body(look.found.frame.points, look.found.indices) for look in looks]
+        )
         if left.tells:
             self._unlike_looks = list(looks)
             return Finding("live-other-markers", Severity.WARNING, self.name, left.sentence(self.name, "the set"), _OTHER_SET)

@@ -17,7 +17,7 @@ from urllib.parse import parse_qsl, urlsplit
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.live.addresses import Query
+from asterism.live.addresses import Query, in_words
 from asterism.live.analysis import AnalysedFrame
 from asterism.live.datagrams import DamagedJson, frame_of_json
 from asterism.live.frames import LiveFrame, SourceAbout
@@ -131,7 +131,7 @@ class _Endpoint:
                 self.problem = "it was closed by the other side"
             # The other side may refuse, be no WebSocket, vanish, or send what is too large: nothing of it ends the attempts.
             except Exception as problem:
-                self.problem = str(problem) or type(problem).__name__
+                self.problem = in_words(problem)
             self._tried.set()
             await asyncio.sleep(_AGAIN)
 
@@ -226,8 +226,8 @@ def _listening(place: WebSocketPlace) -> socket.socket:
         return listening
     except (OSError, OverflowError) as problem:
         raise AsterismError(
-            f"{place.name} cannot be listened to ({problem}): another program has the port, or the address is not of this machine. "
-            "Give another one."
+            f"{place.name} cannot be listened to ({in_words(problem)}): another program has the port, or the address is not of this "
+            "machine. Give another one."
         ) from problem
 
 
