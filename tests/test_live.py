@@ -244,6 +244,38 @@ def test_a_datagram_that_waited_is_as_old_as_it_is(monkeypatch: pytest.MonkeyPat
     assert reader.read()[2] == pytest.approx(129.5)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux says how many datagrams it left out")
+def test_frames_that_this_machine_was_too_busy_to_read_are_not_lost_on_the_way() -> None:
+    source = JsonDatagrams(HostPort("127.0.0.1", 0), RATE)
+    source._socket._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)
+    session = LiveSession(source, lambda rate, up: Numbers())
+    sent = [frame_as_json(frame) for frame in frames([*range(300), 302])]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for data in sent[:300]:
+            sender.sendto(data, ("127.0.0.1", source.port))
+        received = 0
+        # The room of those that are read is for the last one, behind two that were lost on the way.
+        while (frame := source.read(0.0)) is not None:
+            session._take(frame)
+            received += 1
+        sender.sendto(sent[300], ("127.0.0.1", source.port))
+        while (frame := source.read(30.0)) is not None:
+            session._take(frame)
+            if frame.number == 302:
+                break
+            received += 1
+    assert frame is not None, "the last one came"
+    (told,) = [finding for finding in source.findings() if finding.code == "live-overflow"]
+    assert source.overflowed == 300 - received > 0 and f"{300 - received} packets" in told.sentence
+    assert session.health().lost == 2
+    # What was left out before its first frame takes no loss from a session.
+    later = LiveSession(source, lambda rate, up: Numbers())
+    for frame in frames([303, 306]):
+        later._take(frame)
+    assert later.health().lost == 2
+    source.close()
+
+
 def test_the_system_says_when_a_datagram_came() -> None:
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening,
