@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import json
 import math
 import signal
@@ -45,6 +46,7 @@ from asterism.live import (
     SourceClock,
     SourceEnded,
     ToDatagrams,
+    ToLines,
     frame_as_json,
     frame_of_json,
     make_labeller,
@@ -453,6 +455,19 @@ def test_times_that_do_not_grow_need_a_rate() -> None:
     still = [LiveFrame(n, 0.0, 0.0, np.zeros((1, 3))) for n in range(40)]
     with pytest.raises(AsterismError, match="say its rate with --rate"):
         LiveSession(Given(still, math.nan), lambda rate, up: Numbers(), waits=True).run()
+
+
+def test_a_session_is_over_when_who_reads_its_lines_is_gone() -> None:
+    class Gone(io.StringIO):
+        def write(self, text: str) -> int:
+            raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    endless = Given(frames(list(range(20_000))))
+    lines = ToLines(Gone())
+    session = LiveSession(endless, lambda rate, up: Numbers(), [lines], waits=True)
+    lines.on_left = session.stop
+    health = session.run()
+    assert health.labelled < 100 and health.unsent == {"--lines": health.labelled}
 
 
 def test_times_in_milliseconds_are_told() -> None:
