@@ -55,7 +55,10 @@ def test_slow_tests_run_where_all_are_asked_for(
 
 
 def test_a_failure_is_shown_when_it_happens_and_once(tmp_path: Path) -> None:
-    (tmp_path / "test_two.py").write_text("def test_wrong():\n    assert 1 + 1 == 3\n\ndef test_right():\n    print('later')\n")
+    # Without what all tests of Asterism are given, which takes longer than all else here.
+    nothing = "import pytest\n\n@pytest.fixture(scope='session')\ndef kept_virtual_people():\n    return None\n\n"
+    tests = "def test_wrong():\n    assert 1 + 1 == 3\n\ndef test_right():\n    print('later')\n"
+    (tmp_path / "test_two.py").write_text(nothing + tests)
     words = [
         sys.executable,
         "-m",

@@ -25,9 +25,8 @@ from asterism.labelling.recording_labeller import LabellingSettings, RecordingLa
 from asterism.labelling.stretches import StretchRules
 from asterism.labelling.whole.bodies import SeveralBodiesRules
 from asterism.labelling.whole.settings import ForeignRules, RecordingLabellingSettings
-from asterism.recording import Clouds, Floats, Labelling, Recording, check_labels, filled_samples, is_partly_labelled, keep_labels
+from asterism.recording import Floats, Labelling, Recording, check_labels, filled_samples, is_partly_labelled, keep_labels
 from asterism.session import FileLabeller, LabelledFile, LabellingOptions, SetFinder, label_file
-from asterism.session.worn import find
 from asterism.simulation import simulate_standing, simulate_walks
 
 pytest.importorskip("starlette")
@@ -212,21 +211,6 @@ CASES = {
     "empty": Case(only(lambda: replace(walk(), positions=np.full_like(walk().positions, np.nan))), refused="has no points to label"),
     "damaged": Case(damaged, refused="walk.c3d"),
 }
-
-
-@pytest.fixture(autouse=True)
-def points_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Doors that hand on the same points are answered from memory; others are looked at themselves, which takes seconds."""
-    look, seen = find.evidence_of, dict[tuple[object, ...], Any]()
-
-    def remembered(clouds: Clouds, *more: Any, between: Any = None) -> Any:
-        given = (clouds.xyz.tobytes(), clouds.offsets.tobytes(), clouds.vertical.tobytes(), clouds.rate, more, id(between))
-        if given not in seen:
-            # what lay between is kept, so that its number stays its own
-            seen[given] = look(clouds, *more, between=between), between
-        return seen[given][0]
-
-    monkeypatch.setattr(find, "evidence_of", remembered)
 
 
 @pytest.fixture

@@ -120,7 +120,7 @@ def test_order_tests(seed):
 
 @pytest.mark.parametrize("hostile", ["", "coincident", "missing"])
 def test_check_marker_on_all_placements_of_four_markers(hostile):
-    strong, points = strong_classifier(1, markers=4, each=2), cloud(5, markers=4, ghosts=1, hostile=hostile)
+    strong, points = strong_classifier(1, markers=4, each=2), cloud(5, markers=4, ghosts=int(not hostile), hostile=hostile)
     levels = set()
     for place in product(range(-1, len(points)), repeat=4):
         given = np.array(place)
@@ -160,7 +160,9 @@ def test_complete_labels_gives_something():
         place, taken = np.array([0, 1, 2, -1, -1]), np.array([True, True, True, False, False])
         complete_labels(strong, points, 5, place, taken, np.empty((5, 5), dtype=np.int64), RULES)
         given += (place >= 0).sum() - 3
-    assert given > 3
+        if given > 3:
+            return
+    raise AssertionError("nothing is completed")
 
 
 @pytest.mark.parametrize("completing", [False, True])
@@ -221,9 +223,8 @@ def frames_of(frames, seed):
     return clouds, np.ascontiguousarray(np.concatenate(clouds)), offsets
 
 
-@pytest.mark.parametrize("lowest_first", [False, True])
 @pytest.mark.parametrize(("width", "seed"), [(0.0, 0), (1.0, 1), (4.0, 2)])
-def test_label_by_full_solver(width, seed, lowest_first):
+def test_label_by_full_solver(width, seed):
     frames, _, solver = solver_and_rules(width, seed)
     clouds, xyz, offsets = frames_of(frames, seed)
     indices, first, total = (
@@ -231,14 +232,16 @@ def test_label_by_full_solver(width, seed, lowest_first):
         np.empty(len(clouds), dtype=np.int64),
         np.empty(len(clouds), dtype=np.int64),
     )
-    label_by_full_solver(pack_solvers([solver]), lowest_first, xyz, offsets, 10**7, indices, first, total)
-    for t, points in enumerate(clouds):
-        assert indices[t, solver.markers].tolist() == twins.label_by_full_solver(solver, points, 64)
-        assert (first[t] >= 0) == (len(twins.labellings(solver, points)) > 0)
-        assert first[t] <= total[t]
+    expected = [(twins.label_by_full_solver(solver, points, 64), len(twins.labellings(solver, points)) > 0) for points in clouds]
+    for lowest_first in (False, True):
+        label_by_full_solver(pack_solvers([solver]), lowest_first, xyz, offsets, 10**7, indices, first, total)
+        for t, (labels, some) in enumerate(expected):
+            assert indices[t, solver.markers].tolist() == labels
+            assert (first[t] >= 0) == some
+            assert first[t] <= total[t]
 
 
-@pytest.mark.parametrize(("width", "seed", "count"), [(0.0, 0, 24), (1.0, 1, 16), (4.0, 2, 8)])
+@pytest.mark.parametrize(("width", "seed", "count"), [(0.0, 0, 12), (1.0, 1, 8), (4.0, 2, 4)])
 def test_search_by_pairs_and_evaluate_solver(width, seed, count):
     frames, _, solver = solver_and_rules(width, seed)
     rng = np.random.default_rng(seed)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import tempfile
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,18 @@ def questions(folder: Path, files: list[Path]) -> list[dict[str, str]]:
     words = ["review", *map(str, files), "--model", str(folder / "gait.model"), "--csv", str(table), "--top", "60", "--overwrite"]
     assert main(words) in (0, 1)
     return list(csv.DictReader(io.StringIO(table.read_text(encoding="utf-8-sig"))))
+
+
+@cache
+def _asked() -> tuple[dict[str, str], ...]:
+    """The rows of the first file of `written`, as the command writes them."""
+    with tempfile.TemporaryDirectory() as made:
+        return tuple(questions(Path(made), written(Path(made))))
+
+
+def asked_of(file: Path) -> list[dict[str, str]]:
+    """The same rows, for a file wherever it is."""
+    return [{**row, "file": str(file)} for row in _asked()]
 
 
 def filled(path: Path, rows: list[dict[str, str]], delimiter: str = ",") -> Path:
@@ -131,7 +144,7 @@ def test_an_answer_that_cannot_be_names_its_line(answer: str, said: str, correct
 
 def test_answers_for_another_recording_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = written(tmp_path, 2)
-    rows = questions(tmp_path, files[:1])
+    rows = asked_of(files[0])
     for row in rows:
         row["answer"] = "right"
         row["file"] = str(files[1])
@@ -142,7 +155,7 @@ def test_answers_for_another_recording_are_refused(tmp_path: Path, capsys: pytes
 
 def test_a_table_of_files_that_were_not_given_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = written(tmp_path, 2)
-    rows = questions(tmp_path, files[:1])
+    rows = asked_of(files[0])
     rows[0]["answer"] = "right"
     assert answered(tmp_path, files[1:], filled(tmp_path / "answers.csv", rows)) == 2
     assert "walk1.c3d is not among the files given" in capsys.readouterr().err
@@ -195,7 +208,7 @@ def test_options_that_contradict_each_other(words: list[str], said: str, tmp_pat
 
 def test_an_existing_file_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     [file] = written(tmp_path)
-    rows = questions(tmp_path, [file])
+    rows = asked_of(file)
     rows[0]["answer"] = "right"
     table = filled(tmp_path / "answers.csv", rows)
     assert answered(tmp_path, [file], table) == 1
@@ -206,7 +219,7 @@ def test_an_existing_file_is_not_replaced(tmp_path: Path, capsys: pytest.Capture
 
 def test_a_folder_is_corrected_into_a_tree(tmp_path: Path, walk: tuple[Recording, list[str]]) -> None:
     [file] = written(tmp_path)
-    rows = questions(tmp_path, [file])[:1]
+    rows = asked_of(file)[:1]
     rows[0]["answer"] = walk[1][walk[0].labels.index(rows[0]["point"].lstrip("'"))]
     table = filled(tmp_path / "answers.csv", rows)
     (tmp_path / "lab" / "Ann").mkdir(parents=True)

@@ -156,7 +156,7 @@ def test_what_makes_no_model_is_refused(given, words):
 
 def test_one_persons_model_starts_from_virtual_people_and_knows_other_movements(walks):
     """A person who walked taught the model; another one, who stands with raised arms and squats, is labelled."""
-    takes = [r for r in virtual_people("helen-hayes", people=3, frames=100, seed=7) if "walk" not in r.metadata["file"]]
+    takes = [r for r in virtual_people("helen-hayes", people=3, frames=60, seed=7) if "walk" not in r.metadata["file"]]
     alone = MarkerModel.fit(walks[:1], training=BRIEF)
     started = MarkerModel.fit(walks[:1], training=START)
     assert (alone.about["virtual_people"], started.about["virtual_people"]) == (0, FEW)
@@ -276,7 +276,7 @@ def test_rules_that_cannot_teach_are_refused(given):
 
 def test_ghosts_beside_a_walk_do_not_silence_a_model_of_virtual_people() -> None:
     """Bodies of any size leave many ways to lay an anchor on 15 points: with room for too few of them, no frame had a label."""
-    walk = simulate_walks(1, frames=200, markers="helen-hayes", seed=6)[0]
+    walk = simulate_walks(1, frames=80, markers="helen-hayes", seed=6)[0]
     clouds, truth = simulate_gaps_and_ghosts(walk, hidden=3, ghosts=3, seed=2)
     model = virtual_model("helen-hayes")
     shown = truth >= 0
