@@ -14,6 +14,7 @@ from asterism.findings import Severity
 
 if TYPE_CHECKING:
     from asterism.findings import Finding
+    from asterism.labelling.live.study import StudyPlace
     from asterism.live import Health, LiveAnalysis, LiveSession, LiveSource
     from asterism.motion.clinical import SubjectMeasures
     from asterism.recording import Floats, Recording
@@ -46,7 +47,9 @@ def live_session(options: LiveOptions, source: LiveSource) -> LiveSession:
         worn = MarkerSet.load(options.markers) if options.markers is not None else None if model is None else model.marker_set
         if worn is not None:
             rules.look_at(worn.names)
-    make = make_labeller(model, options.markers, options.delay)
+    # Played as fast as frames are labelled, a recording would be over before a process has looked at it.
+    studies: StudyPlace = "push" if options.replay is not None and options.speed == math.inf else "process"
+    make = make_labeller(model, options.markers, options.delay, studies)
     analysis = _analysis(options, up)
     # Outputs are opened last, so that nothing else can fail while they are open.
     outputs = open_outputs(options.to, source.about)

@@ -349,7 +349,8 @@ class RigSource:
     def _counts(self, told: set[str], away: set[str]) -> list[Finding]:
         """What was counted, but for cameras whose images or silence are told already."""
         found, warning, cameras = list[Finding](), Severity.WARNING, self.cameras()
-        cable = "Look at cables and at the network, or lower the rate."
+        busy = getattr(self._source, "overflowed", 0)
+        cable = "Close other programs, or lower the rate." if busy else "Look at cables and at the network, or lower the rate."
         # Those too of which the source does not know.
         known = {*self._unposed, *told, *(camera.name for camera in cameras if camera.received)}
         silent = [name for name in self._all if name not in known]
