@@ -16,7 +16,7 @@ from asterism.live.chain import LabelledFrame
 from asterism.live.reporting import labels_given
 from asterism.recording import Clouds, Floats
 from asterism.recording.display import significant
-from asterism.session.left_over import LeftOver, sets_to_name
+from asterism.session.left_over import LeftOver, left_on_body, sets_to_name
 
 _EACH = 0.1
 """s between two frames that are looked at: what is wrong is wrong in all of them. Half of it costs twice as much and tells no more."""
@@ -152,7 +152,9 @@ class SessionWatch:
         fits = 2 * sum(look.found.fits for look in looks) >= len(looks)
         if points and (not fits or points < 0.5 * markers or labelled < _FEW_LABELS * min(points, markers)):
             return self._unlike(points, labelled, spread, markers)
-        left = LeftOver.of(self._shown / max(self._shown_in, 1.0), [look.points - look.labelled for look in looks])
+        left = LeftOver.of(
+            self._shown / max(self._shown_in, 1.0), [left_on_body(look.found.frame.points, look.found.indices) for look in looks]
+        )
         if left.tells:
             self._unlike_looks = list(looks)
             return Finding("live-other-markers", Severity.WARNING, self.name, left.sentence(self.name, "the set"), _OTHER_SET)

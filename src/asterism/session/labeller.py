@@ -34,7 +34,7 @@ from asterism.recording.display import counted, significant
 from asterism.recording.verdict import OTHER_BODY
 from asterism.session.coincident import coincident_findings
 from asterism.session.labelled import LabelledFile
-from asterism.session.left_over import LeftOver, sets_to_name
+from asterism.session.left_over import LeftOver, left_on_body, sets_to_name
 from asterism.session.mirror import mirror_findings
 from asterism.session.names import choose_name_policy, findings_on_names, join_disagreements, merge_file_names
 from asterism.session.options import LabellingOptions
@@ -52,6 +52,9 @@ _NUMBERS = {2: "two", 3: "three", 4: "four"}
 
 _MOST = 0.5
 """Share of a set's markers that a usual frame shows where the set is worn."""
+
+_FRAMES_LEFT_OVER = 200
+"""Frames in which points without a label are counted; half and double do as well."""
 
 _NARROWED_KEPT = 8
 """Narrowed models that are kept. Files of one person follow each other; a model has some megabytes."""
@@ -267,7 +270,7 @@ class FileLabeller:
             findings = [_with_sets(one, bodies, upright) if one.code == "label-nothing" else one for one in findings]
             findings += _other_set(path, labelled, bodies, upright)
         if labeller.wider is not None:
-            findings.append(_explained_by(path, labeller.wider.name, bodies[0].name, _left_over(labelled)))
+            findings.append(_explained_by(path, labeller.wider.name, bodies[0].name, _left_over(labelled, upright)))
         return replace(labelled, worn=tuple(bodies), found=tuple(findings))
 
     def _of_wider(self, labeller: FileLabeller, wider: WiderModel) -> FileLabeller:
@@ -462,11 +465,13 @@ def _nothing_labelled(path: Path, labelling: Labelling) -> list[Finding]:
     return [Finding("label-nothing", Severity.ERROR, str(path), f"{path}: no point got a label.", mend)]
 
 
-def _left_over(labelled: LabelledFile) -> LeftOver:
-    """What the labels leave over in the frames that show much of the body; it may be out of view in the others."""
-    counts, given = np.asarray(labelled.clouds.counts), labelled.labelling.indices >= 0
-    full = _full(counts)
-    return LeftOver.of(given[full].mean(axis=0), (counts - given.sum(axis=1))[full])
+def _left_over(labelled: LabelledFile, some: Clouds) -> LeftOver:
+    """What the labels leave over in the frames that show much of the body; it may be out of view in the others. some: the first frames."""
+    indices, full = labelled.labelling.indices, _full(np.asarray(labelled.clouds.counts))
+    of_some = np.nonzero(full[: len(some)] & (np.asarray(some.counts) > 0))[0]
+    # some frames tell what is there in all of them
+    of_some = of_some[:: max(1, len(of_some) // _FRAMES_LEFT_OVER)]
+    return LeftOver.of((indices[full] >= 0).mean(axis=0), [left_on_body(some[t], indices[t]) for t in of_some.tolist()])
 
 
 def _full(counts: Ints) -> NDArray[np.bool_]:
@@ -483,7 +488,7 @@ def _other_set(path: Path, labelled: LabelledFile, worn: Sequence[WornMarkers], 
     if not labelled.given:
         return []
     given = (labelled.labelling.indices >= 0).sum(axis=1)
-    usual, left = int(np.median(given[_full(np.asarray(labelled.clouds.counts))])), _left_over(labelled)
+    usual, left = int(np.median(given[_full(np.asarray(labelled.clouds.counts))])), _left_over(labelled, some)
     names = " and ".join(dict.fromkeys(one.name for one in worn))
     # most of the set: at half of it, a set of thrice as many markers passes; at double, any hidden marker is told
     few = usual < _MOST * left.markers

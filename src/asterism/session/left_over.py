@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asterism.recording import Clouds, MarkerSet
+from asterism.recording import Clouds, Floats, Ints, MarkerSet
 from asterism.session.worn.find import evidence_of, nearest_sets
 
 _SEEN = 0.05
@@ -23,9 +23,23 @@ set it is 0.08 at most (somebody who lies, live), of those that showed another o
 half of the wrong sets pass. Three hidden markers beside three ghosts are usual in any set."""
 
 
+_REACH = 0.3
+"""m about the box of the points that have a label, in which a point is on the body: the length of a forearm. At half, a limb without labels
+is held for reflections; at double, reflections beside a person are held for markers."""
+
+
+def left_on_body(points: Floats, indices: Ints) -> int:
+    """How many points (n, 3) m of a frame have no label and are on the body; indices (M,) the point of each marker, -1 for none."""
+    given = points[indices[indices >= 0]]
+    if not len(given):
+        return len(points)
+    inside = (points >= given.min(axis=0) - _REACH) & (points <= given.max(axis=0) + _REACH)
+    return int(inside.all(axis=1).sum()) - len(given)
+
+
 @dataclass(frozen=True)
 class LeftOver:
-    """What labels of a set leave over: of `markers` those that have no label in hardly any frame, and points of most frames without one."""
+    """What labels of a set leave over: of `markers` those that have a label in hardly any frame, and points on the body without one."""
 
     markers: int
     unseen: int
@@ -33,7 +47,7 @@ class LeftOver:
 
     @classmethod
     def of(cls, shown: ArrayLike, points: ArrayLike) -> LeftOver:
-        """From the share of the frames (M,) in which each marker has a label, and the points (T,) of each frame that have none."""
+        """From the share of the frames (M,) in which each marker has a label, and the points (T,) of each that `left_on_body` counts."""
         share, left = np.asarray(shown), np.asarray(points)
         # ghosts come and go: what three frames of four have over counts
         return cls(len(share), int((share < _SEEN).sum()), int(np.quantile(left, 0.25)) if len(left) else 0)
@@ -46,8 +60,8 @@ class LeftOver:
     def sentence(self, where: str, names: str) -> str:
         """In words, of a set or of several."""
         return (
-            f"{where}: {self.unseen} of {self.markers} markers of {names} have no label in any frame, and {self.points} points of a usual "
-            "frame have none: another set is worn, or the labels are not right."
+            f"{where}: {self.unseen} of {self.markers} markers of {names} have no label in any frame, and {self.points} points on the "
+            "body have none: another set is worn, or the labels are not right."
         )
 
 

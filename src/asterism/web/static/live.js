@@ -173,7 +173,7 @@
       else if (news.body) this.body = news.body;
       else if (news.source !== undefined) this.hello(news);
       // Sounds first.
-      if (DRAWN.some(kind => news[kind] !== undefined)) this.port.told(text, news.picture !== undefined);
+      if (DRAWN.some(kind => news[kind] !== undefined)) this.port.told(text, news);
       if (news.names) this.curves.named(news.names);
       if (news.picture !== undefined) this.show(news);
     }
@@ -244,7 +244,8 @@
     healthIs(health) {
       this.ended = Boolean(health.ended);
       const ended = health.problem || (health.ended ? "ended" : health.silent || !health.frames ? "no frames come" : "");
-      this.state(ended || `${Math.round(health.rate)} frames/s`, Boolean(ended));
+      const problem = ended || (this.port.isStuck ? "the browser draws nothing: load the page anew" : "");
+      this.state(problem || `${Math.round(health.rate)} frames/s`, Boolean(problem));
       if (ended) this.sounds.quiet();
       const last = this.sounded.length ? this.sounded[this.sounded.length - 1] : this.lastSounded, ms = value => value === null || value === undefined ? "–" : `${value.toFixed(1)} ms`;
       this.lastSounded = last;
