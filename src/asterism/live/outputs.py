@@ -53,7 +53,7 @@ def event_as_json(event: LiveEvent) -> dict[str, Any]:
         "kind": event.kind,
         "side": event.side,
         "time": round(event.time, 5),
-        "delay_ms": round(1000 * event.delay, 2),
+        "told_after_ms": round(1000 * event.told_after, 2),
         "sd_ms": None if math.isnan(event.sd) else round(1000 * event.sd, 2),
     }
 

@@ -155,9 +155,9 @@ class RigSource:
         return self._source.damaged
 
     @property
-    def delay(self) -> float:
+    def image_wait(self) -> float:
         """s that a frame waits for images after its instant, to which blobs are moved; 0 where cameras are triggered together."""
-        return self._gather.delay
+        return self._gather.image_wait
 
     def read(self, timeout: float) -> LiveFrame | None:
         """The points of the next frame; None where none came within so many seconds. Raises SourceEnded."""
@@ -385,7 +385,7 @@ class RigSource:
         if kept is not None and (kept.problem or kept.left_out):
             sentence = kept.problem or f"{kept.path}: {kept.left_out} images were not recorded, since the disk was busy."
             found.append(Finding("live-not-recorded", Severity.ERROR, where, sentence, "Make space, or record to another disk."))
-        unlinked, waited = sum(camera.unlinked for camera in cameras), round(1000 * self.delay, 1)
+        unlinked, waited = sum(camera.unlinked for camera in cameras), round(1000 * self.image_wait, 1)
         if unlinked or waited:
             sentence = (
                 f"{where}: cameras are not triggered together; each frame waits {significant(waited, 2)} ms for the images after it, and "
