@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import json
 import math
 import signal
@@ -46,6 +47,7 @@ from asterism.live import (
     SourceClock,
     SourceEnded,
     ToDatagrams,
+    ToLines,
     frame_as_json,
     frame_of_json,
     make_labeller,
@@ -139,12 +141,12 @@ def test_a_clock_that_drifts_is_followed_and_one_that_is_set_is_begun_anew() -> 
     clock, rng = SourceClock(), np.random.default_rng(0)
     # 100 ppm faster than ours, each frame up to 4 ms late
     delays = [
-        clock.delay(t * 1.0001, t + 1000.0 + late) for t, late in zip(np.arange(0, 60, 0.01), rng.uniform(0, 0.004, 6000), strict=True)
+        clock.lateness(t * 1.0001, t + 1000.0 + late) for t, late in zip(np.arange(0, 60, 0.01), rng.uniform(0, 0.004, 6000), strict=True)
     ]
     assert clock.jumps == 0 and max(delays[500:]) < 0.006
-    assert clock.delay(3600.0, 1060.01) == 0.0, "an hour ahead: nothing is known of the new clock"
+    assert clock.lateness(3600.0, 1060.01) == 0.0, "an hour ahead: nothing is known of the new clock"
     assert clock.jumps == 1
-    assert clock.delay(3600.01, 1060.05) == pytest.approx(0.03)
+    assert clock.lateness(3600.01, 1060.05) == pytest.approx(0.03)
 
 
 @given(st.lists(st.integers(0, 40), max_size=60))
@@ -486,6 +488,19 @@ def test_times_that_do_not_grow_need_a_rate() -> None:
     still = [LiveFrame(n, 0.0, 0.0, np.zeros((1, 3))) for n in range(40)]
     with pytest.raises(AsterismError, match="say its rate with --rate"):
         LiveSession(Given(still, math.nan), lambda rate, up: Numbers(), waits=True).run()
+
+
+def test_a_session_is_over_when_who_reads_its_lines_is_gone() -> None:
+    class Gone(io.StringIO):
+        def write(self, text: str) -> int:
+            raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    endless = Given(frames(list(range(20_000))))
+    lines = ToLines(Gone())
+    session = LiveSession(endless, lambda rate, up: Numbers(), [lines], waits=True)
+    lines.on_left = session.stop
+    health = session.run()
+    assert health.labelled < 100 and health.unsent == {"--lines": health.labelled}
 
 
 def test_times_in_milliseconds_are_told() -> None:

@@ -487,6 +487,7 @@ globalThis.show = age => {
 globalThis.slept = () => {
   const live = Asterism.live, link = live.socket;
   live.heard -= 60000;
+  live.tried -= 60000;
   live.watch();
   const [state, stage] = ["state", "stage"].map(name => document.getElementById(name));
   return [state.textContent, live.sounds.tones.size, stage.className.includes("old"), live.socket === link];

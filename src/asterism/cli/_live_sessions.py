@@ -58,11 +58,16 @@ def live_session(options: LiveOptions, source: LiveSource) -> LiveSession:
         _console.notice(str(finding))
     # A file can wait until its frames are labelled, and for who reads the lines; a camera system does not.
     waits = options.replay is not None
+    lines = ToLines()
     if options.lines:
-        outputs.append(ToLines() if waits else InOwnThread(ToLines()))
+        outputs.append(lines if waits else InOwnThread(lines))
     said = {finding.code for finding in opened}
     watch = SessionWatch(source.about.name, up, not waits, lambda finding: _console.notice(str(finding)), said)
-    return LiveSession(source, make, outputs, options.delay, waits=waits, feedback=rules, vertical=up, analysis=analysis, watch=watch)
+    session = LiveSession(source, make, outputs, options.delay, waits=waits, feedback=rules, vertical=up, analysis=analysis, watch=watch)
+    # Where nobody else gets the frames the session is over when the reader of its lines is.
+    if not options.to and options.output is None and not options.page:
+        lines.on_left = session.stop
+    return session
 
 
 def run_session(session: LiveSession, options: LiveOptions) -> Health:

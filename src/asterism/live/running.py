@@ -94,7 +94,7 @@ class Health:
     searched   s from the first frame until the marker set was known and labels could be given, 0 where it was known before
     rate       frames per second, of the last second
     latency    (p50, p99.9) s from a frame's arrival to its labels, of the last thousands that came after `searched`
-    delay      s longer than the fastest frame that the last one was on its way
+    lateness   s longer than the fastest frame that the last one was on its way
     silent     s since the last frame
     problem    why the session ended early, "" where it did not
     """
@@ -117,7 +117,7 @@ class Health:
     searched: float = 0.0
     rate: float = 0.0
     latency: tuple[float, float] = (float("nan"), float("nan"))
-    delay: float = 0.0
+    lateness: float = 0.0
     silent: float = 0.0
     problem: str = ""
 
@@ -300,7 +300,7 @@ class LiveSession:
             return
         # A source that waits was held back by us: its clock and ours say nothing of each other.
         if not self.waits:
-            self._health.delay = self._clock.delay(frame.time, frame.arrived)
+            self._health.lateness = self._clock.lateness(frame.time, frame.arrived)
         self._arrivals.append(frame.arrived)
         if self.recorder is not None:
             self.recorder.frame(frame)
