@@ -37,8 +37,8 @@ from asterism.recording import NULL, Floats, Ints, as_vertical
 from asterism.tracking.linking import LinkRules
 
 _CROWD = 2.0
-"""Points for each marker above which the first frame is not looked at by itself. With one for each it takes 5 ms of 15 markers, 24 of 39 and
-55 of 73; with three for each 5, 40 and 82. Among hundreds of reflections a search that finds nobody may take seconds."""
+"""Points for each marker above which the first frame is not looked at by itself. With one for each it takes 5 ms of 15 markers, 24 of 39,
+55 of 73; with three 5, 40 and 82. Among hundreds of reflections a search that finds nobody may take seconds."""
 
 
 @dataclass(frozen=True)
