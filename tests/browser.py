@@ -97,7 +97,7 @@ class Tab:
         where = {"sessionId": self._workers[-1]} if in_worker else {}
         self._socket.send(json.dumps({"id": self._count, "method": method, "params": given, **where}))
         while (answer := json.loads(self._socket.recv(timeout=600))).get("id") != self._count:
-            if answer["method"] == "Target.attachedToTarget" and answer["params"]["targetInfo"]["type"] == "worker":
+            if answer.get("method") == "Target.attachedToTarget" and answer["params"]["targetInfo"]["type"] == "worker":
                 self._workers.append(answer["params"]["sessionId"])
         return dict(answer)
 

@@ -161,7 +161,15 @@ def no_terminal_width(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
-    """Every other worker imports the test files from the last to the first: what one has compiled to bytecode the others need not."""
+    """One worker imports the test files from the first to the last, one from the last to the first, one from the middle on.
+
+    So what one has compiled to bytecode the others need not.
+    """
     outcome = yield
-    if isinstance(collector, pytest.Dir) and int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % 2:
-        outcome.get_result().result.reverse()
+    if isinstance(collector, pytest.Dir):
+        files = outcome.get_result().result
+        way = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % 3
+        if way == 1:
+            files.reverse()
+        elif way == 2:
+            files[:] = files[len(files) // 2 :] + files[: len(files) // 2]

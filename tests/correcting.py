@@ -6,7 +6,7 @@ import json
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from http.client import HTTPConnection
 from pathlib import Path
@@ -15,7 +15,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
-from models import trained
+from models import BRIEF, trained
 
 import asterism
 from asterism import formats
@@ -34,6 +34,14 @@ def walks() -> tuple[Recording, ...]:
 def model() -> asterism.MarkerModel:
     """A model that has learned the first four."""
     return trained(list(walks()[:4]))
+
+
+@cache
+def quick_learner() -> asterism.MarkerModel:
+    """The same model, which tries itself on little when it is taught more: for tests of what is taught, not of how sure it then is."""
+    state = model().state
+    config = replace(state.training.config, rules=BRIEF)
+    return asterism.MarkerModel(replace(state, training=replace(state.training, config=config)))
 
 
 def recorded(walk: Recording, hidden: int = 2, ghosts: int = 1, seed: int = 1) -> tuple[Recording, Ints]:

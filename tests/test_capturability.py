@@ -18,8 +18,8 @@ WALKS = simulate_walks(subjects=2, frames=100, seed=3)
 
 
 QUICK = CapturabilityRules(
-    search=SearchSettings(screening_frames=100, evaluation_frames=300, validation_frames=400, beam_width=20, max_markers=6, max_solvers=25),
-    change_frames=100,
+    search=SearchSettings(screening_frames=60, evaluation_frames=200, validation_frames=250, beam_width=15, max_markers=5, max_solvers=20),
+    change_frames=60,
     hardest=1,
 )
 FEW = ("RASI", "LASI", "SACR", "RKNE", "RANK", "RHEE", "RTOE", "LTOE")

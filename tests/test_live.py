@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import json
 import math
 import signal
@@ -31,6 +32,7 @@ from asterism.files.journal import Journal
 from asterism.findings import Finding, Severity
 from asterism.formats import analog_channels
 from asterism.labelling.live.stream import FrameLabels
+from asterism.labelling.live.study_process import make_studies
 from asterism.live import (
     AnalysedFrame,
     FrameAnalysis,
@@ -45,6 +47,7 @@ from asterism.live import (
     SourceClock,
     SourceEnded,
     ToDatagrams,
+    ToLines,
     frame_as_json,
     frame_of_json,
     make_labeller,
@@ -138,12 +141,12 @@ def test_a_clock_that_drifts_is_followed_and_one_that_is_set_is_begun_anew() -> 
     clock, rng = SourceClock(), np.random.default_rng(0)
     # 100 ppm faster than ours, each frame up to 4 ms late
     delays = [
-        clock.delay(t * 1.0001, t + 1000.0 + late) for t, late in zip(np.arange(0, 60, 0.01), rng.uniform(0, 0.004, 6000), strict=True)
+        clock.lateness(t * 1.0001, t + 1000.0 + late) for t, late in zip(np.arange(0, 60, 0.01), rng.uniform(0, 0.004, 6000), strict=True)
     ]
     assert clock.jumps == 0 and max(delays[500:]) < 0.006
-    assert clock.delay(3600.0, 1060.01) == 0.0, "an hour ahead: nothing is known of the new clock"
+    assert clock.lateness(3600.0, 1060.01) == 0.0, "an hour ahead: nothing is known of the new clock"
     assert clock.jumps == 1
-    assert clock.delay(3600.01, 1060.05) == pytest.approx(0.03)
+    assert clock.lateness(3600.01, 1060.05) == pytest.approx(0.03)
 
 
 @given(st.lists(st.integers(0, 40), max_size=60))
@@ -241,6 +244,38 @@ def test_a_datagram_that_waited_is_as_old_as_it_is(monkeypatch: pytest.MonkeyPat
     # And on: it is no older than the one before.
     assert reader.read()[2] == 120.0
     assert reader.read()[2] == pytest.approx(129.5)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux says how many datagrams it left out")
+def test_frames_that_this_machine_was_too_busy_to_read_are_not_lost_on_the_way() -> None:
+    source = JsonDatagrams(HostPort("127.0.0.1", 0), RATE)
+    source._socket._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)
+    session = LiveSession(source, lambda rate, up: Numbers())
+    sent = [frame_as_json(frame) for frame in frames([*range(300), 302])]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for data in sent[:300]:
+            sender.sendto(data, ("127.0.0.1", source.port))
+        received = 0
+        # The room of those that are read is for the last one, behind two that were lost on the way.
+        while (frame := source.read(0.0)) is not None:
+            session._take(frame)
+            received += 1
+        sender.sendto(sent[300], ("127.0.0.1", source.port))
+        while (frame := source.read(30.0)) is not None:
+            session._take(frame)
+            if frame.number == 302:
+                break
+            received += 1
+    assert frame is not None, "the last one came"
+    (told,) = [finding for finding in source.findings() if finding.code == "live-overflow"]
+    assert source.overflowed == 300 - received > 0 and f"{300 - received} packets" in told.sentence
+    assert session.health().lost == 2
+    # What was left out before its first frame takes no loss from a session.
+    later = LiveSession(source, lambda rate, up: Numbers())
+    for frame in frames([303, 306]):
+        later._take(frame)
+    assert later.health().lost == 2
+    source.close()
 
 
 def test_the_system_says_when_a_datagram_came() -> None:
@@ -455,6 +490,19 @@ def test_times_that_do_not_grow_need_a_rate() -> None:
         LiveSession(Given(still, math.nan), lambda rate, up: Numbers(), waits=True).run()
 
 
+def test_a_session_is_over_when_who_reads_its_lines_is_gone() -> None:
+    class Gone(io.StringIO):
+        def write(self, text: str) -> int:
+            raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    endless = Given(frames(list(range(20_000))))
+    lines = ToLines(Gone())
+    session = LiveSession(endless, lambda rate, up: Numbers(), [lines], waits=True)
+    lines.on_left = session.stop
+    health = session.run()
+    assert health.labelled < 100 and health.unsent == {"--lines": health.labelled}
+
+
 def test_times_in_milliseconds_are_told() -> None:
     came = [LiveFrame(n, 10.0 * n, n / RATE, np.zeros((1, 3))) for n in range(40)]
     with pytest.raises(AsterismError, match="send seconds"):
@@ -650,9 +698,9 @@ def test_played_frames_have_the_labels_of_the_stream(tmp_path: Path, walks: list
     source = Replay(path, speed=1000.0)
     # A body that is played faster is labelled as it moved.
     assert source.about.rate == RATE
-    health = LiveSession(source, make_labeller(model, None, 5), [kept], 5, waits=True).run()
+    health = LiveSession(source, make_labeller(model, None, 5, "push"), [kept], 5, waits=True).run()
     assert health.labelled == 60 and health.dropped == 0 and health.jumps == 0
-    clouds, stream = asterism.read(path).clouds(), model.stream(RATE, 5)
+    clouds, stream = asterism.read(path).clouds(), model.stream(RATE, 5, studies=make_studies("push", RATE, model))
     expected = [*[labels for points in clouds if (labels := stream.push(points)) is not None], *stream.flush()]
     for got, want in zip(kept.frames, expected, strict=True):
         assert got.frame.number == want.frame
@@ -662,7 +710,7 @@ def test_played_frames_have_the_labels_of_the_stream(tmp_path: Path, walks: list
 def test_the_command_records_what_it_plays(tmp_path: Path, walks: list[Recording], model: asterism.MarkerModel, capsys) -> None:
     asterism.write(tmp_path / "walk.c3d", walks[5].frames(slice(60)))
     model.save(tmp_path / "walkers.model")
-    words = ["live", "--replay", str(tmp_path / "walk.c3d"), "--model", str(tmp_path / "walkers.model"), "--speed", "100"]
+    words = ["live", "--replay", str(tmp_path / "walk.c3d"), "--model", str(tmp_path / "walkers.model"), "--speed", "inf"]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sink:
         sink.bind(("127.0.0.1", 0))
         sink.settimeout(10)

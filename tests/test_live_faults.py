@@ -8,7 +8,8 @@ import socket
 import numpy as np
 import pytest
 
-from asterism.live import HostPort, JsonDatagrams, LabelledFrame, LiveFrame, SessionWatch, frame_as_json
+from asterism.findings import Finding, Severity
+from asterism.live import Health, HostPort, JsonDatagrams, LabelledFrame, LiveFrame, SessionWatch, frame_as_json, session_findings
 
 RATE, MARKERS = 100.0, tuple(f"M{n}" for n in range(20))
 BODY = np.random.default_rng(0).uniform((-0.3, -0.3, 0.0), (0.3, 0.3, 1.7), (20, 3))
@@ -161,3 +162,31 @@ def test_frames_without_times_get_some_and_it_is_said(rate: float) -> None:
     assert len(times) == 10 and (np.diff(times) > 0).all()
     assert [finding.code for finding in source.findings()] == ["live-no-times"]
     source.close()
+
+
+class Says:
+    """A source or a watch that has found something."""
+
+    def __init__(self, *codes: str) -> None:
+        self.codes = codes
+
+    def findings(self) -> list[Finding]:
+        return [Finding(code, Severity.WARNING, "lab", f"lab: {code}.") for code in self.codes]
+
+
+@pytest.mark.parametrize(
+    ("health", "said", "codes"),
+    [
+        (Health(), [], ["live-silent"]),
+        (Health(), ["live-unknown-camera"], ["live-unknown-camera"]),
+        (Health(), ["live-unconnected"], ["live-unconnected"]),
+        (Health(frames=9, labelled=9, markers=15), ["live-no-points"], ["live-no-points"]),
+        (Health(frames=9, labelled=9, markers=15), ["reconstruct-no-points", "live-no-points"], ["reconstruct-no-points"]),
+        (Health(frames=9, labelled=9, markers=15), ["live-camera-silent", "live-no-points"], ["live-camera-silent"]),
+        (Health(frames=9, labelled=9, markers=15), [], ["live-no-labels"]),
+        (Health(frames=9, labelled=9, markers=15, shown=9, damaged=4), ["live-format"], ["live-format"]),
+        (Health(frames=9, labelled=9, markers=15, shown=9, damaged=4), [], ["live-damaged"]),
+    ],
+)
+def test_who_knows_why_is_heard_and_nobody_says_it_again(health: Health, said: list[str], codes: list[str]) -> None:
+    assert [finding.code for finding in session_findings(health, "lab", None, [Says(*said)])] == codes

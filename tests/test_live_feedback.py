@@ -472,6 +472,7 @@ HEALTH: dict[str, Any] = dict.fromkeys(("rate", "frames", "lost", "late", "damag
     "problems": []
 }
 INK = "({ canvas }) => canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.some(value => value)"
+WELL = HEALTH | {"frames": 1}
 MOMENT = """globalThis.hear = (name, age) => {
   const live = Asterism.live, at = live.clock.at(performance.now()) - age, cue = { name, sound: "beep" };
   live.told(JSON.stringify({ sent: at, moments: [{ cue, at, done: at, time: 0 }] }));
@@ -486,6 +487,7 @@ globalThis.show = age => {
 globalThis.slept = () => {
   const live = Asterism.live, link = live.socket;
   live.heard -= 60000;
+  live.tried -= 60000;
   live.watch();
   const [state, stage] = ["state", "stage"].map(name => document.getElementById(name));
   return [state.textContent, live.sounds.tones.size, stage.className.includes("old"), live.socket === link];
@@ -667,6 +669,10 @@ def test_the_page_shows_counts_words_and_markers() -> None:
             tab.wait("Asterism.live.sounds.tones.get('t')[1].gain.value > 0.2")
             tab.wait("Asterism.live.sounds.tones.get('t')[1].gain.value < 0.01")  # a tone that nobody keeps up ends
             assert tab.value("[show(60000), show(0), show(60000)]") == [False, True, False], "a tone is of what is done now"
+            # What draws has died: sounds go on.
+            died = f"Object.assign(Asterism.live.port, {{ taken: -1e6, answeredAt: -1e6 }}); Asterism.live.healthIs({json.dumps(WELL)}); "
+            died += "[document.getElementById('state').textContent, show(0)]"
+            assert tab.value(died) == ["the browser draws nothing: load the page anew", True]
             # The system takes the sound away: no tone goes on when it is back, and who touches the page gets it back.
             tab.value("Asterism.live.sounds.tone('t', 0.5), Asterism.live.sounds.context.suspend()")
             tab.wait("!Asterism.live.sounds.tones.has('t') && !document.getElementById('unheard').hidden")

@@ -234,7 +234,7 @@ def test_blobs_are_moved_to_the_instant_of_one_camera() -> None:
     assert max(misses(frame, frame.time) for frame in later) < 0.1
     assert [frame.number for frame in frames] == list(range(len(frames)))
     # The largest gap is between 3.1 and 7.2 ms: after it comes the reference, and the others within 5.9 ms.
-    assert 0.004 < gather.delay < 0.006
+    assert 0.004 < gather.image_wait < 0.006
 
 
 def test_cameras_of_clocks_of_their_own_are_compared_by_their_arrival() -> None:

@@ -97,7 +97,7 @@ def test_strikes_and_offs_are_told_while_they_happen(rate: float) -> None:
         own = [one for one in told if one.side[0].upper() == event.side and LABELS[one.kind] == event.label]
         nearest = min(own, key=lambda one: abs(one.time - event.time))
         assert abs(nearest.time - event.time) < 0.04
-        assert nearest.time + nearest.delay - event.time < (0.06 if event.label == STRIKE else 0.09)
+        assert nearest.time + nearest.told_after - event.time < (0.06 if event.label == STRIKE else 0.09)
     assert len([event for event in told if 0.3 < event.time < times[-1] - 0.3]) == len(expected)
 
 
@@ -177,7 +177,7 @@ def test_a_foot_strikes_where_it_comes_down_and_leaves_when_it_moves() -> None:
             own = np.array([event.time for event in told if event.side[0].upper() == side and event.kind == kind])
             # The first step of a stream may begin before it is known where the foot stands.
             assert len(own) >= len(truth) - 1 and np.abs(own[:, None] - truth).min(axis=1).max() < 0.08, (side, kind)
-    assert max(event.delay for event in told) < 0.15
+    assert max(event.told_after for event in told) < 0.15
 
 
 def test_feet_on_pedals_make_no_steps_once_three_turns_are_seen() -> None:

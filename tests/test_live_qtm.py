@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tcp_server import TcpServer
 from waiting import LONG, taken
 
 from asterism import AsterismError
@@ -182,7 +183,7 @@ def test_settings_that_are_damaged_stay_unknown() -> None:
         assert unknown.rate != unknown.rate and unknown.vertical is None
 
 
-class QtmServer(threading.Thread):
+class QtmServer(TcpServer):
     """Speaks the protocol: a welcome, then answers to commands, and frames when they are asked for.
 
     versions  of the protocol that it knows
@@ -191,28 +192,12 @@ class QtmServer(threading.Thread):
     """
 
     def __init__(self, frames: Callable[[str], Iterator[tuple[int, bytes]]], xml: str, versions: Sequence[str] = ("1.20",)) -> None:
-        super().__init__(daemon=True)
         self.frames, self.xml, self.versions = frames, xml, versions
         self.heard, self.mute = list[str](), False
-        self.socket = socket.create_server(("127.0.0.1", 0))
-        self.port = self.socket.getsockname()[1]
-        self.start()
-
-    def run(self) -> None:
-        while True:
-            try:
-                client, _ = self.socket.accept()
-            except OSError:
-                return
-            threading.Thread(target=self.serve_and_close, args=(client,), daemon=True).start()
-
-    def serve_and_close(self, client: socket.socket) -> None:
-        with client, contextlib.suppress(OSError, struct.error):
-            self.mute = False
-            self.serve(client)
+        super().__init__()
 
     def serve(self, client: socket.socket) -> None:
-        guard = threading.Lock()
+        guard, self.mute = threading.Lock(), False
 
         def say(kind: int, content: bytes) -> None:
             with guard:

@@ -186,7 +186,7 @@ def test_a_played_file_gives_points_where_the_markers_were(delays: np.ndarray | 
     assert np.quantile(apart, 0.99) < 0.003
     assert np.median([len(frame.points) for frame in frames]) == 12
     if delays is not None:
-        assert 0.004 < source.delay < 0.006, "the latest camera's image after the instant of the first one"
+        assert 0.004 < source.image_wait < 0.006, "the latest camera's image after the instant of the first one"
     assert source.findings() == [] or delays is not None
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tcp_server import TcpServer
 from waiting import taken
 
 from asterism import AsterismError
@@ -66,28 +67,16 @@ SUBJECT_WAND = thing(
 SEGMENTS_WAND = thing(SEGMENTS, struct.pack("<III3d9d", 1, 1, 1, 1000.0, 250.0, -500.0, *np.eye(3).ravel()))
 
 
-class DataStream(threading.Thread):
+class DataStream(TcpServer):
     """A server: tells what it has, and sends to whoever asks for frames as long as there are some.
 
     frames  called again and again with what the client asked for, and how often one connected; gives packets
     """
 
     def __init__(self, frames: Callable[[set[int], int], Sequence[bytes]], offers: Sequence[int] = ()) -> None:
-        super().__init__(daemon=True)
         self.frames, self.asked, self.requests, self.connections = frames, set[int](), list[bytes](), 0
         self.offers = offers or (CONTENTS, SUBJECT, 8, SEGMENTS, STREAM, FRAME, LABELLED, UNLABELLED, APPLICATION)
-        self.socket = socket.create_server(("127.0.0.1", 0))
-        self.port = self.socket.getsockname()[1]
-        self.start()
-
-    def run(self) -> None:
-        while True:
-            try:
-                client, _ = self.socket.accept()
-            except OSError:
-                return
-            with client, contextlib.suppress(OSError, struct.error):
-                self.serve(client)
+        super().__init__()
 
     def serve(self, client: socket.socket) -> None:
         client.sendall(packet(thing(KINDS, struct.pack(f"<I{len(self.offers)}I", len(self.offers), *self.offers))))

@@ -20,7 +20,7 @@ from urllib.request import url2pathname
 
 import numpy as np
 import pytest
-from correcting import Browser, longest, model, served, written
+from correcting import Browser, longest, model, quick_learner, served, written
 
 from asterism import formats
 from asterism.errors import AsterismError
@@ -348,7 +348,8 @@ def test_logs_can_be_in_a_folder_of_their_own(tmp_path: Path) -> None:
 
 
 def test_the_model_learns_what_was_saved(tmp_path: Path) -> None:
-    with served(sitting(tmp_path)) as browser:
+    session = CorrectionSession(written(tmp_path), quick_learner(), SessionOptions((tmp_path / "gait.model",)))
+    with served(session) as browser:
         status, body, _ = browser.ask("/api/teach", {"trials": ["0"], "model_out": None})
         assert status == 400 and "not saved" in json.loads(body)["error"]
         browser.post("/api/trials/0/save", {})

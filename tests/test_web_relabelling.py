@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from correcting import Browser, model, served, walks, written
+from correcting import Browser, model, quick_learner, served, walks, written
 
 from asterism.labelling import MarkerModel
 from asterism.labelling.correction import Correction
@@ -27,7 +27,7 @@ from asterism.web.relabelling import SittingModel
 @cache
 def learned() -> MarkerModel:
     """What the model becomes by one more walk."""
-    return model().learn([walks()[4]])
+    return quick_learner().learn([walks()[4]])
 
 
 def sitting(folder: Path, count: int = 1) -> CorrectionSession:

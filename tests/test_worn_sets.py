@@ -412,7 +412,7 @@ def test_a_live_stream_needs_no_model() -> None:
     """The set is found in the first second in which somebody is there; then the labels are those of a stream of its model."""
     walk = simulate_walks(1, frames=90, rate=50.0, seed=5)[0]
     mixed = np.random.default_rng(1).permutation(15)
-    live, delay, nobody = LiveLabeller(50.0, 5), 5, 50
+    live, delay, nobody = LiveLabeller(50.0, 5, studies="none"), 5, 50
     stream = virtual_model("helen-hayes").stream(50.0, delay)
     assert {live.push(np.zeros((0, 3))) for _ in range(nobody)} == {None}
     assert live.worn is None and "no frame with 8 points" in live.refusal
@@ -434,7 +434,7 @@ def test_a_live_stream_needs_no_model() -> None:
 
 def test_a_live_stream_of_a_given_set_begins_at_once() -> None:
     walk = simulate_walks(1, frames=3, rate=50.0, seed=5)[0]
-    labels = LiveLabeller(50.0, markers="helen-hayes").push(walk.positions[0])
+    labels = LiveLabeller(50.0, markers="helen-hayes", studies="none").push(walk.positions[0])
     assert labels is not None and labels.frame == 0
     with pytest.raises(AsterismError, match="positive"):
         LiveLabeller(0.0)

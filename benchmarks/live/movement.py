@@ -133,7 +133,7 @@ class _Apart:
             told.remove(nearest)
             if counts:
                 self.errors.append(nearest.time - event.time)
-                self.delays.append(nearest.time + nearest.delay - event.time)
+                self.delays.append(nearest.time + nearest.told_after - event.time)
                 self.shares.append(abs(nearest.time - event.time) / nearest.sd)
         self.extra += sum(BEGIN < one.time < until for one in told)
 

@@ -101,7 +101,7 @@ def _of_trial(scratch: Path, model: asterism.MarkerModel | None, markers: str, t
     whole, shares, rate = labeller.label(path).labelling, Shares(), round(trial.rate)
     for delay in ASKED:
         rows = _Rows(truth.shape[1])
-        make = make_labeller(model, None if model else markers, delay)
+        make = make_labeller(model, None if model else markers, delay, "push")
         LiveSession(Replay(path, speed=float("inf")), make, [rows], delay, waits=True).run()
         live = Labelling(np.array(rows.indices), np.array(rows.confidence), whole.names)
         for part, first in (("", 0), (SECOND, rate)):

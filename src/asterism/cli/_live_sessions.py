@@ -14,6 +14,7 @@ from asterism.findings import Severity
 
 if TYPE_CHECKING:
     from asterism.findings import Finding
+    from asterism.labelling.live.study import StudyPlace
     from asterism.live import Health, LiveAnalysis, LiveSession, LiveSource
     from asterism.motion.clinical import SubjectMeasures
     from asterism.recording import Floats, Recording
@@ -46,7 +47,9 @@ def live_session(options: LiveOptions, source: LiveSource) -> LiveSession:
         worn = MarkerSet.load(options.markers) if options.markers is not None else None if model is None else model.marker_set
         if worn is not None:
             rules.look_at(worn.names)
-    make = make_labeller(model, options.markers, options.delay)
+    # Played as fast as frames are labelled, a recording would be over before a process has looked at it.
+    studies: StudyPlace = "push" if options.replay is not None and options.speed == math.inf else "process"
+    make = make_labeller(model, options.markers, options.delay, studies)
     analysis = _analysis(options, up)
     # Outputs are opened last, so that nothing else can fail while they are open.
     outputs = open_outputs(options.to, source.about)
@@ -55,11 +58,16 @@ def live_session(options: LiveOptions, source: LiveSource) -> LiveSession:
         _console.notice(str(finding))
     # A file can wait until its frames are labelled, and for who reads the lines; a camera system does not.
     waits = options.replay is not None
+    lines = ToLines()
     if options.lines:
-        outputs.append(ToLines() if waits else InOwnThread(ToLines()))
+        outputs.append(lines if waits else InOwnThread(lines))
     said = {finding.code for finding in opened}
     watch = SessionWatch(source.about.name, up, not waits, lambda finding: _console.notice(str(finding)), said)
-    return LiveSession(source, make, outputs, options.delay, waits=waits, feedback=rules, vertical=up, analysis=analysis, watch=watch)
+    session = LiveSession(source, make, outputs, options.delay, waits=waits, feedback=rules, vertical=up, analysis=analysis, watch=watch)
+    # Where nobody else gets the frames the session is over when the reader of its lines is.
+    if not options.to and options.output is None and not options.page:
+        lines.on_left = session.stop
+    return session
 
 
 def run_session(session: LiveSession, options: LiveOptions) -> Health:

@@ -100,11 +100,17 @@ def align_about_z(frames: Floats, template: Floats) -> Floats:
     """
     # A marker counts where both have it.
     shown = ~np.isnan(frames[:, :, :1]) & ~np.isnan(template[None, :, :1])
-    count = np.maximum(shown.sum(axis=1, keepdims=True), 1)
-    here = np.where(shown, frames, 0.0).sum(axis=1, keepdims=True) / count
-    there = np.where(shown, template, 0.0).sum(axis=1, keepdims=True) / count
-    moved = frames - here
-    a, b = np.where(shown, moved[..., :2], 0.0), np.where(shown, template[:, :2] - there[..., :2], 0.0)
+    if len(template) and shown.all():
+        # Most frames show all: nothing need be left out.
+        here = frames.sum(axis=1, keepdims=True) / len(template)
+        moved, there = frames - here, template.sum(axis=0, keepdims=True)[None] / len(template)
+        a, b = np.ascontiguousarray(moved[..., :2]), template[None, :, :2] - there[..., :2]
+    else:
+        count = np.maximum(shown.sum(axis=1, keepdims=True), 1)
+        here = np.where(shown, frames, 0.0).sum(axis=1, keepdims=True) / count
+        there = np.where(shown, template, 0.0).sum(axis=1, keepdims=True) / count
+        moved = frames - here
+        a, b = np.where(shown, moved[..., :2], 0.0), np.where(shown, template[:, :2] - there[..., :2], 0.0)
     along = (a * b).sum(axis=(1, 2))
     across = (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sum(axis=1)
     # The angle of the least squares in the plane, in closed form.

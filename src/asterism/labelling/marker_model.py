@@ -37,6 +37,7 @@ from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet,
 
 if TYPE_CHECKING:
     from asterism.labelling.live.stream import Stream
+    from asterism.labelling.live.study import Studies
 
 OTHER_SUBJECT_FIT = 0.2
 """`subject_fit` below which another person is assumed. Walks of the gait subjects, after a standing trial: 0.27 to 0.41 for the same
@@ -318,10 +319,13 @@ class MarkerModel:
         indices[:, self.state.markers], whole[:, self.state.markers] = rows, confidence
         return indices, whole
 
-    def stream(self, rate: float, delay: int = 0, vertical: ArrayLike | str = "z") -> Stream:
+    def stream(self, rate: float, delay: int = 0, vertical: ArrayLike | str = "z", studies: Studies | None = None) -> Stream:
         """A labeller for live points: `stream.push(points)` gives the labels of the frame `delay` pushes ago.
 
         rate: frames per second; delay: frames to wait for, which make the labels more certain; vertical: the axis that points up.
+        studies: label the last seconds as a whole, as `label` does, again and again. What they say is taken over: who the person is, and
+        which tracks are markers. `labelling.live.study_process.make_studies("process", rate, model)` has them made in a process beside this
+        one, which `stream.close()` ends. Without, labels of the first second and of markers that come and go are less sure.
         Raises AsterismError for a rate or delay that is not positive, or an unknown axis.
         """
         from asterism.labelling.live.stream import Stream, StreamModel
@@ -336,7 +340,7 @@ class MarkerModel:
             state.body_rules,
             self.rigid_distances,
         )
-        return Stream(model, rate, delay, vertical)
+        return Stream(model, rate, delay, vertical, studies=studies)
 
     def findings(self, where: str = "the model") -> list[Finding]:
         """What a person should know of the model before they use it. where: its file."""

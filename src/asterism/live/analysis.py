@@ -20,14 +20,14 @@ class LiveEvent:
     kind   one of EVENTS
     side   "left" or "right"
     time   s on the source's clock, when it happened
-    delay  s on the source's clock from then to the frame at which it is told
+    told_after  s on the source's clock from then to the frame at which it is told
     sd     s, standard deviation of `time`; NaN where it is not known
     """
 
     kind: str
     side: str
     time: float
-    delay: float
+    told_after: float
     sd: float = float("nan")
 
 

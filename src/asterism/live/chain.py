@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike
 
 from asterism.findings import Finding
 from asterism.labelling.live.stream import FrameLabels
+from asterism.labelling.live.study import Studies, StudyPlace, StudyRules
+from asterism.labelling.live.study_process import StudyProcess, make_studies
 from asterism.labelling.marker_model import MarkerModel
 from asterism.live.frames import LiveFrame
 from asterism.recording import Floats, Ints, MarkerSet
@@ -21,6 +23,10 @@ from asterism.session.live import LiveLabeller
 _MOST_FILLED = 0.1
 """s of lost frames that are passed on as empty ones, so that velocities keep their meaning. After twice as long the points of a body are
 elsewhere and are sought anyway; half of it would call a pause of five frames at 100 Hz a new beginning."""
+
+_BEGINNING = 30.0
+"""s that the process of the studies may take to begin before frames are labelled without it; it may still come. Two are usual. Half of it
+does on a machine that is four times as slow; double is waited only where kernels are compiled for the first time."""
 
 
 class Labeller(Protocol):
@@ -44,9 +50,11 @@ MakeLabeller = Callable[[float, Floats | None], Labeller]
 class OfModel:
     """A model's stream with its marker set."""
 
-    def __init__(self, model: MarkerModel, rate: float, delay: int, vertical: Floats | None) -> None:
+    def __init__(
+        self, model: MarkerModel, rate: float, delay: int, vertical: Floats | None, studies: StudyPlace | Studies = "process"
+    ) -> None:
         self.marker_set = model.marker_set
-        self._stream = model.stream(rate, delay, "z" if vertical is None else vertical)
+        self._stream = model.stream(rate, delay, "z" if vertical is None else vertical, make_studies(studies, rate, model))
 
     def push(self, points: ArrayLike) -> FrameLabels | None:
         """See `Stream.push`."""
@@ -55,6 +63,18 @@ class OfModel:
     def flush(self) -> list[FrameLabels]:
         """See `Stream.flush`."""
         return self._stream.flush()
+
+    def study_findings(self) -> list[Finding]:
+        """See `Stream.findings`."""
+        return self._stream.findings()
+
+    def wait_for_studies(self, seconds: float) -> None:
+        """See `Stream.wait_for_studies`."""
+        self._stream.wait_for_studies(seconds)
+
+    def close(self) -> None:
+        """See `Stream.close`."""
+        self._stream.close()
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +143,21 @@ class LabelChain:
         return str(getattr(self._labeller, "refusal", ""))
 
     def findings(self) -> list[Finding]:
-        """What a person should know of the marker set that was found."""
-        return list(getattr(self._labeller, "findings", ()))
+        """What a person should know of the marker set that was found, and of the studies."""
+        said = getattr(self._labeller, "study_findings", None)
+        return [*getattr(self._labeller, "findings", ()), *([] if said is None else said())]
+
+    def wait_for_studies(self) -> None:
+        """Wait until the labeller's process has begun, so that the first frames have what it says; not for long."""
+        wait = getattr(self._labeller, "wait_for_studies", None)
+        if wait is not None:
+            wait(_BEGINNING)
+
+    def close(self) -> None:
+        """End what the labeller began, such as a process."""
+        close = getattr(self._labeller, "close", None)
+        if close is not None:
+            close()
 
     def _pushed(self, frame: LiveFrame | None) -> LabelledFrame | None:
         self._waiting.append(frame)
@@ -141,12 +174,17 @@ class LabelChain:
         return LabelledFrame(frame, markers.names, labels.indices, labels.confidence, time.monotonic(), labels.fits)
 
 
-def make_labeller(model: MarkerModel | None, markers: str | None, delay: int) -> MakeLabeller:
-    """How frames are labelled: by a model, or by virtual people who wear the set given, or one that is found."""
+def make_labeller(model: MarkerModel | None, markers: str | None, delay: int, studies: StudyPlace = "process") -> MakeLabeller:
+    """How frames are labelled: by a model, or by virtual people who wear the set given, or one that is found.
+
+    studies  where the last seconds are labelled as a whole: see `make_studies`
+    """
 
     def made(rate: float, vertical: Floats | None) -> Labeller:
+        # A process takes longest to begin, and does so beside all else.
+        place = StudyProcess(rate, StudyRules()) if studies == "process" else studies
         if model is not None:
-            return OfModel(model, rate, delay, vertical)
-        return LiveLabeller(rate, delay, markers=markers, vertical=vertical)
+            return OfModel(model, rate, delay, vertical, place)
+        return LiveLabeller(rate, delay, markers=markers, vertical=vertical, studies=place)
 
     return made

@@ -65,11 +65,11 @@ class RecentMost:
 class SourceClock:
     """Compares a source's clock with this machine's, whose zeros and speeds differ.
 
-    The fastest frame of the last ten seconds is held for one that did not wait; what others took longer is their delay. A clock that jumps
-    is begun anew and counted. O(1) a frame, bounded memory. Offset and drift with their uncertainty are told by `CameraClock`.
+    The fastest frame of the last ten seconds is held for one that did not wait; what others took longer is their lateness. A clock that
+    jumps is begun anew and counted. O(1) a frame, bounded memory. Offset and drift with their uncertainty are told by `CameraClock`.
 
     >>> clock = SourceClock()
-    >>> [round(clock.delay(time, time + 50.0 + late), 3) for time, late in ((0.0, 0.002), (0.01, 0.0), (0.02, 0.03))]
+    >>> [round(clock.lateness(time, time + 50.0 + late), 3) for time, late in ((0.0, 0.002), (0.01, 0.0), (0.02, 0.03))]
     [0.0, 0.0, 0.03]
     """
 
@@ -83,7 +83,7 @@ class SourceClock:
         """s that this machine's clock is ahead of the source's, its fastest way included; NaN before the first frame."""
         return math.nan if self._last is None else -self._ahead.most
 
-    def delay(self, time: float, arrived: float) -> float:
+    def lateness(self, time: float, arrived: float) -> float:
         """How much longer than the fastest frame this one was on its way, s; at least 0."""
         # Between two frames both clocks go on by as much, unless one was set.
         if self._last is not None and abs((time - self._last[0]) - (arrived - self._last[1])) > JUMP + _pause(arrived - self._last[1]):

@@ -178,6 +178,11 @@ class JsonDatagrams:
         """The port that is listened to: a free one where 0 was asked for."""
         return self._socket.port
 
+    @property
+    def overflowed(self) -> int:
+        """Frames that came while this machine was too busy to read them."""
+        return self._socket.overflowed
+
     def read(self, timeout: float) -> LiveFrame | None:
         """The next frame that is whole."""
         for data, sender, arrived in self._socket.received(timeout):
@@ -196,7 +201,7 @@ class JsonDatagrams:
             sentence = f"{where}: several programs send to it. {self._heard} is heard; these were not: {others}."
             mend = "Stop the others, or give each a port of its own."
             found.append(Finding("live-other-sender", Severity.WARNING, where, sentence, mend))
-        return [*found, *self._damaged.findings(where)]
+        return [*found, *overflow(where, self.overflowed), *self._damaged.findings(where)]
 
     def close(self) -> None:
         """Stop listening."""
@@ -229,7 +234,9 @@ machine; with twice as much what waits is older than what is shown may be."""
 
 _TIMESTAMPS = 35
 """SO_TIMESTAMPNS of Linux, which `socket` has no name for: the system says with each datagram when it came."""
-_TIMESPEC = struct.Struct("@ll")
+_OVERFLOWS = 40
+"""SO_RXQ_OVFL, the same for how many datagrams it has left out, since no more of them could wait."""
+_TIMESPEC, _COUNT = struct.Struct("@ll"), struct.Struct("@I")
 
 
 class DatagramReader:
@@ -237,13 +244,16 @@ class DatagramReader:
 
     A datagram that waited in the socket, while this program started or was busy, is told as old as it is. A wall clock that is set
     meanwhile moves none before the one ahead of it, nor behind now.
+
+    overflowed  datagrams that the system left out, since no more could wait to be read; 0 where it does not say so
     """
 
     def __init__(self, listening: socket.socket) -> None:
-        self._socket, self._stamps = listening, False
+        self._socket, self._stamps, self.overflowed = listening, False, 0
         if sys.platform == "linux":
             with suppress(OSError):
-                listening.setsockopt(socket.SOL_SOCKET, _TIMESTAMPS, 1)
+                for option in (_TIMESTAMPS, _OVERFLOWS):
+                    listening.setsockopt(socket.SOL_SOCKET, option, 1)
                 self._stamps = True
         self._last = time.monotonic()
 
@@ -260,14 +270,23 @@ class DatagramReader:
         if not self._stamps:
             data, sender = self._socket.recvfrom(most)
             return data, sender, time.monotonic()
-        data, notes, _, sender = self._socket.recvmsg(most, socket.CMSG_SPACE(_TIMESPEC.size))
+        data, notes, _, sender = self._socket.recvmsg(most, socket.CMSG_SPACE(_TIMESPEC.size) + socket.CMSG_SPACE(_COUNT.size))
         came = now = time.monotonic()
-        for level, kind, stamp in notes:
-            if level == socket.SOL_SOCKET and kind == _TIMESTAMPS and len(stamp) == _TIMESPEC.size:
-                seconds, nanoseconds = _TIMESPEC.unpack(stamp)
+        for level, kind, note in notes:
+            if level == socket.SOL_SOCKET and kind == _TIMESTAMPS and len(note) == _TIMESPEC.size:
+                seconds, nanoseconds = _TIMESPEC.unpack(note)
                 came = now - 1e-9 * (time.time_ns() - 1_000_000_000 * seconds - nanoseconds)
+            elif level == socket.SOL_SOCKET and kind == _OVERFLOWS and len(note) == _COUNT.size:
+                (self.overflowed,) = _COUNT.unpack(note)
         self._last = min(now, max(self._last, came))
         return data, sender, self._last
+
+
+def overflow(where: str, count: int) -> list[Finding]:
+    """That the system left datagrams out, where it did."""
+    sentence = f"{where}: {counted(count, 'packet')} came while this machine was too busy to read them, and were lost."
+    mend = "Close other programs, or lower the rate: neither cable nor network lost them."
+    return [Finding("live-overflow", Severity.WARNING, where, sentence, mend)] if count else []
 
 
 class ListeningSocket:
@@ -292,6 +311,11 @@ class ListeningSocket:
     def port(self) -> int:
         """The port that is listened to: a free one where 0 was asked for."""
         return int(self._socket.getsockname()[1])
+
+    @property
+    def overflowed(self) -> int:
+        """See `DatagramReader`."""
+        return self._reader.overflowed
 
     def received(self, timeout: float) -> Iterator[tuple[bytes, str, float]]:
         """Datagrams that come within so many seconds, each with the address of its sender and when it came, see `DatagramReader`; fewer

@@ -17,15 +17,22 @@ _QUIET = "\n[log]\nlevel = -1\n"
 """Warnings and errors. By itself it tells each network interface and each port as well, on standard error."""
 
 
-@lru_cache
 def lsl_library() -> Any:
     """`pylsl`. Raises AsterismError where it is missing. Its settings are those of the person's own file; what that logs is not changed."""
     with packages_for("lsl://"):
         import pylsl
+    _set_up()
+    return pylsl
+
+
+@lru_cache
+def _set_up() -> None:
+    """Give the library its settings, which it reads once."""
+    import pylsl
+
     # Libraries before 1.17 take settings from a file alone.
     with suppress(AttributeError, NotImplementedError, RuntimeError):
         pylsl.set_config_content(lsl_settings())
-    return pylsl
 
 
 def lsl_settings() -> str:

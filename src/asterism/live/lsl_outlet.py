@@ -61,7 +61,7 @@ class ToLsl:
     def send(self, frame: AnalysedFrame) -> None:
         """Give a frame to the library, which sends it in threads of its own."""
         labelled, analysis = frame.labelled, frame.analysis
-        self._clock.delay(labelled.frame.time, labelled.frame.arrived)
+        self._clock.lateness(labelled.frame.time, labelled.frame.arrived)
         # The library's clock and that of `arrived` may have other zeros.
         ahead = self._clock.offset + self._lsl.local_clock() - time.monotonic()
         at = labelled.frame.time + ahead

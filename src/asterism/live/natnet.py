@@ -22,7 +22,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.addresses import in_words
 from asterism.live.clock import StreamTimes
-from asterism.live.datagrams import RECEIVE_BUFFER, DatagramReader, HostPort
+from asterism.live.datagrams import RECEIVE_BUFFER, DatagramReader, HostPort, overflow
 from asterism.live.frames import LiveFrame, SourceAbout
 from asterism.live.natnet_packets import FRAME, NatNetFrames, NatNetServer, server_of_packet
 from asterism.live.reporting import axis_unknown, labels_given, reconnected, times_made
@@ -228,7 +228,12 @@ class FromNatNet:
             sentence = f"{name}: {self.others} frames of {len(self._known)} other servers in the same group were not used."
             mend = "Give each Motive a multicast address of its own (Settings, Streaming)."
             found.append(Finding("live-other-server", Severity.WARNING, name, sentence, mend))
-        return found
+        return [*found, *overflow(name, self.overflowed)]
+
+    @property
+    def overflowed(self) -> int:
+        """Frames that came while this machine was too busy to read them."""
+        return sum(reader.overflowed for reader in self._readers)
 
     def close(self) -> None:
         """Stop listening."""

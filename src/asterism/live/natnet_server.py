@@ -156,7 +156,7 @@ class ToNatNet:
         listed["id"][len(given) :] = _FIRST_UNLABELLED + np.arange(len(others))
         listed["place"][: len(given)], listed["place"][len(given) :] = of_set[given], others
         listed["flags"][: len(given)], listed["flags"][len(given) :] = _SEEN | _OF_MODEL, _SEEN | _UNLABELLED
-        self._clock.delay(frame.time, frame.arrived)
+        self._clock.lateness(frame.time, frame.arrived)
         ticks = [max(0, int(_TICKS * at)) for at in (frame.time + self._clock.offset, frame.arrived, time.monotonic())]
         flags, self._changed = 2 * self._changed, False
         parts = [

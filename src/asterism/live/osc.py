@@ -87,7 +87,7 @@ class ToOsc:
             if abs(value) < _MOST:
                 yield self._head("f", "value", name) + struct.pack(">f", value)
         for event in analysis.events:
-            yield self._head("ff", "event", event.kind, event.side) + struct.pack(">2f", event.time - begin, event.delay)
+            yield self._head("ff", "event", event.kind, event.side) + struct.pack(">2f", event.time - begin, event.told_after)
         for cue in frame.cues:
             tone = -1.0 if math.isnan(cue.tone) else cue.tone
             yield self._head("if", "cue", cue.rule.name) + struct.pack(">if", cue.on, tone)

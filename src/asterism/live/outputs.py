@@ -7,6 +7,7 @@ import math
 import sys
 import threading
 from collections import deque
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, TextIO, TypeVar
 
@@ -52,7 +53,7 @@ def event_as_json(event: LiveEvent) -> dict[str, Any]:
         "kind": event.kind,
         "side": event.side,
         "time": round(event.time, 5),
-        "delay_ms": round(1000 * event.delay, 2),
+        "told_after_ms": round(1000 * event.told_after, 2),
         "sd_ms": None if math.isnan(event.sd) else round(1000 * event.sd, 2),
     }
 
@@ -164,17 +165,21 @@ class InOwnThread:
 
 
 class ToLines:
-    """Writes each frame as a line of JSON."""
+    """Writes each frame as a line of JSON; on_left is called where who read them is gone, as `head` is after its lines."""
 
     name = "--lines"
 
-    def __init__(self, stream: TextIO | None = None) -> None:
-        self._stream = stream or sys.stdout
+    def __init__(self, stream: TextIO | None = None, on_left: Callable[[], None] = lambda: None) -> None:
+        self._stream, self.on_left = stream or sys.stdout, on_left
 
     def send(self, frame: AnalysedFrame) -> None:
-        """Write a line."""
-        self._stream.write(labels_as_json(frame).decode() + "\n")
-        self._stream.flush()
+        """Write a line. Raises OSError where it is not taken."""
+        try:
+            self._stream.write(labels_as_json(frame).decode() + "\n")
+            self._stream.flush()
+        except BrokenPipeError:
+            self.on_left()
+            raise
 
     def close(self) -> None:
         """Nothing is kept back."""

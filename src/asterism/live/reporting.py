@@ -21,8 +21,17 @@ class WithFindings(Protocol):
         """What a person should know of it so far."""
 
 
-_NO_LABELS = ("live-no-points", "live-no-set", "live-few-points", "live-other-markers", "live-unit")
-_SILENT_TOLD = ("live-unconnected", "live-camera-silent", "live-camera-not-opened")
+_NO_LABELS = (
+    "live-no-points",
+    "reconstruct-no-points",
+    "reconstruct-no-fit",
+    "live-no-set",
+    "live-few-points",
+    "live-other-markers",
+    "live-unit",
+)
+_NO_POINTS_TOLD = ("reconstruct-no-points", "reconstruct-no-fit", "live-camera-silent", "live-camera-size")
+_SILENT_TOLD = ("live-unconnected", "live-unknown-camera", "live-camera-silent", "live-camera-not-opened")
 _DAMAGED_TOLD = ("live-format", "live-camera-size", "live-camera-damaged")
 _NOTE, _WARNING, _ERROR = Severity.NOTE, Severity.WARNING, Severity.ERROR
 
@@ -41,6 +50,9 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
     parts     the source and the outputs, for what they say themselves
     """
     found = own_findings(parts)
+    # Who knows why no point is made says more than that there is none.
+    if any(finding.code in _NO_POINTS_TOLD for finding in found):
+        found = [finding for finding in found if finding.code != "live-no-points"]
     if health.problem:
         found.append(Finding("live-ended", _ERROR, where, f"{where}: the session ended early.", health.problem))
     if not health.frames and not health.damaged and not any(finding.code in _SILENT_TOLD for finding in found):
@@ -90,7 +102,8 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
 
 def _no_labels(health: Health, where: str, said: Iterable[Finding]) -> list[Finding]:
     """That hardly a label was given, where nobody who looked at the points while they came has said why."""
-    if any(finding.code in _NO_LABELS for finding in said):
+    told = _NO_LABELS if health.shown else (*_NO_LABELS, *_NO_POINTS_TOLD)
+    if any(finding.code in told for finding in said):
         return []
     if health.labelled and not health.markers:
         mend = "Name the set that is worn with --markers, or give a trained --model."

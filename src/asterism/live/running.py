@@ -94,7 +94,7 @@ class Health:
     searched   s from the first frame until the marker set was known and labels could be given, 0 where it was known before
     rate       frames per second, of the last second
     latency    (p50, p99.9) s from a frame's arrival to its labels, of the last thousands that came after `searched`
-    delay      s longer than the fastest frame that the last one was on its way
+    lateness   s longer than the fastest frame that the last one was on its way
     silent     s since the last frame
     problem    why the session ended early, "" where it did not
     """
@@ -117,7 +117,7 @@ class Health:
     searched: float = 0.0
     rate: float = 0.0
     latency: tuple[float, float] = (float("nan"), float("nan"))
-    delay: float = 0.0
+    lateness: float = 0.0
     silent: float = 0.0
     problem: str = ""
 
@@ -171,6 +171,8 @@ class LiveSession:
     _rate: float = float("nan")
     _chain: LabelChain | None = None
     _begun: float = -math.inf
+    _overflowed: int = 0
+    """frames that the source's socket had left out before the first one that was taken"""
     _first: float | None = None
     _ready: float | None = None
     _searches: bool = False
@@ -196,7 +198,9 @@ class LiveSession:
         try:
             # What can be made before the first frame keeps none of them waiting.
             begun = time.monotonic()
-            self._chain = self._made() if np.isfinite(self._rate) else None
+            if np.isfinite(self._rate):
+                self._chain = self._made()
+                self._chain.wait_for_studies()
             self._pass_over(time.monotonic() - begun)
             for thread in threads:
                 thread.start()
@@ -215,6 +219,8 @@ class LiveSession:
                 threads[0].join(timeout=5 * TURN)
             for output in self.outputs:
                 output.close()
+            if self._chain is not None:
+                self._chain.close()
             self.source.close()
         if self._failed is not None:
             raise self._failed
@@ -244,7 +250,7 @@ class LiveSession:
         return self._queue.is_stopped
 
     def findings(self) -> list[Finding]:
-        """What a person should know of the marker set that was found."""
+        """What a person should know of the marker set that was found, and of the studies."""
         return [] if self._chain is None else self._chain.findings()
 
     def health(self) -> Health:
@@ -254,7 +260,8 @@ class LiveSession:
         health.frames, health.lost, health.late, health.restarts = count.received, count.lost, count.late, count.restarts
         health.others = count.others
         # What a source left out itself or could not read, and tells, was not lost on the way.
-        health.lost = max(0, health.lost - sum(int(getattr(self.source, told, 0)) for told in ("dropped", "unread")))
+        told = sum(int(getattr(self.source, name, 0)) for name in ("dropped", "unread", "overflowed"))
+        health.lost = max(0, health.lost - told + self._overflowed)
         health.damaged, health.jumps = self.source.damaged, self._clock.jumps
         health.unsent = {}
         for output in self.outputs:
@@ -287,11 +294,13 @@ class LiveSession:
 
     def _take(self, frame: LiveFrame) -> None:
         silent = bool(self._arrivals) and frame.arrived - self._arrivals[-1] > _SILENT
+        if not self._count.received:
+            self._overflowed = int(getattr(self.source, "overflowed", 0))
         if not self._count.takes(frame.number, silent=silent):
             return
         # A source that waits was held back by us: its clock and ours say nothing of each other.
         if not self.waits:
-            self._health.delay = self._clock.delay(frame.time, frame.arrived)
+            self._health.lateness = self._clock.lateness(frame.time, frame.arrived)
         self._arrivals.append(frame.arrived)
         if self.recorder is not None:
             self.recorder.frame(frame)

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 from asterism.errors import AsterismError
 from asterism.findings import Finding
 from asterism.labelling.live.stream import FrameLabels, Stream, check_timing
+from asterism.labelling.live.study import Studies, StudyPlace, StudyRules
+from asterism.labelling.live.study_process import StudyProcess, make_studies
 from asterism.labelling.virtual_model import virtual_model
 from asterism.recording import Clouds, Floats, MarkerSet, Recording, as_vertical
 from asterism.session.labeller import findings_on_sets
@@ -30,6 +32,7 @@ class LiveLabeller:
     rate, delay  as `MarkerModel.stream` takes them
     markers      the set worn: a shipped one's name, a TOML file, or a marker set; None where it is to be found
     vertical     what points up; None for z, unless the points are a body with another axis up
+    studies      where the last seconds are labelled as a whole, see `make_studies`; a process is ended by `close`
 
     `worn` is the set, None while it is not known; `refusal` says why the last second showed none; `findings` tells what a person should
     know of the set that was taken. Of several people, the one of most points is labelled.
@@ -37,7 +40,13 @@ class LiveLabeller:
     """
 
     def __init__(
-        self, rate: float, delay: int = 0, *, markers: str | Path | MarkerSet | None = None, vertical: ArrayLike | str | None = None
+        self,
+        rate: float,
+        delay: int = 0,
+        *,
+        markers: str | Path | MarkerSet | None = None,
+        vertical: ArrayLike | str | None = None,
+        studies: StudyPlace | Studies = "process",
     ) -> None:
         check_timing(rate, delay)
         self.rate, self.delay = rate, delay
@@ -46,6 +55,8 @@ class LiveLabeller:
         self.findings: Sequence[Finding] = ()
         self._given, self._up = vertical, as_vertical("z" if vertical is None else vertical)
         self._stream: Stream | None = None
+        # It begins while the set is sought.
+        self._studies = StudyProcess(rate, StudyRules()) if studies == "process" else studies
         self._waiting, self._before = list[Floats](), 0
         if markers is not None:
             (worn,) = SetFinder([markers]).given_sets()
@@ -85,6 +96,20 @@ class LiveLabeller:
         self._before = 0
         return rest
 
+    def study_findings(self) -> list[Finding]:
+        """See `Stream.findings`."""
+        return [] if self._stream is None else self._stream.findings()
+
+    def wait_for_studies(self, seconds: float) -> None:
+        """See `Stream.wait_for_studies`; at once where the set is still to be found."""
+        if self._stream is not None:
+            self._stream.wait_for_studies(seconds)
+
+    def close(self) -> None:
+        """End the process of the studies."""
+        if not isinstance(self._studies, str):
+            self._studies.close()
+
     def _find(self) -> None:
         """Look for the set in the frames that wait."""
         clouds = Clouds.from_points(self._waiting, self.rate, self._up)
@@ -100,7 +125,8 @@ class LiveLabeller:
         self._take(worn)
 
     def _take(self, worn: WornMarkers) -> None:
-        self._stream = virtual_model(worn.marker_set).stream(self.rate, self.delay, self._up)
+        model = virtual_model(worn.marker_set)
+        self._stream = model.stream(self.rate, self.delay, self._up, make_studies(self._studies, self.rate, model))
         self.worn, self.refusal = worn, ""
 
     def _numbered(self, labels: FrameLabels | None) -> FrameLabels | None:

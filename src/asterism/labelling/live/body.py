@@ -46,14 +46,24 @@ class LiveBody:
 
     def restart(self) -> None:
         """Forget the person."""
+        self._rests_until = 0
         self._frames: list[Floats] = []
         self._poses: list[int] = []
         self._last = -np.inf
         self._steps: Generator[None, None, BodyModel] | None = None
 
+    def rest(self, until: int) -> None:
+        """Learn nothing before a frame, since a study knows the person better."""
+        self._rests_until, self._steps = until, None
+
     def needs(self, frame: int) -> bool:
         """Whether a frame would add to what is known."""
-        return self._steps is None and len(self._frames) < self.rules.adapt_after[-1] and frame - self._last >= self._interval
+        return (
+            frame >= self._rests_until
+            and self._steps is None
+            and len(self._frames) < self.rules.adapt_after[-1]
+            and frame - self._last >= self._interval
+        )
 
     def add(self, frame: int, points: Floats, pose: int) -> None:
         """Learn from a frame: points (M, 3) m, NaN where a label has too small a margin, and its key pose."""

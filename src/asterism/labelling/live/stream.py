@@ -14,8 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit, logit
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.geometry import rotate_z_up
 from asterism.labelling.body._frame_kernels import frame_settings
 from asterism.labelling.body._refine_kernels import refine
@@ -25,6 +27,7 @@ from asterism.labelling.body._workspace_kernels import BodyArrays, BodyWorkspace
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.live.body import LiveBody, LiveRules
+from asterism.labelling.live.study import LEAST_CHANCE, Studies, Study, StudyRules
 from asterism.labelling.live.tracks import TrackEvidence
 from asterism.labelling.live.twins import LiveTwins, marker_of
 from asterism.labelling.live.verdict import LiveVerdict, LiveVerdictRules
@@ -145,7 +148,13 @@ class Stream:
     """
 
     def __init__(
-        self, model: StreamModel, rate: float, delay: int = 0, vertical: ArrayLike | str = "z", rules: StreamRules | None = None
+        self,
+        model: StreamModel,
+        rate: float,
+        delay: int = 0,
+        vertical: ArrayLike | str = "z",
+        rules: StreamRules | None = None,
+        studies: Studies | None = None,
     ) -> None:
         check_timing(rate, delay)
         self.rate, self.delay = float(rate), int(delay)
@@ -159,16 +168,20 @@ class Stream:
         self._is_large = refined < MAX_LABELLINGS
         self._candidates = make_candidates(min(refined, MAX_LABELLINGS), len(model.markers))
         self._twins = LiveTwins(labeller, refined)
+        self._studies: Studies | None = None
         self._restart()
         body = labeller.body
         for _ in range(2):  # the first push must not wait for kernels to be read or compiled
             self.push(body.mean[0])
         workspace = make_body_workspace(len(model.markers), *body.load.shape[1::2])
         self._search(_Frame(np.ascontiguousarray(body.mean[0]), labeller.settings, workspace))
+        self._studies = studies
         self._restart()
 
     def _restart(self) -> None:
         """Begin as if no frame had been pushed."""
+        if self._studies is not None:
+            self._studies.restart()
         self._forget_person()
         decay = math.exp(-1.0 / (self._rules.evidence_memory * self.rate))
         self._tracks = TrackEvidence(len(self._model.markers), LinkRules(), self.rate, decay, self._independent)
@@ -203,21 +216,26 @@ class Stream:
         xyz = rotate_z_up(xyz, self._vertical)
         place = np.lexsort((xyz[:, 2], xyz[:, 1], xyz[:, 0]))
         xyz = np.ascontiguousarray(xyz[place])
+        study = None if self._studies is None else self._studies.taken(self._pushed)
+        if study is not None:
+            self._take_study(study)
         self._empty = 0 if len(xyz) else self._empty + 1
         if 0 < self._empty <= self._rules.lost * self.rate:
             self._tracks.lose()
             self._tracks.fade()
-            return self._pushed_on(np.zeros(0, dtype=np.int64), place)
+            return self._pushed_on(np.zeros(0, dtype=np.int64), place, xyz)
         previous = self._tracks.link(xyz, (frame.rows for frame in self._waiting))
         rival = np.full(len(xyz), NULL, dtype=np.int64)
         if len(self._rival):
             rival[previous >= 0] = self._rival[previous[previous >= 0]]
         self._update(xyz, rival)
-        return self._pushed_on(self._tracks.current, place)
+        return self._pushed_on(self._tracks.current, place, xyz)
 
-    def _pushed_on(self, rows: Ints, place: Ints) -> FrameLabels | None:
+    def _pushed_on(self, rows: Ints, place: Ints, xyz: Floats) -> FrameLabels | None:
         """Let a frame wait for its labels, and give those of the oldest. rows (n,) in the table of tracks; place (n,) as pushed."""
         self._waiting.append(_WaitingFrame(self._pushed, rows, place))
+        if self._studies is not None:
+            self._studies.add(self._pushed, xyz, self._tracks.serial[rows], unsure=not self._tracks.seen[rows].all())
         self._pushed += 1
         return self._labels() if len(self._waiting) > self.delay else None
 
@@ -226,6 +244,28 @@ class Stream:
         rest = [self._labels() for _ in range(len(self._waiting))]
         self._restart()
         return rest
+
+    def _take_study(self, study: Study) -> None:
+        """Take over what a study says of the tracks and of the person."""
+        self._tracks.take(study, self._rules.log_odds_scale)
+        if study.body is not None:
+            self._body = study.body
+            if self._live is not None:
+                self._live.rest(self._pushed + round(StudyRules().window * self.rate))
+
+    def findings(self) -> list[Finding]:
+        """What a person should know of the stream."""
+        return [] if self._studies is None else self._studies.findings()
+
+    def wait_for_studies(self, seconds: float) -> None:
+        """Wait until studies can be made, at most so long: a process takes a second or two to begin."""
+        if self._studies is not None:
+            self._studies.wait(seconds)
+
+    def close(self) -> None:
+        """End what studies need, such as their process. Labels can still be asked for."""
+        if self._studies is not None:
+            self._studies.close()
 
     def _update(self, xyz: Floats, rival: Ints) -> None:
         """Label a frame, and add its scores to the evidence of its tracks. rival (n,): the rival labelling's marker of each point."""
@@ -353,6 +393,7 @@ class Stream:
         certainty = np.minimum(self._confidence(margins, near_ghost), self._twins.limits(len(margins)))
         if self._verdict is not None:
             certainty = np.minimum(certainty, self._verdict.limit)
+        certainty = self._with_study(certainty, point_of, waiting.rows)
         chance = np.where(given, certainty, 0.5 * np.exp(np.minimum(margins, 0.0)))
         kept = given & (chance >= model.least_confidence)
         indices, confidence = np.full(model.names, NULL, dtype=np.int64), np.zeros(model.names)
@@ -361,6 +402,23 @@ class Stream:
         ended = np.setdiff1d(waiting.rows, self._tracks.current, assume_unique=True)
         self._tracks.release(ended, (frame.rows for frame in self._waiting))
         return FrameLabels(waiting.frame, indices, confidence, self._verdict is None or self._verdict.fits)
+
+    def _with_study(self, certainty: Floats, point_of: Ints, rows: Ints) -> Floats:
+        """How certain labels (M,) are, in the light of what a study said of their tracks.
+
+        Where both give a label, each knows what the other does not: the surer one holds. A study that doubts it, or gives another one,
+        counts by the time that it rests on, beside the stream's, whose evidence decays.
+        """
+        if not len(rows):
+            return certainty
+        of, frames = rows[point_of], self._tracks.known_for
+        studied, given, chance = self._tracks.studied[of], self._tracks.given[of], self._tracks.chance[of]
+        same = studied == np.arange(len(point_of))
+        own, found = logit(np.clip([certainty, np.where(same, chance, 1.0 - chance)], LEAST_CHANCE, 1.0 - LEAST_CHANCE))
+        share = frames / (frames + self._rules.evidence_memory * self.rate)
+        doubted = np.minimum(certainty, expit((1.0 - share) * own + share * found))
+        is_doubted = (point_of >= 0) & (studied >= 0) & (same != given)
+        return np.where(is_doubted, doubted, np.where((point_of >= 0) & same & given, np.maximum(certainty, chance), certainty))
 
     def _margins(self, rows: Ints, scores: Floats, point_of: Ints) -> Floats:
         """`_margins` of a labelling of the tracks in these rows; a track that lasts has no rivals among those that flicker."""

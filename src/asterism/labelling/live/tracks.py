@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from scipy.special import logit
 
-from asterism.recording import Floats, Ints
+from asterism.labelling.live.study import LEAST_CHANCE, Study
+from asterism.recording import NULL, Floats, Ints
 from asterism.tracking.link_kernels import link_step
 from asterism.tracking.link_workspace_kernels import TrackEnds, make_link_workspace, make_track_ends
 from asterism.tracking.linking import LinkRules
@@ -24,6 +26,12 @@ class TrackEvidence:
     independent  share of an independent frame that each further frame of a track counts as
 
     current      (n,) rows of the last frame's points
+    serial       (rows,) a number that no other track has, -1 for a row without a track
+    seen         (rows,) whether a study has seen the track
+    studied      (rows,) the marker that a study found for the track, -1 where none has
+    given        (rows,) whether that marker is its label; not for a candidate
+    chance       (rows,) the study's probability that this marker is right
+    known_for    frames that the last study had
     """
 
     def __init__(self, markers: int, rules: LinkRules, rate: float, decay: float, independent: float) -> None:
@@ -31,8 +39,11 @@ class TrackEvidence:
         self._limits, self._lost = rules.limits(rate), 0
         size = 16
         self._ends, self._next_ends, self._workspace = make_track_ends(size), make_track_ends(size), make_link_workspace(size)
-        self._evidence, self._frames = np.zeros((size, markers)), np.zeros(size)
-        self._free = list(range(size))
+        self._evidence, self._prior, self._frames = np.zeros((size, markers)), np.zeros((size, markers)), np.zeros(size)
+        self.serial, self.studied = np.full(size, NULL, dtype=np.int64), np.full(size, NULL, dtype=np.int64)
+        self.seen, self.given, self.chance = np.zeros(size, dtype=np.bool_), np.zeros(size, dtype=np.bool_), np.zeros(size)
+        self._free, self._serials = list(range(size)), 0
+        self.known_for = 0
         self.current = np.zeros(0, dtype=np.int64)
 
     def __len__(self) -> int:
@@ -75,18 +86,25 @@ class TrackEvidence:
         """Empty rows for tracks that begin."""
         if len(self._free) < count:
             size = len(self._frames)
-            self._free.extend(range(size, 2 * size + count))
-            self._evidence = np.concatenate([self._evidence, np.zeros((size + count, self._evidence.shape[1]))])
-            self._frames = np.concatenate([self._frames, np.zeros(size + count)])
+            more = size + count
+            self._free.extend(range(size, size + more))
+            for name in ("_evidence", "_prior", "_frames", "serial", "seen", "studied", "given", "chance"):
+                old = getattr(self, name)
+                setattr(self, name, np.concatenate([old, np.zeros((more, *old.shape[1:]), dtype=old.dtype)]))
+            self.serial[size:] = NULL
         rows = [self._free.pop() for _ in range(count)]
         self.clear(rows)
+        self.serial[rows] = np.arange(self._serials, self._serials + count)
+        self._serials += count
         return rows
 
     def release(self, rows: Ints, waiting: Iterable[Ints]) -> None:
         """Free the rows of tracks that have ended, except those that a waiting frame needs."""
         if len(rows):
             needed = set().union(*(of_frame.tolist() for of_frame in waiting))
-            self._free.extend(row for row in rows.tolist() if row not in needed)
+            free = [row for row in rows.tolist() if row not in needed]
+            self.serial[free] = NULL
+            self._free.extend(free)
 
     def fade(self) -> None:
         """Let the evidence of the current tracks decay by one frame."""
@@ -103,14 +121,36 @@ class TrackEvidence:
         return self._frames[rows]
 
     def clear(self, rows: Ints | list[int]) -> None:
-        """Forget the evidence of some tracks."""
-        self._evidence[rows], self._frames[rows] = 0.0, 0.0
+        """Forget the evidence of some tracks, and what a study said of them."""
+        self._evidence[rows], self._prior[rows], self._frames[rows] = 0.0, 0.0, 0.0
+        self.seen[rows], self.studied[rows], self.given[rows] = False, NULL, False
+
+    def take(self, study: Study, log_odds_scale: float) -> None:
+        """Let the labels that a study gives to tracks count beside their frames, until the next one.
+
+        log_odds_scale: nats that make one unit of log odds.
+        """
+        self.known_for = study.frames
+        if not len(study.serials):
+            return
+        place = np.minimum(np.searchsorted(study.serials, self.serial), len(study.serials) - 1)
+        rows = np.nonzero(study.serials[place] == self.serial)[0]
+        place = place[rows]
+        markers, given, chance = study.markers[place], study.given[place], study.chance[place]
+        self.seen[rows], self.studied[rows], self.given[rows], self.chance[rows] = True, markers, given, chance
+        odds = log_odds_scale * logit(np.clip(chance, LEAST_CHANCE, 1.0 - LEAST_CHANCE))
+        gain = np.where(given, np.maximum(odds, 0.0), 0.0)
+        self._prior[rows] = -gain[:, None]
+        self._prior[rows, markers] = gain
 
     def totals(self, rows: Ints, max_frames: float = np.inf) -> Floats:
-        """What all frames of each track say for each marker, (n, M) nats: as much as so many independent frames say, at most."""
+        """What all frames of each track say for each marker, (n, M) nats: as much as so many independent frames say, at most.
+
+        What a study said counts in full beside them.
+        """
         frames = self._frames[rows]
         share = np.minimum(1.0 + self._independent * np.maximum(frames - 1.0, 0.0), max_frames) / np.maximum(frames, 1.0)
-        return self._evidence[rows] * share[:, None]
+        return self._evidence[rows] * share[:, None] + self._prior[rows]
 
 
 def _at_rate(ends: TrackEnds, step: float) -> None:

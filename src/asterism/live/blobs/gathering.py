@@ -116,7 +116,7 @@ class ByNumber:
 
     def __init__(self, cameras: int, rate: float = math.nan) -> None:
         self.cameras = [CameraArrivals() for _ in range(cameras)]
-        self.delay = 0.0
+        self.image_wait = 0.0
         self._window = 100 if math.isnan(rate) else max(20, round(rate))
         self._open: dict[int, dict[int, LiveBlobs]] = {}
         self._begun: dict[int, float] = {}
@@ -200,8 +200,8 @@ class ByTime:
 
     That one, the reference, is the camera after whose images the others' come soonest; a camera as fast as half of them or faster. The
     blobs of the others are put between their images before and after the instant, along their paths (see `following`). So a frame waits
-    for the next image of each camera: `delay` says how long, and never more than a period. Nothing is taken at another time than its own: a
-    camera without an image on both sides of the instant, no further apart than 2.5 of its periods, has no blobs in the frame.
+    for the next image of each camera: `image_wait` says how long, and never more than a period. Nothing is taken at another time than its
+    own: a camera without an image on both sides of the instant, no further apart than 2.5 of its periods, has no blobs in the frame.
 
     Times are compared as they are where the cameras share a clock (`one_clock`), else by each clock's offset to this machine's. A camera
     joins when 20 images have told its clock and rate, and again when its clock was set.
@@ -209,7 +209,7 @@ class ByTime:
 
     def __init__(self, cameras: int, rate: float = math.nan) -> None:
         self.cameras = [CameraArrivals() for _ in range(cameras)]
-        self.delay = 0.0
+        self.image_wait = 0.0
         self._tracks = [_RecentImages() for _ in range(cameras)]
         self._leader = list(range(cameras))
         self.one_clock = True
@@ -384,7 +384,7 @@ class ByTime:
             self.cameras[c].unlinked += unlinked
             arrived, waited = max(arrived, last.arrived), max(waited, last.time - instant)
         # The mean of some ten frames.
-        self.delay += (waited - self.delay) * (0.1 if self._last is not None else 1.0)
+        self.image_wait += (waited - self.image_wait) * (0.1 if self._last is not None else 1.0)
         number = 0
         if self._last is not None:
             # Where another camera became the reference, up to three quarters of a period more are no lost frame.

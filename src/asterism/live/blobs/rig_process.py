@@ -52,7 +52,7 @@ class RigReport:
 
     damaged: int
     dropped: int
-    delay: float
+    image_wait: float
     cameras: list[RigCameraHealth]
     findings: list[Finding]
     ended: bool = False
@@ -105,9 +105,9 @@ class RigProcess:
         return 0 if self._report is None else self._report.dropped
 
     @property
-    def delay(self) -> float:
-        """See `RigSource.delay`."""
-        return 0.0 if self._report is None else self._report.delay
+    def image_wait(self) -> float:
+        """See `RigSource.image_wait`."""
+        return 0.0 if self._report is None else self._report.image_wait
 
     def read(self, timeout: float) -> LiveFrame | None:
         """The points of the next frame; None where none came within so many seconds. Raises SourceEnded."""
@@ -232,5 +232,5 @@ def _frames(pipe: Connection[Any, Any], source: RigSource) -> str:
 
 
 def _tell(pipe: Connection[Any, Any], source: RigSource, *, ended: bool = False, problem: str = "") -> None:
-    report = RigReport(source.damaged, source.dropped, source.delay, source.cameras(), source.findings(), ended, problem)
+    report = RigReport(source.damaged, source.dropped, source.image_wait, source.cameras(), source.findings(), ended, problem)
     pipe.send_bytes(b"R" + pickle.dumps(report))

@@ -31,7 +31,7 @@ from asterism.reconstruction import ReconstructionSettings, Reconstructor
 from asterism.reconstruction.camera_fit import CameraFit
 from asterism.reconstruction.streaming import WINDOW
 from asterism.recording import Floats
-from asterism.recording.display import how_often, listed, significant
+from asterism.recording.display import counted, how_often, listed, significant
 
 _QUEUE = 0.1
 """s of frames that wait to be reconstructed at most, as of `LiveSession`."""
@@ -155,9 +155,9 @@ class RigSource:
         return self._source.damaged
 
     @property
-    def delay(self) -> float:
+    def image_wait(self) -> float:
         """s that a frame waits for images after its instant, to which blobs are moved; 0 where cameras are triggered together."""
-        return self._gather.delay
+        return self._gather.image_wait
 
     def read(self, timeout: float) -> LiveFrame | None:
         """The points of the next frame; None where none came within so many seconds. Raises SourceEnded."""
@@ -349,7 +349,8 @@ class RigSource:
     def _counts(self, told: set[str], away: set[str]) -> list[Finding]:
         """What was counted, but for cameras whose images or silence are told already."""
         found, warning, cameras = list[Finding](), Severity.WARNING, self.cameras()
-        cable = "Look at cables and at the network, or lower the rate."
+        busy = getattr(self._source, "overflowed", 0)
+        cable = "Close other programs, or lower the rate." if busy else "Look at cables and at the network, or lower the rate."
         # Those too of which the source does not know.
         known = {*self._unposed, *told, *(camera.name for camera in cameras if camera.received)}
         silent = [name for name in self._all if name not in known]
@@ -365,7 +366,7 @@ class RigSource:
             found.append(Finding("live-camera-late", warning, where, f"images came too late for their frame: {said}.", cable))
         for camera in cameras:
             where = camera.name
-            if camera.times_away and where not in away:
+            if camera.times_away and where not in away and where not in silent:
                 sentence = f"camera {where} fell silent {how_often(camera.times_away)}{', and is silent now' if camera.away else ''}."
                 found.append(Finding("live-camera-away", warning, where, sentence, "Look at its cable; frames went on without it."))
             if camera.jumps:
@@ -373,10 +374,10 @@ class RigSource:
                 found.append(Finding("live-camera-clock", Severity.NOTE, where, sentence, "It takes part again after 20 images."))
         where = self.about.name
         if self.dropped:
-            sentence = f"{where}: {self.dropped} frames were not reconstructed, since newer ones waited."
+            sentence = f"{where}: {counted(self.dropped, 'frame')} not reconstructed, since newer ones waited."
             found.append(Finding("live-not-reconstructed", warning, where, sentence, "Close other programs, or lower the rate."))
         if self.cut:
-            sentence = f"{where}: {self.cut} blobs were left out, since frames had more than there was time for."
+            sentence = f"{where}: {counted(self.cut, 'blob')} left out, since frames had more than there was time for."
             found.append(
                 Finding("live-many-blobs", warning, where, sentence, "Cover reflections and lamps, or raise the cameras' threshold.")
             )
@@ -384,7 +385,7 @@ class RigSource:
         if kept is not None and (kept.problem or kept.left_out):
             sentence = kept.problem or f"{kept.path}: {kept.left_out} images were not recorded, since the disk was busy."
             found.append(Finding("live-not-recorded", Severity.ERROR, where, sentence, "Make space, or record to another disk."))
-        unlinked, waited = sum(camera.unlinked for camera in cameras), round(1000 * self.delay, 1)
+        unlinked, waited = sum(camera.unlinked for camera in cameras), round(1000 * self.image_wait, 1)
         if unlinked or waited:
             sentence = (
                 f"{where}: cameras are not triggered together; each frame waits {significant(waited, 2)} ms for the images after it, and "

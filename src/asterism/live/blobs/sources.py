@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.formats.blobs_2d import read_2d
 from asterism.live.camera_frames import LiveBlobs
-from asterism.live.datagrams import LARGEST_NUMBER, HostPort, ListeningSocket
+from asterism.live.datagrams import LARGEST_NUMBER, HostPort, ListeningSocket, overflow
 from asterism.live.frames import SourceEnded
 from asterism.live.replay import Playback
 from asterism.recording import Floats
@@ -169,6 +170,15 @@ class JsonBlobs:
                 return blobs
             self.damaged += 1
         return None
+
+    @property
+    def overflowed(self) -> int:
+        """Images that came while this machine was too busy to read them."""
+        return self._socket.overflowed
+
+    def findings(self) -> list[Finding]:
+        """What a person should know of it."""
+        return overflow(self.name, self.overflowed)
 
     def close(self) -> None:
         """Stop listening."""

@@ -116,6 +116,7 @@
     listen() {
       const socket = this.socket = new WebSocket(`ws://${location.host}/ws?token=${encodeURIComponent(this.token)}`);
       const isMine = () => socket === this.socket;
+      this.tried = Date.now();
       let isOpen = false;
       socket.addEventListener("open", () => { isOpen = true; this.heard = Date.now(); this.clock.forget(); for (let n = 0; n < 3; n++) this.ping(); });
       socket.addEventListener("message", event => { if (isMine()) this.told(event.data); });
@@ -134,12 +135,12 @@
       if (!this.ended) this.state(words, true);
     }
 
-    // A cable that is out closes no connection: the page sees only that nobody says anything.
+    // A cable that is out closes no connection, and opens none: the page sees only that nobody says anything.
     watch() {
-      const seconds = (Date.now() - this.heard) / 1000;
-      if (this.socket.readyState !== WebSocket.OPEN || 1000 * seconds < ASLEEP) return;
-      this.lost(`nothing heard for ${seconds.toFixed(0)} s`);
-      if (1000 * seconds < GONE) return;
+      const silent = Date.now() - this.heard, { OPEN, CONNECTING } = WebSocket;
+      if (![OPEN, CONNECTING].includes(this.socket.readyState) || silent < ASLEEP) return;
+      this.lost(`nothing heard for ${(silent / 1000).toFixed(0)} s`);
+      if (Date.now() - Math.max(this.heard, this.tried) < GONE) return;
       const old = this.socket;
       this.listen();
       old.close();
@@ -173,7 +174,7 @@
       else if (news.body) this.body = news.body;
       else if (news.source !== undefined) this.hello(news);
       // Sounds first.
-      if (DRAWN.some(kind => news[kind] !== undefined)) this.port.told(text, news.picture !== undefined);
+      if (DRAWN.some(kind => news[kind] !== undefined)) this.port.told(text, news);
       if (news.names) this.curves.named(news.names);
       if (news.picture !== undefined) this.show(news);
     }
@@ -244,7 +245,8 @@
     healthIs(health) {
       this.ended = Boolean(health.ended);
       const ended = health.problem || (health.ended ? "ended" : health.silent || !health.frames ? "no frames come" : "");
-      this.state(ended || `${Math.round(health.rate)} frames/s`, Boolean(ended));
+      const problem = ended || (this.port.isStuck ? "the browser draws nothing: load the page anew" : "");
+      this.state(problem || `${Math.round(health.rate)} frames/s`, Boolean(problem));
       if (ended) this.sounds.quiet();
       const last = this.sounded.length ? this.sounded[this.sounded.length - 1] : this.lastSounded, ms = value => value === null || value === undefined ? "–" : `${value.toFixed(1)} ms`;
       this.lastSounded = last;

@@ -15,6 +15,7 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
   const STANDS = 30;      // drawings in a row after which one still waits: it is left out, since all that follow would be late by one
   const UNDRAWN = 60;     // pictures on their way to a Worker that has not taken them: a second of them; what comes then is left out
   const TAKEN = 10;       // pictures that are taken and not drawn, as in a tab that is not seen, until that is told
+  const STUCK = 2000;     // ms without an answer to so many pictures: a slow machine draws one in a tenth of a second
   const PATIENCE = 5000;  // ms in which a Worker says that it can draw: it starts in a tenth of a second
   const FAR = 2;          // sizes of the body from the middle of the picture: who sprints at 10 m/s stays below it
   const UNITS = { degrees: ["°", 0], m: [" m", 3], s: [" s", 2], "%": [" %", 0] };
@@ -303,8 +304,11 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
   class DrawingPort {
     // worker: one that can draw, or null. answer: told of each picture that was drawn, see Drawing.
     constructor(worker, answer) {
-      Object.assign(this, { worker, pictures: 0, taken: 0 });
-      const answered = told => { this.taken = told.taken; if (told.drawn) answer(told); };
+      Object.assign(this, { worker, pictures: 0, taken: 0, answeredAt: performance.now() });
+      const answered = told => {
+        Object.assign(this, { taken: told.taken, answeredAt: performance.now() });
+        if (told.drawn) answer(told);
+      };
       if (worker) worker.onmessage = event => answered(event.data);
       else this.drawing = new Drawing(answered);
       this.sizes = new ResizeObserver(entries => { for (const { target } of entries) this.sized(target); });
@@ -315,12 +319,18 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
       if (this.worker) this.worker.postMessage(message, handed); else this.drawing.tell(message);
     }
 
-    // What the server told. A Worker that does not keep up gets no pictures until it does.
-    told(text, isPicture) {
-      if (isPicture && this.pictures - this.taken >= UNDRAWN) return;
+    // What the server told, and what it is. A Worker that does not keep up gets no pictures and no events until it does.
+    told(text, news) {
+      const isPicture = news.picture !== undefined;
+      if (this.isBehind && (isPicture || news.moments)) return;
       if (isPicture) this.pictures++;
       this.tell({ told: text });
     }
+
+    get isBehind() { return this.pictures - this.taken >= UNDRAWN; }
+
+    // Whether the Worker has died, or hangs: in a tab that is not seen it takes pictures, too.
+    get isStuck() { return this.isBehind && performance.now() - this.answeredAt > STUCK; }
 
     canvases(named) {
       const canvases = Object.fromEntries(Object.entries(named).map(([name, canvas]) => [name, this.handed(name, canvas)]));

@@ -1,0 +1,280 @@
+"""The frames of a stream in; what studies of them say, made in a process of its own, out.
+
+The process is a fresh Python that runs this module: it imports nothing of the program that started it, so that any script may start one. It
+reads messages from its standard input and answers on its standard output. It ends when the pipe ends, however the program at the other end
+ended, and Ctrl-C does not reach it.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import struct
+import subprocess
+import sys
+import threading
+import weakref
+from contextlib import suppress
+from typing import IO, Any, get_args
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
+from asterism.labelling.live.study import StreamFrames, Studies, Study, StudyPlace, StudyPlan, StudyRules
+from asterism.labelling.live.study_worker import StudiesInPush, StudyWorker
+from asterism.labelling.marker_model import MarkerModel
+from asterism.recording import Floats, Ints
+
+_NICE = 10
+"""By how much the process steps back behind those that label frames. Half of it lets it take a third of a core that is wanted by both; at
+double it hardly comes to an end on a busy machine."""
+_HEAD = struct.Struct("<Q")
+"""Before each message: its length in bytes."""
+_ENDING = 5.0
+"""s that the end of the process and of the thread is waited for: both are killed or closed, and take a hundredth of one."""
+
+
+class StudyProcess:
+    """Studies in a process of their own, at a lower priority. It begins at once, and studies when it knows the model.
+
+    rate  frames per second of the stream
+
+    Where the process ends or cannot begin, `findings` says so, and no study is made any more. It ends with `close`, or when nobody has this
+    object any more.
+    """
+
+    def __init__(self, rate: float, rules: StudyRules) -> None:
+        self._plan, self._talk = StudyPlan(rate, rules), _Talk()
+        self._about, self._session = (rate, rules), 0
+        self._ended = weakref.finalize(self, self._talk.close)
+
+    def teach(self, model: MarkerModel) -> None:
+        """Give the model; once."""
+        self._talk.say((model.state, *self._about))
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until the process knows the model, and is done with the study under way, at most so long. Gives whether it is."""
+        return self._talk.wait(seconds)
+
+    @property
+    def process(self) -> int | None:
+        """The id of the process; None where it could not be started."""
+        return None if self._talk.process is None else self._talk.process.pid
+
+    def add(self, number: int, xyz: Floats, serials: Ints, *, unsure: bool) -> None:
+        """See `Studies.add`. Another thread speaks with the process, so that this one does not wait."""
+        self._plan.add(number, xyz, serials)
+        if self._talk.is_idle and self._plan.is_due(unsure=unsure):
+            self._talk.say((self._session, self._plan.frames()))
+
+    def taken(self, number: int) -> Study | None:
+        """See `Studies.taken`."""
+        if self._talk.found is None:
+            return None
+        session, study = self._talk.take()
+        return study if session == self._session else None
+
+    def restart(self) -> None:
+        """See `Studies.restart`."""
+        self._session += 1
+        self._plan.restart()
+
+    def findings(self) -> list[Finding]:
+        """See `Studies.findings`."""
+        problem = self._talk.problem
+        if not problem:
+            return []
+        sentence = f"the last seconds are not labelled as a whole any more: {problem}"
+        mend = "Labels go on, and are less sure; begin the session anew for surer ones."
+        return [Finding("live-no-studies", Severity.WARNING, "the labels", f"the labels: {sentence}", mend)]
+
+    def close(self) -> None:
+        """End the process."""
+        self._ended()
+
+
+class _Talk:
+    """A process and the thread that speaks with it: one message, one answer.
+
+    found    (session, study) that nobody has taken yet
+    problem  why there are no more answers, "" while there are
+    """
+
+    def __init__(self) -> None:
+        self._there = threading.Condition()
+        self._messages: list[object] = []
+        self._is_ready = self._closed = False
+        self._asked = 0
+        self.found: tuple[int, Study] | None = None
+        self.problem = ""
+        self.process = _started()
+        self._thread = threading.Thread(target=self._run, name="live studies", daemon=True)
+        self._thread.start()
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether the process waits for frames."""
+        return self._is_ready and not self._asked and not self.problem
+
+    def say(self, message: object) -> None:
+        """Send a message when the process has answered those before."""
+        with self._there:
+            self._asked += 1
+            self._messages.append(message)
+            self._there.notify_all()
+
+    def take(self) -> tuple[int, Study]:
+        """What was found."""
+        with self._there:
+            found, self.found = self.found, None
+        assert found is not None
+        return found
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until the process waits for frames, at most so long."""
+        with self._there:
+            self._there.wait_for(lambda: self.is_idle or bool(self.problem) or self._closed, seconds)
+            return self.is_idle
+
+    def close(self) -> None:
+        """End the process and the thread."""
+        with self._there:
+            self._closed = True
+            self._there.notify_all()
+        if self.process is not None:
+            # It holds nothing that could be lost.
+            self.process.kill()
+            self.process.wait(_ENDING)
+        if self._thread is not threading.current_thread():
+            self._thread.join(_ENDING)
+
+    def _run(self) -> None:
+        """The thread."""
+        process = self.process
+        if process is None or process.stdin is None or process.stdout is None:
+            self._end("the process that does it could not be started.")
+            return
+        with suppress(OSError), process.stdin as there, process.stdout as back, suppress(OSError, EOFError, pickle.UnpicklingError):
+            while (message := self._next()) is not None:
+                _write(there, message)
+                del message
+                answer = _read(back)
+                if isinstance(answer, str) and answer:
+                    self._end(answer)
+                    return
+                with self._there:
+                    self.found = answer or self.found
+                    self._is_ready, self._asked = True, self._asked - 1
+                    self._there.notify_all()
+        if not self._closed:
+            process.kill()
+            self._end(f"the process that does it ended with status {process.wait(_ENDING)}.")
+
+    def _next(self) -> object:
+        """The next message; None at the end."""
+        with self._there:
+            self._there.wait_for(lambda: bool(self._messages) or self._closed)
+            return None if self._closed else self._messages.pop(0)
+
+    def _end(self, problem: str) -> None:
+        with self._there:
+            self.problem, self._is_ready = problem, False
+            self._there.notify_all()
+
+
+def make_studies(place: StudyPlace | Studies, rate: float, model: MarkerModel) -> Studies | None:
+    """The studies of a stream, in the place given, or as they were made. Raises AsterismError where there is no such place."""
+    if isinstance(place, StudyProcess):
+        place.teach(model)
+        return place
+    if not isinstance(place, str):
+        return place
+    if place == "push":
+        return StudiesInPush(model, rate, StudyRules())
+    if place == "process":
+        process = StudyProcess(rate, StudyRules())
+        process.teach(model)
+        return process
+    if place != "none":
+        raise AsterismError(f"studies cannot be made in {place!r}; choose from {', '.join(get_args(StudyPlace))}.")
+    return None
+
+
+def _started() -> subprocess.Popen[bytes] | None:
+    """The process; None where it cannot be started."""
+    # As many threads as libraries like would take the cores from those who label frames.
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    with suppress(OSError):
+        return subprocess.Popen(
+            [sys.executable, "-P", "-m", __name__],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, **threads},
+            start_new_session=True,
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0) | getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0),
+        )
+    return None
+
+
+def _write(pipe: IO[bytes], message: object) -> None:
+    data = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
+    pipe.write(_HEAD.pack(len(data)))
+    pipe.write(data)
+    pipe.flush()
+
+
+def _read(pipe: IO[bytes]) -> Any:
+    """The next message. Raises EOFError at the end."""
+    head = pipe.read(_HEAD.size)
+    if len(head) < _HEAD.size:
+        raise EOFError
+    (length,) = _HEAD.unpack(head)
+    data = pipe.read(length)
+    if len(data) < length:
+        raise EOFError
+    return pickle.loads(data)
+
+
+def warm_up(worker: StudyWorker, model: MarkerModel) -> None:
+    """Have all kernels read or compiled, by a study of a body that stands."""
+    body = model.body_labeller.body.mean[0]
+    frames, markers = 12, len(body)
+    shown = np.ones((frames, markers), dtype=np.bool_)
+    # A marker that comes and goes asks for the labels of short tracks.
+    shown[3:5, 0] = shown[8, 0] = False
+    xyz = np.concatenate([body[of_frame] + 0.001 * number for number, of_frame in enumerate(shown)])
+    serials = np.nonzero(shown)[1].astype(np.int64)
+    worker.study(StreamFrames(0, xyz, shown.sum(axis=1), serials))
+
+
+def main() -> None:
+    """Answer messages until the pipe ends."""
+    there, back = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    # What is printed by anything that is called here is no message.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    if hasattr(os, "nice"):
+        os.nice(_NICE)
+    with suppress(EOFError, OSError):
+        state, rate, rules = _read(there)
+        model = MarkerModel(state)
+        worker = StudyWorker(model, rate, rules)
+        warm_up(worker, model)
+        worker.restart()
+        _write(back, "")
+        before = 0
+        while True:
+            session, frames = _read(there)
+            if session != before:
+                worker.restart()
+            before = session
+            try:
+                _write(back, (session, worker.study(frames)))
+            except (AsterismError, ValueError, ArithmeticError, MemoryError, LookupError) as problem:
+                _write(back, f"a study failed ({type(problem).__name__}: {problem}).")
+                return
+
+
+if __name__ == "__main__":
+    main()
