@@ -28,6 +28,8 @@ import asterism
 from asterism import AsterismError
 from asterism.cameras.files import write_rig
 from asterism.cli import main
+from asterism.cli._live_options import LiveOptions
+from asterism.cli._live_sessions import run_session
 from asterism.files.journal import Journal
 from asterism.findings import Finding, Severity
 from asterism.formats import analog_channels
@@ -37,6 +39,7 @@ from asterism.live import (
     AnalysedFrame,
     FrameAnalysis,
     FrameCount,
+    Health,
     HostPort,
     JsonDatagrams,
     LabelledFrame,
@@ -488,6 +491,24 @@ def test_times_that_do_not_grow_need_a_rate() -> None:
     still = [LiveFrame(n, 0.0, 0.0, np.zeros((1, 3))) for n in range(40)]
     with pytest.raises(AsterismError, match="say its rate with --rate"):
         LiveSession(Given(still, math.nan), lambda rate, up: Numbers(), waits=True).run()
+
+
+def test_the_line_on_a_terminal_is_gone_before_results_are_printed(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    terminal, out = Terminal(), sys.stdout
+    monkeypatch.setattr("sys.stderr", terminal)
+
+    class Session(LiveSession):
+        def run(self, seconds: float = math.inf) -> Health:
+            until(lambda: sys.stderr is not terminal)
+            assert sys.stdout is out, "what is piped on is never led to the terminal"
+            return self.health()
+
+    run_session(Session(Given([]), lambda rate, up: Numbers()), LiveOptions())
+    assert sys.stderr is terminal and "live terminal" not in {thread.name for thread in threading.enumerate()}
 
 
 def test_a_session_is_over_when_who_reads_its_lines_is_gone() -> None:

@@ -20,6 +20,11 @@ if TYPE_CHECKING:
     from asterism.recording import Floats, Recording
 
 
+_SPOKEN = 2.0
+"""s in which what speaks while a session runs has said its last; a terminal that is stopped (Ctrl-S) takes nothing. Half and double do as
+well."""
+
+
 def live_session(options: LiveOptions, source: LiveSource) -> LiveSession:
     """The session that the options ask for, its outputs open. Raises AsterismError where a file or an address is none."""
     from asterism.cli._options import vertical_axis
@@ -82,14 +87,19 @@ def run_session(session: LiveSession, options: LiveOptions) -> Health:
         page = ToPage()
         session.outputs = [*session.outputs, page]
         stop_page = serve_live(session, page, PageAddress(options.host, options.port), _console.notice)
-    threading.Thread(target=_warn, args=(session, told), daemon=True).start()
+    speaking = [threading.Thread(target=_warn, args=(session, told), name="live findings", daemon=True)]
     if sys.stderr.isatty():
-        threading.Thread(target=_tell, args=(session, told), daemon=True).start()
+        speaking.append(threading.Thread(target=_tell, args=(session, told), name="live terminal", daemon=True))
+    for thread in speaking:
+        thread.start()
     try:
         with _ended_by_signals(session):
             return session.run(math.inf if options.seconds is None else options.seconds)
     finally:
         told.set()
+        # The line on the terminal holds what is printed until it is gone: results would stand in it.
+        for thread in speaking:
+            thread.join(_SPOKEN)
         if stop_page is not None:
             stop_page()
 
@@ -155,7 +165,7 @@ def _tell(session: LiveSession, ended: threading.Event) -> None:
     from rich.console import Console
     from rich.live import Live
 
-    with Live(console=Console(stderr=True), transient=True, auto_refresh=False) as line, suppress(OSError):
+    with Live(console=Console(stderr=True), transient=True, auto_refresh=False, redirect_stdout=False) as line, suppress(OSError):
         while not ended.wait(1.0):
             health = session.health()
             state = "no frames" if health.is_silent else f"{health.rate:.0f} frames/s"
