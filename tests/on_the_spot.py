@@ -60,3 +60,13 @@ def kicking() -> tuple[Recording, float]:
     back, ahead = rises(TEN_SECONDS, 2.0, 0.6), rises(TEN_SECONDS, 2.5, 0.7)
     way = np.stack([0.8 * ahead - 0.4 * back, 0.5 * rises(TEN_SECONDS, 2.5, 0.8) + 0.25 * back], axis=1)
     return upon_feet(np.tile([0.0, 0.9], (len(TEN_SECONDS), 1)), RH=way, RT=way), 3.3
+
+
+def pedalling() -> Recording:
+    """Somebody on a bicycle that stands: cranks of 17 cm, 72 turns a minute."""
+    feet = {}
+    for side, ahead in (("L", 0.0), ("R", np.pi)):
+        turn = 2.4 * np.pi * TEN_SECONDS + ahead
+        pedal = np.stack([0.3 + 0.17 * np.cos(turn), 0.25 - 0.17 * np.sin(turn)], axis=1)
+        feet |= {side + "T": pedal, side + "H": pedal + np.stack([0.0 * turn, 0.02 * np.cos(turn)], axis=1)}
+    return upon_feet(np.tile([0.0, 1.05], (len(TEN_SECONDS), 1)), **feet)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from on_the_spot import kicking, marching, standing_movements
+from on_the_spot import kicking, marching, pedalling, standing_movements
 
 import asterism
 from asterism import AsterismError, Recording, formats
@@ -689,11 +689,22 @@ def test_who_kicks_strikes_when_the_foot_comes_down() -> None:
     assert walking.events[1].time == pytest.approx(lands, abs=0.07)
 
 
+def test_feet_on_pedals_are_on_no_belt() -> None:
+    """They go back below, as on a treadmill, and are not level there."""
+    walking = find_events(pedalling())
+    assert not walking.events and not walking.treadmill
+
+
 @pytest.mark.skipif("ASTERISM_DATA" not in os.environ, reason="needs ASTERISM_DATA")
 @pytest.mark.parametrize(
     ("path", "events"),
-    [("lab51-multiactivity/squats1.trc", 0), ("fullbody61/markers_Squat2.trc", 0), ("fullbody61/markers_StairUp3.trc", 10)],
-    ids=["squats", "squat", "stairs"],
+    [
+        ("lab51-multiactivity/squats1.trc", 0),
+        ("fullbody61/markers_Squat2.trc", 0),
+        ("fullbody61/markers_StairUp3.trc", 10),
+        ("optitrack-lower/rizzoli24/jumping_jacks_001.c3d", 0),
+    ],
+    ids=["squats", "squat", "stairs", "jumping jacks"],
 )
 def test_real_squats_are_no_steps_and_stairs_are(path: str, events: int) -> None:
     found = find_events(asterism.read(Path(os.environ["ASTERISM_DATA"]) / "movement" / path))

@@ -6,7 +6,7 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
-from on_the_spot import kicking, marching, standing_movements
+from on_the_spot import kicking, marching, pedalling, standing_movements
 
 from asterism.gait import cycles_of, find_events, parameters_of
 from asterism.gait.events import OFF, STRIKE
@@ -178,6 +178,10 @@ def test_a_foot_strikes_where_it_comes_down_and_leaves_when_it_moves() -> None:
             # The first step of a stream may begin before it is known where the foot stands.
             assert len(own) >= len(truth) - 1 and np.abs(own[:, None] - truth).min(axis=1).max() < 0.08, (side, kind)
     assert max(event.told_after for event in told) < 0.15
+
+
+def test_feet_on_pedals_make_no_steps_once_three_turns_are_seen() -> None:
+    assert not [event for event in told_of(pedalling()) if event.time > 3.5]
 
 
 def test_a_stream_that_begins_anew_goes_on() -> None:

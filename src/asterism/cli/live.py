@@ -45,7 +45,7 @@ def live(options: LiveOptions) -> None:
     try:
         session = live_session(options, source)
         if unfinished is not None:
-            chosen = str(options.model or options.markers or "")
+            chosen = options.markers or "" if options.model is None else options.model.name
             recorder = LiveRecorder(unfinished, source.about.name, session.up, _console.notice, chosen, source.about.rate)
             session.recorder = recorder
         health = run_session(session, options)

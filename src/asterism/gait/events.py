@@ -71,6 +71,9 @@ class EventRules:
                                gone so far as `leaves` says. Feet of `movement` that step go 3 cm in 0.05 s. At half of `stays` and at
                                double of `still` feet on the slowest belts, which carry them along by 2 cm, are held for standing
     moved_sigma                s, standard deviation of events that are told by these
+    level                      m by which a foot rises at most in the middle of a stance on a belt. Those who walk and run on belts rise
+                               by 0.1 to 1.3 cm, those on pedals by 3 to 8, those who jump on the spot by 4. At half, who jogs has no
+                               events; at double, who jumps has
     beside                     m, by which a marker of heel or toe may stand over the edge of a plate that the sole's end is still on. At
                                half, one of 173 events of plates at hand is told by markers instead; at double no other is
     """
@@ -107,6 +110,7 @@ class EventRules:
     stays: float = 0.1
     still: float = 0.01
     moved_sigma: float = 0.05
+    level: float = 0.025
     beside: float = 0.03
 
 
@@ -193,7 +197,9 @@ def find_events(recording: Recording, plates: Sequence[ForcePlate] = (), rules: 
     inside = [event for event in kept if 0.0 <= event.time <= last]
     walking = Walking(tuple(sorted(inside, key=lambda event: event.time)), feet, _on_treadmill(feet, inside, rules))
     # where the pelvis stays in its place, only the feet tell
-    return Walking((), feet, treadmill=True, backwards=True) if walking.treadmill and _stands_in_the_air(walking) else walking
+    if walking.treadmill and _stands_in_the_air(walking):
+        return Walking((), feet, treadmill=True, backwards=True)
+    return Walking((), feet, treadmill=False) if walking.treadmill and _goes_round(walking, rules) else walking
 
 
 def events_by_markers(feet: Feet, side: str, rules: EventRules, belt: bool) -> list[GaitEvent]:
@@ -418,6 +424,37 @@ def _as_it_goes(feet: Feet, side: str, events: Sequence[GaitEvent], rules: Event
         if moved > 0:
             found[number] = replace(event, time=(begin + moved) / RATE, sigma=rules.moved_sigma)
     return found
+
+
+def _goes_round(walking: Walking, rules: EventRules) -> bool:
+    """Whether feet that seem to be carried along are not level: those on pedals go round, and those of who jumps on the spot go up."""
+    stances, swings = list[float](), list[float]()
+    for side in walking.feet.sides:
+        heights = np.stack([walking.feet.heels[side][:, 2], walking.feet.toes[side][:, 2]], axis=1)
+        for one, other in pairwise(event for event in walking.events if event.side == side):
+            begin, end = (int(RATE * (one.time + share * (other.time - one.time))) for share in LEVEL_IN)
+            (stances if one.label == STRIKE else swings).append(rise_of_foot(heights[begin : end + 1]))
+    return is_no_stance(stances, swings, rules)
+
+
+LEVEL_IN = (0.2, 0.8)
+"""Of a stance, between which a foot is level, and of a swing, between which it rises: before, the toe comes down; behind, the heel is up
+and the off may be told late. Half as far from the ends as here, sprints are not level; twice as far, short cranks are."""
+_LEVEL = 0.3
+"""Of the rise of a swing, by which a foot that stands is level: 0.1 to 0.2 in runs, 0.27 where their events are told live, 0.3 to 0.4 on
+pedals, 0.9 in jumps on the spot. At half, runs are not level live; at double, pedals are."""
+
+
+def rise_of_foot(heights: Floats) -> float:
+    """m, from the lowest to the highest of heel or toe (T, 2), whichever is less; 0 where nothing is known."""
+    known = heights[np.isfinite(heights).all(axis=1)]
+    return float(np.ptp(known, axis=0).min()) if len(known) else 0.0
+
+
+def is_no_stance(stances: Sequence[float], swings: Sequence[float], rules: EventRules) -> bool:
+    """Whether stances rise by too much for a floor or a belt, beside swings; both m, as `rise_of_foot` tells."""
+    least = max(rules.level, _LEVEL * float(np.median(swings))) if len(swings) else rules.level
+    return len(stances) > 0 and float(np.median(stances)) > least
 
 
 def _stands_in_the_air(walking: Walking) -> bool:

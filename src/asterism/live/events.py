@@ -16,7 +16,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.gait.events import OFF, STRIKE, EventRules, events_by_markers, slides
+from asterism.gait.events import LEVEL_IN, OFF, STRIKE, EventRules, events_by_markers, is_no_stance, rise_of_foot, slides
 from asterism.gait.feet import SIDES, TURNING, FootColumns, feet_of, foot_columns, markers_of_feet
 from asterism.geometry import fit_rigid
 from asterism.live._step_kernels import followed
@@ -390,6 +390,7 @@ class LiveEvents:
         self._slid: deque[float] = deque(maxlen=self.rules.steps)
         self._floors: deque[Floats] = deque(maxlen=self.rules.steps)
         self._lifts: deque[float] = deque(maxlen=self.rules.steps)
+        self._rises = {kind: deque[float](maxlen=self.rules.steps) for kind in KINDS}
 
     def findings(self) -> list[Finding]:
         """That no steps could be told of somebody who lay."""
@@ -402,6 +403,12 @@ class LiveEvents:
     def on_treadmill(self) -> bool:
         """Whether the floor moves, as far as the last steps show."""
         return bool(self._slid) and float(np.median(self._slid)) > self.offline.still
+
+    @property
+    def _goes_round(self) -> bool:
+        """Whether feet that seem to be carried along are not level, as those on pedals; the first stances of a stream are not whole."""
+        stances = self._rises[OFF]
+        return len(stances) >= self.rules.steps // 2 and self.on_treadmill and is_no_stance(stances, self._rises[STRIKE], self.offline)
 
     @property
     def belt(self) -> Floats:
@@ -502,7 +509,7 @@ class LiveEvents:
         if self._learning is not None and next(self._learning, True):
             self._learning = None
         # What is no step forwards of somebody upright is followed, and not told.
-        return [] if found and (self._goes_backwards(time, pelvis) or self._upright < self.rules.upright) else found
+        return [] if found and (self._goes_backwards(time, pelvis) or self._upright < self.rules.upright or self._goes_round) else found
 
     def _heading(self, pointing: Floats, step: float) -> None:
         """Where the feet point: smoothed twice, so that a steady turn is not late."""
@@ -592,9 +599,12 @@ class LiveEvents:
         rise = curve.rise
         curve.anew()
         if foot.last is not None and foot.last[0] != kind:
-            height = self._height(foot, foot.last[1], at)
+            before = foot.last[1]
+            heights = self._heights(foot, before, at)
+            height = float(np.nanmean(heights)) if np.isfinite(heights).any() else math.nan
+            self._rises[kind].append(rise_of_foot(self._heights(foot, *(before + share * (at - before) for share in LEVEL_IN))))
             if kind == OFF:
-                self._stood(foot, foot.last[1], at)
+                self._stood(foot, before, at)
             # Up stairs each is higher than the one before; so both of the changes count.
             lift = (height - foot.height) * (1.0 if kind == STRIKE else -1.0)
             if math.isfinite(lift):
@@ -620,11 +630,10 @@ class LiveEvents:
             self._slid.append(slides(moved[0], moved[1], self._ahead[0]))
             self._floors.append(moved[0] / (ends - begins))
 
-    def _height(self, foot: _LiveFoot, begins: float, ends: float) -> float:
-        """m, of heel and toe together, on average between two times; NaN where that is not known."""
+    def _heights(self, foot: _LiveFoot, begins: float, ends: float) -> Floats:
+        """(T, 2) m, of heel and toe between two times."""
         first = 0 if foot.side == "L" else 2
-        heights = np.array([row[first : first + 2, 2].mean() for at, row in self._kept if begins <= at <= ends])
-        return float(np.nanmean(heights)) if np.isfinite(heights).any() else math.nan
+        return np.array([row[first : first + 2, 2] for at, row in self._kept if begins <= at <= ends]).reshape(-1, 2)
 
     def _learn(self, time: float) -> Iterator[bool]:
         """What the recording's rules say of events that are over, from the curves on both sides of them; False after each part."""

@@ -220,7 +220,8 @@ class KeptSession:
         recording = Recording.from_clouds(self.clouds, self.labelling)
         if self.labelling is None:
             return recording
-        return replace(recording, log=(replace(LABELLED_LIVE, settings={"markers": self.markers}),))
+        chosen = {"markers": self.markers} if self.markers else {}
+        return replace(recording, log=(replace(LABELLED_LIVE, settings=chosen),))
 
 
 def recording_of(path: Path, rate: float | None = None) -> KeptSession:

@@ -30,7 +30,7 @@ class ProcessingStep:
 LABELLED_LIVE = ProcessingStep("labelled", "asterism live")
 """What is logged of a recording whose labels were given frame by frame, while it was captured. Its columns are these labels: of which track
 a camera system took the points is not known any more. Its names are what was known at that moment, and no person's. The setting `markers`
-names the set, or the model, that somebody chose; "" where the set was found."""
+names the set, or the model, that somebody chose; it is not there where the set was found."""
 
 
 def labelled_live(log: Sequence[ProcessingStep]) -> ProcessingStep | None:

@@ -17,12 +17,10 @@ import weakref
 from contextlib import suppress
 from typing import IO, Any, get_args
 
-import numpy as np
-
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.labelling.live.study import StreamFrames, Studies, Study, StudyPlace, StudyPlan, StudyRules
-from asterism.labelling.live.study_worker import StudiesInPush, StudyWorker
+from asterism.labelling.live.study import Studies, Study, StudyPlace, StudyPlan, StudyRules
+from asterism.labelling.live.study_worker import StudiesInPush, StudyWorker, warm_up
 from asterism.labelling.marker_model import MarkerModel
 from asterism.recording import Floats, Ints
 
@@ -47,11 +45,19 @@ class StudyProcess:
     def __init__(self, rate: float, rules: StudyRules) -> None:
         self._plan, self._talk = StudyPlan(rate, rules), _Talk()
         self._about, self._session = (rate, rules), 0
+        self._looker: StudyWorker | None = None
         self._ended = weakref.finalize(self, self._talk.close)
 
     def teach(self, model: MarkerModel) -> None:
         """Give the model; once."""
         self._talk.say((model.state, *self._about))
+        # One frame is looked at here: its labels are wanted before an answer could come.
+        self._looker = StudyWorker(model, *self._about)
+        warm_up(self._looker, model)
+
+    def look(self, xyz: Floats, serials: Ints) -> Study | None:
+        """See `Studies.look`."""
+        return None if self._looker is None else self._looker.look(xyz, serials)
 
     def wait(self, seconds: float) -> bool:
         """Wait until the process knows the model, and is done with the study under way, at most so long. Gives whether it is."""
@@ -237,18 +243,6 @@ def _read(pipe: IO[bytes]) -> Any:
     return pickle.loads(data)
 
 
-def warm_up(worker: StudyWorker, model: MarkerModel) -> None:
-    """Have all kernels read or compiled, by a study of a body that stands."""
-    body = model.body_labeller.body.mean[0]
-    frames, markers = 12, len(body)
-    shown = np.ones((frames, markers), dtype=np.bool_)
-    # A marker that comes and goes asks for the labels of short tracks.
-    shown[3:5, 0] = shown[8, 0] = False
-    xyz = np.concatenate([body[of_frame] + 0.001 * number for number, of_frame in enumerate(shown)])
-    serials = np.nonzero(shown)[1].astype(np.int64)
-    worker.study(StreamFrames(0, xyz, shown.sum(axis=1), serials))
-
-
 def main() -> None:
     """Answer messages until the pipe ends."""
     there, back = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
@@ -261,7 +255,6 @@ def main() -> None:
         model = MarkerModel(state)
         worker = StudyWorker(model, rate, rules)
         warm_up(worker, model)
-        worker.restart()
         _write(back, "")
         before = 0
         while True:

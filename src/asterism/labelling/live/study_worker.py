@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,13 @@ class StudyWorker:
         self._frames.clear()
         self._next, self._empty = 0, 0
         self._labelled: tuple[Ints, Ints] = (np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
+
+    def look(self, xyz: Floats, serials: Ints) -> Study:
+        """What one frame says: the labels above `StudyRules.alone`."""
+        self.restart()
+        found = self.study(StreamFrames(0, xyz, np.array([len(xyz)]), serials))
+        given = found.given & (found.chance >= self._rules.alone)
+        return replace(found, markers=np.where(given, found.markers, NULL), given=given, body=None)
 
     def study(self, new: StreamFrames) -> Study:
         """Take frames that follow those before, and label all that are kept."""
@@ -99,13 +107,29 @@ class StudyWorker:
             return None
 
 
+def warm_up(worker: StudyWorker, model: MarkerModel) -> None:
+    """Have all kernels read or compiled, by a study of a body that stands."""
+    body = model.body_labeller.body.mean[0]
+    shown = np.ones((12, len(body)), dtype=np.bool_)
+    # A marker that comes and goes asks for the labels of short tracks.
+    shown[3:5, 0] = shown[8, 0] = False
+    xyz = np.concatenate([body[of_frame] + 0.001 * number for number, of_frame in enumerate(shown)])
+    worker.study(StreamFrames(0, xyz, shown.sum(axis=1), np.nonzero(shown)[1].astype(np.int64)))
+    worker.restart()
+
+
 class StudiesInPush:
     """Studies in the thread of the stream, taken over as late as those of a process would be, and the same each time."""
 
     def __init__(self, model: MarkerModel, rate: float, rules: StudyRules) -> None:
         self._rate, self._rules, self._markers = rate, rules, len(model.state.markers)
         self._worker, self._plan = StudyWorker(model, rate, rules), StudyPlan(rate, rules)
+        self._looker = StudyWorker(model, rate, rules)
         self._found: Study | None = None
+
+    def look(self, xyz: Floats, serials: Ints) -> Study | None:
+        """See `Studies.look`."""
+        return self._looker.look(xyz, serials)
 
     def restart(self) -> None:
         """See `Studies.restart`."""
