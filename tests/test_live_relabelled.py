@@ -71,9 +71,7 @@ def test_a_set_that_was_chosen_live_is_known_afterwards_and_one_that_was_found_i
         assert labelled_live(file.recording.log) is None and file.recording.clouds().tracks is not None
 
 
-@pytest.mark.parametrize(
-    "condition", [pytest.param((0, 0), marks=pytest.mark.slow), (3, 3)], ids=["as recorded", "3 hidden + 3 ghosts"]
-)
+@pytest.mark.parametrize("condition", [pytest.param((0, 0), marks=pytest.mark.slow), (3, 3)], ids=["as recorded", "3 hidden + 3 ghosts"])
 @pytest.mark.skipif("ASTERISM_DATA" not in os.environ, reason="needs ASTERISM_DATA")
 def test_a_real_live_recording_gets_the_labels_of_its_original(tmp_path: Path, condition: tuple[int, int]) -> None:
     path = Path(os.environ["ASTERISM_DATA"]) / "movement" / "pig39" / "test_movement.c3d"
