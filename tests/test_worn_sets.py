@@ -526,13 +526,13 @@ def told_by_both_doors(recording: Recording, markers: str, folder: Path) -> tupl
 
 
 def test_a_set_that_is_half_there_beside_points_without_a_label_is_told_by_every_door(tmp_path: Path) -> None:
-    (label,), (live,) = told_by_both_doors(anonymous(person("plug-in-gait").frames(slice(0, 100))), "vicon-53", tmp_path)
+    (label,), (live,) = told_by_both_doors(anonymous(person("plug-in-gait").frames(slice(0, 60))), "vicon-53", tmp_path)
     assert (label.code, live.code) == ("label-other-set", "live-other-markers")
     for one in (label, live):
         assert "of 53 markers" in one.sentence and "plug-in-gait (39 of 39 markers)" in one.mend
 
 
-@pytest.mark.parametrize("worn", ["all", "hidden", "legs"])
+@pytest.mark.parametrize("worn", ["hidden", "legs"])
 def test_hidden_markers_ghosts_and_a_part_of_a_set_are_no_other_set(worn: str, tmp_path: Path) -> None:
     walk = person("plug-in-gait")
     if worn == "legs":
