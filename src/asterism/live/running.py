@@ -170,6 +170,7 @@ class LiveSession:
     _latencies: deque[float] = field(default_factory=lambda: deque(maxlen=_LATENCIES))
     _rate: float = float("nan")
     _chain: LabelChain | None = None
+    _is_made: bool = False
     _begun: float = -math.inf
     _overflowed: int = 0
     """frames that the source's socket had left out before the first one that was taken"""
@@ -202,6 +203,7 @@ class LiveSession:
                 self._chain = self._made()
                 self._chain.wait_for_studies()
             self._pass_over(time.monotonic() - begun)
+            self._is_made = self._chain is not None
             for thread in threads:
                 thread.start()
             until = time.monotonic() + seconds
@@ -238,7 +240,7 @@ class LiveSession:
     @property
     def pending(self) -> str:
         """Why nothing is labelled yet although frames may come, as a person reads it; "" where they are labelled."""
-        if self._chain is not None:
+        if self._is_made:
             return ""
         if np.isfinite(self._rate):
             return "the labelling is being made, which takes longest the first time"
@@ -342,6 +344,7 @@ class LiveSession:
                 if not np.isfinite(self._rate):
                     return
                 self._chain = self._made()
+            self._is_made = True
             for frame in begin:
                 self._passed_on(self._chain.push(frame))
             while (next_frame := self._next()) is not None:
