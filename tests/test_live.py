@@ -140,6 +140,16 @@ def test_frames_that_came_while_the_labelling_was_made_are_told_and_not_labelled
     assert "live-before" in {finding.code for finding in session_findings(health, "given")}
 
 
+def test_who_stops_while_the_labelling_is_made_is_told_that_and_of_no_firewall() -> None:
+    def make(rate: float, up: object) -> Numbers:
+        session.stop()
+        return Numbers()
+
+    session = LiveSession(Given(frames([])), make, [Kept()])
+    (told,) = session_findings(session.run(), "given")
+    assert told.code == "live-ended" and "labelling was made" in told.mend
+
+
 def test_a_clock_that_drifts_is_followed_and_one_that_is_set_is_begun_anew() -> None:
     clock, rng = SourceClock(), np.random.default_rng(0)
     # 100 ppm faster than ours, each frame up to 4 ms late

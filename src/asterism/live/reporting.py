@@ -55,7 +55,7 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         found = [finding for finding in found if finding.code != "live-no-points"]
     if health.problem:
         found.append(Finding("live-ended", _ERROR, where, f"{where}: the session ended early.", health.problem))
-    if not health.frames and not health.damaged and not any(finding.code in _SILENT_TOLD for finding in found):
+    if not (health.frames or health.damaged or health.problem) and not any(finding.code in _SILENT_TOLD for finding in found):
         mend = "Look whether it sends, to this address and port, and whether a firewall is between."
         found.append(Finding("live-silent", _ERROR, where, f"{where}: no frame came.", mend))
     # Numbers that stand still, or two senders, and no network: of what was used by chance nothing follows.

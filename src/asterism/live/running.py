@@ -201,7 +201,10 @@ class LiveSession:
             begun = time.monotonic()
             if np.isfinite(self._rate):
                 self._chain = self._made()
-                self._chain.wait_for_studies()
+                if not self.has_ended:
+                    self._chain.wait_for_studies()
+            if self.has_ended:
+                self._health.problem = "It was stopped while its labelling was made; give it until the first labels are there."
             self._pass_over(time.monotonic() - begun)
             self._is_made = self._chain is not None
             for thread in threads:
