@@ -16,7 +16,7 @@ import asterism
 from asterism import AsterismError
 from asterism.cli import main
 from asterism.files.cache import cache_folder
-from asterism.findings import Finding
+from asterism.findings import Finding, Severity
 from asterism.labelling import virtual_model
 from asterism.live import LiveSession, Replay, SessionWatch, make_labeller
 from asterism.recording import Disagreement, MarkerSet, Recording
@@ -521,7 +521,7 @@ def told_by_both_doors(recording: Recording, markers: str, folder: Path) -> tupl
     watch = SessionWatch("lab", recording.vertical, timed=False)
     make = make_labeller(None, markers, 0)
     LiveSession(Replay(folder / "walk.c3d", speed=float("inf")), make, watch=watch, waits=True).run()
-    codes = ("label-other-set", "label-few-markers", "live-other-markers")
+    codes = ("label-other-set", "label-left-over", "label-few-markers", "live-other-markers")
     return tuple([one for one in found if one.code in codes] for found in (label, watch.findings()))  # type: ignore[return-value]
 
 
@@ -530,6 +530,21 @@ def test_a_set_that_is_half_there_beside_points_without_a_label_is_told_by_every
     assert (label.code, live.code) == ("label-other-set", "live-other-markers")
     for one in (label, live):
         assert "of 53 markers" in one.sentence and "plug-in-gait (39 of 39 markers)" in one.mend
+
+
+def test_the_right_set_that_leaves_as_much_over_is_no_other_set(tmp_path: Path) -> None:
+    """Six markers are hidden all the time, beside six points that ride along where no marker is."""
+    walk = person("plug-in-gait").frames(slice(0, 60))
+    hidden = np.isin(np.arange(len(walk.labels)), np.arange(6) * 6)
+    ghosts = walk.positions[:, ~hidden][:, :6] + np.array([0.0, 0.0, 0.07])
+    shown = Recording(
+        np.concatenate([walk.positions[:, ~hidden], ghosts], axis=1),
+        (*np.array(walk.labels)[~hidden], *(f"*{g}" for g in range(6))),
+        walk.rate,
+        walk.vertical,
+    )
+    for (one,) in told_by_both_doors(anonymous(shown), "plug-in-gait", tmp_path):
+        assert (one.code, one.severity) == ("label-left-over", Severity.NOTE) and "the set is the right one" in one.sentence
 
 
 @pytest.mark.parametrize("worn", ["hidden", "legs"])

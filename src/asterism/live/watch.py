@@ -92,6 +92,7 @@ class SessionWatch:
     """(M,) labels that each marker had in the looks that count, and how many looks these are"""
     _shown_in: float = 0.0
     _unlike_looks: list[_Look] = field(default_factory=list)
+    _left: LeftOver | None = None
 
     def add(self, found: LabelledFrame, rate: float, refusal: str = "") -> None:
         """Take a labelled frame; refusal: why no marker set was found yet."""
@@ -156,7 +157,7 @@ class SessionWatch:
             self._shown / max(self._shown_in, 1.0), [left_on_body(look.found.frame.points, look.found.indices) for look in looks]
         )
         if left.tells:
-            self._unlike_looks = list(looks)
+            self._unlike_looks, self._left = list(looks), left
             return Finding("live-other-markers", Severity.WARNING, self.name, left.sentence(self.name, "the set"), _OTHER_SET)
         if min(labelled, points - labelled) > 0.7 * markers:
             sentence = f"{self.name}: {points - labelled:.0f} points are left over beside a body of {labelled:.0f}; one person is labelled."
@@ -183,7 +184,7 @@ class SessionWatch:
         if times > _TALLER:
             mend = f"They are tallest along {axis}: say --vertical {axis} if that is up, else give the model of these markers."
         else:
-            mend, self._unlike_looks = _OTHER_SET, list(self._looks)
+            mend, self._unlike_looks, self._left = _OTHER_SET, list(self._looks), None
         return Finding("live-other-markers", Severity.WARNING, self.name, sentence, mend)
 
     def _count_shown(self) -> None:
@@ -200,7 +201,10 @@ class SessionWatch:
             return finding
         points, markers = [look.found.frame.points for look in self._unlike_looks], self._unlike_looks[-1].found.markers
         clouds = Clouds.from_points(points, 1.0 / _EACH, (0.0, 0.0, 1.0) if self.up is None else self.up)
-        return replace(finding, mend=f"{finding.mend} {sets_to_name(clouds, markers)}".strip())
+        is_own, sets = sets_to_name(clouds, markers)
+        if is_own and self._left is not None:
+            return self._left.note(self.name, "the set")
+        return replace(finding, mend=f"{finding.mend} {sets}".strip())
 
     def _of_rate(self, rate: float) -> Finding | None:
         first, last = self._looks[0], self._looks[-1]

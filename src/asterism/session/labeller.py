@@ -498,8 +498,10 @@ def _other_set(path: Path, labelled: LabelledFile, worn: Sequence[WornMarkers], 
     mend = "Leave --markers out to have the set found" if worn[0].by == GIVEN else "Name the set that is worn with --markers"
     mend += "; check the labels with `asterism review`."
     if not few:
-        found = Finding("label-other-set", Severity.WARNING, str(path), left.sentence(str(path), names), mend)
-        return [_with_sets(found, worn, some)]
+        is_own, sets = _sets_to_name(worn, some)
+        if is_own:
+            return [left.note(str(path), names)]
+        return [Finding("label-other-set", Severity.WARNING, str(path), left.sentence(str(path), names), f"{mend} {sets}".strip())]
     sentence = f"{path}: {usual} of {left.markers} markers of {names} have a label in a usual frame; "
     sentence += "another set may be worn, part of the body be out of view, or the movement be an unusual one."
     found = Finding("label-few-markers", Severity.WARNING, str(path), sentence, mend)
@@ -509,7 +511,11 @@ def _other_set(path: Path, labelled: LabelledFile, worn: Sequence[WornMarkers], 
 
 def _with_sets(finding: Finding, worn: Sequence[WornMarkers], some: Clouds) -> Finding:
     """A finding on a set that nobody has seen worn, with the sets that the points are like."""
-    return replace(finding, mend=f"{finding.mend} {sets_to_name(some, [name for one in worn for name in one.marker_set.names])}".strip())
+    return replace(finding, mend=f"{finding.mend} {_sets_to_name(worn, some)[1]}".strip())
+
+
+def _sets_to_name(worn: Sequence[WornMarkers], some: Clouds) -> tuple[bool, str]:
+    return sets_to_name(some, [name for one in worn for name in one.marker_set.names])
 
 
 def _few_frames(path: Path, counts: Ints) -> list[Finding]:

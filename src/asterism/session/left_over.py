@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from asterism.findings import Finding, Severity
 from asterism.recording import Clouds, Floats, Ints, MarkerSet
 from asterism.session.worn.find import evidence_of, nearest_sets
 
@@ -59,20 +60,30 @@ class LeftOver:
 
     def sentence(self, where: str, names: str) -> str:
         """In words, of a set or of several."""
-        return (
-            f"{where}: {self.unseen} of {self.markers} markers of {names} have no label in any frame, and {self.points} points on the "
-            "body have none: another set is worn, or the labels are not right."
-        )
+        return f"{self._counts(where, names)}: another set is worn, or the labels are not right."
+
+    def note(self, where: str, names: str) -> Finding:
+        """What is said where the points are most like the set that was asked for, so that no other one is worn."""
+        sentence = f"{self._counts(where, names)}: the set is the right one, and these markers were hidden or their labels are missing."
+        mend = "Check the labels with `asterism review`; a model of this person labels more."
+        return Finding("label-left-over", Severity.NOTE, where, sentence, mend)
+
+    def _counts(self, where: str, names: str) -> str:
+        counted = f"{self.unseen} of {self.markers} markers of {names} have no label in any frame"
+        return f"{where}: {counted}, and {self.points} points on the body have none"
 
 
-def sets_to_name(clouds: Clouds, asked: Sequence[str]) -> str:
-    """Which shipped sets points are like, as a person is told who asked for these markers; "" where they show no body. Takes a second."""
+def sets_to_name(clouds: Clouds, asked: Sequence[str]) -> tuple[bool, str]:
+    """Whether points are most like the set of these markers, and which shipped sets they are like, as a person is told who asked for it.
+
+    False and "" where they show no body. Takes a second.
+    """
     evidence = evidence_of(clouds)
     if evidence is None:
-        return ""
+        return False, ""
     near = nearest_sets(evidence)
     if MarkerSet.load(next(iter(near))).names == tuple(asked):
-        return "The points themselves are most like this set: its virtual people may not know the posture."
+        return True, "The points themselves are most like this set: its virtual people may not know the posture."
     others = {name: found for name, found in near.items() if MarkerSet.load(name).names != tuple(asked)}
     few = ", ".join(f"{name} ({seen} of {size} markers)" for name, (seen, size) in others.items())
-    return f"The points are most like {few}; name the set that is worn with --markers."
+    return False, f"The points are most like {few}; name the set that is worn with --markers."
