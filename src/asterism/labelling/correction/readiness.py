@@ -25,6 +25,7 @@ DOUBTS = {
     "label-set-unsure": "another marker set may be worn; name it with --markers",
     "label-few-markers": "fewer than half of the set's markers have a label; name the set that is worn with --markers",
     "label-other-set": "markers of the set are nowhere, and as many points have no label; name the set that is worn with --markers",
+    "label-left-over": "markers of the set are nowhere, and as many points have no label; label what is missing",
     "label-coincident": "markers are there twice; export each once",
     "label-rough": "not all ways to name the pieces of tracks were compared; compare some names with the person",
     "label-names-differ": "names of the file contradict the labels; compare them with the person",
