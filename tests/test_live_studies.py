@@ -15,6 +15,8 @@ from models import trained
 
 import asterism
 from asterism.errors import AsterismError
+from asterism.files.processes import FreeCores
+from asterism.labelling.live import study_process
 from asterism.labelling.live.stream import FrameLabels, Stream
 from asterism.labelling.live.study import StreamFrames, Study, StudyPlan, StudyRules
 from asterism.labelling.live.study_process import StudyProcess, make_studies
@@ -213,7 +215,10 @@ def test_when_studies_begin() -> None:
     assert begun == [0, 1, 3, 7, 15, 31, 60, 110, 160]
 
 
-def test_a_process_finds_what_the_same_thread_finds_and_ends(walks, model, process) -> None:
+def test_a_process_finds_what_the_same_thread_finds_and_ends(walks, model, process, monkeypatch: pytest.MonkeyPatch) -> None:
+    # A machine that runs these tests has no core to spare.
+    for name in ("_FREE", "_COUNTED", "_REST"):
+        monkeypatch.setattr(study_process, name, 0.0)
     process.teach(model)
     clouds, found = walks[5].frames(slice(30)).clouds(), []
     assert process.wait(PATIENCE) and process.taken(0) is None
@@ -275,3 +280,22 @@ def test_a_place_that_is_none_is_refused(model) -> None:
     assert make_studies("none", RATE, model) is None
     with pytest.raises(AsterismError, match="process, push, none"):
         make_studies("cloud", RATE, model)
+
+
+def test_a_study_waits_for_a_core_that_nobody_uses(
+    walks: list[Recording], model: asterism.MarkerModel, process: StudyProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first begins at once; the next ones when cores are free."""
+    free = [0.2]
+    monkeypatch.setattr(study_process, "_COUNTED", 0.0)
+    monkeypatch.setattr(FreeCores, "count", lambda self: free[0])
+    clouds, last = walks[5].clouds(), list[int | None]()
+    process.teach(model)
+    for number, cores in enumerate((0.2, 0.2, 0.2, 2.0)):
+        free[0] = cores
+        assert process.wait(PATIENCE)
+        process.add(number, clouds[number], np.arange(len(clouds[number])), unsure=True)
+        assert process.wait(PATIENCE)
+        found = process.taken(number)
+        last.append(None if found is None else found.last)
+    assert last == [0, None, None, 3]

@@ -146,6 +146,11 @@ class StudyPlan:
         growing = known < self._kept and known + new >= self._rules.growth * known
         return unsure or growing or new >= self._rules.interval * self._rate
 
+    @property
+    def is_full(self) -> bool:
+        """Whether there are as many frames as are labelled as a whole at most."""
+        return self._seen >= self._kept
+
     def frames(self) -> StreamFrames:
         """The frames since this was asked before; there is at least one."""
         xyz, serials = (np.concatenate(parts) for parts in zip(*self._new, strict=True))

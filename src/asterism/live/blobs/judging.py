@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
-from asterism.files.processes import clean_context
+from asterism.files.processes import clean_context, give_way
 from asterism.reconstruction.streaming import Judgement, RecentFrames, judged
-
-_NICE = 10
-"""By how much the process gives way: beside a process that makes points it gets a tenth of a core. Half of it takes a quarter; at double
-(19 is the most) a judgement on a busy machine comes after the next one is due."""
 
 
 class JudgeProcess:
@@ -61,8 +56,7 @@ def _serve(pipe: Connection[Any, Any]) -> None:
     """Judge what comes until nobody wants it."""
     # Ctrl-C reaches all processes of a terminal: the first one decides.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with suppress(AttributeError, OSError):
-        os.nice(_NICE)
+    give_way()
     with suppress(OSError, EOFError):
         while True:
             count, recent = pipe.recv()
