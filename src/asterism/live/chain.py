@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from asterism.findings import Finding
 from asterism.labelling.live.stream import FrameLabels
-from asterism.labelling.live.study import Studies, StudyPlace, StudyRules
-from asterism.labelling.live.study_process import StudyProcess, make_studies
+from asterism.labelling.live.study import StudyPlace
+from asterism.labelling.live.study_process import make_studies
 from asterism.labelling.marker_model import MarkerModel
 from asterism.live.frames import LiveFrame
 from asterism.recording import Floats, Ints, MarkerSet
@@ -50,9 +50,7 @@ MakeLabeller = Callable[[float, Floats | None], Labeller]
 class OfModel:
     """A model's stream with its marker set."""
 
-    def __init__(
-        self, model: MarkerModel, rate: float, delay: int, vertical: Floats | None, studies: StudyPlace | Studies = "process"
-    ) -> None:
+    def __init__(self, model: MarkerModel, rate: float, delay: int, vertical: Floats | None, studies: StudyPlace = "process") -> None:
         self.marker_set = model.marker_set
         self._stream = model.stream(rate, delay, "z" if vertical is None else vertical, make_studies(studies, rate, model))
 
@@ -181,10 +179,8 @@ def make_labeller(model: MarkerModel | None, markers: str | None, delay: int, st
     """
 
     def made(rate: float, vertical: Floats | None) -> Labeller:
-        # A process takes longest to begin, and does so beside all else.
-        place = StudyProcess(rate, StudyRules()) if studies == "process" else studies
         if model is not None:
-            return OfModel(model, rate, delay, vertical, place)
-        return LiveLabeller(rate, delay, markers=markers, vertical=vertical, studies=place)
+            return OfModel(model, rate, delay, vertical, studies)
+        return LiveLabeller(rate, delay, markers=markers, vertical=vertical, studies=studies)
 
     return made

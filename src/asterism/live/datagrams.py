@@ -143,7 +143,24 @@ _GONE = 1.0
 the network brings in a stranger; with twice as much a sender that was begun anew is missed for 2 s."""
 
 
-class JsonDatagrams:
+class JsonSource:
+    """What sources of JSON frames have in common: the counts of what could not be read."""
+
+    def __init__(self) -> None:
+        self._damaged = DamagedJson()
+
+    @property
+    def damaged(self) -> int:
+        """Packets that could not be read."""
+        return self._damaged.count
+
+    @property
+    def unread(self) -> int:
+        """Frames that came and could not be read."""
+        return self._damaged.numbered
+
+
+class JsonDatagrams(JsonSource):
     """A source of frames that arrive as JSON, see `frame_of_json`.
 
     place  where to listen
@@ -155,23 +172,13 @@ class JsonDatagrams:
     """
 
     def __init__(self, place: HostPort, rate: float = float("nan")) -> None:
-        self._damaged = DamagedJson()
+        super().__init__()
         self.about = SourceAbout(f"JSON at {place}", rate)
         self._socket = ListeningSocket(place)
         self._times = StreamTimes(rate)
         self._heard: str = ""
         self._last, self._at = 0, -math.inf
         self._others = dict[str, int]()
-
-    @property
-    def damaged(self) -> int:
-        """Packets that could not be read."""
-        return self._damaged.count
-
-    @property
-    def unread(self) -> int:
-        """Frames that came and could not be read."""
-        return self._damaged.numbered
 
     @property
     def port(self) -> int:

@@ -19,7 +19,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.addresses import Query, in_words
 from asterism.live.analysis import AnalysedFrame
-from asterism.live.datagrams import DamagedJson, frame_of_json
+from asterism.live.datagrams import JsonSource, frame_of_json
 from asterism.live.frames import LiveFrame, SourceAbout
 from asterism.live.outputs import WAITING, labels_as_json, leave_one_out, tells_more
 from asterism.live.packages import packages_for
@@ -231,7 +231,7 @@ def _listening(place: WebSocketPlace) -> socket.socket:
         ) from problem
 
 
-class FromWebSocket:
+class FromWebSocket(JsonSource):
     """A source of frames that arrive as JSON, one a message, see `frame_of_json`.
 
     place  of the sender, which is connected to again when it is lost; or where to wait for one, of which there is one at a time
@@ -240,22 +240,12 @@ class FromWebSocket:
     """
 
     def __init__(self, place: WebSocketPlace, rate: float = float("nan")) -> None:
-        self._damaged = DamagedJson()
+        super().__init__()
         self.about = SourceAbout(f"JSON at {place.name}", rate)
         self._came: deque[LiveFrame] = deque(maxlen=WAITING)
         self._there = threading.Condition()
         self._closed = False
         self._endpoint = _Endpoint(place, self._listen, 1)
-
-    @property
-    def damaged(self) -> int:
-        """Packets that could not be read."""
-        return self._damaged.count
-
-    @property
-    def unread(self) -> int:
-        """Frames that came and could not be read."""
-        return self._damaged.numbered
 
     @property
     def port(self) -> int:

@@ -38,7 +38,7 @@ _FREE = 1.5
 cameras, which leave 1.1 of two, wait for 20 ms instead of 10; at double nothing is studied on two cores."""
 _REST = 3.0
 """Times as long as a study took that the next one comes after it, once the whole window has been studied: a quarter of a core. Half of it
-holds back one frame in a thousand of 59 markers at 200 Hz for 12 ms instead of 9; at double, tracks that are new wait for 4 s."""
+takes two fifths of one; at double, new tracks of 59 markers, whose studies take 0.8 s, wait for 5 s and not for 2.4."""
 _HEAD = struct.Struct("<Q")
 """Before each message: its length in bytes."""
 _PIPE = 1 << 20
@@ -48,7 +48,7 @@ _ENDING = 5.0
 
 
 class StudyProcess:
-    """Studies in a process of their own, at a lower priority. It begins at once, and studies when it knows the model.
+    """Studies in a process of their own, which takes cores that nobody else uses. It begins at once, and studies when it knows the model.
 
     rate  frames per second of the stream
 
@@ -59,7 +59,8 @@ class StudyProcess:
     def __init__(self, rate: float, rules: StudyRules) -> None:
         self._plan, self._talk = StudyPlan(rate, rules), _Talk()
         self._about, self._session = (rate, rules), 0
-        self._free, self._rests, self._begun, self._took = FreeCores(), False, False, 0.0
+        self._free, self._under_way = FreeCores(), False
+        self._rest: float | None = None
         self._looker: StudyWorker | None = None
         self._ended = weakref.finalize(self, self._talk.close)
 
@@ -87,26 +88,28 @@ class StudyProcess:
         """See `Studies.add`. Another thread speaks with the process, so that this one does not wait."""
         self._plan.add(number, xyz, serials)
         if not self._talk.is_idle:
-            self._rests = False
             return
-        if not self._rests:
-            self._rests, self._took = True, self._free.seconds if self._plan.is_full else 0.0
+        if self._under_way:
+            # It is done: the cores that are free from now on are those that nobody else uses.
+            self._rest = max(_COUNTED, _REST * self._free.seconds) if self._plan.is_full else _COUNTED
             self._free.begin()
+            self._under_way = False
         if self._plan.is_due(unsure=unsure) and self._has_room():
             self._free.begin()
+            self._under_way = True
             self._talk.say((self._session, self._plan.frames()))
 
     def _has_room(self) -> bool:
         """Whether a core is free for a study: two threads of one core slow each other down, at whatever priority."""
-        if not self._begun:
-            self._begun = True
+        # Nothing was counted before the first one, which is short.
+        if self._rest is None:
             return True
-        if self._free.seconds < max(_COUNTED, _REST * self._took):
+        if self._free.seconds < self._rest:
             return False
         free = self._free.count()
         # Where there is no room, it is looked for again in what comes next.
         self._free.begin()
-        self._took = 0.0
+        self._rest = _COUNTED
         return free >= _FREE
 
     def taken(self, number: int) -> Study | None:
