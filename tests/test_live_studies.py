@@ -299,3 +299,18 @@ def test_a_study_waits_for_a_core_that_nobody_uses(
         found = process.taken(number)
         last.append(None if found is None else found.last)
     assert last == [0, None, None, 3]
+
+
+@pytest.mark.skipif(not hasattr(os, "SCHED_IDLE"), reason="needs a class of processes that runs on idle cores alone")
+def test_the_process_lets_every_other_one_go_first(model: asterism.MarkerModel, process: StudyProcess) -> None:
+    process.teach(model)
+    assert process.wait(PATIENCE) and process.process is not None
+    assert os.sched_getscheduler(process.process) == os.SCHED_IDLE
+
+
+def test_cores_are_counted_that_nobody_uses() -> None:
+    free = FreeCores()
+    while free.seconds < 0.05:
+        pass
+    # The system counts in hundredths of a second, so that a core more may seem to be free.
+    assert 0.0 <= free.count() <= (os.cpu_count() or 1) + 1.0
