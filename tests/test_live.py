@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import io
 import json
 import math
@@ -61,6 +62,7 @@ from asterism.live import (
 from asterism.live.analog import AnalogDevice, AnalogSamples
 from asterism.live.chain import LabelChain
 from asterism.live.datagrams import DatagramReader
+from asterism.live.pauses import short_pauses
 from asterism.live.replay import Replay
 from asterism.recording import MarkerSet, Recording
 from asterism.simulation import simulate_walks
@@ -928,3 +930,19 @@ def test_what_cannot_be_meant_is_refused(words: list[str], told: str, tmp_path: 
     assert main(["live", *words, "--seconds", "0.1"]) == 2
     said = capsys.readouterr().err
     assert told in said and "SECRET" not in said
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_a_session_leaves_python_as_it_was(frozen: bool) -> None:
+    """Objects that were frozen before, as those of these tests are, stay so."""
+    count, interval = gc.get_freeze_count(), sys.getswitchinterval()
+    gc.unfreeze()
+    if frozen:
+        gc.freeze()
+    try:
+        with short_pauses():
+            assert sys.getswitchinterval() < interval and gc.get_freeze_count()
+        assert bool(gc.get_freeze_count()) == frozen and sys.getswitchinterval() == pytest.approx(interval)
+    finally:
+        if count:
+            gc.freeze()

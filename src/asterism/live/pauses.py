@@ -17,10 +17,14 @@ def short_pauses() -> Iterator[None]:
     """Let threads of this process switch soon, and its garbage collector look at no object from before: tens of milliseconds of a large
     program. Both are as before in the end."""
     before = sys.getswitchinterval()
+    # Python lets go of all frozen objects or of none: who froze theirs keeps them so, and needs no more.
+    freezes = not gc.get_freeze_count()
     sys.setswitchinterval(min(before, _SWITCH))
-    gc.freeze()
+    if freezes:
+        gc.freeze()
     try:
         yield
     finally:
-        gc.unfreeze()
+        if freezes:
+            gc.unfreeze()
         sys.setswitchinterval(before)

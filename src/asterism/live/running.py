@@ -198,14 +198,13 @@ class LiveSession:
         ]
         try:
             # What can be made before the first frame keeps none of them waiting.
-            begun = time.monotonic()
             if np.isfinite(self._rate):
                 self._chain = self._made()
                 if not self.has_ended:
                     self._chain.wait_for_studies()
             if self.has_ended:
                 self._health.problem = "It was stopped while its labelling was made; give it until the first labels are there."
-            self._pass_over(time.monotonic() - begun)
+            self._pass_over(time.monotonic() - self._begun)
             self._is_made = self._chain is not None
             for thread in threads:
                 thread.start()
@@ -378,9 +377,8 @@ class LiveSession:
 
     def _next(self) -> LiveFrame | None:
         """The oldest frame that waits; None at the end."""
-        # However slow this is, what is shown is not old. What waits at the end, or for the rate, is labelled.
-        fresh = self.waits or self._chain is None
-        frame, left_out = self._queue.take_fresh(math.inf, lambda each: not fresh and not self._queue.is_stopped and _is_old(each))
+        # However slow this is, what is shown is not old. What waits at the end is labelled.
+        frame, left_out = self._queue.take_fresh(math.inf, lambda each: not (self.waits or self._queue.is_stopped) and _is_old(each))
         self._leave_out(left_out)
         return frame
 
