@@ -11,10 +11,10 @@ from on_the_spot import kicking, marching, pedalling, standing_movements
 from asterism.gait import cycles_of, find_events, parameters_of
 from asterism.gait.events import OFF, STRIKE
 from asterism.live import AngleOptions, FrameAnalysis, LabelledFrame, LiveEvent, LiveFrame, MovementAnalysis
-from asterism.live._step_kernels import followed
 from asterism.live.angles import _SkeletonFrames
-from asterism.live.events import LiveEvents
-from asterism.live.steps import LiveSteps
+from asterism.live.walking._step_kernels import followed
+from asterism.live.walking.events import LiveEvents
+from asterism.live.walking.steps import LiveSteps
 from asterism.motion.clinical import SubjectMeasures, clinical_angles
 from asterism.recording import Floats, Recording
 from asterism.simulation import simulate_walks

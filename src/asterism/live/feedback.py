@@ -19,7 +19,7 @@ from asterism.live.analysis import EVENTS, NOTHING, FrameAnalysis
 from asterism.live.chain import LabelledFrame
 from asterism.live.cues import Cue, FeedbackRule
 from asterism.live.measures import Change, LiveSymmetry, Repetitions
-from asterism.live.steps import LiveSteps
+from asterism.live.walking.steps import LiveSteps
 from asterism.recording import Floats, canonical
 
 _MARKERS = {"angle": 3, "distance": 2, "height": 1}

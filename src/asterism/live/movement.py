@@ -9,8 +9,8 @@ from asterism.geometry import rotate_z_up
 from asterism.live.analysis import FrameAnalysis
 from asterism.live.angles import AngleOptions, LiveAngles
 from asterism.live.chain import LabelledFrame
-from asterism.live.events import LiveEvents
-from asterism.live.steps import LiveSteps
+from asterism.live.walking.events import LiveEvents
+from asterism.live.walking.steps import LiveSteps
 
 
 class MovementAnalysis:

@@ -10,7 +10,7 @@ import numpy as np
 
 from asterism.gait.parameters import symmetry_index
 from asterism.live.analysis import LiveEvent
-from asterism.live.events import LiveEvents
+from asterism.live.walking.events import LiveEvents
 from asterism.recording import Floats
 
 _LAST = 4

@@ -1,0 +1,108 @@
+"""Heel and toe of one foot in; whether it moves or flies, and how long after a turning its events are, as its own last steps say, out."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from asterism.gait.events import OFF, STRIKE, EventRules
+from asterism.gait.feet import FootColumns
+from asterism.live.walking.carried_point import CarriedPoint
+from asterism.live.walking.rules import KINDS, LiveEventRules
+from asterism.live.walking.turning_curve import TurningCurve
+from asterism.recording import Floats
+
+
+@dataclass
+class ToldStep:
+    """An event that was told, and waits for what the recording's rules say of it.
+
+    foot, kind  whose, and OFF or STRIKE
+    turned      s, when the foot's curve turned; time  s, when the event was, as it was told
+    """
+
+    foot: LiveFoot
+    kind: str
+    turned: float
+    time: float
+
+
+class LiveFoot:
+    """One foot: what turns, what was told, and what its last steps say of the time."""
+
+    def __init__(self, side: str, columns: FootColumns, helpers: list[int], rules: LiveEventRules, offline: EventRules) -> None:
+        self.side, self._rules, self._offline = side, rules, offline
+        self.places = {STRIKE: CarriedPoint(columns.heels[side], helpers, rules), OFF: CarriedPoint(columns.toes[side], helpers, rules)}
+        self.curves = {STRIKE: TurningCurve(1.0, rules), OFF: TurningCurve(-1.0, rules)}
+        self.later = {kind: deque[float](maxlen=rules.steps) for kind in KINDS}
+        self.swings = {kind: deque[float](maxlen=rules.steps) for kind in KINDS}
+        self._squares = {kind: deque[float](maxlen=rules.steps) for kind in KINDS}
+        self.usual = dict.fromkeys(KINDS, 0.0)
+        self.clear()
+
+    def clear(self) -> None:
+        """Nothing is known of where it is; what was learned of its steps is."""
+        self.last: tuple[str, float] | None = None
+        self.height = self.since = math.nan
+        self._stood, self._ground = np.full((2, 3), np.nan), np.full(2, np.nan)
+        self.moves = self.held = False
+        for kind in KINDS:
+            self.places[kind].clear()
+            self.curves[kind].clear()
+
+    def follow(self, ends: Floats, time: float, step: float) -> None:
+        """Keep where heel and toe (2, 3) m were."""
+        way = ends - self._stood
+        known = [math.isfinite(way[0, 0]), math.isfinite(way[1, 0])]
+        if not all(known):
+            # An end that is seen again, or for the first time, stands where it is.
+            self._stood = np.where(np.isnan(self._stood), ends, self._stood)
+            way = np.nan_to_num(ends - self._stood)
+            known = [math.isfinite(ends[0, 0]), math.isfinite(ends[1, 0])]
+            if not any(known):
+                return
+        self._stood = self._stood + (1.0 - math.exp(-step / self._rules.pause)) * way
+        # One end alone turns about the other, which stands.
+        nearest = min(math.dist(end, stood) for end, stood, seen in zip(ends, self._stood, known, strict=True) if seen)
+        moves = nearest > self._offline.still
+        self.since = time if moves and not self.moves else self.since
+        self.moves = moves
+        if self.last is None or self.last[0] == STRIKE:
+            self._ground = np.fmin(self._ground, ends[:, 2])
+
+    def flies(self, leg_length: float) -> bool:
+        """Whether heel and toe are above where the foot stood last, and go up or down: who kicks, or marches, turns in the air."""
+        speeds = [abs(curve.foretold_lift(self._rules.off_soon)) for curve in self.curves.values()]
+        above = np.array([curve.state[1, 0] for curve in self.curves.values()]) - self._ground
+        lands = self._offline.lands if self.held else self._offline.in_the_air * leg_length
+        return bool(above.min() > lands) and min(speeds) > self._rules.floats
+
+    def now(self, kind: str, at: float) -> None:
+        """Keep that it struck or left at a time."""
+        self.last = (kind, at)
+        if kind == STRIKE:
+            self._stood, self._ground = np.full((2, 3), np.nan), np.full(2, np.nan)
+
+    def swung(self, kind: str, rise: float) -> None:
+        """Keep how far a heel or toe went."""
+        self.swings[kind].append(rise)
+        self.usual[kind] = float(np.median(self.swings[kind]))
+
+    def judged(self, told: ToldStep, at: float, sigma: float) -> None:
+        """Keep what the recording's rules say of an event: its time s, and standard deviation."""
+        self.later[told.kind].append(at - told.turned)
+        self._squares[told.kind].append((at - told.time) ** 2 + sigma**2)
+
+    def sd(self, kind: str) -> float:
+        """s, standard deviation of an event: how certain those of recordings are, and how well they were met."""
+        own, prior = self._squares[kind], self._rules.prior
+        first = self._offline.strike_sigma if kind == STRIKE else self._offline.off_sigma
+        return math.sqrt((prior * (2.0 * first) ** 2 + sum(own)) / (prior + len(own)))
+
+    def offset(self, kind: str) -> float:
+        """s, from the turning to the event."""
+        first, own = self._offline.strike_later if kind == STRIKE else self._offline.off_later, self.later[kind]
+        return (self._rules.prior * first + sum(own)) / (self._rules.prior + len(own))
