@@ -66,7 +66,8 @@ class ToOsc:
         """The bundles of a frame, each of at most `_LARGEST` bytes."""
         at = frame.labelled.frame.time
         self._begin = at if self._begin is None else self._begin
-        head = _BUNDLE + _sized(self._head("if", "frame") + struct.pack(">if", frame.labelled.frame.number % _WRAP, _held(at - self._begin)))
+        number = frame.labelled.frame.number % _WRAP
+        head = _BUNDLE + _sized(self._head("if", "frame") + struct.pack(">if", number, _held(at - self._begin)))
         parts, size = [head], len(head)
         for message in self._messages(frame, self._begin):
             part = _sized(message)
