@@ -194,11 +194,7 @@ class ToPage:
         if body is None or len(shown) < _TO_BONES:
             return body
         markers = body["markers"]
-        positions = np.full((len(shown), len(markers), 3), np.nan)
-        for t, each in enumerate(shown):
-            given = each.indices >= 0
-            positions[t, given] = each.frame.points[each.indices[given]]
-        made = {**body, "bones": marker_bones(positions, markers)}
+        made = {**body, "bones": marker_bones(np.array([each.places for each in shown]), markers)}
         with self._guard:
             # Other markers may have come meanwhile.
             if self._body is body:
