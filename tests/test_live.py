@@ -758,6 +758,7 @@ def test_the_command_records_what_it_plays(tmp_path: Path, walks: list[Recording
     assert not (tmp_path / "out.c3d.live").exists()
 
 
+@pytest.mark.usefixtures("without_studies")
 def test_what_a_killed_session_left_is_written_once_and_is_then_in_nobodys_way(tmp_path: Path, capsys) -> None:
     output, left = tmp_path / "next.c3d", tmp_path / "next.c3d.live"
     begin = ["live", "udp://127.0.0.1:0", "--rate", "100", "--markers", "helen-hayes", "--seconds", "0.1", "-o", str(output)]
@@ -840,6 +841,7 @@ def test_what_begins_no_session_takes_no_options_of_one(tmp_path: Path, words: l
     assert "begins none" in capsys.readouterr().err and not (tmp_path / "walk.c3d").exists()
 
 
+@pytest.mark.usefixtures("without_studies")
 def test_a_source_that_sends_nothing_is_told(tmp_path: Path, capsys) -> None:
     assert (
         main(["live", "udp://127.0.0.1:0", "--rate", "100", "--markers", "helen-hayes", "--seconds", "0.1", "-o", str(tmp_path / "x.c3d")])
