@@ -638,9 +638,10 @@ def test_a_port_that_is_taken_is_told() -> None:
     first.close()
 
 
-def recorded(path: Path, numbers: list[int]) -> LiveRecorder:
+def recorded(path: Path, numbers: list[int], *, together: int = 1) -> LiveRecorder:
+    """A recording of frames of these numbers, of which so many arrive at the same time."""
     recorder, chain = LiveRecorder(path, "given", None), LabelChain(Numbers(), RATE)
-    for n, frame in enumerate(replace(frame, arrived=50.0 + n / RATE) for n, frame in enumerate(frames(numbers))):
+    for n, frame in enumerate(replace(frame, arrived=50.0 + n // together / RATE) for n, frame in enumerate(frames(numbers))):
         recorder.frame(frame)
         found = chain.push(frame)
         assert found is not None
@@ -668,6 +669,13 @@ def test_labels_stay_with_their_frames_where_numbers_begin_anew(tmp_path: Path) 
     kept = recording_of(tmp_path / "walk.live")
     assert len(kept.clouds) == 50 and kept.labelling is not None
     assert (kept.labelling.indices == [0, 1]).all(), "all frames have their own labels"
+
+
+def test_frames_that_arrive_at_the_same_time_have_their_own_labels(tmp_path: Path) -> None:
+    """As all frames of 15 ms do where the system's clock counts in such steps, and those of one packet."""
+    recorded(tmp_path / "walk.live", list(range(30)), together=3)
+    kept = recording_of(tmp_path / "walk.live")
+    assert kept.labelling is not None and (kept.labelling.indices == [0, 1]).all()
 
 
 def test_a_recording_that_was_cut_anywhere_keeps_what_was_written_before(tmp_path: Path) -> None:
