@@ -666,9 +666,10 @@ def test_a_port_that_is_taken_is_told() -> None:
     first.close()
 
 
-def recorded(path: Path, numbers: list[int]) -> LiveRecorder:
+def recorded(path: Path, numbers: list[int], *, together: int = 1) -> LiveRecorder:
+    """A recording of frames of these numbers, of which so many arrive at the same time."""
     recorder, chain = LiveRecorder(path, "given", None), LabelChain(Numbers(), RATE)
-    for n, frame in enumerate(replace(frame, arrived=50.0 + n / RATE) for n, frame in enumerate(frames(numbers))):
+    for n, frame in enumerate(replace(frame, arrived=50.0 + n // together / RATE) for n, frame in enumerate(frames(numbers))):
         recorder.frame(frame)
         found = chain.push(frame)
         assert found is not None
@@ -696,6 +697,13 @@ def test_labels_stay_with_their_frames_where_numbers_begin_anew(tmp_path: Path) 
     kept = recording_of(tmp_path / "walk.live")
     assert len(kept.clouds) == 50 and kept.labelling is not None
     assert (kept.labelling.indices == [0, 1]).all(), "all frames have their own labels"
+
+
+def test_frames_that_arrive_at_the_same_time_have_their_own_labels(tmp_path: Path) -> None:
+    """As all frames of 15 ms do where the system's clock counts in such steps, and those of one packet."""
+    recorded(tmp_path / "walk.live", list(range(30)), together=3)
+    kept = recording_of(tmp_path / "walk.live")
+    assert kept.labelling is not None and (kept.labelling.indices == [0, 1]).all()
 
 
 def test_a_recording_that_was_cut_anywhere_keeps_what_was_written_before(tmp_path: Path) -> None:
@@ -787,6 +795,7 @@ def test_the_command_records_what_it_plays(tmp_path: Path, walks: list[Recording
     assert not (tmp_path / "out.c3d.live").exists()
 
 
+@pytest.mark.usefixtures("without_studies")
 def test_what_a_killed_session_left_is_written_once_and_is_then_in_nobodys_way(tmp_path: Path, capsys) -> None:
     output, left = tmp_path / "next.c3d", tmp_path / "next.c3d.live"
     begin = ["live", "udp://127.0.0.1:0", "--rate", "100", "--markers", "helen-hayes", "--seconds", "0.1", "-o", str(output)]
@@ -869,6 +878,7 @@ def test_what_begins_no_session_takes_no_options_of_one(tmp_path: Path, words: l
     assert "begins none" in capsys.readouterr().err and not (tmp_path / "walk.c3d").exists()
 
 
+@pytest.mark.usefixtures("without_studies")
 def test_a_source_that_sends_nothing_is_told(tmp_path: Path, capsys) -> None:
     assert (
         main(["live", "udp://127.0.0.1:0", "--rate", "100", "--markers", "helen-hayes", "--seconds", "0.1", "-o", str(tmp_path / "x.c3d")])
@@ -891,9 +901,11 @@ def test_a_signal_ends_a_session_with_all_that_came(
     model.save(tmp_path / "walkers.model")
     words = ["--replay", "walk.c3d", "--loop", "--model", "walkers.model", "--lines", "-o", "out.c3d", "--json", "out.json"]
     # Where the tests themselves run in the background, their children would ignore Ctrl-C.
-    program = (
-        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from asterism.cli import main; sys.exit(main())"
-    )
+    program = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from asterism.cli import main; "
+    if number == signal.SIGTERM:
+        # See `without_studies`: Ctrl-C ends a session that has a process of studies.
+        program += "from asterism.live import chain; chain.make_studies = lambda place, rate, model: None; "
+    program += "sys.exit(main())"
     process = subprocess.Popen([sys.executable, "-c", program, "live", *words], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
     try:
         assert process.stdout is not None

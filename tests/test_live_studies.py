@@ -233,6 +233,10 @@ def test_a_process_finds_what_the_same_thread_finds_and_ends(walks, model, proce
         begun = study.last + 1
         for name in ("last", "frames", "serials", "markers", "given", "chance"):
             np.testing.assert_array_equal(getattr(study, name), getattr(expected, name))
+        # Some of the body follows from the rest, and is made anew.
+        assert (study.body is None) == (expected.body is None)
+        for own, its in zip(study.body or (), expected.body or (), strict=True):
+            np.testing.assert_array_equal(own, its)
     assert found[0] and found[9] and begun == 30 and study.frames == 30 and study.given.all() and study.body is not None
     # What is under way when frames begin anew is not given.
     process.add(30, clouds[0], np.arange(15), unsure=True)

@@ -61,13 +61,13 @@ class KeptAnalog:
     values: Floats
 
 
-def analog_as_arrays(parts: Sequence[AnalogSamples]) -> list[NDArray[Any]]:
+def analog_as_arrays(parts: Sequence[AnalogSamples]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """Samples as arrays that `analog_of_arrays` reads: a JSON text, and all values as float32, as they came."""
     devices = {part.device.name: [part.device.rate, part.device.channels, part.device.units] for part in parts}
     rows = [[part.device.name, part.first, *part.values.shape] for part in parts]
     values = np.concatenate([part.values.ravel() for part in parts]) if parts else np.empty(0)
     text = json.dumps({"devices": devices, "parts": rows})
-    return [np.frombuffer(text.encode(), dtype=np.uint8), values.astype(np.float32)]
+    return np.frombuffer(text.encode(), dtype=np.uint8), values.astype(np.float32)
 
 
 def analog_of_arrays(chunks: Sequence[Sequence[NDArray[Any]]]) -> tuple[KeptAnalog, ...]:

@@ -103,6 +103,13 @@ class LabelledFrame:
                 names[index] = marker
         return tuple(names)
 
+    @property
+    def places(self) -> Floats:
+        """(M, 3) m, where each marker is; NaN where it has no point."""
+        given, places = self.indices >= 0, np.full((len(self.indices), 3), np.nan)
+        places[given] = self.frame.points[self.indices[given]]
+        return places
+
 
 class LabelChain:
     """Labels the frames of one source, in their order, with a delay of `delay` frames.

@@ -69,11 +69,8 @@ class ToLsl:
             if labelled.markers != self._markers:
                 self._markers = labelled.markers
                 self._places = self._outlet("", "MoCap", _marker_channels(self._markers), self._rate)
-            given = labelled.indices >= 0
-            sample = np.full((len(self._markers), 4), np.nan)
-            sample[given, :3] = labelled.frame.points[labelled.indices[given]]
-            sample[:, 3] = np.where(given, labelled.confidence, 0.0)
-            self._places.push_sample(sample.ravel().tolist(), at)
+            sure = np.where(labelled.indices >= 0, labelled.confidence, 0.0)
+            self._places.push_sample(np.column_stack([labelled.places, sure]).ravel().tolist(), at)
         if analysis.values:
             # Values that are left out for a while keep their channels; one that is new makes the stream another one.
             if not set(analysis.values) <= set(self._values):

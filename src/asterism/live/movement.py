@@ -28,9 +28,7 @@ class MovementAnalysis:
     def push(self, frame: LabelledFrame) -> FrameAnalysis:
         """See `LiveAnalysis.push`."""
         time, markers = frame.frame.time, frame.markers
-        points = np.full((len(markers), 3), np.nan)
-        given = frame.indices >= 0
-        points[given] = frame.frame.points[frame.indices[given]]
+        points = frame.places
         values = self.angles.push(time, markers, points)
         events = self.events.push(time, markers, rotate_z_up(points, self._up))
         if self.events.feet:

@@ -146,8 +146,7 @@ class ToNatNet:
             # Clients ask for the names again when this is said.
             self._markers, self._changed = labelled.markers, True
         given = (labelled.indices >= 0).nonzero()[0]
-        of_set = np.full((len(self._markers), 3), np.nan, dtype="<f4")
-        of_set[given] = frame.points[labelled.indices[given]]
+        of_set = labelled.places.astype("<f4")
         free = np.ones(len(frame.points), dtype=bool)
         free[labelled.indices[given]] = False
         others = frame.points[free].astype("<f4")

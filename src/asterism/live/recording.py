@@ -7,10 +7,10 @@ import json
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +27,9 @@ from asterism.recording import LABELLED_LIVE, NULL, Clouds, Floats, Labelling, R
 from asterism.recording.rates import rate_of_times
 
 _WORK = "asterism live 1"
-_ARRIVALS = 9
-"""Place of the labels' arrivals among the arrays of a chunk."""
 _MOST = 4000
 """Frames that wait for the disk at most: 20 s at 200 Hz, some 6 MB. Half of it loses frames while a disk wakes up; at double it is kept by
 a machine that has no room."""
-
-
 _UNKNOWN_RATE = 100.0
 """Frames per second of a recording whose times do not grow, and whose source said no rate. Half and double are as wrong."""
 
@@ -109,7 +105,7 @@ class LiveRecorder:
         if not self.problem:
             self.kept += len(chunk.frames)
 
-    def _written(self, compute: Any) -> None:
+    def _written(self, compute: Callable[[], Sequence[NDArray[Any]]]) -> None:
         try:
             self._journal.step(compute)
             lost = self._journal.lost
@@ -120,34 +116,56 @@ class LiveRecorder:
             self._tell(self.problem)
 
 
+class _Arrays(NamedTuple):
+    """A chunk as the file holds it.
+
+    frames      (F, 2) number and count of points of each frame
+    times       (F, 2) s on the source's clock, and on this machine's when it arrived
+    points      (P, 3) m, of all frames one after the other
+    labelled    (L, 2) number and count of points of each frame whose labels came meanwhile
+    markers     (Q,) of each of its points the marker, NULL for none
+    confidence  (Q,)
+    names       of the markers, as text
+    devices, samples  see `analog_as_arrays`
+    arrived     (L,) s, as in `times`. Numbers begin anew with their sender, and some frames arrive at the same time: both tell a frame
+    """
+
+    frames: NDArray[np.int64]
+    times: Floats
+    points: Floats
+    labelled: NDArray[np.int64]
+    markers: NDArray[np.int64]
+    confidence: Floats
+    names: NDArray[np.uint8]
+    devices: NDArray[np.uint8]
+    samples: NDArray[np.float32]
+    arrived: Floats
+
+
 def _text(text: str) -> NDArray[np.uint8]:
     return np.frombuffer(text.encode(), dtype=np.uint8)
 
 
-def _arrays_of(chunk: _Chunk) -> list[NDArray[Any]]:
-    """Frames: number, count, times; points; labels: number, the marker of each point, -1 for none, its confidence; analog; labels: arrival.
-
-    Numbers begin anew with their sender, and arrivals do not: they tell which frame labels are of.
-    """
+def _arrays_of(chunk: _Chunk) -> _Arrays:
     frames, labels = chunk.frames, [each for each in chunk.labels if each.markers]
-    marker_of, confidence = [], []
+    marker_of, confidence = [np.empty(0, dtype=np.int64)], [np.empty(0)]
     for each in labels:
         own, sure = np.full(len(each.frame.points), NULL, dtype=np.int64), np.zeros(len(each.frame.points))
         given = each.indices >= 0
         own[each.indices[given]], sure[each.indices[given]] = np.nonzero(given)[0], each.confidence[given]
         marker_of.append(own)
         confidence.append(sure)
-    return [
+    return _Arrays(
         np.array([[each.number, len(each.points)] for each in frames], dtype=np.int64).reshape(-1, 2),
         np.array([[each.time, each.arrived] for each in frames], dtype=np.float64).reshape(-1, 2),
-        np.concatenate([each.points for each in frames]) if frames else np.empty((0, 3)),
+        np.concatenate([np.empty((0, 3)), *(each.points for each in frames)]),
         np.array([[each.frame.number, len(each.frame.points)] for each in labels], dtype=np.int64).reshape(-1, 2),
-        np.concatenate(marker_of) if labels else np.empty(0, dtype=np.int64),
-        np.concatenate(confidence) if labels else np.empty(0),
+        np.concatenate(marker_of),
+        np.concatenate(confidence),
         _text(json.dumps(list(labels[-1].markers) if labels else [])),
         *analog_as_arrays([part for each in frames for part in each.analog]),
         np.array([each.frame.arrived for each in labels], dtype=np.float64),
-    ]
+    )
 
 
 @dataclass(frozen=True)
@@ -234,12 +252,12 @@ def recording_of(path: Path, rate: float | None = None) -> KeptSession:
     if not steps:
         raise AsterismError(f"{path} is no live recording; give the file that a session left beside its output, FILE.c3d.live.")
     head = json.loads(bytes(steps[0][0]))
-    chunks = steps[1:]
-    if not chunks or not sum(len(chunk[0]) for chunk in chunks):
+    chunks = [_Arrays(*step) for step in steps[1:]]
+    if not sum(len(chunk.frames) for chunk in chunks):
         raise AsterismError(f"{path} holds no frame: the source sent none while it was recorded.")
-    numbers, counts = np.concatenate([chunk[0] for chunk in chunks]).T
-    times, arrived = np.concatenate([chunk[1] for chunk in chunks]).T
-    points = np.concatenate([chunk[2] for chunk in chunks])
+    numbers, counts = np.concatenate([chunk.frames for chunk in chunks]).T
+    times, arrived = np.concatenate([chunk.times for chunk in chunks]).T
+    points = np.concatenate([chunk.points for chunk in chunks])
     row = rows_of(numbers)
     rate = float(rate or head.get("rate") or rate_of_times(row, times).rate)
     rate = rate if math.isfinite(rate) else _UNKNOWN_RATE
@@ -250,27 +268,23 @@ def recording_of(path: Path, rate: float | None = None) -> KeptSession:
     clouds = replace(bare, xyz=points, offsets=offsets, columns=np.full(len(points), -1, dtype=np.int64))
     of_row = np.full(len(clouds), np.nan)
     of_row[row] = times
-    # Recordings of earlier versions know their frames by number only.
-    by_number = any(len(chunk) <= _ARRIVALS for chunk in chunks)
-    row_of = dict(zip((numbers if by_number else arrived).tolist(), row.tolist(), strict=True))
-    labelling = _labelling(chunks, clouds, row_of, by_number)
-    # Recordings of earlier versions have none.
-    analog = analog_of_arrays([chunk[7:9] for chunk in chunks if len(chunk) > 7])
-    return KeptSession(clouds, labelling, head["name"], head["begun"], of_row, analog, head.get("markers", ""))
+    row_of = dict(zip(zip(numbers.tolist(), arrived.tolist(), strict=True), row.tolist(), strict=True))
+    labelling = _labelling(chunks, clouds, row_of)
+    analog = analog_of_arrays([(chunk.devices, chunk.samples) for chunk in chunks])
+    return KeptSession(clouds, labelling, head["name"], head["begun"], of_row, analog, head["markers"])
 
 
-def _labelling(chunks: list[list[NDArray[Any]]], clouds: Clouds, row_of: dict[float, int], by_number: bool) -> Labelling | None:
-    names: list[str] = next((found for chunk in reversed(chunks) if (found := json.loads(bytes(chunk[6])))), [])
+def _labelling(chunks: list[_Arrays], clouds: Clouds, row_of: dict[tuple[int, float], int]) -> Labelling | None:
+    names: list[str] = next((found for chunk in reversed(chunks) if (found := json.loads(bytes(chunk.names)))), [])
     if not names:
         return None
     indices, confidence = np.full((len(clouds), len(names)), NULL, dtype=np.int64), np.zeros((len(clouds), len(names)))
     for chunk in chunks:
         first = 0
-        keys = chunk[3][:, 0] if by_number else chunk[_ARRIVALS]
-        for key, count in zip(keys.tolist(), chunk[3][:, 1].tolist(), strict=True):
-            markers, sure = chunk[4][first : first + count], chunk[5][first : first + count]
+        for (number, count), arrived in zip(chunk.labelled.tolist(), chunk.arrived.tolist(), strict=True):
+            markers, sure = chunk.markers[first : first + count], chunk.confidence[first : first + count]
             first += count
-            row, given = row_of.get(key), np.nonzero(markers >= 0)[0]
-            if row is not None and count == clouds.counts[row]:
+            row, given = row_of.get((number, arrived)), np.nonzero(markers >= 0)[0]
+            if row is not None:
                 indices[row, markers[given]], confidence[row, markers[given]] = given, sure[given]
     return Labelling(indices, confidence, tuple(names))

@@ -60,7 +60,9 @@ class LiveOutput(Protocol):
 
 
 class Watch(Protocol):
-    """What looks whether the whole of the frames can be right."""
+    """What looks whether the whole of the frames can be right. now: what is wrong, as long as it is."""
+
+    now: tuple[Finding, ...]
 
     def add(self, found: LabelledFrame, rate: float, refusal: str = "") -> None:
         """Take a labelled frame; refusal: why no marker set was found yet."""
@@ -173,6 +175,8 @@ class LiveSession:
     _rate: float = float("nan")
     _chain: LabelChain | None = None
     _is_made: bool = False
+    _pushed_at: float = math.inf
+    """when the frame that is being labelled was begun, s on `time.monotonic`; infinite between two frames"""
     _begun: float = -math.inf
     _overflowed: int = 0
     """frames that the source's socket had left out before the first one that was taken"""
@@ -243,9 +247,13 @@ class LiveSession:
 
     @property
     def pending(self) -> str:
-        """Why nothing is labelled yet although frames may come, as a person reads it; "" where they are labelled."""
+        """Why nothing is labelled although frames may come, as a person reads it; "" where they are labelled."""
         if self._is_made:
-            return ""
+            if time.monotonic() - self._pushed_at <= _SILENT:
+                return ""
+            return (
+                "this machine is too busy to label" if self._health.markers else "the marker set is being found, which takes some seconds"
+            )
         if np.isfinite(self._rate):
             return "the labelling is being made, which takes longest the first time"
         return "its rate is sought by the times of its frames; with --rate labels begin at once" if self._arrivals else ""
@@ -351,15 +359,20 @@ class LiveSession:
                 self._chain = self._made()
             self._is_made = True
             for frame in begin:
-                self._passed_on(self._chain.push(frame))
+                self._label(self._chain, frame)
             while (next_frame := self._next()) is not None:
-                self._passed_on(self._chain.push(next_frame))
+                self._label(self._chain, next_frame)
             for found in self._chain.flush():
                 self._passed_on(found)
         except Exception as problem:  # told by the thread that waits
             self._failed = problem
         finally:
             self.stop()
+
+    def _label(self, chain: LabelChain, frame: LiveFrame) -> None:
+        self._pushed_at = time.monotonic()
+        self._passed_on(chain.push(frame))
+        self._pushed_at = math.inf
 
     def _frames_for_rate(self) -> list[LiveFrame]:
         """The first frames, by whose times the rate is found."""
