@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from receivers import KNEE, printed_by_receiver
 from waiting import LONG, taken
 
 from asterism import AsterismError
@@ -336,6 +337,7 @@ def test_labels_values_and_events_go_out_and_can_be_read_again(name: str) -> Non
     assert [text for (text,), _ in said] == ["squat depth on", "left heel strike"]
     # the event of frame 3 happened three frames before it
     assert said[1][1] < said[0][1]
+    assert printed_by_receiver("Lab Streaming Layer out", output.send, ("Asterism values", f"{name} values"))[1] == KNEE
     source.close()
     output.close()
     assert source.read(0.0) is None

@@ -89,7 +89,7 @@ def test_the_first_frame_that_shows_a_person_is_looked_at_by_itself(walks, model
 
 def test_studies_in_pushes_give_the_same_each_time_and_after_a_flush(walks, model) -> None:
     clouds = walks[5].frames(slice(60)).clouds()
-    stream = model.stream(RATE, 2, studies=make_studies("push", RATE, model))
+    stream = model.stream(RATE, 2, studies="push")
     one, again = run(stream, clouds), run(stream, clouds)
     other = run(model.stream(RATE, 2, studies=make_studies("push", RATE, model)), clouds)
     for first, second, third in zip(one, again, other, strict=True):
@@ -233,6 +233,10 @@ def test_a_process_finds_what_the_same_thread_finds_and_ends(walks, model, proce
         begun = study.last + 1
         for name in ("last", "frames", "serials", "markers", "given", "chance"):
             np.testing.assert_array_equal(getattr(study, name), getattr(expected, name))
+        # Some of the body follows from the rest, and is made anew.
+        assert (study.body is None) == (expected.body is None)
+        for own, its in zip(study.body or (), expected.body or (), strict=True):
+            np.testing.assert_array_equal(own, its)
     assert found[0] and found[9] and begun == 30 and study.frames == 30 and study.given.all() and study.body is not None
     # What is under way when frames begin anew is not given.
     process.add(30, clouds[0], np.arange(15), unsure=True)

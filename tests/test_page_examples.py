@@ -1,8 +1,8 @@
 """The Python of README.md and docs/*.md, run as it stands on simulated files; and its command lines, as far as parsing goes.
 
 The blocks of a page run in their order, in one namespace, in a folder that holds the files which the pages read. A block that needs
-real photographs runs where `ASTERISM_DATA` names their folder. Whole command lines run in test_from_the_box.py, test_cli.py and
-test_demo_cameras.py.
+real photographs runs where `ASTERISM_DATA` names their folder. Programs that do not end by themselves run in test_page_receivers.py;
+whole command lines in test_from_the_box.py, test_cli.py and test_demo_cameras.py.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 import typer.main
 from models import trained
+from receivers import ENDLESS
 
 import asterism
 from asterism.cameras import Rig
@@ -98,7 +99,7 @@ def test_the_examples_of_a_page_run_one_after_the_other(page: Path, files: Path,
     dot, _ = simulate_blobs(ring_rig(1), np.zeros((1, 3)), rng=np.random.default_rng(4))
     known: dict[str, Any] = {"image": next(render_images(dot, 0, (1280, 1024), rng=np.random.default_rng(5)))}
     for number, block in enumerate(blocks_of(page, "python"), 1):
-        if block.startswith(OF_ANOTHER_PROGRAM):
+        if block.startswith((OF_ANOTHER_PROGRAM, ENDLESS)):
             continue
         if PHOTOGRAPHS.exists() or not any(name in block for name in NEEDS_PHOTOGRAPHS):
             exec(compile(block, f"{page.name}, example {number}", "exec"), known)
