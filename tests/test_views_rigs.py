@@ -72,7 +72,7 @@ def test_cameras_without_blobs_count_as_absent(seeing: tuple[int, ...]) -> None:
 @pytest.mark.parametrize(("degrees", "moved"), [(1.0, (1,)), pytest.param(0.3, (0, 1, 2), marks=pytest.mark.slow)])
 def test_a_rig_that_is_a_little_off_is_said_and_costs_no_labels(degrees: float, moved: tuple[int, ...]) -> None:
     given = walk(3)
-    result = label_views(given.blobs.frames(slice(0, 30)), turned(given.rig, degrees, moved, 7), BODY)
+    result = label_views(given.blobs.frames(slice(0, 45)), turned(given.rig, degrees, moved, 7), BODY)
     right, sure, wrong = right_and_sure(result, given.identity[: len(result.labels)])
     assert right >= 0.97 and wrong <= 0.002 * sure, f"{right:.3f} right, {wrong} of {sure} sure labels are wrong"
     assert "views-rig-inexact" in codes(result) and "views-camera-misfit" not in codes(result), f"{codes(result)}"
@@ -82,7 +82,7 @@ def test_a_rig_that_is_a_little_off_is_said_and_costs_no_labels(degrees: float, 
 def test_two_cameras_of_which_one_was_moved_are_said_to_contradict_each_other(degrees: float) -> None:
     """That a right rig of two cameras has no finding is asked where the walk of two cameras is labelled."""
     given = walk(2)
-    result = label_views(given.blobs.frames(slice(0, 30)), turned(given.rig, degrees, (1,), 3), BODY)
+    result = label_views(given.blobs.frames(slice(0, 45)), turned(given.rig, degrees, (1,), 3), BODY)
     _, sure, wrong = right_and_sure(result, given.identity[: len(result.labels)])
     assert codes(result) & {"views-rig-inexact", "views-camera-misfit"}, f"{codes(result)}"
     # Lines of sight that miss each other by where a marker is, and not by how it moves, are not those of a late camera.
