@@ -89,7 +89,7 @@ def test_the_first_frame_that_shows_a_person_is_looked_at_by_itself(walks, model
 
 def test_studies_in_pushes_give_the_same_each_time_and_after_a_flush(walks, model) -> None:
     clouds = walks[5].frames(slice(60)).clouds()
-    stream = model.stream(RATE, 2, studies=make_studies("push", RATE, model))
+    stream = model.stream(RATE, 2, studies="push")
     one, again = run(stream, clouds), run(stream, clouds)
     other = run(model.stream(RATE, 2, studies=make_studies("push", RATE, model)), clouds)
     for first, second, third in zip(one, again, other, strict=True):

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from asterism.findings import Finding
 from asterism.labelling.live.stream import FrameLabels
 from asterism.labelling.live.study import StudyPlace
-from asterism.labelling.live.study_process import make_studies
 from asterism.labelling.marker_model import MarkerModel
 from asterism.live.frames import LiveFrame
 from asterism.recording import Floats, Ints, MarkerSet
@@ -52,7 +51,7 @@ class OfModel:
 
     def __init__(self, model: MarkerModel, rate: float, delay: int, vertical: Floats | None, studies: StudyPlace = "process") -> None:
         self.marker_set = model.marker_set
-        self._stream = model.stream(rate, delay, "z" if vertical is None else vertical, make_studies(studies, rate, model))
+        self._stream = model.stream(rate, delay, "z" if vertical is None else vertical, studies)
 
     def push(self, points: ArrayLike) -> FrameLabels | None:
         """See `Stream.push`."""
@@ -182,7 +181,7 @@ class LabelChain:
 def make_labeller(model: MarkerModel | None, markers: str | None, delay: int, studies: StudyPlace = "process") -> MakeLabeller:
     """How frames are labelled: by a model, or by virtual people who wear the set given, or one that is found.
 
-    studies  where the last seconds are labelled as a whole: see `make_studies`
+    studies  where the last seconds are labelled as a whole: see `MarkerModel.stream`
     """
 
     def made(rate: float, vertical: Floats | None) -> Labeller:

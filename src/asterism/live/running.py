@@ -94,7 +94,8 @@ class Health:
     unsent     frames that an output did not take, by the output's name
     jumps      times that the source's clock was set
     searched   s from the first frame until the marker set was known and labels could be given, 0 where it was known before
-    rate       frames per second, of the last second
+    rate       frames per second as the source, --rate or the frames' own times say, by which they are labelled; NaN while it is not known
+    arriving   frames that came per second, in the last second
     latency    (p50, p99.9) s from a frame's arrival to its labels, of the last thousands that came after `searched`
     lateness   s longer than the fastest frame that the last one was on its way
     silent     s since the last frame
@@ -117,7 +118,8 @@ class Health:
     unsent: dict[str, int] = field(default_factory=dict)
     jumps: int = 0
     searched: float = 0.0
-    rate: float = 0.0
+    rate: float = float("nan")
+    arriving: float = 0.0
     latency: tuple[float, float] = (float("nan"), float("nan"))
     lateness: float = 0.0
     silent: float = 0.0
@@ -284,7 +286,8 @@ class LiveSession:
         arrivals = np.array(self._arrivals)
         health.silent = float(now - arrivals[-1]) if len(arrivals) else 0.0
         recent = arrivals[arrivals > now - 1.0]
-        health.rate = float((len(recent) - 1) / (recent[-1] - recent[0])) if len(recent) > 1 else 0.0
+        health.arriving = float((len(recent) - 1) / (recent[-1] - recent[0])) if len(recent) > 1 else 0.0
+        health.rate = self._rate
         if self._latencies:
             p50, p999 = np.quantile(np.array(self._latencies), (0.5, 0.999))
             health.latency = (float(p50), float(p999))
