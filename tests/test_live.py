@@ -64,7 +64,7 @@ from asterism.live import (
     session_findings,
 )
 from asterism.live.analog import AnalogDevice, AnalogSamples
-from asterism.live.chain import LabelChain
+from asterism.live.chain import LabelChain, Labeller
 from asterism.live.datagrams import DatagramReader
 from asterism.live.pauses import short_pauses
 from asterism.live.replay import Replay
@@ -75,7 +75,7 @@ from asterism.simulation.cameras import ring_rig
 RATE = 100.0
 
 
-class Numbers:
+class Numbers(Labeller):
     """Labels point i as marker i, and keeps what it was given."""
 
     marker_set = MarkerSet(("A", "B"))
