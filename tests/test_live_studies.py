@@ -103,7 +103,7 @@ class Told:
     """Studies that say of each track of the tenth frame what they are told, three frames later."""
 
     def __init__(self, tell) -> None:
-        self.tell, self.found = tell, None
+        self.tell, self.found, self.rules = tell, None, StudyRules()
 
     def add(self, number, xyz, serials, *, unsure) -> None:
         if number == 10:
@@ -141,6 +141,13 @@ def test_what_a_study_says_counts_beside_the_frames_of_its_tracks() -> None:
         True,
         False,
     ]
+    # What is held against a track holds until a study gives it the label.
+    tracks.exclude(tracks.current[:2], np.array([1]), np.array([4.0]))
+    expected[:2, 1] -= 4.0
+    np.testing.assert_allclose(tracks.totals(tracks.current), expected)
+    tracks.take(study, 3.0)
+    expected[0, 1] += 4.0
+    np.testing.assert_allclose(tracks.totals(tracks.current), expected)
     tracks.clear(tracks.current[:1])
     assert not tracks.totals(tracks.current[:1]).any() and not tracks.seen[tracks.current[0]]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -29,7 +29,12 @@ does on a machine that is four times as slow; double is waited only where kernel
 
 
 class Labeller(Protocol):
-    """What labels frames: `asterism.session.live.LiveLabeller`, or a model's stream."""
+    """What labels frames: `asterism.session.live.LiveLabeller`, or a model's stream.
+
+    refusal  why no marker set could be found yet; "" where that was not tried
+    """
+
+    refusal: str = ""
 
     @property
     def marker_set(self) -> MarkerSet | None:
@@ -41,17 +46,32 @@ class Labeller(Protocol):
     def flush(self) -> list[FrameLabels]:
         """The labels of the last frames, for which `push` has given none yet, oldest first."""
 
+    def findings(self) -> Sequence[Finding]:
+        """What a person should know of the marker set that was found, and of the studies."""
+        return ()
+
+    def wait_for_studies(self, seconds: float) -> None:
+        """Wait until the process of the studies has begun, so that the first frames have what it says; at most so long."""
+
+    def close(self) -> None:
+        """End what was begun, such as a process."""
+
 
 MakeLabeller = Callable[[float, Floats | None], Labeller]
 """A labeller for a rate (frames per second) and a vertical (3,), None where the source does not say what is up."""
 
 
-class OfModel:
+class OfModel(Labeller):
     """A model's stream with its marker set."""
 
     def __init__(self, model: MarkerModel, rate: float, delay: int, vertical: Floats | None, studies: StudyPlace = "process") -> None:
-        self.marker_set = model.marker_set
+        self._marker_set = model.marker_set
         self._stream = model.stream(rate, delay, "z" if vertical is None else vertical, studies)
+
+    @property
+    def marker_set(self) -> MarkerSet:
+        """The model's."""
+        return self._marker_set
 
     def push(self, points: ArrayLike) -> FrameLabels | None:
         """See `Stream.push`."""
@@ -61,7 +81,7 @@ class OfModel:
         """See `Stream.flush`."""
         return self._stream.flush()
 
-    def study_findings(self) -> list[Finding]:
+    def findings(self) -> list[Finding]:
         """See `Stream.findings`."""
         return self._stream.findings()
 
@@ -144,24 +164,19 @@ class LabelChain:
     @property
     def refusal(self) -> str:
         """Why no marker set could be found yet; "" where that was not tried."""
-        return str(getattr(self._labeller, "refusal", ""))
+        return self._labeller.refusal
 
     def findings(self) -> list[Finding]:
         """What a person should know of the marker set that was found, and of the studies."""
-        said = getattr(self._labeller, "study_findings", None)
-        return [*getattr(self._labeller, "findings", ()), *([] if said is None else said())]
+        return list(self._labeller.findings())
 
     def wait_for_studies(self) -> None:
         """Wait until the labeller's process has begun, so that the first frames have what it says; not for long."""
-        wait = getattr(self._labeller, "wait_for_studies", None)
-        if wait is not None:
-            wait(_BEGINNING)
+        self._labeller.wait_for_studies(_BEGINNING)
 
     def close(self) -> None:
         """End what the labeller began, such as a process."""
-        close = getattr(self._labeller, "close", None)
-        if close is not None:
-            close()
+        self._labeller.close()
 
     def _pushed(self, frame: LiveFrame | None) -> LabelledFrame | None:
         self._waiting.append(frame)
