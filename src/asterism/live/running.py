@@ -250,7 +250,9 @@ class LiveSession:
             if time.monotonic() - self._pushed_at <= _SILENT:
                 return ""
             return (
-                "this machine is too busy to label" if self._health.markers else "the marker set is being found, which takes some seconds"
+                "this machine is busy, and labels come when it is done"
+                if self._health.markers
+                else "the marker set is being found, which takes some seconds"
             )
         if np.isfinite(self._rate):
             return "the labelling is being made, which takes longest the first time"
@@ -361,8 +363,8 @@ class LiveSession:
                 self._label(self._chain, next_frame)
             for found in self._chain.flush():
                 self._passed_on(found)
-        except Exception as problem:  # told by the thread that waits
-            self._failed = problem
+        except Exception as problem:  # raised by the thread that waits; who looks on hears of it, too
+            self._failed, self._health.problem = problem, f"The labelling failed: {problem}"
         finally:
             self.stop()
 
