@@ -153,6 +153,16 @@ def frames_looked_at_once(kept_virtual_people: None) -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def without_studies(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sessions begin no process of studies: for tests of a whole session that are about something else.
+
+    It is a fresh Python that reads all kernels, and the session waits for it: two seconds of a processor. Commands that begin one are run
+    in `test_live_rig.py` and, with a model, in `test_live.py` by what a signal ends; what it says is tried in `test_live_studies.py`.
+    """
+    monkeypatch.setattr("asterism.session.live.StudyProcess", lambda rate, rules: "none")
+
+
 @pytest.fixture(autouse=True)
 def no_terminal_width(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tables are as wide as they need, whatever width the environment tells."""

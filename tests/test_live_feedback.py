@@ -14,7 +14,8 @@ import urllib.request
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from test_live_movement import frames_of
 import asterism
 from asterism import AsterismError
 from asterism.cli import main
+from asterism.findings import Finding, Severity
 from asterism.live import (
     AnalysedFrame,
     AngleOptions,
@@ -39,6 +41,7 @@ from asterism.live import (
     LiveFrame,
     LiveSession,
     MovementAnalysis,
+    SessionWatch,
     example_names,
     labels_as_json,
     load_feedback,
@@ -469,7 +472,9 @@ def test_a_slow_page_gets_the_newest_frame_and_every_beep() -> None:
 
 
 HEALTH: dict[str, Any] = dict.fromkeys(("rate", "frames", "lost", "late", "damaged", "dropped", "p50", "p999", "not sounded"), 0) | {
-    "problems": []
+    "problems": [],
+    "notes": [],
+    "pending": "",
 }
 INK = "({ canvas }) => canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.some(value => value)"
 WELL = HEALTH | {"frames": 1}
@@ -489,8 +494,8 @@ globalThis.slept = () => {
   live.heard -= 60000;
   live.tried -= 60000;
   live.watch();
-  const [state, stage] = ["state", "stage"].map(name => document.getElementById(name));
-  return [state.textContent, live.sounds.tones.size, stage.className.includes("old"), live.socket === link];
+  const state = document.getElementById("state");
+  return [state.textContent, live.sounds.tones.size, document.body.className.includes("old"), live.socket === link];
 };"""
 
 
@@ -521,6 +526,36 @@ def test_a_tablet_reads_the_address_with_its_camera(tmp_path: Path) -> None:
     # OpenCV fails at one code in fifty in one size.
     sizes = [picture, cv2.resize(picture, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC)]
     assert address in [cv2.QRCodeDetectorAruco().detectAndDecode(size)[0] for size in sizes]
+
+
+def test_the_page_tells_what_the_command_tells_with_what_to_do() -> None:
+    pytest.importorskip("starlette")
+    from asterism.web import live_page
+
+    class Says(Given):
+        def findings(self) -> list[Finding]:
+            return [
+                Finding("live-unit-unknown", Severity.NOTE, "x", "x: no unit.", "Look."),
+                Finding("live-lost", Severity.WARNING, "x", "x: lost."),
+            ]
+
+    session = LiveSession(Says(frames([0, 1, 2])), lambda rate, up: Numbers(), waits=True)
+    assert live_page._plain_health(session, live_page.ToPage())["problems"] == ["x: lost.", "x: no unit. Look."], (
+        "before a frame all is wanted"
+    )
+    session.run()
+    session.recorder = cast(Any, SimpleNamespace(problem="x.live: recording ended."))
+    session.watch = watch = SessionWatch("x", timed=False)
+    far = LiveFrame(0, 0.0, 0.0, 1000.0 * leg(120))
+    for judged in range(3):
+        for _ in range(20):
+            watch.add(LabelledFrame(far, np.full(4, -1), np.zeros(4), ("A", "B", "C", "D"), 0.0), 1.0)
+        told = live_page._plain_health(session, live_page.ToPage())
+        assert told["notes"] == ["x: no unit. Look."] and told["problems"][0].startswith("x.live: recording ended. Make space")
+        assert len(told["problems"]) == (2 if judged == 0 else 3), "a person may just walk in"
+    for _ in range(20):
+        watch.add(labelled(leg(120)), 1.0)
+    assert watch.now == (), "what was mended is not told any more"
 
 
 class Listener:
@@ -673,6 +708,19 @@ def test_the_page_shows_counts_words_and_markers() -> None:
             died = f"Object.assign(Asterism.live.port, {{ taken: -1e6, answeredAt: -1e6 }}); Asterism.live.healthIs({json.dumps(WELL)}); "
             died += "[document.getElementById('state').textContent, show(0)]"
             assert tab.value(died) == ["the browser draws nothing: load the page anew", True]
+            # A sentence whose numbers grow is changed where it stands: only a new one is read aloud.
+            said = "['problems', 'notes'].map(id => [...document.querySelectorAll(`#${id} p`)].map(line => [line.textContent, line.isOld]))"
+            tell = "Asterism.live.healthIs({{ ...{}, problems: {}, notes: ['up is z'] }})"
+            tab.value(
+                f"{tell.format(json.dumps(WELL), ['5 lost', 'far'])}; for (const line of document.querySelectorAll('p')) line.isOld = true"
+            )
+            tab.value(tell.format(json.dumps(WELL), ["6 lost", "near"]))
+            assert tab.value(said) == [[["6 lost", True], ["near", None]], [["up is z", True]]]
+            tab.value(f"Asterism.live.healthIs({json.dumps(WELL | {'pending': 'it is made'})})")
+            assert tab.value("[document.getElementById('hint').textContent, document.body.className]") == [
+                "Nothing is labelled now: it is made.",
+                "old",
+            ]
             # The system takes the sound away: no tone goes on when it is back, and who touches the page gets it back.
             tab.value("Asterism.live.sounds.tone('t', 0.5), Asterism.live.sounds.context.suspend()")
             tab.wait("!Asterism.live.sounds.tones.has('t') && !document.getElementById('unheard').hidden")
@@ -681,7 +729,7 @@ def test_the_page_shows_counts_words_and_markers() -> None:
             tab.wait("Asterism.live.sounds.context.state === 'running' && document.getElementById('unheard').hidden")
             # A cable that is out closes nothing: what is shown is old, and the page connects anew.
             assert tab.value("slept()") == ["nothing heard for 60 s", 0, True, False]
-            tab.wait("!document.querySelector('#stage.old') && Asterism.live.clock.isKnown")
+            tab.wait("!document.querySelector('.old') && Asterism.live.clock.isKnown")
             tab.resize(390, 844, is_phone=True)
             before = tab.value("[Asterism.live.camera.yaw, Asterism.live.camera.zoom]")
             for kind, apart in (("touchStart", 20), ("touchMove", 60), ("touchEnd", None)):
@@ -707,6 +755,7 @@ def test_the_page_shows_counts_words_and_markers() -> None:
 
 
 @pytest.mark.kernels
+@pytest.mark.usefixtures("without_studies")
 def test_the_command_says_what_is_silent_and_how_late_sounds_were(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -519,7 +519,7 @@ def told_by_both_doors(recording: Recording, markers: str, folder: Path) -> tupl
     asterism.write(folder / "walk.c3d", recording)
     label = FileLabeller([], LabellingOptions(markers=[markers])).label(folder / "walk.c3d").findings
     watch = SessionWatch("lab", recording.vertical, timed=False)
-    make = make_labeller(None, markers, 0)
+    make = make_labeller(None, markers, 0, "none")
     LiveSession(Replay(folder / "walk.c3d", speed=float("inf")), make, watch=watch, waits=True).run()
     codes = ("label-other-set", "label-left-over", "label-few-markers", "live-other-markers")
     return tuple([one for one in found if one.code in codes] for found in (label, watch.findings()))  # type: ignore[return-value]

@@ -40,6 +40,10 @@ class LiveOptions:
         float,
         typer.Option("--empty", metavar="S", min=0.0, help="Nobody is in view for so long: lights that the cameras see then are masked."),
     ] = 0.0
+    stream: Annotated[
+        str | None,
+        typer.Option("--stream", metavar="NAME", help="Of an XDF the stream to play; else that with the most markers.", show_default=False),
+    ] = None
     speed: Annotated[float, typer.Option("--speed", metavar="N", help="Play N times as fast.")] = 1.0
     loop: Annotated[bool, typer.Option("--loop", help="Play it again and again.")] = False
     rig: Annotated[

@@ -32,6 +32,8 @@ def open_live_source(options: LiveOptions) -> LiveSource:
         raise AsterismError("--speed and --loop are of recordings that are played; a camera system has its own time: leave them out.")
     if options.empty and options.cameras is None and len(played_files(options)) < 2:
         raise AsterismError("--empty is of images, in which lights are masked; leave it out, or give --cameras or several videos.")
+    if options.stream is not None and (options.replay is None or options.rig is not None):
+        raise AsterismError("--stream chooses among those of an XDF that is played; leave it out, or give --replay FILE.xdf.")
     if options.rig is not None:
         return _of_cameras(options, options.rig)
     if options.cameras is not None or len(played_files(options)) > 1:
@@ -40,7 +42,7 @@ def open_live_source(options: LiveOptions) -> LiveSource:
         if options.rate is not None:
             raise AsterismError(f"{options.replay} has its own rate, and --rate would change its times; play it faster with --speed.")
         try:
-            return Replay(options.replay, speed=options.speed, loop=options.loop)
+            return Replay(options.replay, speed=options.speed, loop=options.loop, stream=options.stream)
         except AsterismError as problem:
             if _is_of_cameras(options.replay):
                 sentence = f"{options.replay} holds what cameras saw, and points are made of that by their rig; add --rig FILE"

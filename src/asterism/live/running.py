@@ -60,7 +60,9 @@ class LiveOutput(Protocol):
 
 
 class Watch(Protocol):
-    """What looks whether the whole of the frames can be right."""
+    """What looks whether the whole of the frames can be right. now: what is wrong, as long as it is."""
+
+    now: tuple[Finding, ...]
 
     def add(self, found: LabelledFrame, rate: float, refusal: str = "") -> None:
         """Take a labelled frame; refusal: why no marker set was found yet."""
@@ -92,7 +94,8 @@ class Health:
     unsent     frames that an output did not take, by the output's name
     jumps      times that the source's clock was set
     searched   s from the first frame until the marker set was known and labels could be given, 0 where it was known before
-    rate       frames per second, of the last second
+    rate       frames per second as the source, --rate or the frames' own times say, by which they are labelled; NaN while it is not known
+    arriving   frames that came per second, in the last second
     latency    (p50, p99.9) s from a frame's arrival to its labels, of the last thousands that came after `searched`
     lateness   s longer than the fastest frame that the last one was on its way
     silent     s since the last frame
@@ -115,7 +118,8 @@ class Health:
     unsent: dict[str, int] = field(default_factory=dict)
     jumps: int = 0
     searched: float = 0.0
-    rate: float = 0.0
+    rate: float = float("nan")
+    arriving: float = 0.0
     latency: tuple[float, float] = (float("nan"), float("nan"))
     lateness: float = 0.0
     silent: float = 0.0
@@ -171,6 +175,8 @@ class LiveSession:
     _rate: float = float("nan")
     _chain: LabelChain | None = None
     _is_made: bool = False
+    _pushed_at: float = math.inf
+    """when the frame that is being labelled was begun, s on `time.monotonic`; infinite between two frames"""
     _begun: float = -math.inf
     _overflowed: int = 0
     """frames that the source's socket had left out before the first one that was taken"""
@@ -241,9 +247,13 @@ class LiveSession:
 
     @property
     def pending(self) -> str:
-        """Why nothing is labelled yet although frames may come, as a person reads it; "" where they are labelled."""
+        """Why nothing is labelled although frames may come, as a person reads it; "" where they are labelled."""
         if self._is_made:
-            return ""
+            if time.monotonic() - self._pushed_at <= _SILENT:
+                return ""
+            return (
+                "this machine is too busy to label" if self._health.markers else "the marker set is being found, which takes some seconds"
+            )
         if np.isfinite(self._rate):
             return "the labelling is being made, which takes longest the first time"
         return "its rate is sought by the times of its frames; with --rate labels begin at once" if self._arrivals else ""
@@ -276,7 +286,8 @@ class LiveSession:
         arrivals = np.array(self._arrivals)
         health.silent = float(now - arrivals[-1]) if len(arrivals) else 0.0
         recent = arrivals[arrivals > now - 1.0]
-        health.rate = float((len(recent) - 1) / (recent[-1] - recent[0])) if len(recent) > 1 else 0.0
+        health.arriving = float((len(recent) - 1) / (recent[-1] - recent[0])) if len(recent) > 1 else 0.0
+        health.rate = self._rate
         if self._latencies:
             p50, p999 = np.quantile(np.array(self._latencies), (0.5, 0.999))
             health.latency = (float(p50), float(p999))
@@ -348,15 +359,20 @@ class LiveSession:
                 self._chain = self._made()
             self._is_made = True
             for frame in begin:
-                self._passed_on(self._chain.push(frame))
+                self._label(self._chain, frame)
             while (next_frame := self._next()) is not None:
-                self._passed_on(self._chain.push(next_frame))
+                self._label(self._chain, next_frame)
             for found in self._chain.flush():
                 self._passed_on(found)
         except Exception as problem:  # told by the thread that waits
             self._failed = problem
         finally:
             self.stop()
+
+    def _label(self, chain: LabelChain, frame: LiveFrame) -> None:
+        self._pushed_at = time.monotonic()
+        self._passed_on(chain.push(frame))
+        self._pushed_at = math.inf
 
     def _frames_for_rate(self) -> list[LiveFrame]:
         """The first frames, by whose times the rate is found."""

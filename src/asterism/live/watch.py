@@ -41,6 +41,9 @@ _OTHER_SET = "Give the model, or the set, of the markers that are worn."
 _TALLER = 1.5
 """Times as far that points spread along another axis as along what is up, before it is told: a stride is as long as legs are high. Half
 of it is a person with spread arms; twice as much hides a crouching one."""
+_AGAIN = 2
+"""Judgements in which something is wrong before it is told, since a person may just walk in. The first alone tells of who is half in view;
+with twice as many it is told after 8 s."""
 _KEPT = ("live-labels-given", "live-unit", "live-rate-changed")
 """What is reported at the end also where it was wrong for a part of the session."""
 
@@ -71,6 +74,7 @@ class SessionWatch:
     timed  whether frames come when they are taken, so that their arrival shows their rate
     tell   what hears of a finding at once
     told   codes of what was said already
+    now    what was wrong in the last 2 s, of what was told: gone when it is mended
     """
 
     name: str
@@ -78,6 +82,7 @@ class SessionWatch:
     timed: bool = True
     tell: Callable[[Finding], None] = lambda finding: None
     told: set[str] = field(default_factory=set)
+    now: tuple[Finding, ...] = ()
     _looks: list[_Look] = field(default_factory=list)
     _next: int = 0
     _rate: float = 0.0
@@ -127,6 +132,7 @@ class SessionWatch:
         for finding in found:
             if finding is not None:
                 self._say(finding)
+        self.now = tuple(finding for finding in found if finding is not None and self._times[finding.code] >= _AGAIN)
 
     def _of_points(self) -> Finding | None:
         looks = self._looks
@@ -222,8 +228,8 @@ class SessionWatch:
         mend = f"Say --rate {significant(seen, 3)}, or look at what it sends: speeds are taken from the rate."
         return Finding("live-rate", Severity.WARNING, self.name, sentence, mend)
 
-    def _say(self, finding: Finding, at: int = 2) -> None:
-        """Tell it at its second time, since a person may just walk in; at: another one."""
+    def _say(self, finding: Finding, at: int = _AGAIN) -> None:
+        """Tell it at its second time; at: another one."""
         code = finding.code
         self._times[code] = self._times.get(code, 0) + 1
         if self._times[code] == at:

@@ -434,16 +434,29 @@ def _code_of(address: str) -> str:
     return str(segno.make(address, micro=False).svg_data_uri(omitsize=True)) if address else ""
 
 
-def _warnings(session: LiveSession) -> list[str]:
-    """What the source has to say while it runs, as of a camera that was bumped."""
-    return [finding.sentence for finding in own_findings([session.source]) if finding.severity > Severity.NOTE]
+def _told(session: LiveSession) -> tuple[list[Finding], list[Finding]]:
+    """What a person should know now: what calls for an act, the gravest first, and what is only worth knowing."""
+    # A source counts in another thread: what changes while it is asked is told the next time.
+    with contextlib.suppress(RuntimeError):
+        found = own_findings([session.source, session, session.analysis, session.feedback])
+        now = [] if session.watch is None else list(session.watch.now)
+        lost = str(getattr(session.recorder, "problem", ""))
+        if lost:
+            now.append(
+                Finding("live-not-recorded", Severity.ERROR, session.source.about.name, lost, "Make space, or record to another disk.")
+            )
+        # A source that sends nothing says in a note what to press.
+        comes = bool(session.health().frames)
+        acts = [*now, *(finding for finding in found if finding.severity > Severity.NOTE or not comes)]
+        return sorted(acts, key=lambda finding: -finding.severity), [finding for finding in found if finding not in acts]
+    return [], []
 
 
 def _plain_health(session: LiveSession, page: ToPage) -> dict[str, Any]:
-    health = session.health()
+    health, (acts, notes) = session.health(), _told(session)
     p50, p999 = health.latency
     return {
-        "rate": round(health.rate, 1),
+        "rate": round(health.arriving, 1),
         "frames": health.frames,
         "lost": health.lost,
         "late": health.late,
@@ -455,6 +468,8 @@ def _plain_health(session: LiveSession, page: ToPage) -> dict[str, Any]:
         "p999": None if np.isnan(p999) else round(1000 * p999, 2),
         "not sounded": page.late,
         "problem": health.problem,
-        "problems": [*([] if session.feedback is None else session.feedback.problems), *_warnings(session)],
+        "pending": session.pending,
+        "problems": [str(finding) for finding in acts],
+        "notes": [str(finding) for finding in notes],
         "ended": session.has_ended,
     }

@@ -108,7 +108,9 @@
       });
       canvas.addEventListener("wheel", event => { event.preventDefault(); zoom(Math.exp(-0.001 * event.deltaY)); }, { passive: false });
       canvas.addEventListener("keydown", event => {
-        const act = { ArrowLeft: () => turn(0.1, 0), ArrowRight: () => turn(-0.1, 0), ArrowUp: () => turn(0, 0.1), ArrowDown: () => turn(0, -0.1), "+": () => zoom(1.1), "-": () => zoom(1 / 1.1) }[event.key];
+        // The plus sign of an American keyboard is on the key of the equals sign.
+        const [nearer, farther] = [() => zoom(1.1), () => zoom(1 / 1.1)];
+        const act = { ArrowLeft: () => turn(0.1, 0), ArrowRight: () => turn(-0.1, 0), ArrowUp: () => turn(0, 0.1), ArrowDown: () => turn(0, -0.1), "+": nearer, "=": nearer, "-": farther }[event.key];
         if (act) { event.preventDefault(); act(); }
       });
     }
@@ -165,7 +167,10 @@
       if (now - this.heard > ASLEEP || now < this.heard) { this.clock.forget(); this.ping(); }
       this.heard = now;
       if (news.picture !== undefined) this.picture(news, handled);
-      else if (news.moments) for (const moment of news.moments) this.moment(moment, news.sent, handled);
+      else if (news.moments) {
+        for (const moment of news.moments) this.moment(moment, news.sent, handled);
+        if (news.moments.some(moment => moment.event)) $("ticks").hidden = false;
+      }
       else if (news.pong !== undefined) this.clock.pong(news.pong, news.now);
       else if (news.health) this.healthIs(news.health);
       else if (news.names) this.named(news.names);
@@ -218,7 +223,7 @@
       this.showRules(isTurn);
       if (!isTurn) return;
       this.curves.showNumbers([...news.values, ...news.cues.map(cue => cue[0])]);
-      this.tellMissing();
+      this.hint();
     }
 
     // A rule that begins to tell.
@@ -239,19 +244,21 @@
       if ($("state").textContent !== words) $("state").textContent = words;
       $("state").className = bad ? "bad" : "good";
       // What was told last is not taken for what is told now.
-      $("stage").classList.toggle("old", bad);
+      document.body.classList.toggle("old", bad);
     }
 
     healthIs(health) {
+      this.health = health;
       this.ended = Boolean(health.ended);
-      const ended = health.problem || (health.ended ? "ended" : health.silent || !health.frames ? "no frames come" : "");
+      const waits = health.pending ? this.newest ? "frames wait for labels" : "" : health.frames ? health.silent && "no frames come" : "no frame yet";
+      const ended = health.problem || (health.ended ? "the session has ended" : waits);
       const problem = ended || (this.port.isStuck ? "the browser draws nothing: load the page anew" : "");
-      this.state(problem || `${Math.round(health.rate)} frames/s`, Boolean(problem));
+      this.state(problem || (health.pending ? "getting ready" : `${Math.round(health.rate)} frames/s`), Boolean(problem));
       if (ended) this.sounds.quiet();
       const last = this.sounded.length ? this.sounded[this.sounded.length - 1] : this.lastSounded, ms = value => value === null || value === undefined ? "–" : `${value.toFixed(1)} ms`;
       this.lastSounded = last;
-      const rows = { frames: health.frames, lost: health.lost, "late or twice": health.late, damaged: health.damaged, "left out": health.dropped, labels: health.labels,
-        "labels after, half": ms(health.p50), "one in 1,000": ms(health.p999), "picture drawn after": this.clock.isKnown ? ms(this.behind) : "–",
+      const rows = { frames: health.frames, lost: health.lost, "late or twice": health.late, damaged: health.damaged, "left out": health.dropped, "labels in a frame, so far": health.labels,
+        "labels after, median": ms(health.p50), "labels after, slowest of 1,000": ms(health.p999), "picture drawn after": this.clock.isKnown && this.drawn ? ms(this.behind) : "–",
         "last sound began after": ms(last), "the loudspeaker adds": ms(this.sounds.added), "sounds too late": health["not sounded"] + this.missed, "drawn here": `${this.rate()} a second` };
       this.cells = this.cells || new Map();
       for (const [name, value] of Object.entries(rows)) {
@@ -264,12 +271,24 @@
         const text = typeof value === "number" ? value.toLocaleString("en") : value;
         if (this.cells.get(name).textContent !== text) this.cells.get(name).textContent = text;
       }
-      const problems = health.problems.join("\n");
-      if (problems !== this.problems) {
-        this.problems = problems;
-        $("problems").hidden = !problems;
-        $("problems").replaceChildren(...health.problems.map(words => Object.assign(document.createElement("p"), { textContent: words })));
-      }
+      this.paragraphs($("problems"), health.problems);
+      this.paragraphs($("notes"), health.notes);
+      this.tellMissing();
+      this.hint();
+    }
+
+    // Sentences that stay are left alone, and those whose numbers grow changed where they are: only a new one is read aloud.
+    paragraphs(room, sentences) {
+      const bare = words => words.replace(/[\d.,]+/g, "#"), old = [...room.querySelectorAll("p")];
+      const kept = sentences.map(words => {
+        const same = old.findIndex(line => bare(line.textContent) === bare(words));
+        const line = same < 0 ? document.createElement("p") : old.splice(same, 1)[0];
+        if (line.textContent !== words) line.textContent = words;
+        return line;
+      });
+      for (const line of old) line.remove();
+      kept.forEach(line => { if (!line.isConnected) room.append(line); });
+      room.hidden = !kept.length;
     }
 
     // Pictures drawn in the last second.
@@ -306,10 +325,23 @@
 
     tellMissing() {
       const { body, newest } = this;
+      if (!newest) return;
       const same = body && newest.indices.length === body.markers.length;
-      const text = same ? body.markers.filter((_, m) => newest.indices[m] < 0).join(", ") || "none" : "the marker set is not known yet";
+      const missing = same ? body.markers.filter((_, m) => newest.indices[m] < 0) : [];
+      const text = same ? missing.join(", ") || "none" : "the marker set is not known yet";
+      $("missing-room").hidden = false;
       if ($("missing").textContent !== text) $("missing").textContent = text;
-      const hint = newest.points.length ? newest.indices.length ? "" : "The marker set is being found: somebody should move in view." : "No points are seen.";
+      $("missing-count").textContent = same ? `: ${missing.length} of ${body.markers.length}` : "";
+    }
+
+    // Why there is nothing to see.
+    hint() {
+      const { newest, health } = this;
+      let hint = "";
+      if (health && health.pending) hint = `${newest ? "Nothing is labelled now" : "Nothing is shown yet"}: ${health.pending}.`;
+      else if (newest) hint = newest.points.length ? newest.indices.length ? "" : "The marker set is being found: somebody should move in view." : "No points are seen.";
+      else if (health && health.damaged && !health.frames) hint = "Packets come, and none of them can be read.";
+      else if (health && !health.frames && !health.ended) hint = "No frame has come yet. Look whether the camera system sends, to the address and port that were given, and whether a firewall is between.";
       if ($("hint").textContent !== hint) { $("hint").textContent = hint; $("hint").hidden = !hint; }
     }
   }

@@ -36,8 +36,9 @@
     get names() {
       const known = (this.chosen || []).filter(name => this.groups.has(name));
       if (this.chosen) return known;
+      // Rules of one value differ in their bounds only: the first of them, and an angle that moves all the time.
       const all = [...this.groups.keys()], rules = all.filter(name => name.startsWith("rule: "));
-      return [...rules, ...all.filter(name => name === "knee flexion"), ...all].filter((name, n, list) => list.indexOf(name) === n).slice(0, AT_FIRST);
+      return [...rules.slice(0, 1), ...all.filter(name => name === "knee flexion"), ...all].filter((name, n, list) => list.indexOf(name) === n).slice(0, AT_FIRST);
     }
 
     offer() {

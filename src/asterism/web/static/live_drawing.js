@@ -9,6 +9,8 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
   const SAMPLES = 1024;   // pictures that are kept for them: ten seconds and more
   const TICKS = 256;      // events that are kept
   const LATENCIES = 600;  // in their curve: ten seconds of pictures
+  const PAUSE = 1;        // s without a picture that no line is drawn across: as long as the server waits until it says that no frames come
+  const FONT = "12px system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif";
   const SOMETIMES = 6;    // pictures from one drawing of the latency to the next
   const AT_ONCE = 4;      // curves drawn with one picture, in turn: half of them jerk where ten are seen, twice as many take half the time of a picture
   const WAITING = 2;      // pictures that wait to be drawn: one that comes early is not lost to the next, and none is older than that
@@ -37,6 +39,7 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
       const pen = canvas.getContext("2d");
       pen.setTransform(ratio, 0, 0, ratio, 0, 0);
       pen.clearRect(0, 0, width, height);
+      pen.font = FONT;
       return pen;
     }
   }
@@ -67,24 +70,27 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
     // One chart: its lines, left against right, the bounds of its rule, and the events.
     draw(sheet, { lines, unit, bounds }, colours) {
       const { width, height } = sheet, pen = sheet.pen();
-      const first = Math.max(0, this.count - SAMPLES), end = this.times[(this.count - 1) % SAMPLES];
+      const end = this.times[(this.count - 1) % SAMPLES];
+      let first = Math.max(0, this.count - SAMPLES);
+      while (end - this.times[first % SAMPLES] > SECONDS) first++;
       let low = Infinity, high = -Infinity;
       for (const { row } of lines) for (let n = first; n < this.count; n++) {
         const value = this.rows[row][n % SAMPLES];
         if (value < low) low = value;
         if (value > high) high = value;
       }
-      const top = 4, bottom = height - 4, left = 40, x = time => left + (width - left) * (1 - (end - time) / SECONDS);
+      const top = 4, bottom = height - 4, left = 46, x = time => left + (width - left) * (1 - (end - time) / SECONDS);
       this.drawTicks(pen, x, end, bottom, colours);
       pen.fillStyle = colours["--soft"];
-      if (low > high) { pen.fillText("no value yet", 0, top + 8); return; }
+      if (low > high) { pen.fillText(this.count > first && first ? "no value in the last 10 s" : "no value yet", 0, top + 10); return; }
       for (const bound of bounds) [low, high] = [Math.min(low, bound), Math.max(high, bound)];
       // A value that stands still is a line in the middle, not its noise over the whole height.
       const least = { degrees: 10, m: 0.02, s: 0.05, "%": 5 }[unit] || 0.1, lacks = Math.max(0, least - (high - low)) / 2;
       [low, high] = [low - lacks, high + lacks];
       const y = value => bottom - (bottom - top) * (value - low) / (high - low);
-      pen.fillText(shown(high, unit), 0, top + 8);
+      pen.fillText(shown(high, unit), 0, top + 10);
       pen.fillText(shown(low, unit), 0, bottom);
+      for (const bound of bounds) if (y(bound) > top + 24 && y(bound) < bottom - 14) pen.fillText(shown(bound, unit), 0, y(bound) + 4);
       pen.strokeStyle = colours["--soft"];
       pen.setLineDash([1, 3]);
       pen.lineWidth = 1;
@@ -96,13 +102,12 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
         pen.setLineDash(side === "right" ? [6, 4] : []);
         pen.lineWidth = 2;
         pen.beginPath();
-        let down = false;
+        let down = false, before = end;
         for (let n = first; n < this.count; n++) {
           const time = this.times[n % SAMPLES], value = this.rows[row][n % SAMPLES];
-          if (end - time > SECONDS) continue;
           if (Number.isNaN(value)) { down = false; continue; }
-          if (down) pen.lineTo(x(time), y(value)); else pen.moveTo(x(time), y(value));
-          down = true;
+          if (down && time - before <= PAUSE) pen.lineTo(x(time), y(value)); else pen.moveTo(x(time), y(value));
+          [down, before] = [true, time];
         }
         pen.stroke();
       }
@@ -163,7 +168,7 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
     picture(news) {
       this.waiting.push(news);
       if (this.waiting.length > WAITING) this.waiting.shift();
-      this.latencies.push(news.latency);
+      this.latencies.push([news.at, news.latency]);
       if (this.latencies.length > LATENCIES) this.latencies.shift();
       this.traces.push(news.time, [...news.values, ...news.cues.map(cue => cue[0])]);
       this.taken++;
@@ -290,12 +295,14 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
     latency() {
       const sheet = this.sheets.get("latency");
       if (!sheet || !sheet.width) return;
-      const { width, height } = sheet, pen = sheet.pen(), most = Math.max(5, ...this.latencies);
+      const { width, height } = sheet, pen = sheet.pen(), end = this.newest.at, shown = this.latencies.filter(([at]) => end - at <= 1000 * SECONDS);
+      const most = Math.max(5, ...shown.map(([, value]) => value)), left = 34;
       pen.fillStyle = this.colours["--soft"];
-      pen.fillText(`${most.toFixed(0)}`, 0, 10);
+      pen.fillText(`${most.toFixed(0)}`, 0, 11);
+      pen.fillText("0", 0, height - 2);
       pen.strokeStyle = this.colours["--accent"];
       pen.beginPath();
-      this.latencies.forEach((value, n) => pen.lineTo(22 + (width - 22) * n / (LATENCIES - 1), height - 2 - (height - 6) * value / most));
+      for (const [at, value] of shown) pen.lineTo(width - (width - left) * (end - at) / (1000 * SECONDS), height - 2 - (height - 6) * value / most);
       pen.stroke();
     }
   }
