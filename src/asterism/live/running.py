@@ -97,6 +97,8 @@ class Health:
     rate       frames per second as the source, --rate or the frames' own times say, by which they are labelled; NaN while it is not known
     arriving   frames that came per second, in the last second
     latency    (p50, p99.9) s from a frame's arrival to its labels, of the last thousands that came after `searched`
+    studies    how many times the last seconds were labelled as a whole
+    studied    s of frames since the last time, NaN before it
     lateness   s longer than the fastest frame that the last one was on its way
     silent     s since the last frame
     problem    why the session ended early, "" where it did not
@@ -121,6 +123,8 @@ class Health:
     rate: float = float("nan")
     arriving: float = 0.0
     latency: tuple[float, float] = (float("nan"), float("nan"))
+    studies: int = 0
+    studied: float = float("nan")
     lateness: float = 0.0
     silent: float = 0.0
     problem: str = ""
@@ -283,6 +287,8 @@ class LiveSession:
             if unsent:
                 name = str(getattr(output, "name", type(output).__name__))
                 health.unsent[name] = health.unsent.get(name, 0) + unsent
+        if self._chain is not None:
+            health.studies, health.studied = self._chain.studies_made()
         arrivals = np.array(self._arrivals)
         health.silent = float(now - arrivals[-1]) if len(arrivals) else 0.0
         recent = arrivals[arrivals > now - 1.0]
