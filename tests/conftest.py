@@ -10,11 +10,16 @@ from typing import Any
 
 import pytest
 from hypothesis import settings
+from hypothesis.configuration import set_hypothesis_home_dir
 
 # The same examples in every run, here and in CI; HYPOTHESIS_PROFILE=explore draws new ones.
 settings.register_profile("fixed", derandomize=True, deadline=None, database=None)
 settings.register_profile("explore", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
+# Which constants our sources hold, from which it draws, Hypothesis keeps by their hash: in a fresh checkout each worker parses all of them,
+# for five seconds of a processor.
+if "ASTERISM_TEST_CACHE" in os.environ:
+    set_hypothesis_home_dir(Path(os.environ["ASTERISM_TEST_CACHE"]) / "hypothesis")
 
 
 # While test files are imported nearly nothing is garbage: looking for it is a quarter of the time.

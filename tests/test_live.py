@@ -64,7 +64,7 @@ from asterism.live import (
     session_findings,
 )
 from asterism.live.analog import AnalogDevice, AnalogSamples
-from asterism.live.chain import LabelChain
+from asterism.live.chain import LabelChain, Labeller
 from asterism.live.datagrams import DatagramReader
 from asterism.live.pauses import short_pauses
 from asterism.live.replay import Replay
@@ -75,7 +75,7 @@ from asterism.simulation.cameras import ring_rig
 RATE = 100.0
 
 
-class Numbers:
+class Numbers(Labeller):
     """Labels point i as marker i, and keeps what it was given."""
 
     marker_set = MarkerSet(("A", "B"))
@@ -800,6 +800,7 @@ def test_what_a_killed_session_left_is_written_once_and_is_then_in_nobodys_way(t
     output, left = tmp_path / "next.c3d", tmp_path / "next.c3d.live"
     begin = ["live", "udp://127.0.0.1:0", "--rate", "100", "--markers", "helen-hayes", "--seconds", "0.1", "-o", str(output)]
     write = ["live", "--finish", str(left), "-o", str(output), "--json", "-"]
+    assert main(write) == 2 and "next.c3d.live does not exist" in capsys.readouterr().err
     recorded(left, list(range(40)))
     assert main(begin) == 2 and f"--finish {left}" in capsys.readouterr().err and left.exists()
     # A session that still runs writes to it: what there is can be written, and the file stays.
@@ -943,6 +944,7 @@ def test_a_format_that_cannot_be_written_is_refused_before_a_session_begins(tmp_
         (["--replay", "walk.c3d", "--empty", "2"], "--empty is of images"),
         (["--replay", "walk.c3d", "--no-analysis", "--hip", "bell"], "--no-analysis leaves out"),
         (["--replay", "blobs.csv"], "add --rig FILE"),
+        (["--replay", "walk.trc", "walk.c3d"], "one recording is played at a time"),
         (["--replay", "video.avi"], "videos of the other cameras"),
         (["--replay", "walk.trc", "--rig", "rig.toml"], "leave --rig out"),
         (["udp://127.0.0.1:0?together=1"], "add --rig FILE"),

@@ -89,7 +89,7 @@ def test_the_first_frame_that_shows_a_person_is_looked_at_by_itself(walks, model
 
 def test_studies_in_pushes_give_the_same_each_time_and_after_a_flush(walks, model) -> None:
     clouds = walks[5].frames(slice(60)).clouds()
-    stream = model.stream(RATE, 2, studies=make_studies("push", RATE, model))
+    stream = model.stream(RATE, 2, studies="push")
     one, again = run(stream, clouds), run(stream, clouds)
     other = run(model.stream(RATE, 2, studies=make_studies("push", RATE, model)), clouds)
     for first, second, third in zip(one, again, other, strict=True):
@@ -103,7 +103,7 @@ class Told:
     """Studies that say of each track of the tenth frame what they are told, three frames later."""
 
     def __init__(self, tell) -> None:
-        self.tell, self.found = tell, None
+        self.tell, self.found, self.rules = tell, None, StudyRules()
 
     def add(self, number, xyz, serials, *, unsure) -> None:
         if number == 10:
@@ -141,6 +141,13 @@ def test_what_a_study_says_counts_beside_the_frames_of_its_tracks() -> None:
         True,
         False,
     ]
+    # What is held against a track holds until a study gives it the label.
+    tracks.exclude(tracks.current[:2], np.array([1]), np.array([4.0]))
+    expected[:2, 1] -= 4.0
+    np.testing.assert_allclose(tracks.totals(tracks.current), expected)
+    tracks.take(study, 3.0)
+    expected[0, 1] += 4.0
+    np.testing.assert_allclose(tracks.totals(tracks.current), expected)
     tracks.clear(tracks.current[:1])
     assert not tracks.totals(tracks.current[:1]).any() and not tracks.seen[tracks.current[0]]
 

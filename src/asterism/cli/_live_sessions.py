@@ -68,6 +68,7 @@ def live_session(options: LiveOptions, source: LiveSource) -> LiveSession:
         outputs.append(lines if waits else InOwnThread(lines))
     said = {finding.code for finding in opened}
     watch = SessionWatch(source.about.name, up, not waits, lambda finding: _console.notice(str(finding)), said)
+    watch.chosen = options.markers is not None
     session = LiveSession(source, make, outputs, options.delay, waits=waits, feedback=rules, vertical=up, analysis=analysis, watch=watch)
     # Where nobody else gets the frames the session is over when the reader of its lines is.
     if not options.to and options.output is None and not options.page:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 def open_live_source(options: LiveOptions) -> LiveSource:
     """The source that is asked for, open. Raises AsterismError where none or several are, or it cannot be opened."""
+    from asterism.formats import is_recording_file
     from asterism.live import open_source
     from asterism.live.replay import Replay
 
@@ -36,7 +37,10 @@ def open_live_source(options: LiveOptions) -> LiveSource:
         raise AsterismError("--stream chooses among those of an XDF that is played; leave it out, or give --replay FILE.xdf.")
     if options.rig is not None:
         return _of_cameras(options, options.rig)
-    if options.cameras is not None or len(played_files(options)) > 1:
+    several = played_files(options)[1:]
+    if any(is_recording_file(path) for path in several):
+        raise AsterismError(f"{several[0]}: one recording is played at a time; give it alone with --replay.")
+    if options.cameras is not None or several:
         raise AsterismError("points are made of several cameras' images by their rig; add --rig FILE.")
     if options.replay is not None:
         if options.rate is not None:

@@ -27,12 +27,14 @@ if TYPE_CHECKING:
 def live(options: LiveOptions) -> None:
     """Label frames while they come in.
 
-    A frame gets its labels a few milliseconds after its points arrive, or as many frames later as --delay says. Where frames come faster
-    than they are labelled, the oldest that waits is left out and counted: what is passed on is never old. Frames that were lost on the way,
-    came late or could not be read are counted and told at the end. Labels give angles of the joints, by the same models as `asterism gait`,
-    heel strikes and toe offs a few hundredths of a second after they happened, and what the last steps were like. Stop with Ctrl-C. A
-    recording holds all frames that came. Until the end they are in a file beside the output, so that a session that is killed loses half a
-    second at most.
+    A frame gets its labels a few milliseconds after its points arrive, or as many frames later as --delay says. If frames come faster than
+    they are labelled, the oldest that waits is left out and counted, so that no label is old. Frames that were lost on the way, came late
+    or could not be read are counted and told at the end. Each frame also has the angles of the joints, by the same models as `asterism
+    gait`, heel strikes and toe offs a few hundredths of a second after they happened, and what the last steps were like. Ctrl-C ends the
+    session.
+
+    With --output all frames that come are recorded. Until the end they are in a file beside it, so that a session that is killed loses half
+    a second at most.
 
     Cameras are listed, set and watched by `asterism live cameras`.
     """

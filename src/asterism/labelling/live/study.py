@@ -95,6 +95,10 @@ class Study:
 class Studies(Protocol):
     """Where a stream's studies are made."""
 
+    @property
+    def rules(self) -> StudyRules:
+        """What is studied, and when."""
+
     def add(self, number: int, xyz: Floats, serials: Ints, *, unsure: bool) -> None:
         """Take a frame: (n, 3) m, z up, and the track of each point; unsure: whether no study has seen one of these."""
 

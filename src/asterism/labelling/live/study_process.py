@@ -58,7 +58,8 @@ _ENDING = 5.0
 class StudyProcess:
     """Studies in a process of their own, which takes cores that nobody else uses. It begins at once, and studies when it knows the model.
 
-    rate  frames per second of the stream
+    rate   frames per second of the stream
+    rules  what is studied, and when
 
     Where the process ends or cannot begin, `findings` says so, and no study is made any more. It ends with `close`, or when nobody has this
     object any more.
@@ -66,7 +67,7 @@ class StudyProcess:
 
     def __init__(self, rate: float, rules: StudyRules) -> None:
         self._plan, self._talk = StudyPlan(rate, rules), _Talk()
-        self._about, self._session = (rate, rules), 0
+        self.rate, self.rules, self._session = rate, rules, 0
         self._free, self._under_way = FreeCores(), False
         self._rest: float | None = None
         self._waits = _Waits()
@@ -75,9 +76,9 @@ class StudyProcess:
 
     def teach(self, model: MarkerModel) -> None:
         """Give the model; once."""
-        self._talk.say((model.state, *self._about))
+        self._talk.say((model.state, self.rate, self.rules))
         # One frame is looked at here: its labels are wanted before an answer could come.
-        self._looker = StudyWorker(model, *self._about)
+        self._looker = StudyWorker(model, self.rate, self.rules)
         warm_up(self._looker, model)
 
     def look(self, xyz: Floats, serials: Ints) -> Study | None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from asterism.detection.blobs import BlobSettings
 from asterism.detection.running import RunningDetection
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, sentence_of
 from asterism.live.camera_frames import LiveBlobs, LiveImage
 from asterism.live.cameras import CameraGone, CameraHealth, CameraWatch, LiveCamera, SettingOutcome, SettingValue
 from asterism.live.frames import TURN, SourceEnded
@@ -170,7 +170,7 @@ class _CameraReader:
                 # A driver may raise anything: it is told, and the other cameras go on.
                 except Exception as problem:
                     self.is_missing = isinstance(problem, CameraGone)
-                    self.problem = str(problem) if isinstance(problem, AsterismError) else f"{type(problem).__name__}: {problem}"
+                    self.problem = sentence_of(problem)
                     self._stop.wait(_AGAIN)
                     continue
                 try:
@@ -180,7 +180,7 @@ class _CameraReader:
                     self.ended = True
                     return
                 except Exception as problem:
-                    self.problem = f"{type(problem).__name__}: {problem}"
+                    self.problem = sentence_of(problem)
                     self._stop.wait(_AGAIN)
                 finally:
                     camera.close()
