@@ -10,11 +10,16 @@ from typing import Any
 
 import pytest
 from hypothesis import settings
+from hypothesis.configuration import set_hypothesis_home_dir
 
 # The same examples in every run, here and in CI; HYPOTHESIS_PROFILE=explore draws new ones.
 settings.register_profile("fixed", derandomize=True, deadline=None, database=None)
 settings.register_profile("explore", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
+# Which constants our sources hold, from which it draws, Hypothesis keeps by their hash: in a fresh checkout each worker parses all of them,
+# for five seconds of a processor.
+if "ASTERISM_TEST_CACHE" in os.environ:
+    set_hypothesis_home_dir(Path(os.environ["ASTERISM_TEST_CACHE"]) / "hypothesis")
 
 
 # While test files are imported nearly nothing is garbage: looking for it is a quarter of the time.
@@ -151,6 +156,16 @@ def frames_looked_at_once(kept_virtual_people: None) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(find, "fit_frame", remembered)
         yield
+
+
+@pytest.fixture
+def without_studies(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sessions begin no process of studies: for tests of a whole session that are about something else.
+
+    It is a fresh Python that reads all kernels, and the session waits for it: two seconds of a processor. Commands that begin one are run
+    in `test_live_rig.py` and, with a model, in `test_live.py` by what a signal ends; what it says is tried in `test_live_studies.py`.
+    """
+    monkeypatch.setattr("asterism.session.live.StudyProcess", lambda rate, rules: "none")
 
 
 @pytest.fixture(autouse=True)

@@ -165,6 +165,8 @@ def _key(recordings: Sequence[asterism.Recording], settings: dict[str, Any]) -> 
     return digest.hexdigest()[:32]
 
 
+_AFTER = "labelling/live"
+"""What labels a stream: no training runs it, though `MarkerModel.stream` imports it. `tests/test_learn.py` holds that nothing else does."""
 _IMPORTS = re.compile(r"^[ \t]*(?:from|import)[ \t]+(asterism[\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|[^\n]*))?", re.MULTILINE)
 
 
@@ -173,7 +175,7 @@ def _sources() -> bytes:
     """The digest of all that can change a model: the modules that training imports, directly or not, without lines of comment.
 
     A model of an older form of the file, or of other training, has another key: none is ever taken for a new one. What comes after
-    training (reviews, commands, pages) leaves kept models alone.
+    training (streams, reviews, commands, pages) leaves kept models alone.
     """
     package = Path(asterism.__file__).parent
     versions = (np.__version__, scipy.__version__, numba.__version__, platform.machine(), sys.version_info[:2])
@@ -186,15 +188,15 @@ def _sources() -> bytes:
 
 
 def _reached(package: Path, start: Path) -> set[Path]:
-    """The sources that a source imports, and those that these import, itself included."""
-    reached, waiting = {start}, [start]
+    """The sources that a source imports, and those that these import, itself included; `_AFTER` left out."""
+    reached, waiting, after = {start}, [start], package / _AFTER
     while waiting:
         text = waiting.pop().read_text(encoding="utf-8")
         for origin, names in _IMPORTS.findall(text):
             base = package.joinpath(*origin.split(".")[1:])
             for place in (base, *(base / name for name in re.findall(r"\w+", names))):
                 for source in (place.with_suffix(".py"), place / "__init__.py"):
-                    if source.is_file() and source not in reached:
+                    if source.is_file() and source not in reached and after not in source.parents:
                         reached.add(source)
                         waiting.append(source)
     return reached

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import ast
 import json
 from dataclasses import replace
+from pathlib import Path
 
+import models
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from models import BRIEF, trained
 
+import asterism
 from asterism import AsterismError, MarkerModel, MarkerSet, Recording, formats
 from asterism.cli import main
 from asterism.geometry import rotate_z_up
@@ -51,6 +55,19 @@ def whole(walks):
 def content(model, folder, name="some.model"):
     model.save(folder / name)
     return (folder / name).read_bytes()
+
+
+def test_no_training_imports_what_labels_streams():
+    """Kept models of tests stay where it changes."""
+    package = Path(asterism.__file__).parent
+    start = package / "labelling" / "marker_model.py"
+    reached = models._reached(package, start)
+    assert len(reached) > 100
+    assert [source for source in reached - {start} if "labelling.live" in source.read_text(encoding="utf-8")] == []
+    for node in ast.parse(start.read_text(encoding="utf-8")).body:
+        for inner in node.body if isinstance(node, ast.ClassDef) else [node]:
+            if "labelling.live" in ast.unparse(inner):
+                assert (isinstance(inner, ast.If) and ast.unparse(inner.test) == "TYPE_CHECKING") or getattr(inner, "name", "") == "stream"
 
 
 def rates(labelling, truth):

@@ -15,8 +15,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +32,9 @@ from asterism import AsterismError
 from asterism.cameras.files import write_rig
 from asterism.cli import main
 from asterism.cli._live_options import LiveOptions
-from asterism.cli._live_sessions import run_session
+from asterism.cli._live_recordings import write_recorded
+from asterism.cli._live_sessions import ended_by_signals, run_session
+from asterism.cli.live import _run
 from asterism.files.journal import Journal
 from asterism.findings import Finding, Severity
 from asterism.formats import analog_channels
@@ -60,7 +64,7 @@ from asterism.live import (
     session_findings,
 )
 from asterism.live.analog import AnalogDevice, AnalogSamples
-from asterism.live.chain import LabelChain
+from asterism.live.chain import LabelChain, Labeller
 from asterism.live.datagrams import DatagramReader
 from asterism.live.pauses import short_pauses
 from asterism.live.replay import Replay
@@ -71,7 +75,7 @@ from asterism.simulation.cameras import ring_rig
 RATE = 100.0
 
 
-class Numbers:
+class Numbers(Labeller):
     """Labels point i as marker i, and keeps what it was given."""
 
     marker_set = MarkerSet(("A", "B"))
@@ -505,6 +509,30 @@ def test_times_that_do_not_grow_need_a_rate() -> None:
         LiveSession(Given(still, math.nan), lambda rate, up: Numbers(), waits=True).run()
 
 
+def test_what_came_before_a_session_failed_is_kept_and_said(tmp_path: Path, capsys) -> None:
+    still = [LiveFrame(n, 0.0, float(n), np.zeros((1, 3))) for n in range(40)]
+    options, kept = LiveOptions(output=tmp_path / "x.c3d"), tmp_path / "x.c3d.live"
+    for came in (still, []):
+        with suppress(AsterismError):
+            _run(LiveSession(Given(came, math.nan), lambda rate, up: Numbers(), waits=True), options, kept)
+        assert kept.exists() == ("--finish" in capsys.readouterr().err) == bool(came)
+        kept.unlink(missing_ok=True)
+
+
+def test_a_signal_while_the_recording_is_written_breaks_nothing_off(tmp_path: Path, monkeypatch, capsys) -> None:
+    def written(*args: Any) -> None:
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGINT)
+        write_recorded(*args)
+
+    session = LiveSession(Given(frames([0, 1, 2])), lambda rate, up: Numbers(), waits=True)
+    monkeypatch.setattr("asterism.cli.live.write_recorded", written)
+    with ended_by_signals(session):
+        _run(session, LiveOptions(output=tmp_path / "x.c3d"), tmp_path / "x.c3d.live")
+    assert [path.name for path in tmp_path.iterdir()] == ["x.c3d"]
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
 def test_the_line_on_a_terminal_is_gone_before_results_are_printed(monkeypatch: pytest.MonkeyPatch) -> None:
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
@@ -583,8 +611,8 @@ def test_an_address_that_is_none_says_what_one_is(address: str) -> None:
 @pytest.mark.parametrize(
     ("changed", "why"),
     [
-        ({"time": "0.1"}, "time"),
-        ({"frame": 1.5}, "frame"),
+        ({"time": "0.1"}, '"time" is no number'),
+        ({"frame": 1.5}, '"frame"'),
         ({"unit": "inch"}, "unit"),
         ({"points": {"LASI": [1, 2, 3]}}, "points"),
         ({"points": [[True, 1, 2]]}, "points"),
@@ -708,7 +736,8 @@ def test_a_disk_that_fails_ends_the_recording_and_not_the_session(tmp_path: Path
             raise OSError(errno.ENOSPC, "No space left on device")
 
         def close(self) -> None:
-            pass
+            # a buffer is written first
+            raise OSError(errno.ENOSPC, "No space left on device")
 
     assert recorder._journal._stream is not None
     recorder._journal._stream.close()
@@ -766,10 +795,12 @@ def test_the_command_records_what_it_plays(tmp_path: Path, walks: list[Recording
     assert not (tmp_path / "out.c3d.live").exists()
 
 
+@pytest.mark.usefixtures("without_studies")
 def test_what_a_killed_session_left_is_written_once_and_is_then_in_nobodys_way(tmp_path: Path, capsys) -> None:
     output, left = tmp_path / "next.c3d", tmp_path / "next.c3d.live"
     begin = ["live", "udp://127.0.0.1:0", "--rate", "100", "--markers", "helen-hayes", "--seconds", "0.1", "-o", str(output)]
     write = ["live", "--finish", str(left), "-o", str(output), "--json", "-"]
+    assert main(write) == 2 and "next.c3d.live does not exist" in capsys.readouterr().err
     recorded(left, list(range(40)))
     assert main(begin) == 2 and f"--finish {left}" in capsys.readouterr().err and left.exists()
     # A session that still runs writes to it: what there is can be written, and the file stays.
@@ -848,6 +879,7 @@ def test_what_begins_no_session_takes_no_options_of_one(tmp_path: Path, words: l
     assert "begins none" in capsys.readouterr().err and not (tmp_path / "walk.c3d").exists()
 
 
+@pytest.mark.usefixtures("without_studies")
 def test_a_source_that_sends_nothing_is_told(tmp_path: Path, capsys) -> None:
     assert (
         main(["live", "udp://127.0.0.1:0", "--rate", "100", "--markers", "helen-hayes", "--seconds", "0.1", "-o", str(tmp_path / "x.c3d")])
@@ -855,6 +887,10 @@ def test_a_source_that_sends_nothing_is_told(tmp_path: Path, capsys) -> None:
     )
     assert "live-silent" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+    words = ["live", "udp://127.0.0.1:0", "--markers", "helen-hayes", "--seconds", "0.1", "-o", str(tmp_path / "x.c3d"), "--json", "-"]
+    assert main(words) == 1
+    content = json.loads(capsys.readouterr().out)
+    assert content["output"] is None and content["rate"] is None and content["arriving"] == 0, "nothing came, and no rate is known"
     assert main(["live"]) == 2 and "give one source" in capsys.readouterr().err
 
 
@@ -866,9 +902,11 @@ def test_a_signal_ends_a_session_with_all_that_came(
     model.save(tmp_path / "walkers.model")
     words = ["--replay", "walk.c3d", "--loop", "--model", "walkers.model", "--lines", "-o", "out.c3d", "--json", "out.json"]
     # Where the tests themselves run in the background, their children would ignore Ctrl-C.
-    program = (
-        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from asterism.cli import main; sys.exit(main())"
-    )
+    program = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from asterism.cli import main; "
+    if number == signal.SIGTERM:
+        # See `without_studies`: Ctrl-C ends a session that has a process of studies.
+        program += "from asterism.live import chain; chain.make_studies = lambda place, rate, model: None; "
+    program += "sys.exit(main())"
     process = subprocess.Popen([sys.executable, "-c", program, "live", *words], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
     try:
         assert process.stdout is not None
@@ -906,6 +944,7 @@ def test_a_format_that_cannot_be_written_is_refused_before_a_session_begins(tmp_
         (["--replay", "walk.c3d", "--empty", "2"], "--empty is of images"),
         (["--replay", "walk.c3d", "--no-analysis", "--hip", "bell"], "--no-analysis leaves out"),
         (["--replay", "blobs.csv"], "add --rig FILE"),
+        (["--replay", "walk.trc", "walk.c3d"], "one recording is played at a time"),
         (["--replay", "video.avi"], "videos of the other cameras"),
         (["--replay", "walk.trc", "--rig", "rig.toml"], "leave --rig out"),
         (["udp://127.0.0.1:0?together=1"], "add --rig FILE"),

@@ -771,6 +771,7 @@ def test_the_page_shows_counts_words_and_markers() -> None:
 
 
 @pytest.mark.kernels
+@pytest.mark.usefixtures("without_studies")
 def test_the_command_says_what_is_silent_and_how_late_sounds_were(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

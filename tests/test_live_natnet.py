@@ -18,7 +18,9 @@ from hypothesis import strategies as st
 from waiting import taken
 
 from asterism import AsterismError
-from asterism.live import open_source
+from asterism.live import LiveRecorder, open_source, recording_of
+from asterism.live.analog import AnalogDevice, AnalogSamples, channels_of_frames
+from asterism.live.natnet import AnalogNumbers
 from asterism.live.natnet_packets import NatNetFrames, server_of_packet
 
 VERSIONS = [(2, 5), (2, 6), (2, 7), (2, 9), (2, 10), (2, 11), (3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 5)]
@@ -103,6 +105,9 @@ def test_each_version_gives_every_seen_marker_once(version: Version) -> None:
         assert (frame.number, frame.time, frame.arrived) == (1234, 7.25, 3.0)
         np.testing.assert_allclose(frame.points, [*SEEN, OTHERS[1]], atol=1e-6)
         assert (frames.used, frames.sure, frames.labelled, frames.contradiction) == (version, True, True, "")
+        names = [name for name, since in (("force plate 7", (2, 9)), ("device 7", (2, 11))) if version >= since]
+        assert [part.device.name for part in frame.analog] == names
+        assert all(part.values.tolist() == [[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]] for part in frame.analog)
         empty = NatNetFrames(version).frame(packet(version, 0, 0.0, [], [], [], latency=latency), 0.0)
         assert empty is not None and empty.points.shape == (0, 3)
 
@@ -297,6 +302,33 @@ def test_a_server_that_answers_and_sends_by_two_interfaces_is_heard(monkeypatch:
     assert source.read(0.1) is None, "the server itself sends, too"
     source.close()
     server.socket.close()
+
+
+def test_force_plates_and_devices_of_motive_are_recorded(tmp_path: Path) -> None:
+    server = Motive((4, 1), [[packet((4, 1), n, 50 + n / 120, SEEN, [], []) for n in (9, 10, 12)]])
+    source = open_source(f"natnet://127.0.0.1:{server.port}", 120.0)
+    recorder = LiveRecorder(tmp_path / "x.live", "Motive", None, rate=120.0)
+    for frame in taken(source, 3):
+        recorder.frame(frame)
+    recorder.close()
+    source.close()
+    server.socket.close()
+    kept = recording_of(tmp_path / "x.live")
+    found = channels_of_frames(kept.analog, kept.times, 120.0)
+    assert [channel.name for channel in found.channels][1:3] == ["force plate 7 channel 2", "device 7 channel 1"]
+    assert {channel.rate for channel in found.channels} == {360.0}
+    assert found.channels[0].samples.tolist() == [1, 2, 3, 1, 2, 3, 0, 0, 0, 1, 2, 3], "of a frame that was lost the samples are, too"
+    assert len(found.beside) == 2, "which is told"
+
+
+def test_samples_that_have_no_steady_rate_are_counted_as_they_come() -> None:
+    plate = AnalogDevice("plate", float("nan"), ("Fz",), ("",))
+    numbers = AnalogNumbers(120.0)
+    told = [numbers.numbered(AnalogSamples(plate, 0, np.zeros((count, 1))), n, n / 120) for n, count in enumerate((8, 8, 9, 8))]
+    assert [(part.first, np.isnan(part.device.rate)) for part in told] == [(0, False), (8, False), (16, True), (25, True)]
+    # A take that is played again begins anew.
+    again, ten = AnalogNumbers(100.0), AnalogSamples(plate, 0, np.zeros((10, 1)))
+    assert [again.numbered(ten, n, at).first for n, at in ((5, 1.0), (6, 1.01), (0, 9.0))] == [1000, 1010, 9000]
 
 
 def test_motive_is_asked_for_its_rate_unit_and_axis() -> None:

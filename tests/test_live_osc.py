@@ -105,6 +105,18 @@ def test_no_datagram_is_larger_than_networks_take_and_each_says_its_frame(artist
     assert sum(address.startswith("/asterism/marker/") for address, _ in came) == 200
 
 
+@pytest.mark.parametrize("at", [1e300, -1e300])
+def test_a_time_that_32_bits_do_not_hold_ends_no_session(artist: Artist, at: float) -> None:
+    output = ToOsc(HostPort("127.0.0.1", artist.port))
+    event = LiveEvent("heel strike", "left", at, 0.04)
+    for frame in (labelled(0, 0.0, 1), labelled(1, at, 1)):
+        output.send(AnalysedFrame(frame, FrameAnalysis(events=(event,))))
+    output.send(AnalysedFrame(labelled(2, 0.5, 2)))
+    output.close()
+    came = artist.take("/asterism/marker/M1")
+    assert dict(came)["/asterism/frame"] == (2, 0.5) and [numbers[0] for name, numbers in came if "frame" in name] == [0, 1, 2]
+
+
 @pytest.mark.parametrize("address", ["osc://127.0.0.1", "osc:9000", "http://127.0.0.1:5000", "osc://127.0.0.1:99999", "natnet"])
 def test_an_address_that_is_none_leaves_no_output_open(address: str) -> None:
     with pytest.raises(AsterismError, match=r"osc://127\.0\.0\.1:9000|begins with"):

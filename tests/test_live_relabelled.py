@@ -23,7 +23,8 @@ def original_and_live(folder: Path, walk: Recording, markers: str, condition: tu
     asterism.write(original, Recording.from_clouds(replace(clouds, tracks=None)))
     chosen = "" if found else markers
     recorder = LiveRecorder(folder / "walk.live", "lab", walk.vertical, markers=chosen)
-    make = make_labeller(None, chosen or None, 0)
+    # Labels of the session say nothing here; one session has the process of studies that the command begins before the set is known.
+    make = make_labeller(None, chosen or None, 0, "process" if found else "none")
     LiveSession(Replay(original, speed=float("inf")), make, recorder=recorder, waits=True).run()
     recorder.close()
     asterism.write(live, recording_of(folder / "walk.live").recording())

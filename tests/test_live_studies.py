@@ -89,7 +89,7 @@ def test_the_first_frame_that_shows_a_person_is_looked_at_by_itself(walks, model
 
 def test_studies_in_pushes_give_the_same_each_time_and_after_a_flush(walks, model) -> None:
     clouds = walks[5].frames(slice(60)).clouds()
-    stream = model.stream(RATE, 2, studies=make_studies("push", RATE, model))
+    stream = model.stream(RATE, 2, studies="push")
     one, again = run(stream, clouds), run(stream, clouds)
     other = run(model.stream(RATE, 2, studies=make_studies("push", RATE, model)), clouds)
     for first, second, third in zip(one, again, other, strict=True):
@@ -103,7 +103,7 @@ class Told:
     """Studies that say of each track of the tenth frame what they are told, three frames later."""
 
     def __init__(self, tell) -> None:
-        self.tell, self.found = tell, None
+        self.tell, self.found, self.rules = tell, None, StudyRules()
 
     def add(self, number, xyz, serials, *, unsure) -> None:
         if number == 10:
@@ -141,6 +141,13 @@ def test_what_a_study_says_counts_beside_the_frames_of_its_tracks() -> None:
         True,
         False,
     ]
+    # What is held against a track holds until a study gives it the label.
+    tracks.exclude(tracks.current[:2], np.array([1]), np.array([4.0]))
+    expected[:2, 1] -= 4.0
+    np.testing.assert_allclose(tracks.totals(tracks.current), expected)
+    tracks.take(study, 3.0)
+    expected[0, 1] += 4.0
+    np.testing.assert_allclose(tracks.totals(tracks.current), expected)
     tracks.clear(tracks.current[:1])
     assert not tracks.totals(tracks.current[:1]).any() and not tracks.seen[tracks.current[0]]
 
@@ -302,7 +309,25 @@ def test_a_study_waits_for_a_core_that_nobody_uses(
         assert process.wait(PATIENCE)
         found = process.taken(number)
         last.append(None if found is None else found.last)
-    assert last == [0, None, None, 3]
+    assert last == [0, None, None, 3] and process.made() == (2, 0.0)
+    process.add(4, clouds[4], np.arange(len(clouds[4])), unsure=False)
+    assert process.made() == (2, 1.0 / RATE) and not process.findings()
+
+
+def test_a_person_is_told_where_no_core_was_free_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, waits = [0.0], study_process._Waits()
+    monkeypatch.setattr(study_process.time, "monotonic", lambda: now[0])
+    waits.begin()
+    waits.go_on()
+    said = list[str]()
+    for now[0] in (1.0, 19.0, 30.0):
+        waits.go_on()
+        said.append(" ".join(finding.sentence for finding in waits.findings()))
+    waits.end()
+    # A minute later it was the smaller part of the session.
+    now[0] = 90.0
+    waits.go_on()
+    assert said[:2] == ["", ""] and "for 30 s no processor core was free" in said[2] and not waits.findings()
 
 
 @pytest.mark.skipif(not hasattr(os, "SCHED_IDLE"), reason="needs a class of processes that runs on idle cores alone")

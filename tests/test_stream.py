@@ -123,6 +123,22 @@ def test_a_stream_begins_anew_after_everybody_left_and_after_a_flush(walks, ense
     np.testing.assert_array_equal(indices([stream.push(points) for points in clouds]), first)
 
 
+@pytest.mark.parametrize(
+    ("delay", "shown", "followed", "labelled"),
+    [(0, range(60), range(40, 80), 0), (10, range(70, 90), range(50, 90), 5)],
+    ids=["hidden meanwhile", "back meanwhile"],
+)
+def test_what_was_seen_beside_a_marker_does_not_get_its_label(walks, ensemble, delay: int, shown, followed, labelled: int) -> None:
+    walk, knee = walks[5].frames(slice(90)), walks[5].labels.index("LKNE")
+    ghost = walk.positions[:, knee] + [0.05, 0.03, 0.03]
+    markers = [[m for m in range(15) if m != knee or t in shown] for t in range(90)]
+    points = [np.concatenate([walk.positions[t, markers[t]], ghost[t : t + (t in followed)]]) for t in range(90)]
+    got = indices(run(ensemble.stream(100.0, delay), Clouds.from_points(points, 100.0)))[:, knee]
+    hidden = [t for t in followed if t not in shown and abs(t - 70) <= 10]
+    assert (got[hidden] >= 0).sum() <= labelled, f"{(got[hidden] >= 0).sum()} of {len(hidden)} frames"
+    assert all(got[t] == markers[t].index(knee) for t in shown if t < 80)
+
+
 @pytest.mark.slow
 def test_tracks_go_on_behind_lost_frames_as_at_a_lower_rate(walks) -> None:
     whole, half = (TrackEvidence(1, LinkRules(), rate, 1.0, 1.0) for rate in (100.0, 50.0))

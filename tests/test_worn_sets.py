@@ -18,7 +18,7 @@ from asterism.cli import main
 from asterism.files.cache import cache_folder
 from asterism.findings import Finding, Severity
 from asterism.labelling import virtual_model
-from asterism.live import LiveSession, Replay, SessionWatch, make_labeller
+from asterism.live import LabelledFrame, LiveFrame, LiveSession, Replay, SessionWatch, make_labeller
 from asterism.recording import Disagreement, MarkerSet, Recording
 from asterism.session import FileLabeller, LabellingOptions, LiveLabeller, SetFinder, label_file
 from asterism.session.coincident import coincident_findings
@@ -519,7 +519,7 @@ def told_by_both_doors(recording: Recording, markers: str, folder: Path) -> tupl
     asterism.write(folder / "walk.c3d", recording)
     label = FileLabeller([], LabellingOptions(markers=[markers])).label(folder / "walk.c3d").findings
     watch = SessionWatch("lab", recording.vertical, timed=False)
-    make = make_labeller(None, markers, 0)
+    make = make_labeller(None, markers, 0, "none")
     LiveSession(Replay(folder / "walk.c3d", speed=float("inf")), make, watch=watch, waits=True).run()
     codes = ("label-other-set", "label-left-over", "label-few-markers", "live-other-markers")
     return tuple([one for one in found if one.code in codes] for found in (label, watch.findings()))  # type: ignore[return-value]
@@ -530,6 +530,22 @@ def test_a_set_that_is_half_there_beside_points_without_a_label_is_told_by_every
     assert (label.code, live.code) == ("label-other-set", "live-other-markers")
     for one in (label, live):
         assert "of 53 markers" in one.sentence and "plug-in-gait (39 of 39 markers)" in one.mend
+
+
+@pytest.mark.parametrize(
+    ("worn", "chosen", "told"),
+    [("cmu", "optitrack-baseline", "those of cmu, by which"), ("plug-in-gait", "helen-hayes", ""), ("cmu", "cmu", "")],
+)
+def test_a_set_that_is_like_the_one_that_is_worn_is_told_where_its_names_are_others(worn: str, chosen: str, told: str) -> None:
+    """Markers of both sit alike, so that no point is left over."""
+    walk, markers = person(worn), MarkerSet.load(chosen).names
+    watch, none = SessionWatch("lab", walk.vertical, timed=False, chosen=True), np.full(len(markers), -1)
+    for n in range(0, 60, 3):
+        points = walk.positions[n][np.isfinite(walk.positions[n]).all(axis=1)]
+        labels = np.where(np.arange(len(markers)) < len(points), np.arange(len(markers)), none)
+        watch.add(LabelledFrame(LiveFrame(n, n / 10, n / 10, points), markers, labels, np.ones(len(markers)), n / 10), 10.0)
+    said = " ".join(finding.sentence for finding in watch.findings())
+    assert ("those of" in said) == bool(told) and told in said
 
 
 def test_the_right_set_that_leaves_as_much_over_is_no_other_set(tmp_path: Path) -> None:

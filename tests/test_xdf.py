@@ -106,6 +106,25 @@ def test_a_recording_of_streams_is_played_live(tmp_path: Path, capsys: pytest.Ca
         asterism.write(tmp_path / "other.xdf", asterism.read(tmp_path / "walk.xdf"))
 
 
+def test_of_several_streams_one_is_chosen_by_name_or_number(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    points, path = walk(100), tmp_path / "two.xdf"
+    channels = [(f"H{n}", axis) for n in range(MARKERS) for axis in "XYZ"]
+    other = samples(7, [9000.0 + n / RATE for n in range(100)], points.reshape(100, -1))
+    path.write_bytes(recorded(points, reset=0) + header(7, "Hand", "MoCap", channels) + other)
+    assert asterism.read(path).labels == tuple(f"M{n}" for n in range(MARKERS))
+    (found,) = Replay(path).findings()
+    assert found.code == "format-several-streams" and found.sentence.startswith("two.xdf: ") and "not read: Hand" in found.sentence
+    for name in ("hand", "7"):
+        assert asterism.read(path, stream=name).labels[0] == "H0" and not Replay(path, stream=name).findings()
+    with pytest.raises(AsterismError, match=r"is called foot; choose by name or number from: .*Hand \(number 7, 4 markers\)"):
+        asterism.read(path, stream="foot")
+    assert main(["convert", str(path), str(tmp_path / "hand.trc"), "--stream", "Hand"]) == 0
+    assert asterism.read(tmp_path / "hand.trc").labels[0] == "H0"
+    for words in (["convert", "hand.trc", "x.c3d"], ["live", "--replay", "hand.trc"], ["live", "udp://127.0.0.1:0"]):
+        assert main([str(tmp_path / word) if "." in word and ":" not in word else word for word in words] + ["--stream", "Hand"]) == 2
+        assert "--stream" in capsys.readouterr().err
+
+
 def test_damage_costs_what_is_up_to_the_next_boundary(tmp_path: Path) -> None:
     (tmp_path / "walk.xdf").write_bytes(recorded(walk(), reset=0, damage=40))
     ((stream,), unread) = xdf_streams(tmp_path / "walk.xdf")

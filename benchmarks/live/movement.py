@@ -14,6 +14,7 @@ from asterism.labelling.live.stream import FrameLabels
 from asterism.live import AnalysedFrame, AngleOptions, LabelledFrame, LiveFrame, LiveSession, MovementAnalysis, SourceAbout, SourceEnded
 from asterism.live.analysis import FrameAnalysis
 from asterism.live.angles import name_of
+from asterism.live.chain import Labeller
 from asterism.motion.clinical import clinical_angles, gathered_measures
 from asterism.recording import MarkerSet, Recording
 from benchmarks.benchmark_run import BenchmarkRun
@@ -166,9 +167,10 @@ def _played(recording: Recording, analysis: MovementAnalysis) -> tuple[list[Fram
     return sink.found, timed.seconds
 
 
-class _GivenLabels:
+class _GivenLabels(Labeller):
     """A source that plays a recording, and a labeller that knows its names."""
 
+    marker_set: MarkerSet | None = None
     damaged = 0
 
     def __init__(self, recording: Recording) -> None:

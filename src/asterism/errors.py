@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 
-__all__ = ["AsterismError", "NoGait", "NoMarkers", "cause_of", "guarded_reading", "refuse_special"]
+__all__ = ["AsterismError", "NoGait", "NoMarkers", "cause_of", "guarded_reading", "refuse_special", "sentence_of"]
 
 _LONGEST_CAUSE = 160
 
@@ -98,3 +98,13 @@ def cause_of(problem: Exception) -> str:
     if kind in _CAUSES or not said:
         return _CAUSES.get(kind, "its content cannot be read")
     return said if len(said) <= _LONGEST_CAUSE else f"{said[: _LONGEST_CAUSE - 3]}..."
+
+
+def sentence_of(problem: BaseException) -> str:
+    """What went wrong, in one line: what is meant to be read as it is, and the name of the exception before anything else.
+
+    >>> sentence_of(AsterismError("walk.c3d does not exist.")), sentence_of(ValueError("not enough values"))
+    ('walk.c3d does not exist.', 'ValueError: not enough values')
+    """
+    said = " ".join(str(problem).split())
+    return said if isinstance(problem, AsterismError | OSError) else f"{type(problem).__name__}: {said}"

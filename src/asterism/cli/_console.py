@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from asterism.cli._printable import printable
 from asterism.cli._streams import StandardOutputError
-from asterism.errors import AsterismError, NoMarkers, refuse_special
+from asterism.errors import AsterismError, NoMarkers, refuse_special, sentence_of
 from asterism.files.plain import as_json
 from asterism.findings import Finding, exit_status
 from asterism.progress import Progress
@@ -59,10 +59,10 @@ def reason(problem: Exception) -> str:
     # the system's words, without its number and the name of the class
     if isinstance(problem, OSError) and problem.filename:
         return f"{problem.filename}: {(problem.strerror or 'cannot be opened').lower()}."
-    sentence = " ".join(str(problem).split())
+    sentence = sentence_of(problem)
     # whatever else gets here is ours to mend
     expected = isinstance(problem, AsterismError | OSError)
-    return sentence if expected else f"{type(problem).__name__}: {sentence}; this is a fault of Asterism, please report it with the file."
+    return sentence if expected else f"{sentence}; this is a fault of Asterism, please report it with the file."
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> None:

@@ -40,25 +40,38 @@ class LiveOptions:
         float,
         typer.Option("--empty", metavar="S", min=0.0, help="Nobody is in view for so long: lights that the cameras see then are masked."),
     ] = 0.0
+    stream: Annotated[
+        str | None,
+        typer.Option("--stream", metavar="NAME", help="Of an XDF the stream to play; else that with the most markers.", show_default=False),
+    ] = None
     speed: Annotated[float, typer.Option("--speed", metavar="N", help="Play N times as fast.")] = 1.0
     loop: Annotated[bool, typer.Option("--loop", help="Play it again and again.")] = False
     rig: Annotated[
         Path | None,
-        typer.Option("--rig", metavar="FILE", help="The calibrated rig, where blobs of cameras come and not points.", show_default=False),
+        typer.Option("--rig", metavar="FILE", help="The calibrated rig, if blobs of cameras come instead of points.", show_default=False),
     ] = None
     model: Annotated[
-        Path | None, typer.Option("--model", "-m", metavar="FILE", help="A trained model; else virtual people.", show_default=False)
+        Path | None,
+        typer.Option("--model", "-m", metavar="FILE", help="A trained model; without one, virtual people label.", show_default=False),
     ] = None
     markers: Annotated[
         str | None,
         typer.Option(
-            "--markers", metavar="SET", help="The marker set worn: a shipped one, or a TOML file; else it is found.", show_default=False
+            "--markers",
+            metavar="SET",
+            help="The marker set worn: a shipped one, or a TOML file. Without it and --model, it is found in the first second.",
+            show_default=False,
         ),
     ] = None
     rate: Annotated[
-        float | None, typer.Option("--rate", metavar="HZ", help="Frames per second; else by the times.", show_default=False)
+        float | None,
+        typer.Option(
+            "--rate", metavar="HZ", help="Frames per second, if the source does not say them; else its times tell.", show_default=False
+        ),
     ] = None
-    delay: Annotated[int, typer.Option("--delay", metavar="FRAMES", min=0, help="Frames to wait for, which make labels surer.")] = 0
+    delay: Annotated[
+        int, typer.Option("--delay", metavar="FRAMES", min=0, help="Label a frame when so many later ones are known: surer, and later.")
+    ] = 0
     vertical: Vertical = None
     analysis: Annotated[
         bool, typer.Option("--analysis/--no-analysis", help="Angles of joints, heel strikes and toe offs, and what steps are like.")
@@ -94,7 +107,9 @@ class LiveOptions:
     ] = None
     finish: Annotated[
         Path | None,
-        typer.Option("--finish", metavar="FILE", help="Write what a session that was killed left behind, to --output.", show_default=False),
+        typer.Option(
+            "--finish", metavar="FILE", help="Write the recording that a killed session left (FILE.live) to --output.", show_default=False
+        ),
     ] = None
     seconds: Annotated[float | None, typer.Option("--seconds", metavar="S", min=0.0, help="Stop after so long.", show_default=False)] = None
     overwrite: Overwrite = False

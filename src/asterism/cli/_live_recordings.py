@@ -81,10 +81,17 @@ def write_recorded(recorder: LiveRecorder, output: Path, rate: float | None) -> 
         try:
             _write_kept(recorder.path, output, rate)
         except BaseException:
-            # Whatever hinders it, nothing that was recorded is lost.
-            _console.notice(f"{output} was not written; {recorder.path} has all: --finish {recorder.path} -o {output} writes it.")
+            leave_recorded(recorder, output)
             raise
     recorder.path.unlink(missing_ok=True)
+
+
+def leave_recorded(recorder: LiveRecorder, output: Path) -> None:
+    """Say how it is written what was recorded, where something hinders it: nothing is lost. Where no frame was kept nothing is left."""
+    if recorder.kept:
+        _console.notice(f"{output} was not written; {recorder.path} has all: --finish {recorder.path} -o {output} writes it.")
+    else:
+        recorder.path.unlink(missing_ok=True)
 
 
 def _write_kept(kept: Path, output: Path, rate: float | None) -> int:

@@ -68,6 +68,7 @@ def live_session(options: LiveOptions, source: LiveSource) -> LiveSession:
         outputs.append(lines if waits else InOwnThread(lines))
     said = {finding.code for finding in opened}
     watch = SessionWatch(source.about.name, up, not waits, lambda finding: _console.notice(str(finding)), said)
+    watch.chosen = options.markers is not None
     session = LiveSession(source, make, outputs, options.delay, waits=waits, feedback=rules, vertical=up, analysis=analysis, watch=watch)
     # Where nobody else gets the frames the session is over when the reader of its lines is.
     if not options.to and options.output is None and not options.page:
@@ -93,8 +94,7 @@ def run_session(session: LiveSession, options: LiveOptions) -> Health:
     for thread in speaking:
         thread.start()
     try:
-        with _ended_by_signals(session):
-            return session.run(math.inf if options.seconds is None else options.seconds)
+        return session.run(math.inf if options.seconds is None else options.seconds)
     finally:
         told.set()
         # The line on the terminal holds what is printed until it is gone: results would stand in it.
@@ -139,8 +139,8 @@ def _warn(session: LiveSession, ended: threading.Event) -> None:
 
 
 @contextmanager
-def _ended_by_signals(session: LiveSession) -> Iterator[None]:
-    """Ctrl-C and SIGTERM, by which services and containers are stopped, end the session with all that came, however often they come."""
+def ended_by_signals(session: LiveSession) -> Iterator[None]:
+    """Ctrl-C and SIGTERM, by which services and containers are stopped, end the session and nothing else, however often they come."""
     import signal
 
     if threading.current_thread() is not threading.main_thread():
@@ -168,7 +168,7 @@ def _tell(session: LiveSession, ended: threading.Event) -> None:
     with Live(console=Console(stderr=True), transient=True, auto_refresh=False, redirect_stdout=False) as line, suppress(OSError):
         while not ended.wait(1.0):
             health = session.health()
-            state = "no frames" if health.is_silent else f"{health.rate:.0f} frames/s"
+            state = "no frames" if health.is_silent else f"{health.arriving:.0f} frames/s"
             after = f"after {1000 * health.latency[0]:.1f} ms" if math.isfinite(health.latency[0]) else ""
             labels = session.pending.partition(",")[0].partition(" by ")[0] or f"labels: {health.labels}"
             words = [state, labels, after, f"{health.lost} lost", f"{health.dropped} left out"]

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 def open_live_source(options: LiveOptions) -> LiveSource:
     """The source that is asked for, open. Raises AsterismError where none or several are, or it cannot be opened."""
+    from asterism.formats import is_recording_file
     from asterism.live import open_source
     from asterism.live.replay import Replay
 
@@ -32,15 +33,20 @@ def open_live_source(options: LiveOptions) -> LiveSource:
         raise AsterismError("--speed and --loop are of recordings that are played; a camera system has its own time: leave them out.")
     if options.empty and options.cameras is None and len(played_files(options)) < 2:
         raise AsterismError("--empty is of images, in which lights are masked; leave it out, or give --cameras or several videos.")
+    if options.stream is not None and (options.replay is None or options.rig is not None):
+        raise AsterismError("--stream chooses among those of an XDF that is played; leave it out, or give --replay FILE.xdf.")
     if options.rig is not None:
         return _of_cameras(options, options.rig)
-    if options.cameras is not None or len(played_files(options)) > 1:
+    several = played_files(options)[1:]
+    if any(is_recording_file(path) for path in several):
+        raise AsterismError(f"{several[0]}: one recording is played at a time; give it alone with --replay.")
+    if options.cameras is not None or several:
         raise AsterismError("points are made of several cameras' images by their rig; add --rig FILE.")
     if options.replay is not None:
         if options.rate is not None:
             raise AsterismError(f"{options.replay} has its own rate, and --rate would change its times; play it faster with --speed.")
         try:
-            return Replay(options.replay, speed=options.speed, loop=options.loop)
+            return Replay(options.replay, speed=options.speed, loop=options.loop, stream=options.stream)
         except AsterismError as problem:
             if _is_of_cameras(options.replay):
                 sentence = f"{options.replay} holds what cameras saw, and points are made of that by their rig; add --rig FILE"
@@ -102,7 +108,7 @@ def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource
     if options.rate is not None:
         specs = with_settings(specs, {"rate": options.rate})
     sizes = {camera.name: camera.size for camera in rig if camera.size is not None}
-    settings = WorkerSettings(empty=options.empty, sizes=sizes, in_order="number" if played else "")
+    settings = WorkerSettings(empty=options.empty, sizes=sizes, by_number=bool(played))
     try:
         workers = CameraWorkers(specs, settings, numbered_together=bool(played))
     except AsterismError as problem:

@@ -66,6 +66,10 @@ class ConvertOptions:
             "--static", metavar="FILE", help="A standing trial of the person, for the bones of a BVH or glTF file.", show_default=False
         ),
     ] = None
+    stream: Annotated[
+        str | None,
+        typer.Option("--stream", metavar="NAME", help="Of an XDF the stream to read; else that with the most markers.", show_default=False),
+    ] = None
     unit: LengthUnit = None
     euler: Annotated[str, typer.Option("--euler", metavar="ORDER", help="The order of a BVH's angles, the outermost axis first.")] = "ZXY"
     missing: Missing = MissingBones.HOLD
@@ -100,7 +104,7 @@ def convert(options: ConvertOptions) -> None:
     fill: Filled | None = None
     done, findings = list[str](), list[Finding]()
     clean: FilteredRecording | None = None
-    changes = (wanted, options.program, limit, choice)
+    changes = (wanted, options.program, limit, choice, options.stream)
     # rigs and recordings share suffixes, so that this is asked first
     if is_rig(source):
         findings, lost = _convert_rig(source, target, axis, next((one for one in changes if one is not None), None))
@@ -110,7 +114,7 @@ def convert(options: ConvertOptions) -> None:
     elif all(one is None for one in changes):
         findings, lost = formats.convert_and_tell(source, target, axis)
     else:
-        recording = formats.read(source, wanted, axis)
+        recording = formats.read(source, wanted, axis, options.stream)
         findings = list(recording.warnings)
         if limit is not None:
             fill = filled(recording, limit, _trials(options), options.vertical)
@@ -155,6 +159,8 @@ def _convert_skeleton(options: ConvertOptions, axis: Any) -> tuple[list[Finding]
 
     if options.program is not None or options.fill != "none" or options.filter != "none":
         raise AsterismError(f"{options.target} holds bones and no markers; leave out --for, --fill and --filter.")
+    if options.stream is not None:
+        raise AsterismError(f"{options.target} holds bones; write the stream as .c3d first, and convert that.")
     # before the skeleton is fitted, which takes seconds
     formats.check_skeleton_form(options.unit or "cm", options.euler)
     person = person_motion(options.source, options.static, options.markers, axis, options.unit)

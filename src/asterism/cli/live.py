@@ -11,13 +11,15 @@ import typer
 from asterism.cli import _clinical, _console
 from asterism.cli._command import takes
 from asterism.cli._live_options import LiveOptions
-from asterism.cli._live_recordings import analog_beside, finish, refuse_unfinished, unfinished_beside, write_recorded
-from asterism.cli._live_sessions import live_session, run_session
+from asterism.cli._live_recordings import analog_beside, finish, leave_recorded, refuse_unfinished, unfinished_beside, write_recorded
+from asterism.cli._live_sessions import ended_by_signals, live_session, run_session
 from asterism.cli._live_sources import cameras_beside, open_live_source, played_files
 from asterism.errors import AsterismError
 from asterism.findings import exit_status
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from asterism.live import Health, LiveRecorder, LiveSession
 
 
@@ -25,38 +27,33 @@ if TYPE_CHECKING:
 def live(options: LiveOptions) -> None:
     """Label frames while they come in.
 
-    A frame gets its labels a few milliseconds after its points arrive, or as many frames later as --delay says. Where frames come faster
-    than they are labelled, the oldest that waits is left out and counted: what is passed on is never old. Frames that were lost on the way,
-    came late or could not be read are counted and told at the end. Labels give angles of the joints, by the same models as `asterism gait`,
-    heel strikes and toe offs a few hundredths of a second after they happened, and what the last steps were like. Stop with Ctrl-C. A
-    recording holds all frames that came. Until the end they are in a file beside the output, so that a session that is killed loses half a
-    second at most.
+    A frame gets its labels a few milliseconds after its points arrive, or as many frames later as --delay says. If frames come faster than
+    they are labelled, the oldest that waits is left out and counted, so that no label is old. Frames that were lost on the way, came late
+    or could not be read are counted and told at the end. Each frame also has the angles of the joints, by the same models as `asterism
+    gait`, heel strikes and toe offs a few hundredths of a second after they happened, and what the last steps were like. Ctrl-C ends the
+    session.
+
+    With --output all frames that come are recorded. Until the end they are in a file beside it, so that a session that is killed loses half
+    a second at most.
 
     Cameras are listed, set and watched by `asterism live cameras`.
     """
-    from asterism.live import LiveRecorder, OfCameras, session_findings
+    from asterism.live import OfCameras, session_findings
 
     if options.finish is not None:
         raise typer.Exit(exit_status(finish(options, options.finish)))
     _check(options)
     unfinished = unfinished_beside(options)
     source = open_live_source(options)
-    recorder: LiveRecorder | None = None
     try:
         session = live_session(options, source)
-        if unfinished is not None:
-            chosen = options.markers or "" if options.model is None else options.model.name
-            recorder = LiveRecorder(unfinished, source.about.name, session.up, _console.notice, chosen, source.about.rate)
-            session.recorder = recorder
-        health = run_session(session, options)
+        # Until the recording is written: what came is not lost to somebody who is impatient.
+        with ended_by_signals(session):
+            health, recorder = _run(session, options, unfinished)
     finally:
         source.close()
-        if recorder is not None:
-            recorder.close()
     parts = [source, session, *session.outputs, session.analysis, session.feedback, session.watch]
     findings = session_findings(health, source.about.name, recorder, parts)
-    if recorder is not None and options.output is not None:
-        write_recorded(recorder, options.output, options.rate)
     tone = _tone(session) if options.page else (math.nan, math.nan, 0)
     if options.json != "-" and not options.lines:
         _show(source.about.name, health, tone)
@@ -65,7 +62,8 @@ def live(options: LiveOptions) -> None:
     content = {
         "command": "live",
         "source": source.about.name,
-        "output": options.output,
+        # Where no frame came there is none.
+        "output": options.output if recorder is not None and recorder.kept else None,
         **dataclasses.asdict(health),
         **({"tone_ms": {"p50": tone[0], "p99": tone[1], "sounds": tone[2]}} if tone[2] else {}),
         **({"cameras": source.camera_numbers()} if isinstance(source, OfCameras) else {}),
@@ -73,6 +71,29 @@ def live(options: LiveOptions) -> None:
     }
     _console.write_json(options.json, content)
     raise typer.Exit(exit_status(findings))
+
+
+def _run(session: LiveSession, options: LiveOptions, unfinished: Path | None) -> tuple[Health, LiveRecorder | None]:
+    """Run the session, and write what it recorded; unfinished: where frames are kept meanwhile, None where nothing is recorded."""
+    from asterism.live import LiveRecorder
+
+    if unfinished is None or options.output is None:
+        return run_session(session, options), None
+    chosen = options.markers or "" if options.model is None else options.model.name
+    about = session.source.about
+    recorder = LiveRecorder(unfinished, about.name, session.up, _console.notice, chosen, about.rate)
+    session.recorder = recorder
+    try:
+        health = run_session(session, options)
+    except BaseException:
+        recorder.close()
+        leave_recorded(recorder, options.output)
+        raise
+    finally:
+        session.source.close()
+        recorder.close()
+    write_recorded(recorder, options.output, options.rate)
+    return health, recorder
 
 
 def _check(options: LiveOptions) -> None:
@@ -121,6 +142,7 @@ def _show(name: str, health: Health, tone: tuple[float, float, int]) -> None:
         ("labels in a frame", health.labels),
         ("lost, late, damaged", f"{health.lost}, {health.late}, {health.damaged}"),
         ("left out", _console.count(health.dropped)),
+        ("studies of the last seconds", _console.count(health.studies)),
         ("labels after", f"{1000 * health.latency[0]:.1f} ms, one in a thousand after {1000 * health.latency[1]:.1f} ms"),
     ]
     if not health.labelled:

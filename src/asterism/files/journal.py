@@ -62,7 +62,9 @@ class Journal:
     def close(self) -> None:
         """Leave the file for a later run."""
         if self._stream is not None:
-            self._stream.close()
+            # What a full disk did not take is in the buffer still, and told in `lost`.
+            with suppress(OSError):
+                self._stream.close()
             self._stream = None
 
     def remove(self) -> None:

@@ -52,12 +52,13 @@ _WITH_CONFIDENCE = (".csv", ".npz")
 _KNOWN = "C3D, TRC, CSV, TSV, MAT, MOT, STO, NPZ and XDF"
 
 
-def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None = None) -> Recording:
+def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None = None, stream: str | None = None) -> Recording:
     """A recording from a file: C3D, TRC, CSV (wide, long, Motive's, Nexus'), QTM's TSV and MAT, MOT, STO or NPZ.
 
     markers   None: every physical point, under its label in the file; else a marker set (its name, a TOML file, a
               list of names, a `MarkerSet`): its columns in its order, NaN where the file lacks one
     vertical  None: what the file declares or its format defines, else what the data show; or "z", "-y", a vector
+    stream    of an XDF with several streams of motion capture the name, or the number, of one; None: that with the most markers
 
     Positions are metres. Raises AsterismError, naming the file, where it cannot be read, has no marker of the set, has one of
     them twice, or the vertical is not determined.
@@ -76,6 +77,8 @@ def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None
     up = None if vertical is None else as_vertical(vertical)
     with guarded_reading(path):
         kind = _kind_of(path)
+        if stream is not None and kind != "XDF":
+            raise AsterismError(f"{path} is no XDF, which alone has streams; leave --stream out.")
         if kind == "C3D":
             return read_c3d(path, wanted, up)
         if kind == "skeleton":
@@ -85,7 +88,8 @@ def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None
             raise NoMarkers(
                 f"{path} holds 2D points of cameras and no markers in space; reconstruct them with `asterism reconstruct` first."
             )
-        return recording_of(path, _function(_READERS[kind])(path), wanted, up)
+        chosen = {} if stream is None else {"wanted": stream}
+        return recording_of(path, _function(_READERS[kind])(path, **chosen), wanted, up)
 
 
 def read_clouds(path: str | Path, vertical: ArrayLike | str | None = None) -> Clouds:

@@ -220,10 +220,11 @@ def _varlen(data: memoryview, at: int) -> tuple[int, int]:
     return int.from_bytes(data[at + 1 : at + 1 + width], "little"), at + 1 + width
 
 
-def read_xdf(path: Path) -> Points:
-    """The markers of the stream of motion capture with the most of them, a frame a sample; gaps leave frames without points.
+def read_xdf(path: Path, wanted: str | None = None) -> Points:
+    """The markers of a stream of motion capture, a frame a sample; gaps leave frames without points.
 
-    Raises AsterismError where the file is none, NoMarkers where no stream holds places of markers.
+    wanted: the stream's name, or its number in the file; None for the stream with the most markers.
+    Raises AsterismError where the file is none, or has not one such stream, NoMarkers where no stream holds places of markers.
     """
     streams, unread = xdf_streams(path)
     found = list[Finding]()
@@ -231,6 +232,8 @@ def read_xdf(path: Path) -> Points:
         sentence = f"{unread:,} bytes could not be read, and what they held is missing."
         found.append(Finding("format-damaged-parts", Severity.WARNING, "", sentence, "Copy the file again."))
     moving = [(stream, layout) for stream in streams if (layout := _layout_of(stream)) is not None and len(stream.stamps)]
+    if wanted is not None and moving:
+        moving = [_chosen(path, moving, wanted)]
     # A stream that says what it holds comes before one whose channels are guessed.
     moving.sort(key=lambda each: (each[1].guessed, each[0].kind.casefold() != "mocap", -len(each[1].columns)))
     if not moving:
@@ -240,7 +243,7 @@ def read_xdf(path: Path) -> Points:
     if len(moving) > 1:
         others = listed([other.name for other, _ in moving[1:]])
         sentence = f"of {len(moving)} streams of motion capture {stream.name} is read, with the most markers; not read: {others}."
-        found.append(Finding("format-several-streams", Severity.NOTE, "", sentence, "Record each to a file of its own to read them all."))
+        found.append(Finding("format-several-streams", Severity.NOTE, "", sentence, "Choose another with --stream NAME."))
     times, resets = stream.times()
     if resets:
         sentence = f"the clock of {stream.name} was set {counted(resets, 'time')} while it was recorded; its times go on."
@@ -267,6 +270,19 @@ def read_xdf(path: Path) -> Points:
         findings=(*found, *about, *missing),
         first_time=float(times[0]) if len(times) else None,
     )
+
+
+def _chosen(path: Path, moving: list[tuple[XdfStream, ChannelLayout]], wanted: str) -> tuple[XdfStream, ChannelLayout]:
+    """The stream of a name, or of a number where no name is it."""
+    of_name = [each for each in moving if each[0].name.casefold() == wanted.casefold()]
+    fitting = of_name or [each for each in moving if str(each[0].id) == wanted]
+    if len(fitting) == 1:
+        return fitting[0]
+    there = listed([f"{stream.name} (number {stream.id}, {counted(len(layout.columns), 'marker')})" for stream, layout in moving])
+    sentence = (
+        f"{len(fitting)} streams of motion capture are called {wanted}" if fitting else f"no stream of motion capture is called {wanted}"
+    )
+    raise AsterismError(f"{path}: {sentence}; choose by name or number from: {there}.")
 
 
 def _layout_of(stream: XdfStream) -> ChannelLayout | None:

@@ -37,7 +37,7 @@ from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet,
 
 if TYPE_CHECKING:
     from asterism.labelling.live.stream import Stream
-    from asterism.labelling.live.study import Studies
+    from asterism.labelling.live.study import Studies, StudyPlace
 
 OTHER_SUBJECT_FIT = 0.2
 """`subject_fit` below which another person is assumed. Walks of the gait subjects, after a standing trial: 0.27 to 0.41 for the same
@@ -319,17 +319,21 @@ class MarkerModel:
         indices[:, self.state.markers], whole[:, self.state.markers] = rows, confidence
         return indices, whole
 
-    def stream(self, rate: float, delay: int = 0, vertical: ArrayLike | str = "z", studies: Studies | None = None) -> Stream:
+    def stream(self, rate: float, delay: int = 0, vertical: ArrayLike | str = "z", studies: StudyPlace | Studies | None = None) -> Stream:
         """A labeller for live points: `stream.push(points)` gives the labels of the frame `delay` pushes ago.
 
         rate: frames per second; delay: frames to wait for, which make the labels more certain; vertical: the axis that points up.
-        studies: label the last seconds as a whole, as `label` does, again and again. What they say is taken over: who the person is, and
-        which tracks are markers. `labelling.live.study_process.make_studies("process", rate, model)` has them made in a process beside this
-        one, which `stream.close()` ends. Without, labels of the first second and of markers that come and go are less sure.
+        studies: where the last seconds are labelled as a whole, as `label` does, again and again; what this says of the person and of the
+        tracks is taken over. "process": in a process beside this one, which `stream.close()` ends; "push": in `push`, which then takes as
+        long; "none". Without, labels of the first second and of markers that come and go are less sure.
         Raises AsterismError for a rate or delay that is not positive, or an unknown axis.
         """
-        from asterism.labelling.live.stream import Stream, StreamModel
+        from asterism.labelling.live.stream import Stream, StreamModel, check_timing
+        from asterism.labelling.live.study_process import make_studies
 
+        check_timing(rate, delay)
+        if isinstance(studies, str):
+            studies = make_studies(studies, rate, self)
         state = self.state
         model = StreamModel(
             self.body_labeller,

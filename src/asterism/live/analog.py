@@ -142,8 +142,10 @@ def channels_of_frames(kept: Sequence[KeptAnalog], frame_times: Floats, rate: fl
 def _placed(kept: KeptAnalog, frame_times: Floats, rate: float) -> Floats | str:
     """(T * k, c) samples of a device in their frames, NaN for lost ones; or why they are in none."""
     frames, samples_per_s = len(frame_times), kept.device.rate
+    if not np.isfinite(samples_per_s):
+        return "its rate is not known"
     ratio = samples_per_s / rate
-    times = round(ratio) if np.isfinite(ratio) else 0
+    times = round(ratio)
     # Up to the end the samples must stay within a frame of their own.
     if times < 1 or abs(ratio - times) * frames > times:
         return f"its {samples_per_s:g} Hz are no whole multiple of {rate:g} Hz"

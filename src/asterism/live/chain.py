@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,7 +15,6 @@ from numpy.typing import ArrayLike
 from asterism.findings import Finding
 from asterism.labelling.live.stream import FrameLabels
 from asterism.labelling.live.study import StudyPlace
-from asterism.labelling.live.study_process import make_studies
 from asterism.labelling.marker_model import MarkerModel
 from asterism.live.frames import LiveFrame
 from asterism.recording import Floats, Ints, MarkerSet
@@ -30,7 +30,12 @@ does on a machine that is four times as slow; double is waited only where kernel
 
 
 class Labeller(Protocol):
-    """What labels frames: `asterism.session.live.LiveLabeller`, or a model's stream."""
+    """What labels frames: `asterism.session.live.LiveLabeller`, or a model's stream.
+
+    refusal  why no marker set could be found yet; "" where that was not tried
+    """
+
+    refusal: str = ""
 
     @property
     def marker_set(self) -> MarkerSet | None:
@@ -42,17 +47,32 @@ class Labeller(Protocol):
     def flush(self) -> list[FrameLabels]:
         """The labels of the last frames, for which `push` has given none yet, oldest first."""
 
+    def findings(self) -> Sequence[Finding]:
+        """What a person should know of the marker set that was found, and of the studies."""
+        return ()
+
+    def wait_for_studies(self, seconds: float) -> None:
+        """Wait until the process of the studies has begun, so that the first frames have what it says; at most so long."""
+
+    def close(self) -> None:
+        """End what was begun, such as a process."""
+
 
 MakeLabeller = Callable[[float, Floats | None], Labeller]
 """A labeller for a rate (frames per second) and a vertical (3,), None where the source does not say what is up."""
 
 
-class OfModel:
+class OfModel(Labeller):
     """A model's stream with its marker set."""
 
     def __init__(self, model: MarkerModel, rate: float, delay: int, vertical: Floats | None, studies: StudyPlace = "process") -> None:
-        self.marker_set = model.marker_set
-        self._stream = model.stream(rate, delay, "z" if vertical is None else vertical, make_studies(studies, rate, model))
+        self._marker_set = model.marker_set
+        self._stream = model.stream(rate, delay, "z" if vertical is None else vertical, studies)
+
+    @property
+    def marker_set(self) -> MarkerSet:
+        """The model's."""
+        return self._marker_set
 
     def push(self, points: ArrayLike) -> FrameLabels | None:
         """See `Stream.push`."""
@@ -62,9 +82,13 @@ class OfModel:
         """See `Stream.flush`."""
         return self._stream.flush()
 
-    def study_findings(self) -> list[Finding]:
+    def findings(self) -> list[Finding]:
         """See `Stream.findings`."""
         return self._stream.findings()
+
+    def studies_made(self) -> tuple[int, float]:
+        """See `Stream.studies_made`."""
+        return self._stream.studies_made()
 
     def wait_for_studies(self, seconds: float) -> None:
         """See `Stream.wait_for_studies`."""
@@ -145,24 +169,24 @@ class LabelChain:
     @property
     def refusal(self) -> str:
         """Why no marker set could be found yet; "" where that was not tried."""
-        return str(getattr(self._labeller, "refusal", ""))
+        return self._labeller.refusal
 
     def findings(self) -> list[Finding]:
         """What a person should know of the marker set that was found, and of the studies."""
-        said = getattr(self._labeller, "study_findings", None)
-        return [*getattr(self._labeller, "findings", ()), *([] if said is None else said())]
+        return list(self._labeller.findings())
+
+    def studies_made(self) -> tuple[int, float]:
+        """How many times the last seconds were labelled as a whole, and s of frames since the last time, NaN before it."""
+        made = getattr(self._labeller, "studies_made", None)
+        return (0, math.nan) if made is None else made()
 
     def wait_for_studies(self) -> None:
         """Wait until the labeller's process has begun, so that the first frames have what it says; not for long."""
-        wait = getattr(self._labeller, "wait_for_studies", None)
-        if wait is not None:
-            wait(_BEGINNING)
+        self._labeller.wait_for_studies(_BEGINNING)
 
     def close(self) -> None:
         """End what the labeller began, such as a process."""
-        close = getattr(self._labeller, "close", None)
-        if close is not None:
-            close()
+        self._labeller.close()
 
     def _pushed(self, frame: LiveFrame | None) -> LabelledFrame | None:
         self._waiting.append(frame)
@@ -182,7 +206,7 @@ class LabelChain:
 def make_labeller(model: MarkerModel | None, markers: str | None, delay: int, studies: StudyPlace = "process") -> MakeLabeller:
     """How frames are labelled: by a model, or by virtual people who wear the set given, or one that is found.
 
-    studies  where the last seconds are labelled as a whole: see `make_studies`
+    studies  where the last seconds are labelled as a whole: see `MarkerModel.stream`
     """
 
     def made(rate: float, vertical: Floats | None) -> Labeller:

@@ -21,7 +21,7 @@ from asterism.findings import Finding, Severity
 from asterism.live.clock import StreamTimes
 from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
 from asterism.live.reporting import times_made
-from asterism.recording.display import counted
+from asterism.recording.display import counted, listed
 
 LARGEST = 65_507
 """Bytes of the largest UDP datagram."""
@@ -97,21 +97,21 @@ def _read(data: bytes, arrived: float) -> LiveFrame | str:
         return "it is no object with frame, time and points"
     for key in ("frame", "time", "points"):
         if key not in content:
-            return f"it has no {key}"
+            return f'it has no "{key}", but {_keys_of(content)}'
     number, at, rows, unit, names = content["frame"], content["time"], content["points"], content.get("unit", "m"), content.get("names", [])
     if type(number) is not int or abs(number) > LARGEST_NUMBER:
-        return "its frame is no whole number below 2^53"
+        return 'its "frame" is no whole number below 2^53'
     # Text and true would become numbers: a sender that mixes them is wrong, and is told.
     if type(at) not in (int, float) or not abs(at) < math.inf:
-        return "its time is no number"
+        return 'its "time" is no number'
     if not isinstance(unit, str) or unit not in _METRES:
-        return "its unit is not m, cm or mm"
+        return 'its "unit" is not m, cm or mm'
     if not isinstance(rows, list) or len(rows) > MOST_POINTS:
-        return f"its points are no list of at most {MOST_POINTS} [x, y, z]"
+        return f'its "points" are no list of at most {MOST_POINTS} [x, y, z]'
     if not all(isinstance(row, list) and len(row) == 3 and {type(value) for value in row} <= _COORDINATE for row in rows):
-        return "one of its points is not [x, y, z] in numbers or null"
+        return 'one of its "points" is not [x, y, z] in numbers or null'
     if not isinstance(names, list) or len(names) not in (0, len(rows)) or not all(isinstance(name, str) for name in names):
-        return "its names are not one text for each point"
+        return 'its "names" are not one text for each point'
     try:
         points, at, scale = np.array(rows, dtype=np.float64).reshape(-1, 3), float(at), _METRES[unit]
     except OverflowError:
@@ -122,6 +122,15 @@ def _read(data: bytes, arrived: float) -> LiveFrame | str:
         return f"most of its points are farther than {FARTHEST:g} m, so that its unit is wrong or missing"
     kept = tuple(names[row] for row in there.tolist()) if names else ()
     return LiveFrame(number, at, arrived, scale * points[there], kept)
+
+
+def _keys_of(content: dict[str, Any]) -> str:
+    """The keys of a message, a few of them, as a person reads them: one of them is often the one that lacks, misspelt."""
+    return listed([f'"{key[:_KEY]}"' for key in content]) or "nothing"
+
+
+_KEY = 20
+"""Letters of a key that are told. Half of them cut those that are usual; double fills the terminal where something else sends."""
 
 
 @dataclass(frozen=True)

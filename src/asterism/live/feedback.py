@@ -166,7 +166,9 @@ def _check(rule: FeedbackRule, where: str) -> None:
         if not math.isnan(getattr(rule, key)) and not getattr(rule, needs):
             raise AsterismError(f"{where}: {key} goes with {needs}; give that, too, or leave it out.")
     if rule.sound == "tone" and not rule.low < rule.high:
-        raise AsterismError(f"{where}: a tone needs low and high, the values of its lowest and highest pitch, as in low = 80.")
+        raise AsterismError(
+            f"{where}: a tone needs low and high, the values of its lowest and highest pitch, low below high, as in low = 80."
+        )
     if rule.after and rule.is_moment:
         raise AsterismError(f"{where}: an event or a repetition does not last; leave out after.")
     if math.isnan(rule.above) and math.isnan(rule.below) and not rule.is_moment and rule.sound != "tone":

@@ -14,13 +14,14 @@ import struct
 import time
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.addresses import in_words
+from asterism.live.analog import AnalogSamples
 from asterism.live.clock import StreamTimes
 from asterism.live.datagrams import RECEIVE_BUFFER, DatagramReader, HostPort, overflow
 from asterism.live.frames import LiveFrame, SourceAbout
@@ -86,6 +87,7 @@ class FromNatNet:
         program = ".".join(str(part) for part in self.server.program[:2])
         self.about = SourceAbout(f"{self.server.name} {program} at {place.host}", rate, np.eye(3)[1 if up is None else up])
         self._frames, self._times = NatNetFrames(self.server.stream, self._scale), StreamTimes(rate)
+        self._samples = AnalogNumbers(rate)
         self._said = self._heard = time.monotonic()
 
     def _greeted(self) -> NatNetServer:
@@ -169,7 +171,8 @@ class FromNatNet:
                 self.damaged += 1
                 continue
             at = self._times.of(frame.number, frame.time, arrived)
-            return replace(frame, time=at)
+            analog = tuple(self._samples.numbered(part, frame.number, at) for part in frame.analog)
+            return replace(frame, time=at, analog=analog)
         return None
 
     def _received(self, left: float) -> tuple[bytes, str, float]:
@@ -239,6 +242,41 @@ class FromNatNet:
         """Stop listening."""
         for each in self._readers:
             each.close()
+
+
+@dataclass
+class AnalogNumbers:
+    """Numbers samples that come with frames, as many with each, on the clock of the frames.
+
+    rate  of the frames, NaN where it is not known
+
+    A device that has not as many samples in each frame has no rate that could be known: its samples are counted as they come.
+
+    >>> from asterism.live.analog import AnalogDevice
+    >>> numbers, plate = AnalogNumbers(100.0), AnalogDevice("plate", float("nan"), ("Fz",), ("N",))
+    >>> found = [numbers.numbered(AnalogSamples(plate, 0, np.zeros((10, 1))), n, 5.0 + n / 100) for n in (0, 1, 3)]
+    >>> [each.first for each in found], found[0].device.rate
+    ([5000, 5010, 5030], 1000.0)
+    """
+
+    rate: float
+    _of: dict[str, tuple[int, int]] = field(default_factory=dict)
+    """by a device's name how many samples it has in a frame, and the number of the first one of frame 0; or 0, and that of the next one"""
+
+    def numbered(self, part: AnalogSamples, number: int, at: float) -> AnalogSamples:
+        """The samples of the frame of this number, at so many s."""
+        count, name = len(part.values), part.device.name
+        each, begin = self._of.get(name, (count, 0))
+        rate = each * self.rate
+        if each != count or not rate > 0:
+            begin += number * each
+            self._of[name] = 0, begin + count
+            return AnalogSamples(part.device, begin, part.values)
+        # Numbers that begin anew, as those of a take that is played again, are another begin.
+        if name not in self._of or abs(begin + number * each - at * rate) > each:
+            begin = round(at * rate) - number * each
+            self._of[name] = each, begin
+        return AnalogSamples(replace(part.device, rate=rate), begin + number * each, part.values)
 
 
 _QUESTIONS = ((b"FrameRate", "<f"), (b"UnitsToMillimeters", "<f"), (b"UpAxis", "<i"))

@@ -7,10 +7,12 @@ time code in C++ and none in Python. A packet has to end where its version says,
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from asterism.live.analog import AnalogDevice, AnalogSamples
 from asterism.live.frames import MOST_POINTS, DamagedPacket, LiveFrame, believable, joined
 
 FRAME = 7
@@ -242,20 +244,16 @@ def _frame(packet: _Packet, layout: _StreamLayout, arrived: float, scale: float)
     part.end()
     _pass_over_bodies(packet, layout)
     seen, hidden, labelled = _markers(packet, layout)
-    # Force plates since 2.9, devices since 2.11: a number, and channels with their samples.
-    for _ in range((version >= (2, 9)) + (version >= (2, 11))):
-        part = _Part(packet, layout, 8)
-        for _ in range(part.to_read):
-            packet.take("<i")
-            for _ in range(packet.count(4)):
-                packet.records(packet.count(4), 4)
-        part.end()
+    analog = list[AnalogSamples]()
+    for since, kind in (((2, 9), "force plate"), ((2, 11), "device")):
+        if version >= since:
+            analog += _analog(packet, layout, kind)
     packet.skip(12 if layout.latency else 8)
     at = float(packet.take("<d" if version >= (2, 7) else "<f")[0])
     # Numbers of a damaged packet may be none, and to convert them is then told as a warning.
     with np.errstate(invalid="ignore"):
         points = joined(*(believable(scale * each.astype(np.float64)) for each in (seen, others, hidden)))
-    return LiveFrame(number, at, arrived, points), labelled
+    return LiveFrame(number, at, arrived, points, analog=tuple(analog)), labelled
 
 
 class _Part:
@@ -325,6 +323,26 @@ def _markers(packet: _Packet, layout: _StreamLayout) -> tuple[np.ndarray, np.nda
     hidden = flags & _OCCLUDED != 0
     seen = ~hidden & ((flags & _BY_CAMERAS != 0) | (flags & _BY_MODEL == 0))
     return places[seen], places[hidden], bool((of_body & (flags & _UNLABELLED == 0)).any())
+
+
+def _analog(packet: _Packet, layout: _StreamLayout, kind: str) -> Iterator[AnalogSamples]:
+    """What each force plate or device measured: its number, and channels with their samples. Their rate is in no packet, nor their names.
+
+    Where a channel has fewer samples than another, those that it lacks are NaN.
+    """
+    part = _Part(packet, layout, 8)
+    for _ in range(part.to_read):
+        name = f"{kind} {packet.take('<i')[0]}"
+        channels = [packet.records(packet.count(4), 4).copy().view("<f4").ravel() for _ in range(packet.count(4))]
+        values = np.full((max(map(len, channels), default=0), len(channels)), np.nan)
+        for column, samples in enumerate(channels):
+            # A signalling NaN of a damaged packet is told as a warning.
+            with np.errstate(invalid="ignore"):
+                values[: len(samples), column] = samples
+        if values.size:
+            names = tuple(f"{name} channel {n + 1}" for n in range(len(channels)))
+            yield AnalogSamples(AnalogDevice(name, float("nan"), names, len(channels) * ("",)), 0, values)
+    part.end()
 
 
 def _rigid_body(packet: _Packet, version: tuple[int, int]) -> None:

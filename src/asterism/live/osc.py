@@ -66,7 +66,8 @@ class ToOsc:
         """The bundles of a frame, each of at most `_LARGEST` bytes."""
         at = frame.labelled.frame.time
         self._begin = at if self._begin is None else self._begin
-        head = _BUNDLE + _sized(self._head("if", "frame") + struct.pack(">if", frame.labelled.frame.number % _WRAP, at - self._begin))
+        number = frame.labelled.frame.number % _WRAP
+        head = _BUNDLE + _sized(self._head("if", "frame") + struct.pack(">if", number, _held(at - self._begin)))
         parts, size = [head], len(head)
         for message in self._messages(frame, self._begin):
             part = _sized(message)
@@ -87,7 +88,7 @@ class ToOsc:
             if abs(value) < _MOST:
                 yield self._head("f", "value", name) + struct.pack(">f", value)
         for event in analysis.events:
-            yield self._head("ff", "event", event.kind, event.side) + struct.pack(">2f", event.time - begin, event.told_after)
+            yield self._head("ff", "event", event.kind, event.side) + struct.pack(">2f", _held(event.time - begin), event.told_after)
         for cue in frame.cues:
             tone = -1.0 if math.isnan(cue.tone) else cue.tone
             yield self._head("if", "cue", cue.rule.name) + struct.pack(">if", cue.on, tone)
@@ -117,6 +118,11 @@ class ToOsc:
                 word = f"{clean}_{count}"
             self._words[name] = word
         return word
+
+
+def _held(seconds: float) -> float:
+    """A time that 32 bits hold: of a damaged one the rest of its frame is right."""
+    return max(-_MOST, min(_MOST, seconds))
 
 
 def _sized(message: bytes) -> bytes:

@@ -248,6 +248,8 @@ def recording_of(path: Path, rate: float | None = None) -> KeptSession:
     rate: frames per second, None for what the source said, else what the times show.
     Raises AsterismError where the file is no live recording, or holds no frame.
     """
+    if not path.exists():
+        raise AsterismError(f"{path} does not exist; check its name and folder.")
     steps = list(read_steps(path, _WORK))
     if not steps:
         raise AsterismError(f"{path} is no live recording; give the file that a session left beside its output, FILE.c3d.live.")

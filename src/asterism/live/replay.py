@@ -5,11 +5,16 @@ from __future__ import annotations
 import math
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 from asterism.formats import read
 from asterism.live.frames import LiveFrame, SourceAbout, SourceEnded
+
+_TOLD = ("format-several-streams",)
+"""Notes of readers that somebody who plays a file needs: what is played may not be what was meant."""
 
 
 class Playback:
@@ -51,6 +56,7 @@ class Replay:
     """A source that plays a file: its points without their names, each frame when it is due.
 
     path   any recording that `asterism.read` reads
+    stream the stream of an XDF, as there
     speed  times its own rate; inf for as fast as frames are taken
     loop   whether it begins again at the end, its numbers and times going on
 
@@ -59,9 +65,11 @@ class Replay:
 
     damaged = 0
 
-    def __init__(self, path: Path, *, speed: float = 1.0, loop: bool = False) -> None:
+    def __init__(self, path: Path, *, speed: float = 1.0, loop: bool = False, stream: str | None = None) -> None:
         self._playback = Playback(speed)
-        recording = read(path)
+        recording = read(path, stream=stream)
+        told = [each for each in recording.metadata.get("findings", ()) if each.severity > Severity.NOTE or each.code in _TOLD]
+        self._findings = [replace(each, where=path.name, sentence=f"{path.name}: {each.sentence}") for each in told]
         self._clouds = recording.clouds()
         if not len(self._clouds):
             raise AsterismError(f"{path} has no frame; there is nothing to play.")
@@ -79,6 +87,10 @@ class Replay:
         frame = LiveFrame(self._next, at, time.monotonic(), self._clouds[self._next % len(self._clouds)])
         self._next += 1
         return frame
+
+    def findings(self) -> list[Finding]:
+        """What is wrong with the file, and that it holds other streams, too."""
+        return list(self._findings)
 
     def close(self) -> None:
         """Stop playing."""

@@ -94,8 +94,11 @@ class Health:
     unsent     frames that an output did not take, by the output's name
     jumps      times that the source's clock was set
     searched   s from the first frame until the marker set was known and labels could be given, 0 where it was known before
-    rate       frames per second, of the last second
+    rate       frames per second as the source, --rate or the frames' own times say, by which they are labelled; NaN while it is not known
+    arriving   frames that came per second, in the last second
     latency    (p50, p99.9) s from a frame's arrival to its labels, of the last thousands that came after `searched`
+    studies    how many times the last seconds were labelled as a whole
+    studied    s of frames since the last time, NaN before it
     lateness   s longer than the fastest frame that the last one was on its way
     silent     s since the last frame
     problem    why the session ended early, "" where it did not
@@ -117,8 +120,11 @@ class Health:
     unsent: dict[str, int] = field(default_factory=dict)
     jumps: int = 0
     searched: float = 0.0
-    rate: float = 0.0
+    rate: float = float("nan")
+    arriving: float = 0.0
     latency: tuple[float, float] = (float("nan"), float("nan"))
+    studies: int = 0
+    studied: float = float("nan")
     lateness: float = 0.0
     silent: float = 0.0
     problem: str = ""
@@ -283,10 +289,13 @@ class LiveSession:
             if unsent:
                 name = str(getattr(output, "name", type(output).__name__))
                 health.unsent[name] = health.unsent.get(name, 0) + unsent
+        if self._chain is not None:
+            health.studies, health.studied = self._chain.studies_made()
         arrivals = np.array(self._arrivals)
         health.silent = float(now - arrivals[-1]) if len(arrivals) else 0.0
         recent = arrivals[arrivals > now - 1.0]
-        health.rate = float((len(recent) - 1) / (recent[-1] - recent[0])) if len(recent) > 1 else 0.0
+        health.arriving = float((len(recent) - 1) / (recent[-1] - recent[0])) if len(recent) > 1 else 0.0
+        health.rate = self._rate
         if self._latencies:
             p50, p999 = np.quantile(np.array(self._latencies), (0.5, 0.999))
             health.latency = (float(p50), float(p999))

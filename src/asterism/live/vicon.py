@@ -164,7 +164,7 @@ class FromVicon:
         except (OSError, OverflowError) as problem:
             raise AsterismError(
                 f"no Vicon program answers at {where} ({in_words(problem)}); start Nexus or Tracker there, and let a firewall pass port "
-                f"{PORT} (TCP)."
+                f"{self._place.port} (TCP)."
             ) from problem
         try:
             made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -16,7 +16,7 @@ from asterism.live.chain import LabelledFrame
 from asterism.live.reporting import labels_given
 from asterism.recording import Clouds, Floats
 from asterism.recording.display import significant
-from asterism.session.left_over import LeftOver, left_on_body, sets_to_name
+from asterism.session.left_over import LeftOver, left_on_body, set_worn_instead, sets_to_name
 
 _EACH = 0.1
 """s between two frames that are looked at: what is wrong is wrong in all of them. Half of it costs twice as much and tells no more."""
@@ -75,6 +75,7 @@ class SessionWatch:
     tell   what hears of a finding at once
     told   codes of what was said already
     now    what was wrong in the last 2 s, of what was told: gone when it is mended
+    chosen whether somebody chose the marker set, so that it may be another one than is worn
     """
 
     name: str
@@ -83,6 +84,7 @@ class SessionWatch:
     tell: Callable[[Finding], None] = lambda finding: None
     told: set[str] = field(default_factory=set)
     now: tuple[Finding, ...] = ()
+    chosen: bool = False
     _looks: list[_Look] = field(default_factory=list)
     _next: int = 0
     _rate: float = 0.0
@@ -98,6 +100,8 @@ class SessionWatch:
     _shown_in: float = 0.0
     _unlike_looks: list[_Look] = field(default_factory=list)
     _left: LeftOver | None = None
+    _fullest: list[_Look] = field(default_factory=list)
+    """those that were judged together and have most labels"""
 
     def add(self, found: LabelledFrame, rate: float, refusal: str = "") -> None:
         """Take a labelled frame; refusal: why no marker set was found yet."""
@@ -121,12 +125,26 @@ class SessionWatch:
             self._judge(self._rate)
         wrong, often = self._wrong > self._judged / 2, min(2, self._judged)
         kept = [finding for code, finding in self._last.items() if self._times[code] >= often and (wrong or code in _KEPT)]
+        if self.chosen and self._fullest and all(finding.severity == Severity.NOTE for finding in kept):
+            kept += self._of_another_set(self._fullest)
         return [self._with_sets(finding) for finding in kept]
+
+    def _of_another_set(self, looks: list[_Look]) -> list[Finding]:
+        """That the labels are those of another set which is like the one that is worn; found out at the end, since it takes a second."""
+        instead = set_worn_instead(self._clouds(looks), looks[-1].found.markers)
+        sentence = f"{self.name}: {instead}: the labels are not those of the markers that are worn."
+        return [Finding("live-other-markers", Severity.WARNING, self.name, sentence, _OTHER_SET)] if instead else []
+
+    def _clouds(self, looks: list[_Look]) -> Clouds:
+        return Clouds.from_points([look.found.frame.points for look in looks], 1.0 / _EACH, (0.0, 0.0, 1.0) if self.up is None else self.up)
 
     def _judge(self, rate: float) -> None:
         self._judged += 1
         self._any_point = self._any_point or any(look.points for look in self._looks)
         self._count_shown()
+        labels = [sum(look.labelled for look in looks) for looks in (self._looks, self._fullest)]
+        if len(self._looks) == _LOOKS and labels[0] > labels[1]:
+            self._fullest = list(self._looks)
         found = [self._of_rate(rate) if self.timed else None, self._of_points()]
         self._wrong += any(each is not None for each in found)
         for finding in found:
@@ -205,9 +223,7 @@ class SessionWatch:
         """A finding on other markers, with the sets that the points are like: to find them out takes too long while frames come."""
         if finding.code != "live-other-markers" or not self._unlike_looks:
             return finding
-        points, markers = [look.found.frame.points for look in self._unlike_looks], self._unlike_looks[-1].found.markers
-        clouds = Clouds.from_points(points, 1.0 / _EACH, (0.0, 0.0, 1.0) if self.up is None else self.up)
-        is_own, sets = sets_to_name(clouds, markers)
+        is_own, sets = sets_to_name(self._clouds(self._unlike_looks), self._unlike_looks[-1].found.markers)
         if is_own and self._left is not None:
             return self._left.note(self.name, "the set")
         return replace(finding, mend=f"{finding.mend} {sets}".strip())

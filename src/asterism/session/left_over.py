@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from asterism.findings import Finding, Severity
 from asterism.recording import Clouds, Floats, Ints, MarkerSet
-from asterism.session.worn.find import evidence_of, nearest_sets
+from asterism.session.worn.find import evidence_of, nearest_sets, set_instead
 
 _SEEN = 0.05
 """Share of the frames in which a marker has a label at least, or it has none but by chance. At half and at double the same 60 recordings of
@@ -71,6 +71,19 @@ class LeftOver:
     def _counts(self, where: str, names: str) -> str:
         counted = f"{self.unseen} of {self.markers} markers of {names} have no label in any frame"
         return f"{where}: {counted}, and {self.points} points on the body have none"
+
+
+def set_worn_instead(clouds: Clouds, asked: Sequence[str]) -> str:
+    """That points surely show another shipped set than that of these markers, in words; "" where they do not. Takes a second.
+
+    So is told where most markers of both sets sit alike, so that nothing is left over. As many names must differ as there are markers
+    elsewhere that tell a wrong set: one that has all markers of the asked one, and more, is none.
+    """
+    evidence = evidence_of(clouds)
+    found = None if evidence is None else set_instead(evidence, asked)
+    if found is None or found[1] < max(_SHARE * len(asked), _FEWEST):
+        return ""
+    return f"the points are those of {found[0]}, by which {found[1]} of {len(asked)} markers of the set are others"
 
 
 def sets_to_name(clouds: Clouds, asked: Sequence[str]) -> tuple[bool, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -34,8 +35,8 @@ class LiveLabeller:
     vertical     what points up; None for z, unless the points are a body with another axis up
     studies      where the last seconds are labelled as a whole, see `make_studies`; a process is ended by `close`
 
-    `worn` is the set, None while it is not known; `refusal` says why the last second showed none; `findings` tells what a person should
-    know of the set that was taken. Of several people, the one of most points is labelled.
+    `worn` is the set, None while it is not known; `refusal` says why the last second showed none. Of several people, the
+    one of most points is labelled.
     Raises AsterismError where the set given cannot be used, or the rate or the delay is none.
     """
 
@@ -52,7 +53,7 @@ class LiveLabeller:
         self.rate, self.delay = rate, delay
         self.worn: WornMarkers | None = None
         self.refusal = ""
-        self.findings: Sequence[Finding] = ()
+        self._set_findings: Sequence[Finding] = ()
         self._given, self._up = vertical, as_vertical("z" if vertical is None else vertical)
         self._stream: Stream | None = None
         # It begins while the set is sought.
@@ -96,9 +97,13 @@ class LiveLabeller:
         self._before = 0
         return rest
 
-    def study_findings(self) -> list[Finding]:
-        """See `Stream.findings`."""
-        return [] if self._stream is None else self._stream.findings()
+    def findings(self) -> list[Finding]:
+        """What a person should know of the set that was taken, and of the studies: see `Stream.findings`."""
+        return [*self._set_findings, *([] if self._stream is None else self._stream.findings())]
+
+    def studies_made(self) -> tuple[int, float]:
+        """See `Stream.studies_made`."""
+        return (0, math.nan) if self._stream is None else self._stream.studies_made()
 
     def wait_for_studies(self, seconds: float) -> None:
         """See `Stream.wait_for_studies`; at once where the set is still to be found."""
@@ -121,7 +126,7 @@ class LiveLabeller:
             self.refusal = str(problem)
             return
         self._up = self._up if worn.vertical is None else worn.vertical
-        self.findings = findings_on_sets(where, [worn], finder.rules)
+        self._set_findings = findings_on_sets(where, [worn], finder.rules)
         self._take(worn)
 
     def _take(self, worn: WornMarkers) -> None:

@@ -21,7 +21,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, sentence_of
 from asterism.files.processes import clean_context
 from asterism.labelling.shared_work import Each
 
@@ -88,9 +88,7 @@ def _outcome(function: Callable[[Task], Value], task: Task) -> Outcome[Value]:
     try:
         return Outcome(function(task))
     except Exception as problem:
-        expected = isinstance(problem, AsterismError | OSError)
-        said = " ".join(str(problem).split()) if expected else f"{type(problem).__name__}: {problem}"
-        return Outcome(None, said, no_room(problem))
+        return Outcome(None, sentence_of(problem), no_room(problem))
 
 
 def no_room(problem: BaseException | None) -> bool:
@@ -261,7 +259,7 @@ def _through(
         if isinstance(problem, gone):
             killed.append(place)
         elif outcome is None:
-            yield place, Outcome(None, f"{type(problem).__name__}: {problem}")
+            yield place, Outcome(None, sentence_of(problem))
         else:
             yield place, outcome
         future.release()

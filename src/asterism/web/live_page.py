@@ -456,7 +456,7 @@ def _plain_health(session: LiveSession, page: ToPage) -> dict[str, Any]:
     health, (acts, notes) = session.health(), _told(session)
     p50, p999 = health.latency
     return {
-        "rate": round(health.rate, 1),
+        "rate": round(health.arriving, 1),
         "frames": health.frames,
         "lost": health.lost,
         "late": health.late,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from asterism.errors import AsterismError
+from asterism.errors import sentence_of
 from asterism.recording.display import counted
 
 if TYPE_CHECKING:
@@ -114,8 +114,7 @@ class RelabelRun:
         except _Stopped:
             return
         except Exception as problem:  # whatever a file raises costs that file only
-            known = isinstance(problem, AsterismError | OSError)
-            text = str(problem) if known else f"{type(problem).__name__}: {problem}"
+            text = sentence_of(problem)
             self.failed.append(text if trial.path.name in text else f"{trial.path.name}: {text}")
             return
         self.done += 1

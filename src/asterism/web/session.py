@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from asterism import __version__, formats
-from asterism.errors import AsterismError, NoMarkers
+from asterism.errors import AsterismError, NoMarkers, sentence_of
 from asterism.files.atomic import write_atomically
 from asterism.findings import Finding
 from asterism.labelling.correction import Correction, CorrectionLog, log_path
@@ -524,7 +524,5 @@ def _hash_of_file(path: Path) -> str:
 
 def _sentence(problem: Exception, path: Path) -> str:
     """One sentence on what went wrong with a file."""
-    text = " ".join(str(problem).split())
-    if not isinstance(problem, AsterismError | OSError):
-        text = f"{type(problem).__name__}: {text}"
+    text = sentence_of(problem)
     return text if path.name in text else f"{path}: {text}"

@@ -27,7 +27,7 @@ from asterism.labelling.body._workspace_kernels import BodyArrays, BodyWorkspace
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.live.body import LiveBody, LiveRules
-from asterism.labelling.live.study import LEAST_CHANCE, Studies, Study, StudyRules
+from asterism.labelling.live.study import LEAST_CHANCE, Studies, Study
 from asterism.labelling.live.tracks import TrackEvidence
 from asterism.labelling.live.twins import LiveTwins, marker_of
 from asterism.labelling.live.verdict import LiveVerdict, LiveVerdictRules
@@ -230,7 +230,9 @@ class Stream:
             return self._pushed_on(np.zeros(0, dtype=np.int64), place, xyz)
         # Whoever comes after a while in which nobody was there may be another person.
         self._looked = self._looked and not self._empty
+        before = self._tracks.current
         previous = self._tracks.link(xyz, (frame.rows for frame in self._waiting))
+        self._exclude(before)
         self._look(xyz)
         rival = np.full(len(xyz), NULL, dtype=np.int64)
         if len(self._rival):
@@ -252,6 +254,23 @@ class Stream:
         self._restart()
         return rest
 
+    def _exclude(self, before: Ints) -> None:
+        """Where a track with a label has ended, those that were there beside it and go on are not its marker.
+
+        A ghost that moves with the body fits the marker beside it in every frame, and would get its label once the marker is hidden.
+        before: rows of the frame before.
+        """
+        stays = np.isin(before, self._tracks.current)
+        if not stays.any() or not (self._tracks.frames(before[~stays]) > self._rules.marker_frames).any():
+            return
+        point_of, chance = self._chances(before)
+        ended = np.nonzero((point_of >= 0) & ~np.append(stays, True)[point_of])[0]
+        self._tracks.exclude(before[stays], ended, self._against(chance[ended]))
+
+    def _against(self, chance: Floats) -> Floats:
+        """Nats against all other tracks that were there at once with some which are markers with these probabilities."""
+        return self._rules.log_odds_scale * logit(np.clip(chance, 0.5, 1.0 - LEAST_CHANCE))
+
     def _look(self, xyz: Floats) -> None:
         """Label the first frame that shows a person as one by itself: more thoroughly than there is time for in others."""
         if self._looked or self._studies is None or not 0.5 <= len(xyz) / len(self._model.markers) <= _CROWD or len(xyz) < 3:
@@ -266,12 +285,16 @@ class Stream:
         self._tracks.take(study, self._rules.log_odds_scale)
         if study.body is not None:
             self._body = study.body
-            if self._live is not None:
-                self._live.rest(self._pushed + round(StudyRules().window * self.rate))
+            if self._live is not None and self._studies is not None:
+                self._live.rest(self._pushed + round(self._studies.rules.window * self.rate))
 
     def findings(self) -> list[Finding]:
         """What a person should know of the stream."""
         return [] if self._studies is None else self._studies.findings()
+
+    def studies_made(self) -> tuple[int, float]:
+        """How many studies of the last seconds were taken over, and s of frames since the last one, NaN before it."""
+        return (0, math.nan) if self._studies is None else self._studies.made()
 
     def wait_for_studies(self, seconds: float) -> None:
         """Wait until studies can be made, at most so long: a process takes a second or two to begin."""
@@ -373,7 +396,8 @@ class Stream:
         """Give a frame to the live body model, if enough of its labels have large margins."""
         scores = self._tracks.totals(self._tracks.current)
         point_of = _assign(scores)
-        margins = self._margins(self._tracks.current, scores, point_of)
+        limited = self._tracks.totals(self._tracks.current, self._rules.max_ghost_evidence)
+        margins = self._margins(self._tracks.current, scores, limited, point_of)
         certain = (point_of >= 0) & (margins >= live.rules.min_margin)
         if certain.sum() < live.rules.min_share * len(point_of):
             return
@@ -397,27 +421,55 @@ class Stream:
 
     def _labels(self) -> FrameLabels:
         """The oldest waiting frame's labels, from all evidence that its tracks have now."""
-        waiting, model = self._waiting.popleft(), self._model
-        scores = self._tracks.totals(waiting.rows)
+        waiting = self._waiting.popleft()
+        labels = self._labels_of(waiting)
+        ended = np.setdiff1d(waiting.rows, self._tracks.current, assume_unique=True)
+        self._tracks.release(ended, (frame.rows for frame in self._waiting))
+        return labels
+
+    def _labels_of(self, waiting: _WaitingFrame) -> FrameLabels:
+        """A frame's labels, from all evidence that its tracks have now."""
+        point_of, chance = self._chances(waiting.rows, self._hindsight(waiting.rows))
+        kept = (point_of >= 0) & (chance >= self._model.least_confidence)
+        indices, confidence = np.full(self._model.names, NULL, dtype=np.int64), np.zeros(self._model.names)
+        indices[self._model.markers[kept]] = waiting.place[point_of[kept]]
+        confidence[self._model.markers] = chance
+        return FrameLabels(waiting.frame, indices, confidence, self._verdict is None or self._verdict.fits)
+
+    def _hindsight(self, rows: Ints) -> Floats | None:
+        """Nats (n, M) against tracks of a frame that has waited, in these rows, where tracks that began since are the markers.
+
+        None for none.
+        """
+        current = self._tracks.current
+        if np.isin(current, rows).all():
+            return None
+        point_of, chance = self._chances(current)
+        since = (point_of >= 0) & ~np.isin(current, rows)[point_of]
+        against = np.zeros((len(rows), len(point_of)))
+        against[np.ix_(np.isin(rows, current), since)] = self._against(chance[since])
+        return against
+
+    def _chances(self, rows: Ints, against: Floats | None = None) -> tuple[Ints, Floats]:
+        """The point of each marker among those of the tracks in these rows, (M,), -1 for none, and the probability that this is right.
+
+        For -1, that of the best candidate that was not given. against (n, M): nats to take from what the tracks say.
+        """
+        scores, limited = self._tracks.totals(rows), self._tracks.totals(rows, self._rules.max_ghost_evidence)
+        if against is not None:
+            scores, limited = scores - against, limited - against
         point_of = _assign(scores)
-        margins = self._margins(waiting.rows, scores, point_of)
+        margins = self._margins(rows, scores, limited, point_of)
         given = point_of >= 0
-        left = np.ones(len(waiting.rows), dtype=np.bool_)
+        left = np.ones(len(rows), dtype=np.bool_)
         left[point_of[given]] = False
-        lasts, may_be_marker = self._lasting(waiting.rows)
+        lasts, may_be_marker = self._lasting(rows)
         near_ghost = (left & may_be_marker).any() | (left.any() & ~lasts[point_of])
         certainty = np.minimum(self._confidence(margins, near_ghost), self._twins.limits(len(margins)))
         if self._verdict is not None:
             certainty = np.minimum(certainty, self._verdict.limit)
-        certainty = self._with_study(certainty, point_of, waiting.rows)
-        chance = np.where(given, certainty, 0.5 * np.exp(np.minimum(margins, 0.0)))
-        kept = given & (chance >= model.least_confidence)
-        indices, confidence = np.full(model.names, NULL, dtype=np.int64), np.zeros(model.names)
-        indices[model.markers[kept]] = waiting.place[point_of[kept]]
-        confidence[model.markers] = chance
-        ended = np.setdiff1d(waiting.rows, self._tracks.current, assume_unique=True)
-        self._tracks.release(ended, (frame.rows for frame in self._waiting))
-        return FrameLabels(waiting.frame, indices, confidence, self._verdict is None or self._verdict.fits)
+        certainty = self._with_study(certainty, point_of, rows)
+        return point_of, np.where(given, certainty, 0.5 * np.exp(np.minimum(margins, 0.0)))
 
     def _with_study(self, certainty: Floats, point_of: Ints, rows: Ints) -> Floats:
         """How certain labels (M,) are, in the light of what a study said of their tracks.
@@ -436,9 +488,8 @@ class Stream:
         is_doubted = (point_of >= 0) & (studied >= 0) & (same != given)
         return np.where(is_doubted, doubted, np.where((point_of >= 0) & same & given, np.maximum(certainty, chance), certainty))
 
-    def _margins(self, rows: Ints, scores: Floats, point_of: Ints) -> Floats:
+    def _margins(self, rows: Ints, scores: Floats, limited: Floats, point_of: Ints) -> Floats:
         """`_margins` of a labelling of the tracks in these rows; a track that lasts has no rivals among those that flicker."""
-        limited = self._tracks.totals(rows, self._rules.max_ghost_evidence)
         lasts, may_be_marker = self._lasting(rows)
         margins = _margins(scores, limited, point_of)
         if may_be_marker.all():

@@ -122,7 +122,7 @@ class StudiesInPush:
     """Studies in the thread of the stream, taken over as late as those of a process would be, and the same each time."""
 
     def __init__(self, model: MarkerModel, rate: float, rules: StudyRules) -> None:
-        self._rate, self._rules, self._markers = rate, rules, len(model.state.markers)
+        self._rate, self.rules, self._markers = rate, rules, len(model.state.markers)
         self._worker, self._plan = StudyWorker(model, rate, rules), StudyPlan(rate, rules)
         self._looker = StudyWorker(model, rate, rules)
         self._found: Study | None = None
@@ -147,15 +147,20 @@ class StudiesInPush:
         """See `Studies.taken`."""
         if self._found is None:
             return None
-        seconds = self._markers * (self._rules.lag + self._rules.frame_lag * self._found.frames)
+        seconds = self._markers * (self.rules.lag + self.rules.frame_lag * self._found.frames)
         if number < self._found.last + max(1, round(seconds * self._rate)):
             return None
         found, self._found = self._found, None
+        self._plan.take()
         return found
 
     def wait(self, seconds: float) -> bool:
         """See `Studies.wait`."""
         return True
+
+    def made(self) -> tuple[int, float]:
+        """See `Studies.made`."""
+        return self._plan.made()
 
     def findings(self) -> list[Finding]:
         """See `Studies.findings`."""

@@ -40,6 +40,7 @@ class TrackEvidence:
         size = 16
         self._ends, self._next_ends, self._workspace = make_track_ends(size), make_track_ends(size), make_link_workspace(size)
         self._evidence, self._prior, self._frames = np.zeros((size, markers)), np.zeros((size, markers)), np.zeros(size)
+        self._excluded = np.zeros((size, markers))
         self.serial, self.studied = np.full(size, NULL, dtype=np.int64), np.full(size, NULL, dtype=np.int64)
         self.seen, self.given, self.chance = np.zeros(size, dtype=np.bool_), np.zeros(size, dtype=np.bool_), np.zeros(size)
         self._free, self._serials = list(range(size)), 0
@@ -72,6 +73,9 @@ class TrackEvidence:
         linked = previous >= 0
         rows = np.empty(len(xyz), dtype=np.int64)
         rows[linked] = self.current[previous[linked]]
+        if step > 1:
+            # Over lost frames a track may go on as what came back beside it.
+            self._excluded[rows[linked]] = 0.0
         rows[~linked] = self._new_rows(int((~linked).sum()))
         ended = np.setdiff1d(self.current, rows, assume_unique=True)
         self.current = rows
@@ -88,7 +92,7 @@ class TrackEvidence:
             size = len(self._frames)
             more = size + count
             self._free.extend(range(size, size + more))
-            for name in ("_evidence", "_prior", "_frames", "serial", "seen", "studied", "given", "chance"):
+            for name in ("_evidence", "_prior", "_excluded", "_frames", "serial", "seen", "studied", "given", "chance"):
                 old = getattr(self, name)
                 setattr(self, name, np.concatenate([old, np.zeros((more, *old.shape[1:]), dtype=old.dtype)]))
             self.serial[size:] = NULL
@@ -122,7 +126,7 @@ class TrackEvidence:
 
     def clear(self, rows: Ints | list[int]) -> None:
         """Forget the evidence of some tracks, and what a study said of them."""
-        self._evidence[rows], self._prior[rows], self._frames[rows] = 0.0, 0.0, 0.0
+        self._evidence[rows], self._prior[rows], self._excluded[rows], self._frames[rows] = 0.0, 0.0, 0.0, 0.0
         self.seen[rows], self.studied[rows], self.given[rows] = False, NULL, False
 
     def take(self, study: Study, log_odds_scale: float) -> None:
@@ -142,15 +146,22 @@ class TrackEvidence:
         gain = np.where(given, np.maximum(odds, 0.0), 0.0)
         self._prior[rows] = -gain[:, None]
         self._prior[rows, markers] = gain
+        # It has weighed which tracks were there at once.
+        self._excluded[rows[given], markers[given]] = 0.0
+
+    def exclude(self, rows: Ints, markers: Ints, nats: Floats) -> None:
+        """Count so many nats (J,) against each of these tracks being these markers, (J,), until it ends or a study gives it the label."""
+        at = np.ix_(rows, markers)
+        self._excluded[at] = np.maximum(self._excluded[at], nats)
 
     def totals(self, rows: Ints, max_frames: float = np.inf) -> Floats:
         """What all frames of each track say for each marker, (n, M) nats: as much as so many independent frames say, at most.
 
-        What a study said counts in full beside them.
+        What a study said, and what is excluded, counts in full beside them.
         """
         frames = self._frames[rows]
         share = np.minimum(1.0 + self._independent * np.maximum(frames - 1.0, 0.0), max_frames) / np.maximum(frames, 1.0)
-        return self._evidence[rows] * share[:, None] + self._prior[rows]
+        return self._evidence[rows] * share[:, None] + self._prior[rows] - self._excluded[rows]
 
 
 def _at_rate(ends: TrackEnds, step: float) -> None:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from asterism.cameras import Rig
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, sentence_of
 from asterism.files.plain import as_json
 from asterism.files.processes import clean_context
 from asterism.findings import Finding
@@ -198,7 +198,7 @@ def _serve(
     except Exception as problem:
         if blobs is not None:
             blobs.close()
-        pipe.send(str(problem) if isinstance(problem, AsterismError) else f"{type(problem).__name__}: {problem}")
+        pipe.send(sentence_of(problem))
         return
     with short_pauses(), suppress(OSError, EOFError):
         pipe.send((source.about, getattr(blobs, "port", 0)))
@@ -222,7 +222,7 @@ def _frames(pipe: Connection[Any, Any], source: RigSource) -> str:
         except SourceEnded:
             return ""
         except Exception as problem:
-            return str(problem) if isinstance(problem, AsterismError) else f"{type(problem).__name__}: {problem}"
+            return sentence_of(problem)
         if frame is not None:
             pipe.send_bytes(b"F" + _HEAD.pack(frame.number, frame.time, frame.arrived) + np.ascontiguousarray(frame.points).tobytes())
             on_the_way += 1

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from asterism.errors import AsterismError
+from asterism.errors import sentence_of
 from asterism.live.addresses import without_password
 from asterism.live.camera_frames import LiveImage
 from asterism.live.cameras.camera import CameraAbout, CameraGone, LiveCamera
@@ -115,7 +115,7 @@ class ReopeningCamera(LiveCamera):
             raise
         # A driver may raise anything: the camera is as good as gone.
         except Exception as problem:
-            self._lose(str(problem) if isinstance(problem, AsterismError) else f"{type(problem).__name__}: {problem}")
+            self._lose(sentence_of(problem))
             return None
         self.dropped, self.damaged = self._dropped_before + inner.dropped, self._damaged_before + inner.damaged
         if image is not None:
