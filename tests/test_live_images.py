@@ -181,7 +181,7 @@ def test_processes_find_what_is_found_off_line(tmp_path: Path) -> None:
     folders = [saved(tmp_path / name, [scene(number, seed=seed) for number in range(30)]) for seed, name in enumerate(("left", "right"))]
     off_line = detect(folders, DetectionSettings(BlobSettings(threshold=40.0))).blobs
     specs = [CameraSpec(folder.name, f"{folder}?wait=1", {"rate": 300.0}) for folder in folders]
-    workers = CameraWorkers(specs, WorkerSettings(BlobSettings(threshold=40.0), pictures=4.0, in_order="number"), workers=2)
+    workers = CameraWorkers(specs, WorkerSettings(BlobSettings(threshold=40.0), by_number=True), workers=2)
     try:
         assert (workers.cameras, workers.rate, workers.name) == (("left", "right"), 300.0, "2 cameras")
         came = read_all(workers)
@@ -192,7 +192,6 @@ def test_processes_find_what_is_found_off_line(tmp_path: Path) -> None:
             expected = off_line.of(blobs.number, workers.cameras.index(blobs.camera))
             np.testing.assert_allclose(blobs.xy, expected, atol=1e-9)
             assert blobs.time == pytest.approx(blobs.number / 300.0)
-        assert workers.pictures()["left"].shape == SIZE[::-1]
         assert workers.findings() == []
         with pytest.raises(SourceEnded):
             workers.read(0.1)
@@ -330,7 +329,7 @@ def test_from_images_to_points_as_off_line(filmed: tuple[list[Path], Path]) -> N
     rig = read_rig(rig_file)
     expected = reconstruct(detect(folders, rig=rig).blobs, rig).clouds
     workers = CameraWorkers(
-        videos_together(folders, rig, speed=math.inf), WorkerSettings(in_order="number"), workers=1, numbered_together=True
+        videos_together(folders, rig, speed=math.inf), WorkerSettings(by_number=True), workers=1, numbered_together=True
     )
     source, frames = RigSource(workers, rig, waits=True), list[LiveFrame]()
     try:
@@ -362,7 +361,7 @@ def test_one_fault_of_a_video_is_one_finding(filmed: tuple[list[Path], Path], tm
     saved(small, [np.zeros((128, 160), np.uint8)] * 40)
     workers = CameraWorkers(
         videos_together([folders[0], short, small], rig, speed=math.inf),
-        WorkerSettings(in_order="number", sizes=dict.fromkeys(rig.names, (320, 256))),
+        WorkerSettings(by_number=True, sizes=dict.fromkeys(rig.names, (320, 256))),
         workers=1,
         numbered_together=True,
     )

@@ -309,7 +309,25 @@ def test_a_study_waits_for_a_core_that_nobody_uses(
         assert process.wait(PATIENCE)
         found = process.taken(number)
         last.append(None if found is None else found.last)
-    assert last == [0, None, None, 3]
+    assert last == [0, None, None, 3] and process.made() == (2, 0.0)
+    process.add(4, clouds[4], np.arange(len(clouds[4])), unsure=False)
+    assert process.made() == (2, 1.0 / RATE) and not process.findings()
+
+
+def test_a_person_is_told_where_no_core_was_free_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, waits = [0.0], study_process._Waits()
+    monkeypatch.setattr(study_process.time, "monotonic", lambda: now[0])
+    waits.begin()
+    waits.go_on()
+    said = list[str]()
+    for now[0] in (1.0, 19.0, 30.0):
+        waits.go_on()
+        said.append(" ".join(finding.sentence for finding in waits.findings()))
+    waits.end()
+    # A minute later it was the smaller part of the session.
+    now[0] = 90.0
+    waits.go_on()
+    assert said[:2] == ["", ""] and "for 30 s no processor core was free" in said[2] and not waits.findings()
 
 
 @pytest.mark.skipif(not hasattr(os, "SCHED_IDLE"), reason="needs a class of processes that runs on idle cores alone")

@@ -108,7 +108,7 @@ def _of_images(options: LiveOptions, rig: Rig, played: list[Path]) -> LiveSource
     if options.rate is not None:
         specs = with_settings(specs, {"rate": options.rate})
     sizes = {camera.name: camera.size for camera in rig if camera.size is not None}
-    settings = WorkerSettings(empty=options.empty, sizes=sizes, in_order="number" if played else "")
+    settings = WorkerSettings(empty=options.empty, sizes=sizes, by_number=bool(played))
     try:
         workers = CameraWorkers(specs, settings, numbered_together=bool(played))
     except AsterismError as problem:

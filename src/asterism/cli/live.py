@@ -142,6 +142,7 @@ def _show(name: str, health: Health, tone: tuple[float, float, int]) -> None:
         ("labels in a frame", health.labels),
         ("lost, late, damaged", f"{health.lost}, {health.late}, {health.damaged}"),
         ("left out", _console.count(health.dropped)),
+        ("studies of the last seconds", _console.count(health.studies)),
         ("labels after", f"{1000 * health.latency[0]:.1f} ms, one in a thousand after {1000 * health.latency[1]:.1f} ms"),
     ]
     if not health.labelled:

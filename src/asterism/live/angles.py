@@ -128,6 +128,11 @@ class LiveAngles:
         """Of the angles, all in degrees; () while no model is made."""
         return () if self._made is None else self._made.names
 
+    @property
+    def are_awaited(self) -> bool:
+        """Whether no model is made yet, and the first three seconds may still tell one."""
+        return self._made is None and (self._tries < 2 or (self._making is not None and self._making.is_alive()))
+
     def findings(self) -> list[Finding]:
         """What a person should know of the angles."""
         if self._made is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -84,6 +85,10 @@ class OfModel(Labeller):
     def findings(self) -> list[Finding]:
         """See `Stream.findings`."""
         return self._stream.findings()
+
+    def studies_made(self) -> tuple[int, float]:
+        """See `Stream.studies_made`."""
+        return self._stream.studies_made()
 
     def wait_for_studies(self, seconds: float) -> None:
         """See `Stream.wait_for_studies`."""
@@ -169,6 +174,11 @@ class LabelChain:
     def findings(self) -> list[Finding]:
         """What a person should know of the marker set that was found, and of the studies."""
         return list(self._labeller.findings())
+
+    def studies_made(self) -> tuple[int, float]:
+        """How many times the last seconds were labelled as a whole, and s of frames since the last time, NaN before it."""
+        made = getattr(self._labeller, "studies_made", None)
+        return (0, math.nan) if made is None else made()
 
     def wait_for_studies(self) -> None:
         """Wait until the labeller's process has begun, so that the first frames have what it says; not for long."""

@@ -19,6 +19,9 @@ BUCKET = 0.5
 JUMP = 1.0
 """s by which a clock that is set anew differs from what is expected. Networks seldom hold a frame back for so long. Half of it is a pause
 that a busy machine makes; with twice as much a clock that was set by a second counts as a delay for ten seconds."""
+_WINDOW = 1000
+"""Numbers by which a late frame may be behind: 5 s at 200 Hz, longer than networks hold one back. Half of it does as well; with twice as
+much a sender that begins anew in its first 10 s, and not 5, loses four frames until that is believed."""
 _IN_A_ROW = 5
 """Late frames, each the next of the one before, after which a source began anew. Half of them a network can hold back together; with twice
 as many ten frames are lost where a sender was started again."""
@@ -130,34 +133,34 @@ class FrameCount:
     """frames that were taken up to when one of those was heard"""
     _in_a_row: int = 0
 
-    def takes(self, number: int, window: int = 1000, *, silent: bool = False) -> bool:
-        """Whether a frame of this number is a new one; window: frames by which a late one may be behind; silent: nothing came for a second.
+    def takes(self, number: int, *, silent: bool = False) -> bool:
+        """Whether a frame of this number is a new one; silent: nothing came for a second.
 
-        A number that is farther behind, or farther ahead than ten windows, is that of a source that began anew: nothing was lost. So are
-        late ones that follow each other, since a network delays one frame or two, and not a row of them; and one after a silence, for which
-        no network holds a frame back. Where the numbers from which they jumped go on, there are two senders, and the first is heard until
-        the second sends five frames in a row.
+        A number that is farther behind than 1000, or farther ahead than ten times that, is that of a source that began anew: nothing was
+        lost. So are late ones that follow each other, since a network delays one frame or two, and not a row of them; and one after a
+        silence, for which no network holds a frame back. Where the numbers from which they jumped go on, there are two senders, and the
+        first is heard until the second sends five frames in a row.
         """
         if self._last is not None:
             ahead = number - self._last
-            if abs(ahead) >= window and not silent and self._goes_on_beside(number, window):
+            if abs(ahead) >= _WINDOW and not silent and self._goes_on_beside(number):
                 return self._of_another(number)
             self._in_a_row = 0
             self._behind = 0 if ahead > 0 else self._behind + 1 if number == self._before + 1 else 1
             self._before = number
-            if -window < ahead <= 0 and self._behind < _IN_A_ROW and not silent:
+            if -_WINDOW < ahead <= 0 and self._behind < _IN_A_ROW and not silent:
                 self.late += 1
                 return False
-            lost, restarts = (ahead - 1, 0) if 0 < ahead <= 10 * window else (0, 1)
+            lost, restarts = (ahead - 1, 0) if 0 < ahead <= 10 * _WINDOW else (0, 1)
             self.lost, self.restarts = self.lost + lost, self.restarts + restarts
-            if abs(ahead) >= window:
+            if abs(ahead) >= _WINDOW:
                 self._beside, self._jump, self._heard = self._last, (lost, restarts), self.received
         self._last = number
         self.received += 1
         return True
 
-    def _goes_on_beside(self, number: int, window: int) -> bool:
-        return self._beside is not None and 0 < number - self._beside < window and self.received - self._heard < window
+    def _goes_on_beside(self, number: int) -> bool:
+        return self._beside is not None and 0 < number - self._beside < _WINDOW and self.received - self._heard < _WINDOW
 
     def _of_another(self, number: int) -> bool:
         """Whether a frame is taken that goes on with the numbers beside those that are heard."""

@@ -21,6 +21,7 @@ from asterism.live.cues import Cue, FeedbackRule
 from asterism.live.measures import Change, LiveSymmetry, Repetitions
 from asterism.live.walking.steps import LiveSteps
 from asterism.recording import Floats, canonical
+from asterism.recording.display import listed
 
 _MARKERS = {"angle": 3, "distance": 2, "height": 1}
 """What can be told of markers, and of how many it is."""
@@ -267,10 +268,13 @@ class Feedback:
     def findings(self) -> list[Finding]:
         """A finding for each rule that could not speak."""
         mend = "Correct the name in the rules, or wear and choose a marker set that has it."
-        return [Finding("live-rule-silent", Severity.WARNING, "feedback", sentence, mend) for sentence in self.problems]
+        # Each stands for itself: of findings that are of one place the last is told.
+        return [
+            Finding("live-rule-silent", Severity.WARNING, sentence.partition(" silent: ")[0], sentence, mend) for sentence in self.problems
+        ]
 
     def _unknown(self, markers: Sequence[str], values: Sequence[str] | None) -> list[str]:
-        said, lacking = list[str](), set(self.missing(markers))
+        lacking, rules = set(self.missing(markers)), dict[str, list[str]]()
         for rule in self.rules:
             absent = [name for name in rule.markers if name in lacking]
             known, what = list(markers), "the marker set has no"
@@ -279,12 +283,17 @@ class Feedback:
                 absent, known, what = [name for name in wanted if name not in values], list(values), "there is no value"
             if absent:
                 near = difflib.get_close_matches(absent[0], known, n=3, cutoff=0.5)
-                advice = f"; near are {', '.join(near)}" if near else "" if known else "; angles are not found in this session"
-                # No other name helps: all of them are there, or none.
+                advice = f"; near are {', '.join(near)}" if near else ""
                 if known and absent[0] in LiveSteps.units:
+                    # No other name helps: all of them are there, or none.
                     advice = "; steps are found where the marker set has heels, toes and a pelvis"
-                said.append(f'The rule "{rule.name}" is silent: {what} {" and no ".join(absent)}{advice}.')
-        return said
+                elif not rule.markers and all(name in LiveSteps.units for name in known):
+                    advice = "; angles are not found in this session"
+                rules.setdefault(f"{what} {' and no '.join(absent)}{advice}", []).append(f'"{rule.name}"')
+        return [
+            f"The rule{'s'[: len(names) > 1]} {listed(names)} {'are' if len(names) > 1 else 'is'} silent: {why}."
+            for why, names in rules.items()
+        ]
 
     def _cue(self, state: _RuleState, frame: LabelledFrame, analysis: FrameAnalysis) -> Cue:
         rule, now = state.rule, frame.frame.time

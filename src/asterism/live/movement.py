@@ -32,7 +32,9 @@ class MovementAnalysis:
         values = self.angles.push(time, markers, points)
         events = self.events.push(time, markers, rotate_z_up(points, self._up))
         if self.events.feet:
-            values |= self.steps.push(time, events, self.events)
+            steps = self.steps.push(time, events, self.events)
+            # All names come at once: a stream of values has its channels from the beginning, and who receives it looks for them once.
+            values |= {} if self.angles.are_awaited else steps
         if values.keys() != self._units.keys():
             self._units = {name: self.steps.units.get(name, "degrees") for name in values}
         return FrameAnalysis(values, self._units, tuple(events))

@@ -97,6 +97,8 @@ class Health:
     rate       frames per second as the source, --rate or the frames' own times say, by which they are labelled; NaN while it is not known
     arriving   frames that came per second, in the last second
     latency    (p50, p99.9) s from a frame's arrival to its labels, of the last thousands that came after `searched`
+    studies    how many times the last seconds were labelled as a whole
+    studied    s of frames since the last time, NaN before it
     lateness   s longer than the fastest frame that the last one was on its way
     silent     s since the last frame
     problem    why the session ended early, "" where it did not
@@ -121,6 +123,8 @@ class Health:
     rate: float = float("nan")
     arriving: float = 0.0
     latency: tuple[float, float] = (float("nan"), float("nan"))
+    studies: int = 0
+    studied: float = float("nan")
     lateness: float = 0.0
     silent: float = 0.0
     problem: str = ""
@@ -252,7 +256,9 @@ class LiveSession:
             if time.monotonic() - self._pushed_at <= _SILENT:
                 return ""
             return (
-                "this machine is too busy to label" if self._health.markers else "the marker set is being found, which takes some seconds"
+                "this machine is busy, and labels come when it is done"
+                if self._health.markers
+                else "the marker set is being found, which takes some seconds"
             )
         if np.isfinite(self._rate):
             return "the labelling is being made, which takes longest the first time"
@@ -283,6 +289,8 @@ class LiveSession:
             if unsent:
                 name = str(getattr(output, "name", type(output).__name__))
                 health.unsent[name] = health.unsent.get(name, 0) + unsent
+        if self._chain is not None:
+            health.studies, health.studied = self._chain.studies_made()
         arrivals = np.array(self._arrivals)
         health.silent = float(now - arrivals[-1]) if len(arrivals) else 0.0
         recent = arrivals[arrivals > now - 1.0]
@@ -364,8 +372,8 @@ class LiveSession:
                 self._label(self._chain, next_frame)
             for found in self._chain.flush():
                 self._passed_on(found)
-        except Exception as problem:  # told by the thread that waits
-            self._failed = problem
+        except Exception as problem:  # raised by the thread that waits; who looks on hears of it, too
+            self._failed, self._health.problem = problem, f"The labelling failed: {problem}"
         finally:
             self.stop()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
@@ -119,6 +120,10 @@ class LiveLabeller:
     def findings(self) -> list[Finding]:
         """What a person should know of the set that was taken, and of the studies: see `Stream.findings`."""
         return [*self._set_findings, *([] if self._stream is None else self._stream.findings())]
+
+    def studies_made(self) -> tuple[int, float]:
+        """See `Stream.studies_made`."""
+        return (0, math.nan) if self._stream is None else self._stream.studies_made()
 
     def wait_for_studies(self, seconds: float) -> None:
         """See `Stream.wait_for_studies`; at once where the set is still to be found."""

@@ -62,8 +62,11 @@ class Guard:
             await send(message)
 
         if problem:
-            body = json.dumps({"error": problem}).encode()
-            plain = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
+            # Who opened an address reads a sentence, a script what it asks for.
+            is_read = "text/html" in headers.get("accept", "")
+            words = f"Asterism: {problem}" if is_read else json.dumps({"error": problem})
+            body, kind = words.encode(), b"text/plain; charset=utf-8" if is_read else b"application/json"
+            plain = [(b"content-type", kind), (b"content-length", str(len(body)).encode())]
             await send_guarded({"type": "http.response.start", "status": 403, "headers": plain})
             await send_guarded({"type": "http.response.body", "body": body})
             return

@@ -120,9 +120,7 @@ class HeldFrames:
         out = np.full((len(self.model.table), len(self.frames)), np.nan)
         for rows, _, given in self.parts:
             out[: len(pairs), rows] = given.behind_pairs(pairs, self.freedom)
-            for number, group in enumerate(self.model.groups):
-                begin = len(pairs) + number * len(orders)
-                out[begin : begin + len(orders), rows] = given.behind_orders(group, orders, self.freedom)
+            out[len(pairs) :, rows] = given.behind_orders(self.model.groups, orders, self.freedom).reshape(-1, len(rows))
         return out
 
     def behind_others(self, others: Floats) -> Floats:
@@ -230,46 +228,66 @@ class _Conditional:
         taken = np.einsum("envi,vij,envj->env", apart, precision, apart)
         return np.asarray((_log_t(own, 3, freedom)[:, None] - _log_t(taken, 3, freedom)).transpose(1, 2, 0))
 
-    def behind_orders(self, group: Ints, orders: Ints, freedom: float) -> Floats:
-        """By how many nats each permutation (W, m) of a group (m,) is behind in each frame: (W, E)."""
-        frames, size = len(self.placed), len(group)
-        seen = self.shown[group]
-        count = int(seen.sum())
-        out = np.full((len(orders), frames), np.nan)
-        if not count:
-            return out
-        mean, covariance = self._given_others(group)
-        at = self.placed[:, group]
-        filled, takers = np.concatenate([seen[None], seen[orders]]), np.concatenate([np.arange(size)[None], orders])
-        scores = np.empty((len(filled), frames))
-        for slots in np.unique(filled, axis=0):
-            same = np.nonzero((filled == slots).all(axis=1))[0]
-            own = np.ix_(np.repeat(slots, 3), np.repeat(slots, 3))
-            apart = (at[:, takers[same]][:, :, slots] - mean[:, None, slots]).reshape(frames, len(same), 3 * count)
-            squares = ((apart @ np.linalg.inv(covariance[own])) * apart).sum(axis=2)
-            scores[same] = _log_t(squares, 3 * count, freedom).T - 0.5 * np.linalg.slogdet(covariance[own])[1]
-        moved = (orders != np.arange(size)) & (seen | seen[orders])
-        out[moved.any(axis=1)] = (scores[0] - scores[1:])[moved.any(axis=1)]
+    def behind_orders(self, groups: Ints, orders: Ints, freedom: float) -> Floats:
+        """By how many nats each permutation (W, m) of each group (G, m) is behind in each frame: (G, W, E)."""
+        out = np.full((len(groups), len(orders), len(self.placed)), np.nan)
+        seen = self.shown[groups]
+        # Groups of which the same places are in view are judged at once: most are in view as a whole.
+        patterns, which = np.unique(seen, axis=0, return_inverse=True)
+        for p, pattern in enumerate(patterns):
+            if pattern.any():
+                same = np.nonzero(which.ravel() == p)[0]
+                out[same] = self._behind_alike(groups[same], pattern, orders, freedom)
         return out
 
-    def _given_others(self, group: Ints) -> tuple[Floats, Floats]:
-        """Where the points of all other markers predict those of a group: (E, m, 3) m, and the covariance (3 m, 3 m)."""
-        seen, size = self.shown[group], len(group)
-        there, away = self.place[group[seen]], self.place[group[~seen]]
-        count, hidden = 3 * len(there), 3 * len(away)
-        spread = np.linalg.inv(self.precision[np.ix_(there, np.arange(3), there, np.arange(3))].reshape(count, count))
-        deviation = self.pull[:, there].reshape(-1, count) @ spread
-        gain = self.gain[np.ix_(away, np.arange(3), there, np.arange(3))].reshape(hidden, count)
-        mean, covariance = np.empty((len(self.placed), size, 3)), np.empty((3 * size, 3 * size))
-        mean[:, seen] = self.placed[:, group[seen]] - deviation.reshape(len(mean), len(there), 3)
-        mean[:, ~seen] = self.predicted[:, away] - (deviation @ gain.T).reshape(len(mean), len(away), 3)
-        of_seen, of_hidden = np.repeat(seen, 3), np.repeat(~seen, 3)
-        covariance[np.ix_(of_seen, of_seen)] = spread
-        covariance[np.ix_(of_hidden, of_seen)] = gain @ spread
-        covariance[np.ix_(of_seen, of_hidden)] = (gain @ spread).T
-        left = self.left[np.ix_(away, np.arange(3), away, np.arange(3))].reshape(hidden, hidden)
-        covariance[np.ix_(of_hidden, of_hidden)] = left + gain @ spread @ gain.T
+    def _behind_alike(self, groups: Ints, seen: NDArray[np.bool_], orders: Ints, freedom: float) -> Floats:
+        """`behind_orders` of groups of which the same places (m,) are in view."""
+        frames, size, count = len(self.placed), len(seen), int(seen.sum())
+        out = np.full((len(groups), len(orders), frames), np.nan)
+        mean, covariance = self._given_others(groups, seen)
+        at = self.placed[:, groups].transpose(1, 0, 2, 3)
+        filled, takers = np.concatenate([seen[None], seen[orders]]), np.concatenate([np.arange(size)[None], orders])
+        scores = np.empty((len(groups), len(filled), frames))
+        for slots in np.unique(filled, axis=0):
+            same = np.nonzero((filled == slots).all(axis=1))[0]
+            own = np.nonzero(np.repeat(slots, 3))[0]
+            block = covariance[:, own[:, None], own]
+            points = at[:, :, takers[same][:, slots]]
+            apart = (points - mean[:, :, None, slots]).reshape(len(groups), frames * len(same), 3 * count)
+            squares = ((apart @ np.linalg.inv(block)) * apart).sum(axis=2).reshape(len(groups), frames, len(same))
+            weights = 0.5 * np.linalg.slogdet(block)[1]
+            scores[:, same] = _log_t(squares, 3 * count, freedom).transpose(0, 2, 1) - weights[:, None, None]
+        moved = ((orders != np.arange(size)) & (seen | seen[orders])).any(axis=1)
+        out[:, moved] = (scores[:, :1] - scores[:, 1:])[:, moved]
+        return out
+
+    def _given_others(self, groups: Ints, seen: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+        """Where the points of all other markers predict those of groups (G, m): (G, E, m, 3) m, and the covariance (G, 3 m, 3 m).
+
+        seen (m,): which places of all these groups are in view.
+        """
+        there, away = self.place[groups[:, seen]], self.place[groups[:, ~seen]]
+        number, frames, count = len(groups), len(self.placed), 3 * there.shape[1]
+        spread = np.linalg.inv(_blocks(self.precision, there, there))
+        deviation = self.pull[:, there].transpose(1, 0, 2, 3).reshape(number, frames, count) @ spread
+        gain = _blocks(self.gain, away, there)
+        mean, covariance = np.empty((number, frames, len(seen), 3)), np.empty((number, 3 * len(seen), 3 * len(seen)))
+        placed, predicted = (of[:, rows].transpose(1, 0, 2, 3) for of, rows in ((self.placed, groups[:, seen]), (self.predicted, away)))
+        mean[:, :, seen] = placed - deviation.reshape(placed.shape)
+        mean[:, :, ~seen] = predicted - (deviation @ gain.transpose(0, 2, 1)).reshape(number, frames, away.shape[1], 3)
+        follows = gain @ spread
+        of_seen, of_hidden = (np.nonzero(np.repeat(one, 3))[0] for one in (seen, ~seen))
+        covariance[:, of_seen[:, None], of_seen] = spread
+        covariance[:, of_hidden[:, None], of_seen] = follows
+        covariance[:, of_seen[:, None], of_hidden] = follows.transpose(0, 2, 1)
+        covariance[:, of_hidden[:, None], of_hidden] = _blocks(self.left, away, away) + follows @ gain.transpose(0, 2, 1)
         return mean, covariance
+
+
+def _blocks(matrix: Floats, rows: Ints, columns: Ints) -> Floats:
+    """Of a matrix (A, 3, B, 3) those parts whose rows (G, a) and columns (G, b) are given: (G, 3 a, 3 b)."""
+    parts = matrix[rows[:, :, None], :, columns[:, None, :]].transpose(0, 1, 3, 2, 4)
+    return np.ascontiguousarray(parts).reshape(len(rows), 3 * rows.shape[1], 3 * columns.shape[1])
 
 
 def _log_t(squares: Floats, coordinates: int, freedom: float) -> Floats:

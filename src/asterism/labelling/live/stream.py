@@ -292,6 +292,10 @@ class Stream:
         """What a person should know of the stream."""
         return [] if self._studies is None else self._studies.findings()
 
+    def studies_made(self) -> tuple[int, float]:
+        """How many studies of the last seconds were taken over, and s of frames since the last one, NaN before it."""
+        return (0, math.nan) if self._studies is None else self._studies.made()
+
     def wait_for_studies(self, seconds: float) -> None:
         """Wait until studies can be made, at most so long: a process takes a second or two to begin."""
         if self._studies is not None:

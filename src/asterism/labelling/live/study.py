@@ -7,6 +7,7 @@ takes longer than a frame may, so that it is made beside the stream, and what it
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -113,6 +114,9 @@ class Studies(Protocol):
     def wait(self, seconds: float) -> bool:
         """Wait until a study could begin, at most so long. Gives whether it could."""
 
+    def made(self) -> tuple[int, float]:
+        """How many were taken over so far, and s of frames since the last one, NaN before it. One of the first frame alone is none."""
+
     def findings(self) -> list[Finding]:
         """What a person should know of the studies."""
 
@@ -126,11 +130,12 @@ def frames_kept(rate: float, rules: StudyRules) -> int:
 
 
 class StudyPlan:
-    """When the next study begins, and the frames that it has not had. Memory: the points of `StudyRules.window`."""
+    """When the next study begins, and the frames that it has not had; which were taken over. Memory: the points of `StudyRules.window`."""
 
     def __init__(self, rate: float, rules: StudyRules) -> None:
         self._rate, self._rules, self._kept = rate, rules, frames_kept(rate, rules)
         self._new: deque[tuple[Floats, Ints]] = deque(maxlen=self._kept)
+        self._taken, self._since = 0, 0
         self.restart()
 
     def restart(self) -> None:
@@ -141,7 +146,15 @@ class StudyPlan:
     def add(self, number: int, xyz: Floats, serials: Ints) -> None:
         """Take a frame."""
         self._new.append((xyz, serials))
-        self._last, self._seen = number, self._seen + 1
+        self._last, self._seen, self._since = number, self._seen + 1, self._since + 1
+
+    def take(self) -> None:
+        """A study was taken over."""
+        self._taken, self._since = self._taken + 1, 0
+
+    def made(self) -> tuple[int, float]:
+        """See `Studies.made`."""
+        return self._taken, self._since / self._rate if self._taken else math.nan
 
     def is_due(self, *, unsure: bool) -> bool:
         """Whether a study should begin, if none is under way."""

@@ -13,6 +13,7 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 import weakref
 from contextlib import suppress
 from dataclasses import replace
@@ -43,6 +44,9 @@ cameras, which leave 1.1 of two, wait for 20 ms instead of 10; at double nothing
 _REST = 3.0
 """Times as long as a study took that the next one comes after it, once the whole window has been studied: a quarter of a core. Half of it
 takes two fifths of one; at double, new tracks of 59 markers, whose studies take 0.8 s, wait for 5 s and not for 2.4."""
+_LONG = 20.0
+"""s without a free core, in most of the time, from which a person is told: some steps, each of which shows all markers. At half of it a
+session that begins beside a browser that opens is told; at double, trials of half a minute are not."""
 _HEAD = struct.Struct("<Q")
 """Before each message: its length in bytes."""
 _PIPE = 1 << 20
@@ -66,6 +70,7 @@ class StudyProcess:
         self.rate, self.rules, self._session = rate, rules, 0
         self._free, self._under_way = FreeCores(), False
         self._rest: float | None = None
+        self._waits = _Waits()
         self._looker: StudyWorker | None = None
         self._ended = weakref.finalize(self, self._talk.close)
 
@@ -92,6 +97,7 @@ class StudyProcess:
     def add(self, number: int, xyz: Floats, serials: Ints, *, unsure: bool) -> None:
         """See `Studies.add`. Another thread speaks with the process, so that this one does not wait."""
         self._plan.add(number, xyz, serials)
+        self._waits.begin()
         if not self._talk.is_idle:
             return
         if self._under_way:
@@ -101,6 +107,7 @@ class StudyProcess:
             self._under_way = False
         if self._plan.is_due(unsure=unsure) and self._has_room():
             self._free.begin()
+            self._waits.end()
             self._under_way = True
             self._talk.say((self._session, self._plan.frames()))
 
@@ -115,25 +122,35 @@ class StudyProcess:
         # Where there is no room, it is looked for again in what comes next.
         self._free.begin()
         self._rest = _COUNTED
-        return free >= _FREE
+        if free >= _FREE:
+            return True
+        self._waits.go_on()
+        return False
 
     def taken(self, number: int) -> Study | None:
         """See `Studies.taken`."""
         if self._talk.found is None:
             return None
         session, study = self._talk.take()
-        return study if session == self._session else None
+        if session != self._session:
+            return None
+        self._plan.take()
+        return study
 
     def restart(self) -> None:
         """See `Studies.restart`."""
         self._session += 1
         self._plan.restart()
 
+    def made(self) -> tuple[int, float]:
+        """See `Studies.made`."""
+        return self._plan.made()
+
     def findings(self) -> list[Finding]:
         """See `Studies.findings`."""
         problem = self._talk.problem
         if not problem:
-            return []
+            return self._waits.findings()
         sentence = f"the last seconds are not labelled as a whole any more: {problem}"
         mend = "Labels go on, and are less sure; begin the session anew for surer ones."
         return [Finding("live-no-studies", Severity.WARNING, "the labels", f"the labels: {sentence}", mend)]
@@ -141,6 +158,40 @@ class StudyProcess:
     def close(self) -> None:
         """End the process."""
         self._ended()
+
+
+class _Waits:
+    """For how long no study could begin since no core was free."""
+
+    def __init__(self) -> None:
+        self._first: float | None = None
+        self._since: float | None = None
+        self._seconds = 0.0
+
+    def begin(self) -> None:
+        """A frame came."""
+        if self._first is None:
+            self._first = time.monotonic()
+
+    def go_on(self) -> None:
+        """No core is free."""
+        if self._since is None:
+            self._since = time.monotonic()
+
+    def end(self) -> None:
+        """A study begins."""
+        if self._since is not None:
+            self._seconds, self._since = self._seconds + time.monotonic() - self._since, None
+
+    def findings(self) -> list[Finding]:
+        """That no study could begin for long, and for most of the time."""
+        now = time.monotonic()
+        seconds = self._seconds + (0.0 if self._since is None else now - self._since)
+        if self._first is None or seconds < max(_LONG, 0.5 * (now - self._first)):
+            return []
+        sentence = f"the labels: for {seconds:.0f} s no processor core was free to label the last seconds as a whole."
+        mend = "Labels are less sure without; close other programs, lower the rate, or use a computer with more cores."
+        return [Finding("live-few-studies", Severity.NOTE, "the labels", sentence, mend)]
 
 
 class _Talk:

@@ -151,11 +151,16 @@ class StudiesInPush:
         if number < self._found.last + max(1, round(seconds * self._rate)):
             return None
         found, self._found = self._found, None
+        self._plan.take()
         return found
 
     def wait(self, seconds: float) -> bool:
         """See `Studies.wait`."""
         return True
+
+    def made(self) -> tuple[int, float]:
+        """See `Studies.made`."""
+        return self._plan.made()
 
     def findings(self) -> list[Finding]:
         """See `Studies.findings`."""

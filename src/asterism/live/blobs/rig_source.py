@@ -19,7 +19,7 @@ from asterism.files.plain import as_json
 from asterism.findings import Finding, Severity
 from asterism.formats.kept_blobs import KeptImage
 from asterism.live.blobs.budget import BlobBudget, telling
-from asterism.live.blobs.camera_clock import CameraClock
+from asterism.live.blobs.camera_clock import compile_fit
 from asterism.live.blobs.gathering import ByNumber, ByTime, CameraArrivals, RigFrame
 from asterism.live.blobs.judging import JudgeProcess, judge
 from asterism.live.blobs.recorder import BlobRecorder
@@ -128,9 +128,7 @@ class RigSource:
         self._reconstructor = Reconstructor(self.rig, settings)
         # Compiled and loaded before the first frame, which must not wait for it.
         Reconstructor(self.rig, settings).push([np.array([[0.0, 0.0], [9.0, 9.0]])] * len(self.rig))
-        clock = CameraClock()
-        for at in (0.0, 1.0):
-            clock.observe(at, at)
+        compile_fit()
         self._gather: ByNumber | ByTime = (ByNumber if source.numbered_together else ByTime)(len(self.rig), source.rate)
         self.about = SourceAbout(name or source.name, source.rate / (speed if math.isfinite(speed) else 1.0), rig.vertical)
         self.dropped, self.cut = 0, 0

@@ -13,12 +13,10 @@ from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from asterism.detection.blobs import BlobSettings
-from asterism.detection.running import RunningDetection
+from asterism.detection.running import RunningDetection, compile_search
 from asterism.errors import AsterismError, sentence_of
+from asterism.live.blobs.camera_clock import compile_fit
 from asterism.live.camera_frames import LiveBlobs, LiveImage
 from asterism.live.cameras import CameraGone, CameraHealth, CameraWatch, LiveCamera, SettingOutcome, SettingValue
 from asterism.live.frames import TURN, SourceEnded
@@ -58,21 +56,19 @@ class WorkerSettings:
 
     blobs      what is a blob; a camera's own setting `threshold` goes before its threshold
     empty      s during which nobody is in view: see `RunningDetection`
-    pictures   newest images per second and camera that are shown, 0 for none: each costs as much as the blobs of two images
     sizes      (width, height) px of cameras by name: other images are not used, since the rig is not theirs
-    in_order   "number" or "time" where the images of all cameras are searched in the order of these, as of videos that wait: the same blobs
-               come in the same order, however fast each is read; "" for as they come
+    by_number  whether the images of all cameras are searched in the order of their numbers, as of videos that wait: the same blobs come in
+               the same order, however fast each is read; else as they come
     """
 
     blobs: BlobSettings = field(default_factory=BlobSettings)
     empty: float = 0.0
-    pictures: float = 0.0
     sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
-    in_order: str = ""
+    by_number: bool = False
 
     def rank(self, image: LiveImage | LiveBlobs) -> float:
         """What decides which image is searched first."""
-        return image.number if self.in_order == "number" else image.time if self.in_order else image.arrived
+        return image.number if self.by_number else image.arrived
 
 
 @dataclass
@@ -128,7 +124,6 @@ class CameraReport:
     problem   why it is not open, "" where it is
     is_missing whether that is since it is not there, and may come
     ended     whether it was a file that was played to its end
-    picture   its newest image, where that is shown and due
     """
 
     camera: str
@@ -140,7 +135,6 @@ class CameraReport:
     problem: str
     is_missing: bool
     ended: bool
-    picture: NDArray[Any] | None
 
 
 class _CameraReader:
@@ -244,11 +238,11 @@ class _CameraSearch:
         self._detection: RunningDetection | None = None
         self._threshold: SettingValue | None = None
         self._counts = SearchCounts()
-        self._due = self._picture_due = self._spent = self._longest = 0.0
+        self._due = self._spent = self._longest = 0.0
         self._searches = 0
 
     def search(self, image: LiveImage) -> None:
-        """Send the blobs of an image; and what is counted, where that is due."""
+        """Send the blobs of an image."""
         begin = time.perf_counter()
         own = self._reader.threshold
         if self._detection is None or own != self._threshold:
@@ -270,49 +264,26 @@ class _CameraSearch:
             self._out.send(LiveBlobs(image.camera, image.number, image.time, image.arrived, found.blobs.xy, found.blobs.size))
         took = time.perf_counter() - begin
         self._spent, self._longest, self._searches = self._spent + took, max(self._longest, took), self._searches + 1
-        self.tell(image)
 
-    def tell(self, image: LiveImage | None = None) -> None:
-        """Send what is counted, where that is due, and the image where one is to be shown."""
+    def tell(self, *, at_end: bool = False) -> None:
+        """Send what is counted, where that is due."""
         now = time.monotonic()
-        shown = image is not None and self._settings.pictures > 0 and now >= self._picture_due
-        if shown:
-            self._picture_due = now + 1.0 / self._settings.pictures
-        if shown or now >= self._due:
-            self._due = now + _TELL
-            self._report(image if shown else None)
-
-    def finish(self) -> None:
-        """Send what is counted at the end."""
-        self._report(None)
-
-    def _report(self, image: LiveImage | None) -> None:
+        if now < self._due and not at_end:
+            return
+        self._due = now + _TELL
         counts, reader, detection = self._counts, self._reader, self._detection
         if detection is not None:
             counts.threshold = float("nan") if detection.threshold is None else detection.threshold
             counts.masked = detection.masked
         counts.dropped, counts.seconds = reader.dropped, (self._spent / max(self._searches, 1), self._longest)
         self._spent, self._longest, self._searches = 0.0, 0.0, 0
-        picture = None if image is None else image.image
-        health, hung = reader.health, time.monotonic() - reader.asked
+        health, hung = reader.health, now - reader.asked
         # Whoever waits for the driver cannot say so.
         if health is not None and hung > _HANGS and not reader.ended and not reader.images:
             why = health.problem or "its driver does not answer."
             health = replace(health, last_seen=health.last_seen + hung, rate=0.0, problem=why)
-        name, ended = reader.place.name, reader.ended
-        report = CameraReport(
-            name,
-            health,
-            replace(counts),
-            reader.rate,
-            reader.outcomes,
-            reader.said,
-            reader.problem,
-            reader.is_missing,
-            ended,
-            picture,
-        )
-        self._out.send(report)
+        known = (health, replace(counts), reader.rate, reader.outcomes, reader.said, reader.problem, reader.is_missing, reader.ended)
+        self._out.send(CameraReport(reader.place.name, *known))
 
 
 def work(places: Sequence[CameraPlace], settings: WorkerSettings, out: Connection[Any, Any], orders: Connection[Any, Any]) -> None:
@@ -323,10 +294,8 @@ def work(places: Sequence[CameraPlace], settings: WorkerSettings, out: Connectio
 
     # Threads of OpenCV in each process would fight for the same cores.
     cv2.setNumThreads(1)
-    # The first search compiles, or loads what was compiled: two blobs that overlap, and one at the edge.
-    warm = np.full((64, 64), 20, np.uint8)
-    warm[20:26, 20:26], warm[30:36, 24:30], warm[0:4, 0:4] = 200, 210, 255
-    RunningDetection(BlobSettings()).find(warm, 0.0)
+    compile_search()
+    compile_fit()
     stop, wake, threads = threading.Event(), threading.Condition(), list[threading.Thread]()
     # The parent closes its ends, or is dead, and takes nothing any more.
     with suppress(OSError, EOFError):
@@ -352,7 +321,7 @@ def _search(readers: Sequence[_CameraReader], settings: WorkerSettings, out: Con
         image, oldest = None, None
         with wake:
             waiting = [reader for reader in readers if reader.images]
-            if settings.in_order and not all(reader.images or reader.ended for reader in readers):
+            if settings.by_number and not all(reader.images or reader.ended for reader in readers):
                 wake.wait(TURN)
             elif waiting:
                 oldest = min(waiting, key=lambda reader: settings.rank(reader.images[0]))
@@ -368,7 +337,7 @@ def _search(readers: Sequence[_CameraReader], settings: WorkerSettings, out: Con
         for search in searches.values():
             search.tell()
     for search in searches.values():
-        search.finish()
+        search.tell(at_end=True)
 
 
 def _obey(orders: Connection[Any, Any], readers: Sequence[_CameraReader], stop: threading.Event, wake: threading.Condition) -> None:

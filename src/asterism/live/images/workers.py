@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asterism.detection.running import MOST_BLOBS
 from asterism.errors import AsterismError
@@ -113,7 +112,6 @@ class _CameraProgress:
     health: CameraHealth | None = None
     """Counts of the processes before."""
     search: SearchCounts = field(default_factory=SearchCounts)
-    picture: NDArray[Any] | None = None
     restarts: int = 0
     problem: str = ""
     """Why no process reads it."""
@@ -164,7 +162,7 @@ class CameraWorkers:
         self._settings = WorkerSettings() if settings is None else settings
         self._settings.blobs.check()
         self._states = {name: _CameraProgress() for name in self.cameras}
-        self._waiting: deque[LiveBlobs] = deque(maxlen=None if self._settings.in_order else _WAITING)
+        self._waiting: deque[LiveBlobs] = deque(maxlen=None if self._settings.by_number else _WAITING)
         self._at: float | None = None
         self._closed, self._reading = threading.Event(), threading.Lock()
         self._last_read = time.monotonic()
@@ -217,10 +215,6 @@ class CameraWorkers:
         """How each camera that was opened does, and its search, as plain values; None for what is not known."""
         searches = self.searches()
         return [as_json({**asdict(health), "search": asdict(searches[health.camera])}) for health in self.healths()]
-
-    def pictures(self) -> dict[str, NDArray[Any]]:
-        """The newest image of each camera, where they are shown: see `WorkerSettings.pictures`."""
-        return {name: state.picture for name, state in self._states.items() if state.picture is not None}
 
     def read(self, timeout: float) -> LiveBlobs | None:
         """The next blobs of some camera; None where none came within so many seconds. Raises SourceEnded where all cameras have ended."""
@@ -385,11 +379,10 @@ class CameraWorkers:
     def _told(self, worker: _CameraProcess, message: object) -> None:
         worker.heard = time.monotonic()
         if isinstance(message, LiveBlobs):
-            (worker.pending if self._settings.in_order else self._waiting).append(message)
+            (worker.pending if self._settings.by_number else self._waiting).append(message)
         elif isinstance(message, CameraReport):
             state = self._states[message.camera]
             state.report, state.problem = message, ""
-            state.picture = state.picture if message.picture is None else message.picture
         elif isinstance(message, WorkerReady):
             worker.ready = True
             if self._at is not None:
@@ -398,7 +391,7 @@ class CameraWorkers:
     def _died(self, worker: _CameraProcess) -> None:
         worker.dead = True
         worker.end(0.5)
-        if self._settings.in_order and not self._has_ended(worker) and self._at is not None:
+        if self._settings.by_number and not self._has_ended(worker) and self._at is not None:
             # From its beginning a video would come again.
             raise AsterismError(f"the process that plays {_listed(worker.places)} ended {_how(worker.process)}; play it again.")
         for place in worker.places:

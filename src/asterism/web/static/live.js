@@ -10,6 +10,8 @@
   const PINGS = 8;       // of which the fastest says what the server's clock shows
   const LOG = 1024;      // sounds whose times are kept
   const NUMBERS = 6;     // pictures from one change of numbers to the next: nobody reads sixty a second, and each costs a new layout
+  const GREW = 5000;     // ms in which a count that grew stands out: half is missed by who looks away, with twice as much one lost frame alarms
+  const GOES_MISSING = ["lost", "late or twice", "damaged", "left out", "sounds too late"];
   const DRAWN = ["picture", "moments", "names", "body", "source"];  // what drawing needs to know
 
   // What the server's clock shows, by the fastest of the last pings.
@@ -35,6 +37,7 @@
     // port: to what draws
     constructor(port) {
       Object.assign(this, { port, camera: new Asterism.Camera(), body: null, newest: null, sounds: new Asterism.Sounds(isHeard => { $("unheard").hidden = isHeard; }), pictures: 0, drawn: 0, drawnAt: [], behind: 0 });
+      Object.assign(this, { cells: new Map(), counts: new Map() });
       Object.assign(this, { clock: new ServerClock(), rules: [], heard: Date.now(), log: [], sounded: [], missed: 0 });
       this.token = new URLSearchParams(location.search).get("token") || "";
       port.canvases({ body: $("body"), latency: $("latency") });
@@ -260,7 +263,6 @@
       const rows = { frames: health.frames, lost: health.lost, "late or twice": health.late, damaged: health.damaged, "left out": health.dropped, "labels in a frame, so far": health.labels,
         "labels after, median": ms(health.p50), "labels after, slowest of 1,000": ms(health.p999), "picture drawn after": this.clock.isKnown && this.drawn ? ms(this.behind) : "–",
         "last sound began after": ms(last), "the loudspeaker adds": ms(this.sounds.added), "sounds too late": health["not sounded"] + this.missed, "drawn here": `${this.rate()} a second` };
-      this.cells = this.cells || new Map();
       for (const [name, value] of Object.entries(rows)) {
         if (!this.cells.has(name)) {
           const [term, told] = [document.createElement("dt"), document.createElement("dd")];
@@ -268,6 +270,7 @@
           $("counts").append(term, told);
           this.cells.set(name, told);
         }
+        this.marksGrowth(name, value);
         const text = typeof value === "number" ? value.toLocaleString("en") : value;
         if (this.cells.get(name).textContent !== text) this.cells.get(name).textContent = text;
       }
@@ -275,6 +278,16 @@
       this.paragraphs($("notes"), health.notes);
       this.tellMissing();
       this.hint();
+    }
+
+    // What counts frames that went missing stands out while it grows.
+    marksGrowth(name, value) {
+      if (!GOES_MISSING.includes(name)) return;
+      const was = this.counts.get(name) || { value, grew: -Infinity };
+      if (value > was.value) was.grew = Date.now();
+      was.value = value;
+      this.counts.set(name, was);
+      this.cells.get(name).classList.toggle("bad", Date.now() - was.grew < GREW);
     }
 
     // Sentences that stay are left alone, and those whose numbers grow changed where they are: only a new one is read aloud.
@@ -312,6 +325,8 @@
       const [words, which] = [JSON.stringify(told), told.map(each => each[2]).join()];
       if (words === this.words || (which === this.which && !withNumbers)) return;
       Object.assign(this, { words, which });
+      // Words that change their size with each other one are hard to read.
+      if (told.length > 1) $("words").classList.add("several");
       $("words").replaceChildren(...told.slice(0, 3).map(([text, tint]) => {
         const line = document.createElement("div");
         line.textContent = text;

@@ -16,7 +16,7 @@
   class Curves {
     // port: told the charts that are to be drawn
     constructor(port) {
-      Object.assign(this, { port, groups: new Map(), charts: [], made: 0 });
+      Object.assign(this, { port, groups: new Map(), charts: [], canvases: new Map(), made: 0 });
       try { this.chosen = JSON.parse(localStorage.getItem(KEPT)); } catch { this.chosen = null; }
       if (!Array.isArray(this.chosen)) this.chosen = null;
     }
@@ -38,7 +38,7 @@
       if (this.chosen) return known;
       // Rules of one value differ in their bounds only: the first of them, and an angle that moves all the time.
       const all = [...this.groups.keys()], rules = all.filter(name => name.startsWith("rule: "));
-      return [...rules.slice(0, 1), ...all.filter(name => name === "knee flexion"), ...all].filter((name, n, list) => list.indexOf(name) === n).slice(0, AT_FIRST);
+      return [...rules.slice(0, 1), ...all.filter(name => name === "knee flexion"), ...all.filter(name => !rules.includes(name)), ...rules].filter((name, n, list) => list.indexOf(name) === n).slice(0, AT_FIRST);
     }
 
     offer() {
@@ -57,10 +57,14 @@
       this.lay();
     }
 
-    // A chart for each chosen group.
+    // A chart for each chosen group. One that was there keeps its canvas, and with it what is drawn.
     lay() {
+      const before = this.canvases;
+      this.canvases = new Map();
       this.charts = this.names.map(name => {
-        const [figure, caption, title, canvas] = ["figure", "figcaption", "span", "canvas"].map(kind => document.createElement(kind));
+        const [figure, caption, title] = ["figure", "figcaption", "span"].map(kind => document.createElement(kind));
+        const one = before.get(name) || { key: `chart ${++this.made}`, canvas: document.createElement("canvas") }, { canvas } = one;
+        this.canvases.set(name, one);
         const { unit, lines } = this.groups.get(name);
         figure.className = "curve";
         title.className = "name";
@@ -73,7 +77,7 @@
         return { name, figure, canvas, values, unit, lines };
       });
       $("curves").replaceChildren(...this.charts.map(chart => chart.figure));
-      this.port.charts(this.charts.map(({ name, canvas }) => ({ name: `chart ${++this.made}`, canvas, ...this.groups.get(name) })));
+      this.port.charts(this.charts.map(({ name, canvas }) => ({ name: this.canvases.get(name).key, canvas, ...this.groups.get(name) })));
     }
 
     // values: of the newest picture, then of its rules

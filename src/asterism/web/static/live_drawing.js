@@ -19,6 +19,7 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
   const TAKEN = 10;       // pictures that are taken and not drawn, as in a tab that is not seen, until that is told
   const STUCK = 2000;     // ms without an answer to so many pictures: a slow machine draws one in a tenth of a second
   const PATIENCE = 5000;  // ms in which a Worker says that it can draw: it starts in a tenth of a second
+  const LEAST = 4;        // labelled points that show where the body is: with half of them a hand is shown for it, with twice as many no foot model is
   const FAR = 2;          // sizes of the body from the middle of the picture: who sprints at 10 m/s stays below it
   const UNITS = { degrees: ["°", 0], m: [" m", 3], s: [" s", 2], "%": [" %", 0] };
 
@@ -139,7 +140,7 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
       Object.assign(this, { traces: new Traces(), latencies: [], waiting: [], taken: 0, drawn: 0, answered: 0, stands: 0, turn: 0, changed: false, asked: false });
     }
 
-    // One of: told, text of the server; canvases by name; charts with their canvases; the size of a canvas; colours; the view.
+    // One of: told, text of the server; canvases by name; charts, with their canvases where these are new; the size of a canvas; colours; the view.
     tell(message) {
       if (message.told !== undefined) this.told(JSON.parse(message.told));
       else this.changed = true;
@@ -152,8 +153,9 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
     }
 
     laid(charts) {
-      for (const { name } of this.charts) this.sheets.delete(name);
-      for (const { name, canvas } of charts) this.sheets.set(name, new Sheet(canvas));
+      const laid = new Set(charts.map(({ name }) => name));
+      for (const name of [...this.sheets.keys()]) if (name.startsWith("chart ") && !laid.has(name)) this.sheets.delete(name);
+      for (const { name, canvas } of charts) if (canvas) this.sheets.set(name, new Sheet(canvas));
       this.charts = charts.map(({ name, unit, lines, bounds }) => ({ name, unit, lines, bounds }));
     }
 
@@ -234,8 +236,10 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
     }
 
     // The body stays in the middle: the target follows it, more slowly than it moves.
-    follow(points, { width, height }) {
+    follow(all, { width, height }) {
       Object.assign(this.camera, { width, height });
+      // Reflections far away make nobody small.
+      const labelled = this.newest.indices.filter(index => index >= 0).map(index => all[index]), points = labelled.length >= LEAST ? labelled : all;
       if (points.length) {
         const middle = [0, 1, 2].map(axis => points.reduce((sum, point) => sum + point[axis], 0) / points.length);
         const size = Math.max(0.3, ...points.map(point => Math.hypot(...point.map((value, axis) => value - middle[axis]))));
@@ -311,7 +315,7 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
   class DrawingPort {
     // worker: one that can draw, or null. answer: told of each picture that was drawn, see Drawing.
     constructor(worker, answer) {
-      Object.assign(this, { worker, pictures: 0, taken: 0, answeredAt: performance.now() });
+      Object.assign(this, { worker, laid: [], pictures: 0, taken: 0, answeredAt: performance.now() });
       const answered = told => {
         Object.assign(this, { taken: told.taken, answeredAt: performance.now() });
         if (told.drawn) answer(told);
@@ -346,11 +350,12 @@ if (typeof document === "undefined" && typeof importScripts === "function") impo
     }
 
     charts(laid) {
-      for (const canvas of this.laid || []) { this.sizes.unobserve(canvas); this.views.unobserve(canvas); }
+      const before = this.laid, known = new Set(before);
       this.laid = laid.map(chart => chart.canvas);
-      const charts = laid.map(chart => ({ ...chart, canvas: this.handed(chart.name, chart.canvas) }));
-      this.tell({ charts }, this.worker ? charts.map(chart => chart.canvas) : []);
-      for (const canvas of this.laid) this.watch(canvas);
+      for (const canvas of before) if (!this.laid.includes(canvas)) { this.sizes.unobserve(canvas); this.views.unobserve(canvas); }
+      const charts = laid.map(chart => ({ ...chart, canvas: known.has(chart.canvas) ? null : this.handed(chart.name, chart.canvas) }));
+      this.tell({ charts }, this.worker ? charts.map(chart => chart.canvas).filter(canvas => canvas) : []);
+      for (const canvas of this.laid) if (!known.has(canvas)) this.watch(canvas);
     }
 
     handed(name, canvas) {
