@@ -62,7 +62,9 @@ def test_a_set_that_is_sure_of_too_few_points_is_not_taken() -> None:
     assert wider_model(virtual_model(ASKED), clouds, WiderRules(frames=5, explained=1.1)) is None
 
 
-def test_a_stream_is_labelled_by_the_larger_set_once_a_second_shows_that_it_is_worn() -> None:
+def test_a_stream_is_labelled_by_the_larger_set_once_a_second_shows_that_it_is_worn(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The labels of this set are many without it, too.
+    monkeypatch.setattr("asterism.session.live._LABELLED", 1.1)
     clouds, truth = simulate_gaps_and_ghosts(person(), 0, 0, seed=1)
     live = LiveLabeller(50.0, delay=2, markers=ASKED, vertical=clouds.vertical, studies="none")
     found = [labels for frame in range(len(clouds)) if (labels := live.push(clouds[frame])) is not None] + live.flush()
