@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from asterism.live.blobs import camera_clock
 from asterism.live.blobs._clock_kernels import fit_line
 from asterism.live.blobs._follow_kernels import link_blobs
-from asterism.live.blobs.camera_clock import CameraClock, compile_fit
+from asterism.live.blobs.camera_clock import CameraClock, compile_fit, same_clock
+from asterism.live.blobs.following import FollowedImage, between, follow
 from asterism.live.blobs.gathering import LONGEST_WAIT, ByNumber, ByTime, RigFrame
 from asterism.live.camera_frames import LiveBlobs
 
@@ -296,3 +297,23 @@ def test_a_camera_whose_clock_is_set_takes_part_again() -> None:
     last = frames[-60:-5]
     assert all(len(frame.xy[1]) == 3 for frame in last)
     assert max(misses(frame, frame.time - 50.001) for frame in last) < 0.8
+
+
+def test_a_blob_that_speeds_up_is_put_on_its_parabola() -> None:
+    images = [FollowedImage(t, t, np.array([[3000.0 * t * t, 50.0]]), np.array([4.0])) for t in (0.0, 0.01, 0.02)]
+    for before, image in zip([None, *images], images, strict=False):
+        follow(before, image, 1.0)
+    xy, _ = between(images[0], images[1], images[2], 0.015)
+    np.testing.assert_allclose(xy, [[3000.0 * 0.015**2, 50.0]], atol=1e-9)
+    xy, _ = between(None, images[1], images[2], 0.015)
+    np.testing.assert_allclose(xy, [[0.5 * 3000.0 * (0.01**2 + 0.02**2), 50.0]], atol=1e-9)
+
+
+@pytest.mark.parametrize(("ppm", "one"), [(0.0, True), (100.0, False)])
+def test_clocks_that_run_apart_are_not_one(ppm: float, one: bool) -> None:
+    """They are 3 ms apart after half a minute, as the images of one clock may be."""
+    clocks = CameraClock(), CameraClock()
+    for at in np.arange(0.0, 30.0, 0.05):
+        clocks[0].observe(at, at)
+        clocks[1].observe(at * (1.0 + 1e-6 * ppm), at)
+    assert same_clock(*clocks, LONGEST_WAIT) == one
