@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from models import trained
+from models import SHORT, trained
 
 from asterism.labelling import MarkerModel, TrainingRules
 from asterism.labelling.evaluation import expected_calibration_error
@@ -175,7 +177,7 @@ def test_trials_of_more_people_count_more():
 def test_a_wrong_label_of_a_simulated_walk_is_said(tmp_path):
     """Walkers whom the model does not know, ghosts beside hidden markers: the confidence knows more of wrong labels than any constant."""
     walks = simulate_walks(subjects=4, frames=60, markers="helen-hayes", seed=5)
-    model = trained(walks[:3], seed=0, subjects=["a", "b", "c"], training=TrainingRules(virtual_people=0, trial_frames=30, folds=3))
+    model = trained(walks[:3], seed=0, subjects=["a", "b", "c"], training=replace(SHORT, trials=TrainingRules().trials, folds=3))
     tally = ConfidenceTally()
     for seed in range(3):
         clouds, truth = simulate_occlusions(walks[3], 3, 3, seed)

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from models import trained
 
 import asterism
-from asterism.labelling import TrainingRules
 from asterism.labelling.whole.short import ShortTrackletRules, long_points
 from asterism.recording import NULL, Clouds, Ints, Labelling, MarkerSet, Recording
 from asterism.simulation import Clutter, add_clutter, displace_marker, simulate_gaps_and_ghosts, simulate_walks
@@ -34,7 +33,7 @@ def walks() -> list[Recording]:
 
 @pytest.fixture(scope="module")
 def ensemble(walks: list[Recording]) -> asterism.MarkerModel:
-    return trained(walks[:4], miner=None, training=TrainingRules(virtual_people=0))
+    return trained(walks[:4], miner=None)
 
 
 def in_clutter(walk: Recording, clutter: Clutter, hidden: int, seed: int, number_tracks: bool = True) -> tuple[Clouds, Ints]:

@@ -18,7 +18,7 @@ import asterism
 from asterism.cameras import Rig
 from asterism.cameras.files import read_rig
 from asterism.cli import main
-from asterism.labelling import TrainingRules, group_tracklets, name_groups
+from asterism.labelling import group_tracklets, name_groups
 from asterism.recording import Blobs, Recording
 from asterism.simulation import simulate_standing, simulate_walks
 from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, simulate_wand, walker_capsules
@@ -112,8 +112,7 @@ def test_every_command_of_the_page_works_and_labels_are_right(
         if "--names" in words:
             name_them(words[1], people[words[1].removesuffix(".c3d")], words[3])
         if verb == "train":
-            rules = TrainingRules(virtual_people=0, folds=2, trial_frames=40)
-            trained([asterism.read(words[1], markers="helen-hayes")], miner=None, training=rules).save(Path("mine.model"))
+            trained([asterism.read(words[1], markers="helen-hayes")], miner=None).save(Path("mine.model"))
             continue
         given = [f"{SIZE[0]}x{SIZE[1]}" if word == "1280x1024" else word for word in words]
         expanded = [path for word in given for path in (sorted(map(str, Path().glob(word))) if "*" in word else [word])]

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from models import examining_briefly, trained
 
-from asterism.labelling import MarkerModel, TrainingRules
+from asterism.labelling import MarkerModel
 from asterism.recording import Recording
 
 matplotlib = pytest.importorskip("matplotlib")
@@ -38,7 +38,7 @@ def trained_once(monkeypatch: pytest.MonkeyPatch) -> None:
     def fit(recordings: Sequence[Recording], **settings: Any) -> MarkerModel:
         with monkeypatch.context() as patched:
             patched.setattr(MarkerModel, "fit", original)
-            return trained(recordings, miner=None, training=TrainingRules(virtual_people=0, folds=2, trial_frames=40), **settings)
+            return trained(recordings, miner=None, **settings)
 
     monkeypatch.setattr(MarkerModel, "fit", fit)
 

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from learner_exam import Learner, check_learner
+from models import BRIEF
 
 from asterism import MarkerModel, Recording
-from asterism.labelling import FullSolver, FullSolverRules, TrainingRules
+from asterism.labelling import FullSolver, FullSolverRules
 from asterism.labelling.body.model import BodyRules, fit_body
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
 from asterism.labelling.partial.search_strategies import search_partial_solvers
@@ -20,7 +21,7 @@ from asterism.simulation import simulate_walks
 
 FEW = ("LASI", "RASI", "SACR", "LKNE", "RKNE")
 WALKS = [walk.select(FEW) for walk in simulate_walks(subjects=5, frames=40, seed=3)]
-QUICK = TrainingRules(virtual_people=0, folds=2, trial_frames=8)
+QUICK = BRIEF
 SEARCH = SearchSettings(20, 40, 60, 60, 2, 8, 4, 6)
 
 

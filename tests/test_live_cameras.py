@@ -622,6 +622,23 @@ def test_cameras_are_watched_to_their_end_and_one_that_is_gone_costs_itself(caps
     assert status == 0 and "camera1: " in out and " brightness, " in out and not err
 
 
+def test_kernels_are_compiled_before_cameras_are_opened(capsys, monkeypatch) -> None:
+    """An image that waits for them counts as one that does not come; an image without blobs calls only some of them."""
+    running, clock = import_module("asterism.detection.running"), import_module("asterism.live.blobs.camera_clock")
+    blobs, lines, at_opening = list[int](), list[object](), list[tuple[int, int]]()
+    find, fit = running.find_blobs, clock.fit_line
+    monkeypatch.setattr(running, "find_blobs", lambda *given: blobs.append(len(found := find(*given))) or found)
+    monkeypatch.setattr(clock, "fit_line", lambda *given: lines.append(found := fit(*given)) or found)
+
+    def opened(*_: object) -> None:
+        at_opening.append((max(blobs, default=0), len(lines)))
+        raise AsterismError("opened.")
+
+    monkeypatch.setattr(import_module("asterism.cli.live_cameras.watch"), "opened_cameras", opened)
+    assert run(capsys, "watch", "--address", "simulated://")[0] == 2
+    assert at_opening == [(3, 1)]
+
+
 @pytest.mark.parametrize("words", [["--help"], ["list", "--help"], ["set", "--help"], ["watch", "--help"]], ids=" ".join)
 def test_commands_of_cameras_have_help(capsys, words):
     status, out, _ = run(capsys, *words)

@@ -36,6 +36,7 @@ from asterism.live import (
     Feedback,
     FeedbackRule,
     FrameAnalysis,
+    Health,
     LabelledFrame,
     LiveEvent,
     LiveFrame,
@@ -560,6 +561,10 @@ def test_the_page_tells_what_the_command_tells_with_what_to_do() -> None:
         told = live_page._plain_health(session, live_page.ToPage())
         assert told["notes"] == ["x: no unit. Look."] and told["problems"][0].startswith("x.live: recording ended. Make space")
         assert len(told["problems"]) == (2 if judged == 0 else 3), "a person may just walk in"
+    # What goes missing is said in words where it is more than now and then.
+    page = live_page.ToPage()
+    counts = [Health(frames=1000, lost=300, late=2), Health(frames=1100, lost=301, late=2), Health(frames=1200, lost=401, late=2)]
+    assert [page.missing(each) for each in counts] == [[], [], ["live-lost"]]
     for _ in range(20):
         watch.add(labelled(leg(120)), 1.0)
     assert watch.now == (), "what was mended is not told any more"

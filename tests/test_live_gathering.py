@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from asterism.live.blobs import camera_clock
 from asterism.live.blobs._clock_kernels import fit_line
 from asterism.live.blobs._follow_kernels import link_blobs
-from asterism.live.blobs.camera_clock import CameraClock
+from asterism.live.blobs.camera_clock import CameraClock, compile_fit
 from asterism.live.blobs.gathering import LONGEST_WAIT, ByNumber, ByTime, RigFrame
 from asterism.live.camera_frames import LiveBlobs
 
@@ -161,6 +163,17 @@ def test_a_clock_is_known_as_well_as_it_says(seed: int) -> None:
     assert clock.offset_sd(clock.last_time) < scatter
     assert abs(clock.drift_ppm - ppm) < 5 * clock.drift_sd_ppm
     assert clock.drift_sd_ppm < 15 and clock.jumps == 0
+
+
+def test_a_clock_compiles_nothing_while_images_come(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel is compiled anew for each kind of arrays, for a second in which no image is taken."""
+    kinds, fit = list[object](), camera_clock.fit_line
+    monkeypatch.setattr(camera_clock, "fit_line", lambda *given: kinds.append([numba.typeof(each) for each in given]) or fit(*given))
+    compile_fit()
+    clock = CameraClock()
+    for at in np.arange(0.0, 3.0, 0.1):
+        clock.observe(at, at)
+    assert len(kinds) > 4 and kinds == [kinds[0]] * len(kinds)
 
 
 @pytest.mark.kernels

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from models import BRIEF, trained
+from models import BRIEF, SHORT, trained
 
 from asterism import AsterismError, Clouds, MarkerModel, MarkerSet, Recording
 from asterism.labelling import TrainingRules
@@ -20,7 +20,7 @@ from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES
 from asterism.recording import subject_of
 from asterism.simulation import simulate_occlusions, simulate_walks
 
-QUICK = {"miner": None, "training": TrainingRules(virtual_people=0, trial_frames=40, folds=5)}
+QUICK = {"miner": None, "training": replace(SHORT, folds=5)}
 QUICKEST = {"miner": None, "training": BRIEF}
 rooms = settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 

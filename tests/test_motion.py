@@ -9,6 +9,7 @@ import pytest
 import twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from models import BRIEF
 
 from asterism import AsterismError, Clouds, MarkerModel, Recording
 from asterism.labelling.features.feature_kernels import feature_value
@@ -210,7 +211,7 @@ def test_full_solver_with_motion_labels_and_rejects():
 def test_a_model_with_features_of_motion_is_saved_and_read_again(tmp_path):
     features = ("g2", "g4", "g9", "g11", "g16")
     walks = [walk.select(walk.labels[:5]) for walk in WALKS]
-    ensemble = MarkerModel.fit(walks, seed=0, training=TrainingRules(virtual_people=0, trial_frames=20, folds=2, features=features))
+    ensemble = MarkerModel.fit(walks, seed=0, training=replace(BRIEF, trial_frames=20, features=features))
     assert ensemble.about["features"] == list(features)
     ensemble.save(tmp_path / "moving.model")
     again = MarkerModel.load(tmp_path / "moving.model")

@@ -28,7 +28,7 @@ from asterism.cameras import Rig
 from asterism.cameras.files import write_rig
 from asterism.cli import command_line
 from asterism.formats import write_blobs, write_skeleton
-from asterism.labelling import MarkerModel, TrainingRules
+from asterism.labelling import MarkerModel
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import ImagingSettings, render_images, ring_rig, simulate_blobs, simulate_wand, walker_capsules
 from tests.characters import character, stepping_person
@@ -76,7 +76,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def model(files: Path) -> MarkerModel:
     recordings = [asterism.read(files / f"{name}.c3d", markers="helen-hayes") for name in ("ann", "ben", "cem")]
-    return trained(recordings, seed=0, miner=None, training=TrainingRules(virtual_people=0, folds=2, trial_frames=40))
+    return trained(recordings, seed=0, miner=None)
 
 
 @pytest.fixture

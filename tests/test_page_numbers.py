@@ -13,11 +13,18 @@ from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.live.body import LiveRules
 from asterism.labelling.live.stream import StreamRules
+from asterism.labelling.live.study import StudyRules
+from asterism.labelling.live.study_process import _FREE, _REST
 from asterism.labelling.stretches import StretchRules
 from asterism.labelling.whole.assignment import EXACT_CHOICES
 from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.labelling.whole.short import ShortTrackletRules
 from asterism.labelling.whole.verdict import VerdictRules
+from asterism.live.frames import MOST_POINTS
+from asterism.live.osc import _LARGEST as LARGEST_BUNDLE
+from asterism.live.outputs import WAITING
+from asterism.live.websocket import _LARGEST as LARGEST_MESSAGE
+from asterism.live.websocket import _MOST_RECEIVERS
 from asterism.motion.clinical import SkinMotion
 from asterism.motion.segmentation import SegmentationRules
 from asterism.views.personal import PERSONAL
@@ -34,6 +41,7 @@ WORDS = {
     "eleven": 11,
     "tenth": 10,
     "half": 0.5,
+    "one and a half": 1.5,
     "quarter": 0.25,
     "twice": 2,
     "two million": 2e6,
@@ -125,6 +133,15 @@ NUMBERS = [
     ("recordings", r"\(after 3, 6, 12 and (\d+) of them", LiveRules().adapt_after[-1]),
     ("motion", r"span a local subspace of (\w+) dimensions", SEGMENTS.dimension),
     ("motion", r"Affinities are computed to (\d+) landmarks", SEGMENTS.landmarks),
+    ("live", r"A \*study\* labels the last (\w+) seconds", StudyRules().window),
+    ("live", r"when there are a (\w+) more frames", StudyRules().growth - 1),
+    ("live", r"after a rest of (\w+) times", _REST),
+    ("live", r"They need (one and a half) processor cores", _FREE),
+    ("live-outputs", r"to all who connect, at most (\d+)", _MOST_RECEIVERS),
+    ("live-outputs", r"gets the newest (\d+) frames", WAITING),
+    ("live-outputs", r"If it has more than ([\d,]+) bytes", LARGEST_BUNDLE),
+    ("live-sources", r"`points` \| at most ([\d,]+);", MOST_POINTS),
+    ("live-sources", r"holds the same as a datagram, at most ([\d,]+) bytes", LARGEST_MESSAGE),
     ("motion", r"(\w+) clusters are merged to limbs", SEGMENTS.clusters),
     ("motion", r"stray less than (\d+) mm \(median\)", 1000 * SEGMENTS.same_limb_m),
     ("motion", r"\((\d) mm at 60 degrees on the thigh", 1000 * SkinMotion().thigh_m),

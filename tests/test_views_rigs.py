@@ -135,7 +135,7 @@ def test_a_person_who_lies_is_labelled_right(turn: tuple[int, int, int]) -> None
 
 def test_mirrored_images_are_named_and_give_no_label() -> None:
     given = walk(2)
-    blobs = given.blobs.frames(slice(0, 15))
+    blobs = given.blobs.frames(slice(0, 8))
     xy, own = blobs.xy.copy(), blobs.camera_of == 1
     xy[own, 0] = given.rig.cameras[1].size[0] - 1 - xy[own, 0]
     result = label_views(replace(blobs, xy=xy), given.rig, BODY)

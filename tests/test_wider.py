@@ -16,7 +16,7 @@ from asterism.labelling.correction import Name, Right, Swap
 from asterism.labelling.recording_labeller import LabellingSettings, RecordingLabeller, WiderModel
 from asterism.recording import Clouds, Labelling, MarkerSet, Place, Recording
 from asterism.recording.verdict import CERTAIN, FITS, Verdict
-from asterism.session import LabellingOptions, label_file
+from asterism.session import LabellingOptions, LiveLabeller, label_file
 from asterism.session.wider import WiderRules, wider_model
 from asterism.simulation import simulate_gaps_and_ghosts
 from asterism.skeleton import counterparts, virtual_people, with_markers_of
@@ -60,6 +60,19 @@ def test_no_other_set_is_looked_for_where_few_points_are_left_over() -> None:
 def test_a_set_that_is_sure_of_too_few_points_is_not_taken() -> None:
     clouds, _ = simulate_gaps_and_ghosts(person(), 0, 0, seed=1)
     assert wider_model(virtual_model(ASKED), clouds, WiderRules(frames=5, explained=1.1)) is None
+
+
+def test_a_stream_is_labelled_by_the_larger_set_once_a_second_shows_that_it_is_worn(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The labels of this set are many without it, too.
+    monkeypatch.setattr("asterism.session.live._LABELLED", 1.1)
+    clouds, truth = simulate_gaps_and_ghosts(person(), 0, 0, seed=1)
+    live = LiveLabeller(50.0, delay=2, markers=ASKED, vertical=clouds.vertical, studies="none")
+    found = [labels for frame in range(len(clouds)) if (labels := live.push(clouds[frame])) is not None] + live.flush()
+    assert [labels.frame for labels in found] == list(range(len(clouds)))
+    later = [(labels.indices, truth[labels.frame, asked_columns()]) for labels in found[50:]]
+    assert np.mean([own == true for own, true in later]) > 0.95
+    (note,) = live.findings()
+    assert note.code == "label-wider-set" and WORN in note.mend and live.marker_set == MarkerSet.load(ASKED)
 
 
 def test_a_file_is_labelled_by_the_larger_set(tmp_path: Path) -> None:

@@ -58,6 +58,14 @@ class RunningBlobs:
     crowded: bool
 
 
+def compile_search() -> None:
+    """Compile the kernels that `RunningDetection` calls, or load them, so that no image waits for it: some seconds the first time."""
+    # Two blobs that overlap, and one at the edge.
+    image = np.full((64, 64), 20, np.uint8)
+    image[20:26, 20:26], image[30:36, 24:30], image[0:4, 0:4] = 200, 210, 255
+    RunningDetection(BlobSettings()).find(image, 0.0)
+
+
 @dataclass
 class RunningDetection:
     """Finds blobs in one image after the other, as `detect` does in a whole recording, by what the past shows.

@@ -175,7 +175,6 @@ def _check(rule: FeedbackRule, where: str) -> None:
         raise AsterismError(f"{where}: it needs above or below, the value at which the person is told.")
 
 
-@dataclass
 class _RuleState:
     """What a rule remembers from frame to frame.
 
@@ -186,18 +185,9 @@ class _RuleState:
     count, event  events so far, and s, when the last one was
     """
 
-    rule: FeedbackRule
-    frame: float = math.nan
-    known: float = math.nan
-    since: float = math.nan
-    until: float = -math.inf
-    value: float = math.nan
-    on: bool = False
-    count: int = 0
-    event: float = math.nan
-    change: Change | None = None
-
-    def __post_init__(self) -> None:
+    def __init__(self, rule: FeedbackRule) -> None:
+        self.rule, self.frame, self.count = rule, math.nan, 0
+        self.change = Change(rule.change, rule.over) if rule.change else None
         self.begin_anew()
 
     def begin_anew(self) -> None:
@@ -208,7 +198,7 @@ class _RuleState:
         self.repetitions = {side: Repetitions(rule.each, rule.swing) for side in ("", "left", "right")} if rule.each else {}
         self.symmetry = LiveSymmetry(rule.last)
         # What a value was at the start stays true while a marker is hidden.
-        if rule.change and not (self.change is not None and self.change.has_start):
+        if self.change is not None and not self.change.has_start:
             self.change = Change(rule.change, rule.over)
 
 
@@ -226,17 +216,18 @@ class Feedback:
 
     rules: Sequence[FeedbackRule]
     up: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
-    say: Callable[[str], None] | None = None
+    say: Callable[[str], None] = lambda sentence: None
     problems: list[str] = field(default_factory=list)
-    _states: list[_RuleState] = field(default_factory=list)
+    _states: list[_RuleState] = field(init=False)
     _columns: dict[tuple[str, ...], dict[str, int]] = field(default_factory=dict)
     _names: tuple[tuple[str, ...], int] = ((), -1)
     _begin: float = math.nan
 
+    def __post_init__(self) -> None:
+        self._states = [_RuleState(rule) for rule in self.rules]
+
     def judge(self, frame: LabelledFrame, analysis: FrameAnalysis = NOTHING) -> tuple[Cue, ...]:
         """What each rule says of a frame and of what follows from it."""
-        if len(self._states) != len(self.rules):
-            self._states = [_RuleState(rule) for rule in self.rules]
         if frame.markers:
             self._look_once(frame, analysis)
         return tuple(self._cue(state, frame, analysis) for state in self._states)
@@ -262,7 +253,7 @@ class Feedback:
         """Find the rules that can never speak with these names, and say so. values: None while they are not known."""
         before, self.problems = self.problems, self._unknown(markers, values)
         for sentence in self.problems:
-            if self.say is not None and sentence not in before:
+            if sentence not in before:
                 self.say(sentence)
 
     def findings(self) -> list[Finding]:

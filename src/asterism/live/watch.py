@@ -177,14 +177,15 @@ class SessionWatch:
         fits = 2 * sum(look.found.fits for look in looks) >= len(looks)
         if points and (not fits or points < 0.5 * markers or labelled < _FEW_LABELS * min(points, markers)):
             return self._unlike(points, labelled, spread, markers)
-        left = LeftOver.of(
-            self._shown / max(self._shown_in, 1.0), [left_on_body(look.found.frame.points, look.found.indices) for look in looks]
-        )
+        on_body = [left_on_body(look.found.frame.points, look.found.indices) for look in looks]
+        left = LeftOver.of(self._shown / max(self._shown_in, 1.0), on_body)
         if left.tells:
             self._unlike_looks, self._left = list(looks), left
             return Finding("live-other-markers", Severity.WARNING, self.name, left.sentence(self.name, "the set"), _OTHER_SET)
-        if min(labelled, points - labelled) > 0.7 * markers:
-            sentence = f"{self.name}: {points - labelled:.0f} points are left over beside a body of {labelled:.0f}; one person is labelled."
+        # Points on the body are markers that nobody asked for.
+        beside = float(np.median([look.points - look.labelled - on for look, on in zip(looks, on_body, strict=True)]))
+        if min(labelled, beside) > 0.7 * markers:
+            sentence = f"{self.name}: {beside:.0f} points are left over beside a body of {labelled:.0f}; one person is labelled."
             return Finding("live-second-body", Severity.NOTE, self.name, sentence, "Have one person in view, or label the recording.")
         axis, times = self._taller(spread)
         if points and times > _TALLER:

@@ -3,25 +3,35 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
-from asterism.findings import Finding
+from asterism.findings import Finding, Severity
 from asterism.labelling.live.stream import FrameLabels, Stream, check_timing
 from asterism.labelling.live.study import Studies, StudyPlace, StudyRules
 from asterism.labelling.live.study_process import StudyProcess, make_studies
+from asterism.labelling.marker_model import MarkerModel
+from asterism.labelling.recording_labeller import WiderModel
 from asterism.labelling.virtual_model import virtual_model
-from asterism.recording import Clouds, Floats, MarkerSet, Recording, as_vertical
+from asterism.recording import NULL, Clouds, Floats, MarkerSet, Recording, as_vertical
+from asterism.recording.verdict import CERTAIN
 from asterism.session.labeller import findings_on_sets
+from asterism.session.wider import WiderRules, wider_model
 from asterism.session.worn import SetFinder, WornMarkers
 
 _SECONDS = 1.0
 """s of frames in which the marker set is looked for: a step of a walk. With half of it all frames show one posture; with twice as much the
 first labels come a second later."""
+_LABELLED = 0.8
+"""Share of the markers given that have a label in a usual frame, below which a wider set is looked for among many more points: a hand and a
+foot may be hidden. At half, plug-in-gait beside the markers of the Oxford foot keeps the 66 % of its labels that it has alone; at double,
+everybody who comes with ghosts waits for the search, which takes seconds."""
 
 
 class LiveLabeller:
@@ -36,7 +46,8 @@ class LiveLabeller:
     studies      where the last seconds are labelled as a whole, see `make_studies`; a process is ended by `close`
 
     `worn` is the set, None while it is not known; `refusal` says why the last second showed none. Of several people, the
-    one of most points is labelled.
+    one of most points is labelled. Where a second shows many more points than the set given has markers, and few labels, the set that
+    explains all of them labels them, see `wider_model`, and the labels of the markers given are told: the search takes seconds, once.
     Raises AsterismError where the set given cannot be used, or the rate or the delay is none.
     """
 
@@ -59,6 +70,10 @@ class LiveLabeller:
         # It begins while the set is sought.
         self._studies = StudyProcess(rate, StudyRules()) if studies == "process" else studies
         self._waiting, self._before = list[Floats](), 0
+        self._wider: WiderModel | None = None
+        self._latest = deque[tuple[Floats, int]](maxlen=max(1, round(_SECONDS * rate)))
+        """of the set given, the last second of frames: points, and how many of them have a label"""
+        self._may_be_wider, self._pushed = markers is not None, 0
         if markers is not None:
             (worn,) = SetFinder([markers]).given_sets()
             self._take(worn)
@@ -74,7 +89,11 @@ class LiveLabeller:
         Raises AsterismError as `Stream.push` does.
         """
         if self._stream is not None:
-            return self._numbered(self._stream.push(points))
+            labels = self._stream.push(points)
+            self._pushed += 1
+            if self._may_be_wider:
+                labels = self._of_wider(np.array(points, dtype=np.float64), labels)
+            return self._numbered(labels)
         # one that is wrong is refused now, and the others are kept
         frame = Clouds.from_points([points], self.rate).xyz
         self._waiting.append(frame)
@@ -94,7 +113,8 @@ class LiveLabeller:
         """The labels of the last `delay` frames, oldest first. The stream then begins anew, with the set that it knows."""
         rest = [] if self._stream is None else [self._shifted(labels) for labels in self._stream.flush()]
         self._waiting.clear()
-        self._before = 0
+        self._latest.clear()
+        self._before = self._pushed = 0
         return rest
 
     def findings(self) -> list[Finding]:
@@ -129,6 +149,38 @@ class LiveLabeller:
         self._set_findings = findings_on_sets(where, [worn], finder.rules)
         self._take(worn)
 
+    def _of_wider(self, points: Floats, labels: FrameLabels | None) -> FrameLabels | None:
+        """The labels of a push, by a wider set where a second shows that the points are more than those of the set given."""
+        own = 0 if labels is None else int((labels.indices != NULL).sum())
+        self._latest.append((points, own))
+        if self.worn is None or len(self._latest) < max(self._latest.maxlen or 0, self.delay + 1):
+            return labels
+        size = len(self.worn.marker_set)
+        shown, labelled = np.median([(len(each), count) for each, count in self._latest], axis=0)
+        if shown < _LABELLED * size:
+            return labels
+        # Once, as the person comes: later, frames that wait for seconds would hold a session up.
+        self._may_be_wider, frames = False, [each for each, _ in self._latest]
+        self._latest.clear()
+        if shown < (1.0 + WiderRules().left_over) * size or labelled >= _LABELLED * size:
+            return labels
+        wider = wider_model(virtual_model(self.worn.marker_set), Clouds.from_points(frames, self.rate, self._up))
+        if wider is None or not isinstance(wider.model, MarkerModel):
+            return labels
+        if isinstance(self._studies, StudyProcess):
+            # It knows the set given, and learns no other.
+            self._studies.close()
+            self._studies = StudyProcess(self.rate, StudyRules())
+        self._wider, self._before = wider, self._pushed - len(frames)
+        self._stream = wider.model.stream(self.rate, self.delay, self._up, make_studies(self._studies, self.rate, wider.model))
+        asked = self.worn.name
+        sentence = (
+            f"the stream: the points beside those of {asked} are like markers of {wider.name}; all are labelled so, and those of {asked}"
+        )
+        mend = f"Nothing need be done; give --markers {wider.name} to have all of them, at once."
+        self._set_findings = [Finding("label-wider-set", Severity.NOTE, "the stream", f"{sentence} told.", mend)]
+        return [self._stream.push(each) for each in frames][-1]
+
     def _take(self, worn: WornMarkers) -> None:
         model = virtual_model(worn.marker_set)
         self._stream = model.stream(self.rate, self.delay, self._up, make_studies(self._studies, self.rate, model))
@@ -138,5 +190,15 @@ class LiveLabeller:
         return None if labels is None else self._shifted(labels)
 
     def _shifted(self, labels: FrameLabels) -> FrameLabels:
-        """The labels under the frame's number since the first push."""
-        return replace(labels, frame=labels.frame + self._before)
+        """The labels of the markers that are told, under the frame's number since the first push."""
+        found = labels if self._wider is None else _asked_of(self._wider, labels)
+        return replace(found, frame=labels.frame + self._before)
+
+
+def _asked_of(wider: WiderModel, labels: FrameLabels) -> FrameLabels:
+    """Of the labels of a wider set those of the markers asked for."""
+    given = wider.columns != NULL
+    indices, confidence = np.full(len(given), NULL, dtype=np.int64), np.zeros(len(given))
+    indices[given], confidence[given] = labels.indices[wider.columns[given]], labels.confidence[wider.columns[given]]
+    confidence[~wider.named] = np.minimum(confidence[~wider.named], CERTAIN)
+    return replace(labels, indices=indices, confidence=confidence)

@@ -18,7 +18,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.live import AnalysedFrame, LabelledFrame, LiveSession, own_findings
+from asterism.live import AnalysedFrame, Health, LabelledFrame, LiveSession, own_findings, session_findings
 from asterism.live.frames import CameraControl, WithCameraControl
 from asterism.live.outputs import cue_as_json, event_as_json
 from asterism.live.packages import packages_for
@@ -50,6 +50,13 @@ _SETTABLE = ("exposure", "gain", "threshold")
 _SOUNDED = 4096
 """Sounds whose latency is kept, so that one in a hundred is forty. Half of them make it twenty; with twice as many a session's begin counts
 for longer."""
+_RECENT = 5.0
+"""s over which what goes missing is judged while it runs. Half of it tells of a single pause; with twice as much a cable that is loose is
+told when it is tight again."""
+_MISSING = 0.05
+"""Share of the frames of these seconds that are lost, late, left out or damaged from which on it is said in words, and not by a count
+alone: one in 20 is seen as a jerk. Half of it is what a radio network loses all day; with twice as much steps are told late before it is
+said."""
 _LONGEST = 60_000.0
 """ms; a page that tells of a longer latency has a clock that was set. Half and double do as well."""
 
@@ -73,6 +80,7 @@ class ToPage:
         self._wakers: list[Callable[[], object]] = []
         self._sounded: deque[float] = deque(maxlen=_SOUNDED)
         self.late = 0
+        self._counts: deque[tuple[float, dict[str, int]]] = deque()
 
     def send(self, frame: AnalysedFrame) -> None:
         """Keep a frame as the newest one."""
@@ -206,6 +214,16 @@ class ToPage:
         """Take what a page tells of its sounds: ms from the arrival of the frame to the beginning of the sound, each."""
         if isinstance(latencies, list):
             self._sounded.extend(float(ms) for ms in latencies[:100] if isinstance(ms, int | float) and 0 <= ms < _LONGEST)
+
+    def missing(self, health: Health) -> list[str]:
+        """Codes of the findings on frames that go missing just now, by the counts of the last seconds. From the server's thread alone."""
+        counts = {"live-lost": health.lost, "live-late": health.late, "live-dropped": health.dropped, "live-damaged": health.damaged}
+        now = time.monotonic()
+        self._counts.append((now, {**counts, "": health.frames + health.lost + health.late + health.damaged}))
+        while len(self._counts) > 1 and self._counts[1][0] < now - _RECENT:
+            self._counts.popleft()
+        before, after = self._counts[0][1], self._counts[-1][1]
+        return [code for code in counts if after[code] - before[code] > _MISSING * (after[""] - before[""])]
 
     def findings(self) -> list[Finding]:
         """Whether sounds or events did not reach a page in time."""
@@ -434,7 +452,7 @@ def _code_of(address: str) -> str:
     return str(segno.make(address, micro=False).svg_data_uri(omitsize=True)) if address else ""
 
 
-def _told(session: LiveSession) -> tuple[list[Finding], list[Finding]]:
+def _told(session: LiveSession, page: ToPage, health: Health) -> tuple[list[Finding], list[Finding]]:
     """What a person should know now: what calls for an act, the gravest first, and what is only worth knowing."""
     # A source counts in another thread: what changes while it is asked is told the next time.
     with contextlib.suppress(RuntimeError):
@@ -446,14 +464,16 @@ def _told(session: LiveSession) -> tuple[list[Finding], list[Finding]]:
                 Finding("live-not-recorded", Severity.ERROR, session.source.about.name, lost, "Make space, or record to another disk.")
             )
         # A source that sends nothing says in a note what to press.
-        comes = bool(session.health().frames)
+        comes, goes_missing = bool(health.frames), page.missing(health)
+        now += [each for each in session_findings(health, session.source.about.name, None, [session.source]) if each.code in goes_missing]
         acts = [*now, *(finding for finding in found if finding.severity > Severity.NOTE or not comes)]
         return sorted(acts, key=lambda finding: -finding.severity), [finding for finding in found if finding not in acts]
     return [], []
 
 
 def _plain_health(session: LiveSession, page: ToPage) -> dict[str, Any]:
-    health, (acts, notes) = session.health(), _told(session)
+    health = session.health()
+    acts, notes = _told(session, page, health)
     p50, p999 = health.latency
     return {
         "rate": round(health.arriving, 1),

@@ -12,7 +12,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 from numpy.typing import NDArray
 
@@ -57,6 +56,8 @@ def watch(options: WatchCamerasOptions) -> None:
     On a terminal a table; elsewhere a line for each camera and second. A camera that disappears is opened again and told. What should be
     looked at is said at the end. Stop with Ctrl-C.
     """
+    from asterism.detection.running import compile_search
+    from asterism.live.blobs.camera_clock import compile_fit
     from asterism.live.cameras import camera_findings
 
     if options.lines and options.json == "-":
@@ -64,8 +65,8 @@ def watch(options: WatchCamerasOptions) -> None:
     _console.check_outputs([options.json], [options.cameras], overwrite=True)
     specs = cameras_of(options.cameras, options.addresses)
     if not options.no_blobs:
-        # What compiles the first time would keep the first images waiting.
-        _blobs_of(np.zeros((8, 8), np.uint8), None)
+        compile_search()
+    compile_fit()
     group = opened_cameras(specs, options.cameras)
     watched: list[_Watched] = []
     try:

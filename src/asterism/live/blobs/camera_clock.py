@@ -102,11 +102,19 @@ class CameraClock:
 
     def _fit(self) -> None:
         """The line through the fastest images of the buckets, with a drift of 0 +- 100 ppm as what is believed before."""
-        times, least = np.array(self._least).T
+        # Of one layout, however many there are: the kernel is compiled for each.
+        times, least = np.ascontiguousarray(np.array(self._least).T)
         slow = len(least) > 2 and least[-1] - self.offset(float(times[-1])) > _STEP + 10 * self._spread
         self._slow = self._slow + 1 if slow else 0
         self._at = float(times[-1])
         self._offset, self._drift, self._spread = fit_line(times - self._at, least, _SCATTER, _QUARTZ, self._variance)
+
+
+def compile_fit() -> None:
+    """Compile the kernel of `CameraClock`, or load it, so that no image waits for it: a second the first time."""
+    clock = CameraClock()
+    for at in (0.0, BUCKET):
+        clock.observe(at, at)
 
 
 def same_clock(one: CameraClock, other: CameraClock, most: float) -> bool:

@@ -23,7 +23,8 @@ from asterism.files.plain import as_json
 from asterism.files.processes import clean_context
 from asterism.findings import Finding
 from asterism.live.blobs.judging import JudgeProcess
-from asterism.live.blobs.rig_source import RigCameraHealth, RigSource
+from asterism.live.blobs.rig_health import RigCameraHealth
+from asterism.live.blobs.rig_source import RigSource
 from asterism.live.camera_frames import BlobSource
 from asterism.live.frames import TURN, LiveFrame, SourceAbout, SourceEnded
 from asterism.live.pauses import short_pauses
@@ -63,20 +64,20 @@ class RigProcess:
     """What `RigSource` is, with its work in another process, so that neither waits for the other's Python.
 
     open_blobs  opens the source of blobs there
-    rig, settings, name, keep  as of `RigSource`
+    rig, settings, keep  as of `RigSource`
 
     Frames come through a pipe, each a few kilobytes. What is taken is said, so that where this process is too slow frames are dropped
     there, and counted, and what comes through is never old. Raises AsterismError where the source cannot be opened.
     """
 
     def __init__(
-        self, open_blobs: OpenBlobs, rig: Rig, settings: ReconstructionSettings | None = None, *, name: str = "", keep: Path | None = None
+        self, open_blobs: OpenBlobs, rig: Rig, settings: ReconstructionSettings | None = None, *, keep: Path | None = None
     ) -> None:
         context = clean_context(__name__)
         self._pipe, there = context.Pipe()
         # A process that ends with this one may not begin another.
         self._judge = JudgeProcess(context)
-        words = (there, self._judge.pipe, open_blobs, rig, settings, name, keep)
+        words = (there, self._judge.pipe, open_blobs, rig, settings, keep)
         self._process = context.Process(target=_serve, args=words, name="live rig", daemon=True)
         self._process.start()
         # With our copies open, the end of the process would not end the pipes.
@@ -185,7 +186,6 @@ def _serve(
     open_blobs: OpenBlobs,
     rig: Rig,
     settings: ReconstructionSettings | None,
-    name: str,
     keep: Path | None,
 ) -> None:
     """Send frames until the source ends, or the pipe says or shows that nobody wants them."""
@@ -194,7 +194,7 @@ def _serve(
     blobs = source = None
     try:
         blobs = open_blobs()
-        source = RigSource(blobs, rig, settings, name=name, keep=keep, judge_pipe=judge_pipe)
+        source = RigSource(blobs, rig, settings, keep=keep, judge_pipe=judge_pipe)
     except Exception as problem:
         if blobs is not None:
             blobs.close()

@@ -7,7 +7,6 @@ import math
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -19,10 +18,11 @@ from asterism.files.plain import as_json
 from asterism.findings import Finding, Severity
 from asterism.formats.kept_blobs import KeptImage
 from asterism.live.blobs.budget import BlobBudget, telling
-from asterism.live.blobs.camera_clock import CameraClock
-from asterism.live.blobs.gathering import ByNumber, ByTime, CameraArrivals, RigFrame
+from asterism.live.blobs.camera_clock import compile_fit
+from asterism.live.blobs.gathering import ByNumber, ByTime, RigFrame
 from asterism.live.blobs.judging import JudgeProcess, judge
 from asterism.live.blobs.recorder import BlobRecorder
+from asterism.live.blobs.rig_health import RigCameraHealth, health_of, rig_camera_findings
 from asterism.live.camera_frames import BlobSource, LiveBlobs
 from asterism.live.frames import MOST_POINTS, TURN, CameraControl, LiveFrame, OfCameras, SourceAbout, SourceEnded
 from asterism.live.reporting import own_findings
@@ -31,7 +31,7 @@ from asterism.reconstruction import ReconstructionSettings, Reconstructor
 from asterism.reconstruction.camera_fit import CameraFit
 from asterism.reconstruction.streaming import WINDOW
 from asterism.recording import Floats
-from asterism.recording.display import counted, how_often, listed, significant
+from asterism.recording.display import counted, listed, significant
 
 _QUEUE = 0.1
 """s of frames that wait to be reconstructed at most, as of `LiveSession`."""
@@ -43,47 +43,6 @@ _EVERY = 10.0
 with twice as much a bumped camera is told twenty seconds later."""
 
 
-@dataclass(frozen=True)
-class RigCameraHealth:
-    """How one camera does.
-
-    name                  in the rig
-    received, lost, late  images that came, never came by their numbers, and came when their frame had gone on
-    without               frames that went on without it
-    unlinked              blobs that could not be followed to the instant of a frame
-    times_away, away      how often it fell silent, and whether it is silent now
-    jumps                 times that its clock was set
-    offset, offset_sd     s, its clock against this machine's, its fastest way here included
-    drift_ppm, drift_sd_ppm  by how many millionths this machine's clock is faster
-    wait                  s that a frame waits for it at most
-    seen                  the share of the others' points in its image that it shows; NaN where unknown
-    systematic            px by which its whole image is off; NaN where unknown
-    """
-
-    name: str
-    received: int
-    lost: int
-    late: int
-    without: int
-    unlinked: int
-    times_away: int
-    away: bool
-    jumps: int
-    offset: float
-    offset_sd: float
-    drift_ppm: float
-    drift_sd_ppm: float
-    wait: float
-    seen: float
-    systematic: float
-
-
-_AWAY_TOLD = ("live-camera-silent", "live-camera-not-opened", "live-camera-size", "live-camera-ended", "live-camera-reopened")
-"""Why a source says itself that a camera gave nothing for a while: that it fell silent is the same, and is not told again."""
-_NOT_COME = (*_AWAY_TOLD, "live-camera-lost", "live-camera-dropped")
-"""What it says itself of images that did not come."""
-
-
 class RigSource:
     """The points that calibrated cameras show, one frame after the other.
 
@@ -92,7 +51,6 @@ class RigSource:
     settings  of the reconstruction
     waits     whether the source waits until its frames are taken: a file can, a camera cannot. Then noise and cameras are judged in line,
               so that the same file gives the same points
-    name      instead of the source's
     keep      where the blobs are kept as they come, for `asterism reconstruct`; None for nowhere
     judge_pipe  the pipe of a `JudgeProcess` that another one begins and ends; None for one of its own
     speed     times as fast as they were taken that the source plays them: frames have the rate at which they were taken, as their times
@@ -113,13 +71,12 @@ class RigSource:
         settings: ReconstructionSettings | None = None,
         *,
         waits: bool = False,
-        name: str = "",
         keep: Path | None = None,
         speed: float = 1.0,
         judge_pipe: Connection[Any, Any] | None = None,
     ) -> None:
         known = [camera.name for camera in rig if camera.posed and (not source.cameras or camera.name in source.cameras)]
-        self._unknown = {name: 0 for name in source.cameras if name not in rig.names}
+        self._unknown = dict.fromkeys(name for name in source.cameras if name not in rig.names)
         self._all = rig.names
         self._unposed = [camera.name for camera in rig if not camera.posed]
         used = known if len(known) >= 2 else [camera.name for camera in rig if camera.posed]
@@ -128,11 +85,9 @@ class RigSource:
         self._reconstructor = Reconstructor(self.rig, settings)
         # Compiled and loaded before the first frame, which must not wait for it.
         Reconstructor(self.rig, settings).push([np.array([[0.0, 0.0], [9.0, 9.0]])] * len(self.rig))
-        clock = CameraClock()
-        for at in (0.0, 1.0):
-            clock.observe(at, at)
+        compile_fit()
         self._gather: ByNumber | ByTime = (ByNumber if source.numbered_together else ByTime)(len(self.rig), source.rate)
-        self.about = SourceAbout(name or source.name, source.rate / (speed if math.isfinite(speed) else 1.0), rig.vertical)
+        self.about = SourceAbout(source.name, source.rate / (speed if math.isfinite(speed) else 1.0), rig.vertical)
         self.dropped, self.cut = 0, 0
         self._queue = WaitingFrames[RigFrame](waits=waits)
         self._wanted = False
@@ -195,7 +150,7 @@ class RigSource:
     def cameras(self) -> list[RigCameraHealth]:
         """How each camera does, in the rig's order."""
         fits = self._fits or [CameraFit(0, math.nan, math.nan)] * len(self.rig)
-        return [_health(name, state, fit) for name, state, fit in zip(self.rig.names, self._gather.cameras, fits, strict=True)]
+        return [health_of(name, state, fit) for name, state, fit in zip(self.rig.names, self._gather.cameras, fits, strict=True)]
 
     def camera_numbers(self) -> list[dict[str, Any]]:
         """The same as plain values, with what the source itself says of each; what is not known is None."""
@@ -211,10 +166,10 @@ class RigSource:
     def findings(self) -> list[Finding]:
         """What a person should know of the cameras and their rig."""
         own = own_findings([self._source])
-        # What a camera or its process left out never came either, and is told once, by who knows why.
-        told = {finding.where for finding in own if finding.code in _NOT_COME}
-        away = {finding.where for finding in own if finding.code in _AWAY_TOLD}
-        counts = self._counts(told, away) if self._frames else []
+        counts = list[Finding]()
+        if self._frames:
+            expected = [name for name in self._all if name not in self._unposed]
+            counts = [*rig_camera_findings(self.cameras(), expected, own, busy=getattr(self._source, "overflowed", 0) > 0), *self._counts()]
         # Where a session was so short that it was judged once, that is all there is.
         enough = 1 if self._closed and self._judgements == 1 else 2
         return [*own, *self._names(), *counts, *(finding for finding, times in self._found.values() if times >= enough)]
@@ -245,8 +200,8 @@ class RigSource:
             at = self._gather.push(camera, blobs)
             if at is not None and self._recorder is not None:
                 self._recorder.add(KeptImage(camera, blobs.number, at, blobs.xy, blobs.sizes))
-        elif len(self._unknown) < MOST_POINTS or blobs.camera in self._unknown:
-            self._unknown[blobs.camera] = self._unknown.get(blobs.camera, 0) + 1
+        elif len(self._unknown) < MOST_POINTS:
+            self._unknown.setdefault(blobs.camera)
 
     def _put(self, now: float) -> None:
         most = max(2, round(_QUEUE * self.about.rate)) if math.isfinite(self.about.rate) else 10
@@ -346,32 +301,9 @@ class RigSource:
             found.append(Finding("reconstruct-no-pose", Severity.WARNING, listed(self._unposed), sentence, mend))
         return found
 
-    def _counts(self, told: set[str], away: set[str]) -> list[Finding]:
-        """What was counted, but for cameras whose images or silence are told already."""
-        found, warning, cameras = list[Finding](), Severity.WARNING, self.cameras()
-        busy = getattr(self._source, "overflowed", 0)
-        cable = "Close other programs, or lower the rate." if busy else "Look at cables and at the network, or lower the rate."
-        # Those too of which the source does not know.
-        known = {*self._unposed, *told, *(camera.name for camera in cameras if camera.received)}
-        silent = [name for name in self._all if name not in known]
-        if silent:
-            mend = "Look whether it is switched on, and whether it has this name in the rig."
-            found.append(Finding("live-camera-silent", warning, listed(silent), f"camera {listed(silent)} sent nothing.", mend))
-        totals = [(camera, camera.received + camera.lost) for camera in cameras]
-        if lost := _shares([(camera.name, camera.lost, total) for camera, total in totals if camera.name not in told]):
-            where, said = lost
-            found.append(Finding("live-camera-lost", warning, where, f"images never arrived: {said}.", cable))
-        if late := _shares([(camera.name, camera.late, total) for camera, total in totals]):
-            where, said = late
-            found.append(Finding("live-camera-late", warning, where, f"images came too late for their frame: {said}.", cable))
-        for camera in cameras:
-            where = camera.name
-            if camera.times_away and where not in away and where not in silent:
-                sentence = f"camera {where} fell silent {how_often(camera.times_away)}{', and is silent now' if camera.away else ''}."
-                found.append(Finding("live-camera-away", warning, where, sentence, "Look at its cable; frames went on without it."))
-            if camera.jumps:
-                sentence = f"camera {where}: its clock was set {how_often(camera.jumps)}."
-                found.append(Finding("live-camera-clock", Severity.NOTE, where, sentence, "It takes part again after 20 images."))
+    def _counts(self) -> list[Finding]:
+        """What was counted of frames and blobs."""
+        found, warning = list[Finding](), Severity.WARNING
         where = self.about.name
         if self.dropped:
             sentence = f"{where}: {counted(self.dropped, 'frame')} not reconstructed, since newer ones waited."
@@ -385,7 +317,7 @@ class RigSource:
         if kept is not None and (kept.problem or kept.left_out):
             sentence = kept.problem or f"{kept.path}: {kept.left_out} images were not recorded, since the disk was busy."
             found.append(Finding("live-not-recorded", Severity.ERROR, where, sentence, "Make space, or record to another disk."))
-        unlinked, waited = sum(camera.unlinked for camera in cameras), round(1000 * self.image_wait, 1)
+        unlinked, waited = sum(camera.unlinked for camera in self._gather.cameras), round(1000 * self.image_wait, 1)
         if unlinked or waited:
             sentence = (
                 f"{where}: cameras are not triggered together; each frame waits {significant(waited, 2)} ms for the images after it, and "
@@ -393,35 +325,3 @@ class RigSource:
             )
             found.append(Finding("live-not-followed", Severity.NOTE, where, sentence, "Trigger the cameras together, or raise their rate."))
         return found
-
-
-def _shares(counts: Sequence[tuple[str, int, int]]) -> tuple[str, str] | None:
-    """The cameras (name, how many, of how many) that have some, and what is said of them; None where none has."""
-    some = [(name, count, total) for name, count, total in counts if count]
-    if not some:
-        return None
-    names = listed([name for name, _, _ in some])
-    return names, listed([f"{count} of camera {name} ({significant(100 * count / total, 2)} %)" for name, count, total in some])
-
-
-def _health(name: str, state: CameraArrivals, fit: CameraFit) -> RigCameraHealth:
-    count, clock = state.count, state.clock
-    last = clock.last_time
-    return RigCameraHealth(
-        name,
-        count.received,
-        count.lost,
-        count.late + state.late,
-        state.without,
-        state.unlinked,
-        state.times_away,
-        state.away,
-        clock.jumps,
-        clock.offset(last),
-        clock.offset_sd(last),
-        clock.drift_ppm,
-        clock.drift_sd_ppm,
-        state.wait,
-        fit.seen,
-        fit.systematic,
-    )

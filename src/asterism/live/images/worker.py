@@ -13,11 +13,10 @@ from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
-import numpy as np
-
 from asterism.detection.blobs import BlobSettings
-from asterism.detection.running import RunningDetection
+from asterism.detection.running import RunningDetection, compile_search
 from asterism.errors import AsterismError, sentence_of
+from asterism.live.blobs.camera_clock import compile_fit
 from asterism.live.camera_frames import LiveBlobs, LiveImage
 from asterism.live.cameras import CameraGone, CameraHealth, CameraWatch, LiveCamera, SettingOutcome, SettingValue
 from asterism.live.frames import TURN, SourceEnded
@@ -295,10 +294,8 @@ def work(places: Sequence[CameraPlace], settings: WorkerSettings, out: Connectio
 
     # Threads of OpenCV in each process would fight for the same cores.
     cv2.setNumThreads(1)
-    # The first search compiles, or loads what was compiled: two blobs that overlap, and one at the edge.
-    warm = np.full((64, 64), 20, np.uint8)
-    warm[20:26, 20:26], warm[30:36, 24:30], warm[0:4, 0:4] = 200, 210, 255
-    RunningDetection(BlobSettings()).find(warm, 0.0)
+    compile_search()
+    compile_fit()
     stop, wake, threads = threading.Event(), threading.Condition(), list[threading.Thread]()
     # The parent closes its ends, or is dead, and takes nothing any more.
     with suppress(OSError, EOFError):

@@ -21,11 +21,13 @@ from asterism.gait.feet import SIDES, TURNING, FootColumns, feet_of, foot_column
 from asterism.live.analysis import LiveEvent
 from asterism.live.walking._step_kernels import followed
 from asterism.live.walking.carried_point import FASTER, CarriedPoint
-from asterism.live.walking.foot import LiveFoot, ToldStep
+from asterism.live.walking.foot import PLACES, LiveFoot, ToldStep
 from asterism.live.walking.rules import KINDS, LiveEventRules
 from asterism.recording import Floats, Recording
 
 _SIDE = {"L": "left", "R": "right"}
+_PELVIS = 4
+"""Its row in what is kept of a frame, (5, 3) m; before it are `PLACES` of the feet."""
 _MOST_KEPT = 4000
 """Frames of feet that are kept: 3 s at 1,000 Hz, 1 MB. At half, faster cameras judge fewer steps; at double the same."""
 
@@ -96,7 +98,7 @@ class LiveEvents:
 
     def toe_at(self, side: str, time: float) -> Floats:
         """(2,) m, where the toe of "left" or "right" was at a time of the last second; NaN where it is not known."""
-        return self._at(1 if side == "left" else 3, time)
+        return self._at(PLACES["L" if side == "left" else "R"][OFF], time)
 
     def _at(self, place: int, time: float) -> Floats:
         later = None
@@ -111,7 +113,7 @@ class LiveEvents:
 
     def is_followed(self, begin: float, end: float) -> bool:
         """Whether the pelvis was followed between two times (s): who is out of view, or elsewhere at once, made steps unseen."""
-        seen = [(at, row[4]) for at, row in self._kept if begin <= at <= end and math.isfinite(row[4, 0])]
+        seen = [(at, row[_PELVIS]) for at, row in self._kept if begin <= at <= end and math.isfinite(row[_PELVIS, 0])]
         times = np.diff([begin, *(at for at, _ in seen), end])
         ways = np.linalg.norm(np.diff([place for _, place in seen], axis=0), axis=1) if len(seen) > 1 else np.zeros(0)
         return bool((times <= self.rules.pause).all() and (ways <= self.rules.jump + FASTER * times[1:-1]).all())
@@ -152,12 +154,12 @@ class LiveEvents:
         since = 0.0 if math.isnan(step) else step
         pelvis = self._pelvis.push(points, since)
         row = np.full((5, 3), np.nan)
-        row[4] = pelvis
+        row[_PELVIS] = pelvis
         pointing = np.zeros(2)
         for foot in self.feet.values():
-            at = 0 if foot.side == "L" else 2
-            row[at], row[at + 1] = (foot.places[kind].push(points, since) for kind in KINDS)
-            way = row[at + 1, :2] - row[at, :2]
+            for kind, place in foot.rows.items():
+                row[place] = foot.places[kind].push(points, since)
+            way = row[foot.rows[OFF], :2] - row[foot.rows[STRIKE], :2]
             if math.isfinite(way[0]):
                 pointing += way
         self._heading(pointing, step)
@@ -172,9 +174,8 @@ class LiveEvents:
         ahead = ahead / max(float(np.hypot(*ahead)), 1e-9)
         self._put_right(row, step)
         for foot in self.feet.values():
-            at = 0 if foot.side == "L" else 2
-            foot.follow(row[at : at + 2], time, step)
-            for kind, place in ((STRIKE, at), (OFF, at + 1)):
+            foot.follow(row[list(foot.rows.values())], time, step)
+            for kind, place in foot.rows.items():
                 curve = foot.curves[kind]
                 arm = row[place] - pelvis
                 curve.push(time, step, float(arm[0] * ahead[0] + arm[1] * ahead[1]), float(row[place, 2]), foot.places[kind].hidden)
@@ -205,19 +206,21 @@ class LiveEvents:
 
     def _size(self, row: Floats, step: float) -> None:
         """Follow the floor, the height of the pelvis, and whether it is above the feet."""
-        heels = row[[0, 2]][np.isfinite(row[[0, 2], 0])]
-        if not len(heels) or math.isnan(row[4, 0]):
+        heels = row[[places[STRIKE] for places in PLACES.values()]]
+        heels, pelvis = heels[np.isfinite(heels[:, 0])], row[_PELVIS]
+        if not len(heels) or math.isnan(pelvis[0]):
             return
-        lowest, limb, share = float(heels[:, 2].min()), row[4] - heels.mean(axis=0), min(step, 1.0)
+        lowest, limb, share = float(heels[:, 2].min()), pelvis - heels.mean(axis=0), min(step, 1.0)
         self._floor = lowest if math.isnan(self._floor) else min(lowest, self._floor + self.rules.climbs * step)
-        height, upright = float(row[4, 2]) - self._floor, float(limb[2]) / max(float(np.linalg.norm(limb)), 1e-9)
+        height, upright = float(pelvis[2]) - self._floor, float(limb[2]) / max(float(np.linalg.norm(limb)), 1e-9)
         self.leg_length = height if math.isnan(self.leg_length) else self.leg_length + share * (height - self.leg_length)
         self._upright = upright if math.isnan(self._upright) else self._upright + share * (upright - self._upright)
         lies = self._upright < self.rules.upright
         self._walked, self._lay = self._walked + step * (not lies), self._lay + step * lies
 
     def _goes_backwards(self, time: float, pelvis: Floats) -> bool:
-        first = next((row[4] for at, row in self._kept if at >= time - self.rules.backwards_in and math.isfinite(row[4, 0])), None)
+        kept = (row[_PELVIS] for at, row in self._kept if at >= time - self.rules.backwards_in)
+        first = next((place for place in kept if math.isfinite(place[0])), None)
         if first is None or not math.isfinite(pelvis[0]):
             return False
         way = (pelvis - first)[:2] @ self._ahead[0]
@@ -227,7 +230,7 @@ class LiveEvents:
 
     def _put_right(self, row: Floats, step: float) -> None:
         """Give left and right foot their own places again where a frame has each where the other one goes. Writes the row."""
-        feet, before = row[:4].reshape(2, 2, 3), self._before
+        feet, before = row[:_PELVIS].reshape(2, 2, 3), self._before
         expected = before + step * self._speeds
         if not np.isfinite(feet).all() or not np.isfinite(expected).all():
             self._before, self._speeds = feet.copy(), np.zeros_like(feet)
@@ -237,8 +240,8 @@ class LiveEvents:
             self._exchanged += step
             # Who is wrong for so long was right: then it is what came before that was exchanged.
             if self._exchanged < self.rules.pause:
-                row[:4] = feet[::-1].reshape(4, 3)
-                feet = row[:4].reshape(2, 2, 3)
+                row[:_PELVIS] = feet[::-1].reshape(-1, 3)
+                feet = row[:_PELVIS].reshape(2, 2, 3)
             else:
                 for foot in self.feet.values():
                     foot.clear()
@@ -303,16 +306,15 @@ class LiveEvents:
     def _stood(self, foot: LiveFoot, strike: float, off: float) -> None:
         """What a foot that stood says of the floor: the middle of a stance, in which neither heel nor toe turns."""
         begins, ends = (strike + share * (off - strike) for share in (0.3, 0.6))
-        heel = 0 if foot.side == "L" else 2
-        moved = [self._at(place, ends) - self._at(place, begins) for place in (heel, 4)]
+        moved = [self._at(place, ends) - self._at(place, begins) for place in (foot.rows[STRIKE], _PELVIS)]
         if ends > begins and math.isfinite(moved[0][0] + moved[1][0]):
             self._slid.append(slides(moved[0], moved[1], self._ahead[0]))
             self._floors.append(moved[0] / (ends - begins))
 
     def _heights(self, foot: LiveFoot, begins: float, ends: float) -> Floats:
         """(T, 2) m, of heel and toe between two times."""
-        first = 0 if foot.side == "L" else 2
-        return np.array([row[first : first + 2, 2] for at, row in self._kept if begins <= at <= ends]).reshape(-1, 2)
+        ends_of = list(foot.rows.values())
+        return np.array([row[ends_of, 2] for at, row in self._kept if begins <= at <= ends]).reshape(-1, 2)
 
     def _learn(self, time: float) -> Iterator[bool]:
         """What the recording's rules say of events that are over, from the curves on both sides of them; False after each part."""

@@ -15,6 +15,9 @@ from asterism.live.walking.rules import KINDS, LiveEventRules
 from asterism.live.walking.turning_curve import TurningCurve
 from asterism.recording import Floats
 
+PLACES = {"L": {STRIKE: 0, OFF: 1}, "R": {STRIKE: 2, OFF: 3}}
+"""Where heel and toe of each foot are among the points of a frame, by the events that they tell."""
+
 
 @dataclass
 class ToldStep:
@@ -35,6 +38,7 @@ class LiveFoot:
 
     def __init__(self, side: str, columns: FootColumns, helpers: list[int], rules: LiveEventRules, offline: EventRules) -> None:
         self.side, self._rules, self._offline = side, rules, offline
+        self.rows = PLACES[side]
         self.places = {STRIKE: CarriedPoint(columns.heels[side], helpers, rules), OFF: CarriedPoint(columns.toes[side], helpers, rules)}
         self.curves = {STRIKE: TurningCurve(1.0, rules), OFF: TurningCurve(-1.0, rules)}
         self.later = {kind: deque[float](maxlen=rules.steps) for kind in KINDS}

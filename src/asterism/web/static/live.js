@@ -253,7 +253,7 @@
     healthIs(health) {
       this.health = health;
       this.ended = Boolean(health.ended);
-      const waits = health.pending ? this.newest ? "frames wait for labels" : "" : health.frames ? health.silent && "no frames come" : "no frame yet";
+      const waits = health.pending ? (this.newest ? "frames wait for labels" : "") : !health.frames ? "no frame yet" : health.silent ? "no frames come" : health.frames > 1 && !Math.round(health.rate) ? "hardly a frame comes" : "";
       const ended = health.problem || (health.ended ? "the session has ended" : waits);
       const problem = ended || (this.port.isStuck ? "the browser draws nothing: load the page anew" : "");
       this.state(problem || (health.pending ? "getting ready" : `${Math.round(health.rate)} frames/s`), Boolean(problem));
