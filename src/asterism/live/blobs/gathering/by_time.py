@@ -1,198 +1,23 @@
-"""Blobs as they come from each camera in; frames of all cameras, in their order and as soon as they are whole, out."""
+"""Blobs of cameras that run freely in; frames of all cameras at the instants at which one of them looks out."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 
 import numpy as np
 
-from asterism.live.blobs.camera_clock import CameraClock, same_clock
+from asterism.live.blobs.camera_clock import same_clock
 from asterism.live.blobs.following import FollowedImage, between, follow
+from asterism.live.blobs.gathering.arrivals import FEWEST, LONGEST_WAIT, REMEMBERED, CameraArrivals, RigFrame
 from asterism.live.camera_frames import LiveBlobs
-from asterism.live.clock import FrameCount, RecentMost
 from asterism.recording import Floats
 from asterism.synchronization.common_clock import RULES
 
-LONGEST_WAIT = 0.1
-"""s that a frame waits for a camera at most, however late that has been: as long as frames wait for their labels. Half of it gives up a
-camera behind a slow radio link; with twice as much what is shown is a fifth of a second old."""
-_MARGIN = 1.5
-"""Times as late as it was at most in the last ten seconds, a camera is waited for. Without a margin each new latest image would miss its
-frame; twice as much makes each lost image hold its frame back for as much longer."""
-_LEAST_WAIT = 0.002
-"""s that a camera is waited for at least: cameras whose images come in one packet are taken one after the other. Half of it is a pause of a
-busy machine, which would cost a frame its cameras; twice as much is what each lost image would hold its frame back for."""
-_AWAY = 2
-"""Frames in a row that a camera misses, after which it is not waited for until it is back. One image is lost now and then; each more holds
-all frames back by that camera's wait. With one, each lost image is told as a camera that fell silent; twice as many hold four frames
-back."""
-_FEWEST = 20
-"""Images of a camera whose times tell its rate. Half of them tell it badly where some are lost; with twice as many a camera joins later:
-after 0.7 s at 60 Hz."""
 _ONE_RATE = 0.05
 """Share by which periods of cameras of one rate differ: free-running ones do by a thousandth, rates that are set to others by a tenth or
 more. Half and double do as well."""
-_REMEMBERED = 256
-"""Frames that are remembered after they went on, so that a camera that comes later is known to be so. Longer than any frame waits, at 1,000
-Hz, too; half and double do as well."""
-
-
-@dataclass(frozen=True, eq=False)
-class RigFrame:
-    """The blobs of all cameras at one instant.
-
-    number   grows by one from frame to frame
-    time     s on the common clock
-    arrived  s on this machine's clock, when the last camera's blobs that are in it came
-    xy       for each camera (n, 2) px, none where it delivered nothing
-    sizes    for each camera (n,) px, NaN where unknown
-    missing  the cameras, by their place, that were not waited for any longer
-    """
-
-    number: int
-    time: float
-    arrived: float
-    xy: tuple[Floats, ...]
-    sizes: tuple[Floats, ...]
-    missing: tuple[int, ...]
-
-
-@dataclass
-class CameraArrivals:
-    """What is known of one camera while it runs.
-
-    count      images received, lost, late and begun anew, by their numbers
-    clock      its clock against this machine's
-    lag        how late its images are, behind the first of their frame or behind its fastest ones
-    late       images that came when their frame had gone on without them
-    without    frames that went on without it
-    unlinked   blobs that could not be followed to the instant of a frame
-    away       whether it is not waited for, since it sends nothing
-    times_away how often that began
-    seen       s on this machine's clock, when its last image came; NaN where none did
-    """
-
-    count: FrameCount = field(default_factory=FrameCount)
-    clock: CameraClock = field(default_factory=CameraClock)
-    lag: RecentMost = field(default_factory=RecentMost)
-    late: int = 0
-    without: int = 0
-    unlinked: int = 0
-    away: bool = False
-    times_away: int = 0
-    seen: float = math.nan
-    missed: int = 0
-    latest: int | None = None
-
-    @property
-    def wait(self) -> float:
-        """s that it is waited for beyond the moment at which it could have come: by how late it has been."""
-        return LONGEST_WAIT if self.count.received < _FEWEST else min(LONGEST_WAIT, max(_LEAST_WAIT, _MARGIN * self.lag.most))
-
-    def takes(self, blobs: LiveBlobs) -> bool:
-        """Whether an image that came is a new one."""
-        if not self.count.takes(blobs.number):
-            return False
-        self.seen, self.away, self.missed, self.latest = blobs.arrived, False, 0, blobs.number
-        self.clock.observe(blobs.time, blobs.arrived)
-        return True
-
-    def missing(self) -> None:
-        """A frame waited for it long enough."""
-        self.missed += 1
-        if self.missed >= _AWAY and not self.away:
-            self.away, self.times_away = True, self.times_away + 1
-
-
-class ByNumber:
-    """Gathers blobs whose numbers tell which of them are one exposure.
-
-    A frame is whole when each camera that is there has sent it, or a later one. A camera that is late is waited for as long as it was late
-    in the last ten seconds, and half as long again, at most 0.1 s; then the frame goes on without it. What comes after that is counted.
-    """
-
-    def __init__(self, cameras: int, rate: float = math.nan) -> None:
-        self.cameras = [CameraArrivals() for _ in range(cameras)]
-        self.image_wait = 0.0
-        self._window = 100 if math.isnan(rate) else max(20, round(rate))
-        self._open: dict[int, dict[int, LiveBlobs]] = {}
-        self._begun: dict[int, float] = {}
-        self._gone: int | None = None
-
-    def push(self, camera: int, blobs: LiveBlobs) -> float | None:
-        """Take the blobs of a camera. Returns when they were taken on the common clock, NaN while that is not known; None if not new."""
-        state, restarts = self.cameras[camera], self.cameras[camera].count.restarts
-        if not state.takes(blobs):
-            return None
-        usual = self._usual()
-        # Numbers of a camera that counts otherwise than most say nothing about its exposure.
-        if abs(blobs.number - usual) > self._window:
-            state.late += 1
-            return None
-        behind = 0 if self._gone is None else self._gone - usual
-        if behind > self._window or (behind > 0 and state.count.restarts > restarts):
-            # Most cameras began anew.
-            self._open, self._begun, self._gone = {}, {}, None
-        begun = self._begun.setdefault(blobs.number, blobs.arrived)
-        state.lag.add(blobs.arrived, blobs.arrived - begun)
-        while len(self._begun) > _REMEMBERED:
-            self._begun.pop(next(iter(self._begun)))
-        if self._gone is not None and blobs.number <= self._gone:
-            state.late += 1
-            return blobs.time
-        self._open.setdefault(blobs.number, {})[camera] = blobs
-        return blobs.time
-
-    def _usual(self) -> int:
-        """The number at which most cameras are."""
-        numbers = sorted(state.latest for state in self.cameras if state.latest is not None and not state.away)
-        return numbers[(len(numbers) - 1) // 2]
-
-    def ready(self, now: float) -> Iterator[RigFrame]:
-        """The frames that are whole, or waited long enough, oldest first. now: s on this machine's clock."""
-        while self._open:
-            number = min(self._open)
-            missing = self._missing(number)
-            if missing and now < self._until(number, missing):
-                return
-            taken = self._open.pop(number)
-            self._gone = number
-            for camera in missing:
-                self.cameras[camera].missing()
-            yield self._frame(number, taken)
-
-    def due(self) -> float:
-        """s on this machine's clock, when the oldest frame waits no longer; infinite where none waits."""
-        if not self._open:
-            return math.inf
-        number = min(self._open)
-        return self._until(number, self._missing(number))
-
-    def _missing(self, number: int) -> list[int]:
-        """The cameras that may still send a frame."""
-        there = self._open[number]
-        return [
-            c
-            for c, state in enumerate(self.cameras)
-            if c not in there and not state.away and (state.latest is None or state.latest < number)
-        ]
-
-    def _until(self, number: int, missing: list[int]) -> float:
-        return self._begun[number] + max((self.cameras[c].wait for c in missing), default=0.0)
-
-    def _frame(self, number: int, taken: dict[int, LiveBlobs]) -> RigFrame:
-        xy, sizes = [np.empty((0, 2))] * len(self.cameras), [np.empty(0)] * len(self.cameras)
-        for c, blobs in taken.items():
-            xy[c], sizes[c] = blobs.xy, blobs.sizes
-        time = float(np.median([blobs.time for blobs in taken.values()]))
-        arrived = max(blobs.arrived for blobs in taken.values())
-        without = tuple(c for c in range(len(self.cameras)) if c not in taken)
-        for c in without:
-            self.cameras[c].without += 1
-        return RigFrame(number, time, arrived, tuple(xy), tuple(sizes), without)
 
 
 class ByTime:
@@ -214,7 +39,7 @@ class ByTime:
         self._leader = list(range(cameras))
         self.one_clock = True
         self._reference: int | None = None
-        self._instants: deque[float] = deque(maxlen=_REMEMBERED)
+        self._instants: deque[float] = deque(maxlen=REMEMBERED)
         self._last: tuple[int, float] | None = None
         self._newest = -math.inf
         self._chosen, self._first = -math.inf, math.inf
@@ -232,7 +57,7 @@ class ByTime:
             return None
         track.stamps.append((blobs.number, blobs.time))
         if not track.joined:
-            if len(track.stamps) < _FEWEST:
+            if len(track.stamps) < FEWEST:
                 return math.nan
             self._join(camera)
         at = self._common(camera, blobs.time)
@@ -399,8 +224,8 @@ class _RecentImages:
     def __init__(self) -> None:
         self.joined = False
         self.period = math.nan
-        self.stamps: deque[tuple[int, float]] = deque(maxlen=_FEWEST)
-        self.images: deque[FollowedImage] = deque(maxlen=_REMEMBERED)
+        self.stamps: deque[tuple[int, float]] = deque(maxlen=FEWEST)
+        self.images: deque[FollowedImage] = deque(maxlen=REMEMBERED)
 
     def reaches(self, instant: float) -> bool:
         """Whether there is an image at the instant or after it."""
