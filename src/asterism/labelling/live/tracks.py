@@ -9,8 +9,7 @@ from scipy.special import logit
 
 from asterism.labelling.live.study import LEAST_CHANCE, Study
 from asterism.recording import NULL, Floats, Ints
-from asterism.tracking._prediction_kernels import extend_tracks
-from asterism.tracking.link_kernels import link_step
+from asterism.tracking.link_kernels import extend_tracks, link_step
 from asterism.tracking.link_workspace_kernels import TrackEnds, make_link_workspace, make_track_ends
 from asterism.tracking.linking import LinkRules
 
