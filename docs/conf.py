@@ -22,7 +22,7 @@ author = "the Asterism developers"
 copyright = author
 version = release = asterism.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "contents", "docstrings", "quick"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "contents", "docstrings"]
 root_doc = "index"
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["_site"]

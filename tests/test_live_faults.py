@@ -182,6 +182,7 @@ class Says:
         (Health(), ["live-unconnected"], ["live-unconnected"]),
         (Health(frames=9, labelled=9, markers=15), ["live-no-points"], ["live-no-points"]),
         (Health(frames=9, labelled=9, markers=15), ["reconstruct-no-points", "live-no-points"], ["reconstruct-no-points"]),
+        (Health(frames=9, labelled=9, markers=15, shown=9), ["label-wider-set", "live-other-markers"], ["label-wider-set"]),
         (Health(frames=9, labelled=9, markers=15), ["live-camera-silent", "live-no-points"], ["live-camera-silent"]),
         (Health(frames=9, labelled=9, markers=15), [], ["live-no-labels"]),
         (Health(frames=9, labelled=9, markers=15, shown=9, damaged=4), ["live-format"], ["live-format"]),

@@ -123,6 +123,28 @@ def test_a_stream_begins_anew_after_everybody_left_and_after_a_flush(walks, ense
     np.testing.assert_array_equal(indices([stream.push(points) for points in clouds]), first)
 
 
+def test_labels_join_what_motion_leaves_open() -> None:
+    # Three points in a row move on to each other's places, so that nothing tells which goes on where.
+    row, step = np.array([[0.0, 0.0, 1.0], [0.03, 0.0, 1.0], [0.06, 0.0, 1.0]]), np.array([0.03, 0.0, 0.0])
+    tracks, markers = TrackEvidence(3, LinkRules(), 100.0, 0.9, 0.1), np.arange(3)
+    tracks.link(row, [])
+    tracks.add(5.0 * np.eye(3))
+    begun = tracks.serial[tracks.current].tolist()
+    assert (tracks.link(row + step, []) < 0).all()
+    tracks.fade()
+    tracks.join(np.array([0, 1, -1]), markers)
+    assert tracks.serial[tracks.current].tolist()[:2] == begun[:2] and tracks.serial[tracks.current][2] not in begun
+    np.testing.assert_allclose(tracks.totals(tracks.current), np.diag([4.5, 4.5, 0.0]))
+    assert len(set(tracks.current.tolist())) == 3 and not set(tracks.current.tolist()) & set(tracks._free)
+    # They have a velocity from now on.
+    assert tracks.link(row + 2 * step, []).tolist()[:2] == [0, 1]
+    # What has a velocity, and what lies too far away, is not joined.
+    tracks.link(row + 0.5, [])
+    serials = tracks.serial[tracks.current].copy()
+    tracks.join(markers, markers)
+    np.testing.assert_array_equal(tracks.serial[tracks.current], serials)
+
+
 @pytest.mark.parametrize(
     ("delay", "shown", "followed", "labelled"),
     [(0, range(60), range(40, 80), 0), (10, range(70, 90), range(50, 90), 5)],

@@ -534,7 +534,7 @@ def test_a_set_that_is_half_there_beside_points_without_a_label_is_told_by_every
 
 @pytest.mark.parametrize(
     ("worn", "chosen", "told"),
-    [("cmu", "optitrack-baseline", "those of cmu, by which"), ("plug-in-gait", "helen-hayes", ""), ("cmu", "cmu", "")],
+    [("cmu", "optitrack-baseline", "those of cmu, which"), ("plug-in-gait", "helen-hayes", ""), ("cmu", "cmu", "")],
 )
 def test_a_set_that_is_like_the_one_that_is_worn_is_told_where_its_names_are_others(worn: str, chosen: str, told: str) -> None:
     """Markers of both sit alike, so that no point is left over."""

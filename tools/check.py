@@ -49,11 +49,8 @@ STEPS = [
     Step("mypy", ["-m", "mypy"]),
     # Kernels of what others write (images, files, clouds). To collect all files takes longer than to run these, so they are named.
     Step("kernels within bounds", ["-m", "pytest", "-q", "-m", "bounds", *MARKED], CHECKED),
-    # -E: what an earlier build found is found again. Without the names of the reference in the side bars and the index of words, which
-    # nothing here looks at.
-    Step(
-        "site", ["-m", "sphinx", "-W", "-E", "--keep-going", "-q", "-D", "toc_object_entries=0", "-D", "searchable=0", "docs", "build/site"]
-    ),
+    # -E: what an earlier build found is found again. Without the names of the reference in the side bars, which nothing here looks at.
+    Step("site", ["-m", "sphinx", "-W", "-E", "--keep-going", "-q", "-D", "toc_object_entries=0", "docs", "build/site"]),
 ]
 """What runs beside the tests. A line more here is a step more."""
 

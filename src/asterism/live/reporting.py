@@ -53,6 +53,9 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
     # Who knows why no point is made says more than that there is none.
     if any(finding.code in _NO_POINTS_TOLD for finding in found):
         found = [finding for finding in found if finding.code != "live-no-points"]
+    # Where a wider set labels, what is worn is known.
+    if any(finding.code == "label-wider-set" for finding in found):
+        found = [finding for finding in found if finding.code != "live-other-markers"]
     if health.problem:
         found.append(Finding("live-ended", _ERROR, where, f"{where}: the session ended early.", health.problem))
     if not (health.frames or health.damaged or health.problem) and not any(finding.code in _SILENT_TOLD for finding in found):

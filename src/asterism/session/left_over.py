@@ -76,14 +76,14 @@ class LeftOver:
 def set_worn_instead(clouds: Clouds, asked: Sequence[str]) -> str:
     """That points surely show another shipped set than that of these markers, in words; "" where they do not. Takes a second.
 
-    So is told where most markers of both sets sit alike, so that nothing is left over. As many names must differ as there are markers
-    elsewhere that tell a wrong set: one that has all markers of the asked one, and more, is none.
+    So is told where most markers of both sets sit alike, so that nothing is left over. As many markers must be none of the other set's as
+    must be unseen elsewhere to tell a wrong set: where that has all markers of the asked one, and more, the labels are right.
     """
     evidence = evidence_of(clouds)
     found = None if evidence is None else set_instead(evidence, asked)
     if found is None or found[1] < max(_SHARE * len(asked), _FEWEST):
         return ""
-    return f"the points are those of {found[0]}, by which {found[1]} of {len(asked)} markers of the set are others"
+    return f"the points are those of {found[0]}, which lacks {found[1]} of the {len(asked)} markers of the set"
 
 
 def sets_to_name(clouds: Clouds, asked: Sequence[str]) -> tuple[bool, str]:

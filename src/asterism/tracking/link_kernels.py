@@ -13,6 +13,8 @@ from asterism._jit import kernel
 from asterism.tracking._prediction_kernels import extend_tracks, predict_tracks, start_links
 from asterism.tracking.link_workspace_kernels import make_link_workspace, make_track_ends
 
+__all__ = ["extend_tracks", "link_frames", "link_step"]
+
 
 @kernel
 def _doubled(array, capacity):

@@ -195,6 +195,9 @@ class Stream:
         self._last_twins, self._twins_compared = -1, False
         self._waiting: deque[_WaitingFrame] = deque()
         self._pushed, self._empty, self._looked = 0, 0, False
+        # The points and probabilities of all markers in the last frame, where its labels have been asked for.
+        self._known: tuple[Ints, Floats] | None = None
+        self._labelled = np.full(len(self._model.markers), NULL, dtype=np.int64)
 
     def _forget_person(self) -> None:
         """Return to the body model of the training."""
@@ -233,6 +236,7 @@ class Stream:
         before = self._tracks.current
         previous = self._tracks.link(xyz, (frame.rows for frame in self._waiting))
         self._exclude(before)
+        self._known = None
         self._look(xyz)
         rival = np.full(len(xyz), NULL, dtype=np.int64)
         if len(self._rival):
@@ -263,7 +267,7 @@ class Stream:
         stays = np.isin(before, self._tracks.current)
         if not stays.any() or not (self._tracks.frames(before[~stays]) > self._rules.marker_frames).any():
             return
-        point_of, chance = self._chances(before)
+        point_of, chance = self._known if self._known is not None else self._chances(before)
         ended = np.nonzero((point_of >= 0) & ~np.append(stays, True)[point_of])[0]
         self._tracks.exclude(before[stays], ended, self._against(chance[ended]))
 
@@ -311,7 +315,8 @@ class Stream:
         if self._live is not None:
             self._body = self._live.step() or self._body
         self._tracks.fade()
-        self._rival = np.full(len(xyz), NULL, dtype=np.int64)
+        self._rival, before = np.full(len(xyz), NULL, dtype=np.int64), self._labelled
+        self._labelled = np.full(len(self._model.markers), NULL, dtype=np.int64)
         if len(xyz) < 3:
             return
         markers, latents = self._body.load.shape[1], self._body.load.shape[3]
@@ -330,6 +335,8 @@ class Stream:
         busy = self._last_twins == self._pushed or (self._is_large and self._last_search == self._pushed)
         if self._twins.lead is None and not busy:
             self._twins.compare(xyz, chosen.point_of)
+        self._tracks.join(before, chosen.point_of)
+        self._labelled = chosen.point_of
         if self._verdict is not None:
             self._verdict.add(np.where((chosen.point_of >= 0)[:, None], xyz[chosen.point_of], np.nan))
         rescore(self._body, chosen.pose, xyz, chosen.point_of, settings, frame.workspace)
@@ -429,7 +436,10 @@ class Stream:
 
     def _labels_of(self, waiting: _WaitingFrame) -> FrameLabels:
         """A frame's labels, from all evidence that its tracks have now."""
-        point_of, chance = self._chances(waiting.rows, self._hindsight(waiting.rows))
+        against = self._hindsight(waiting.rows)
+        point_of, chance = self._chances(waiting.rows, against)
+        if waiting.rows is self._tracks.current:
+            self._known = point_of, chance
         kept = (point_of >= 0) & (chance >= self._model.least_confidence)
         indices, confidence = np.full(self._model.names, NULL, dtype=np.int64), np.zeros(self._model.names)
         indices[self._model.markers[kept]] = waiting.place[point_of[kept]]
@@ -444,7 +454,7 @@ class Stream:
         current = self._tracks.current
         if np.isin(current, rows).all():
             return None
-        point_of, chance = self._chances(current)
+        point_of, chance = self._known = self._chances(current)
         since = (point_of >= 0) & ~np.isin(current, rows)[point_of]
         against = np.zeros((len(rows), len(point_of)))
         against[np.ix_(np.isin(rows, current), since)] = self._against(chance[since])

@@ -9,7 +9,7 @@ from scipy.special import logit
 
 from asterism.labelling.live.study import LEAST_CHANCE, Study
 from asterism.recording import NULL, Floats, Ints
-from asterism.tracking.link_kernels import link_step
+from asterism.tracking.link_kernels import extend_tracks, link_step
 from asterism.tracking.link_workspace_kernels import TrackEnds, make_link_workspace, make_track_ends
 from asterism.tracking.linking import LinkRules
 
@@ -68,6 +68,8 @@ class TrackEvidence:
             _at_rate(self._ends, step)
         link_step(self._ends, len(self.current), xyz, limits, self._workspace, previous, self._next_ends)
         self._ends, self._next_ends, self._lost = self._next_ends, self._ends, 0
+        self._points, self._previous, self._before = xyz, previous, (self.current, self.serial[self.current])
+        self._may_join = step == 1
         if step > 1:
             _at_rate(self._ends, 1.0 / step)
         linked = previous >= 0
@@ -81,6 +83,30 @@ class TrackEvidence:
         self.current = rows
         self.release(ended, waiting)
         return previous
+
+    def join(self, before: Ints, points: Ints) -> None:
+        """Where motion left open which point goes on with a track of one point, let labels decide: places of the last two frames, (M,).
+
+        before, points: where each marker was in the frame before, and is in this one; -1 for nowhere. Two points of a marker are joined
+        where the first has no other successor, the second begins a track, and motion allows it.
+        """
+        both = np.nonzero((before >= 0) & (points >= 0) & self._may_join)[0]
+        first, then = before[both], points[both]
+        space = self._workspace
+        is_open = (self._previous[then] < 0) & (self._next_ends.age[first] == 1) & ~np.isin(first, self._previous)
+        first, then = first[is_open], then[is_open]
+        is_near = np.linalg.norm(self._points[then] - space.predicted[first], axis=1) <= space.gate[first]
+        first, then = first[is_near], then[is_near]
+        if not len(first):
+            return
+        self._previous[then] = first
+        extend_tracks(self._next_ends, self._points, space.predicted, self._previous, self._ends)
+        begun, rows = self.current[then], self._before[0][first]
+        self.current[then], self.serial[rows], self.serial[begun] = rows, self._before[1][first], NULL
+        # They have ended for the time of this push, and were not faded with the others.
+        self._free = [row for row in self._free if row not in set(rows.tolist())] + begun.tolist()
+        self._evidence[rows] *= self._decay
+        self._frames[rows] *= self._decay
 
     def lose(self) -> None:
         """A frame is lost: what goes on with the next one is sought as far as it may have moved meanwhile."""

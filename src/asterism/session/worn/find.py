@@ -405,7 +405,7 @@ def _same_names(fits: Sequence[FrameFit], one: int) -> Floats:
 
 
 def set_instead(evidence: SetEvidence, asked: Sequence[str], sure: float | None = None) -> tuple[str, int] | None:
-    """The shipped set that points surely show instead of a shipped one of these markers, and how many of its points that names otherwise.
+    """The shipped set that points surely show instead of a shipped one of these markers, and how many of these it does not have.
 
     sure: how probable it must be, as that of `FindRules`. None where no other set is so probable, or the asked one is none of these.
     """
@@ -415,11 +415,7 @@ def set_instead(evidence: SetEvidence, asked: Sequence[str], sure: float | None 
     best = int(chances.argmax())
     if own is None or own == best or worn * np.exp(chances[best]) < (FindRules().sure if sure is None else sure):
         return None
-    # each marker of the other set as the asked one calls it, -2 where it does not know it; the last place is for a point without a marker
-    known = [sets[own].name_of(marker) for marker in sets[best].names]
-    called = np.array([*(sets[own].names.index(marker) if marker is not None else -2 for marker in known), -1])
-    differ = [((fit.given[own] >= 0) & (called[fit.given[best]] != fit.given[own])).sum() for fit in evidence.fits]
-    return names[best], int(np.median(differ))
+    return names[best], len(set(asked) - {sets[own].name_of(marker) for marker in sets[best].names})
 
 
 def _apart(points: Floats, rules: FindRules) -> list[Floats]:
