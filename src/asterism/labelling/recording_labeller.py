@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import NoMarkers
+from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.stretches import StretchRules, label_long
@@ -63,6 +64,11 @@ class TrainedModel(Protocol):
     @property
     def marker_set(self) -> MarkerSet:
         """Names of its markers."""
+        ...
+
+    @property
+    def body_labeller(self) -> BodyLabeller:
+        """What labels single frames by the whole body."""
         ...
 
     def in_recording(self) -> BodyInRecording:

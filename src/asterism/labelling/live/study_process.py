@@ -32,7 +32,7 @@ from asterism.findings import Finding, Severity
 from asterism.labelling.body.model import gram_of
 from asterism.labelling.live.study import Studies, Study, StudyPlace, StudyPlan, StudyRules
 from asterism.labelling.live.study_worker import StudiesInPush, StudyWorker, warm_up
-from asterism.labelling.marker_model import MarkerModel
+from asterism.labelling.recording_labeller import TrainedModel
 from asterism.recording import Floats, Ints
 
 _COUNTED = 0.1
@@ -74,9 +74,10 @@ class StudyProcess:
         self._looker: StudyWorker | None = None
         self._ended = weakref.finalize(self, self._talk.close)
 
-    def teach(self, model: MarkerModel) -> None:
+    def teach(self, model: TrainedModel) -> None:
         """Give the model; once."""
-        self._talk.say((model.state, self.rate, self.rules))
+        # Its class goes along: this file cannot import the one that makes streams.
+        self._talk.say((type(model), model.state, self.rate, self.rules))
         # One frame is looked at here: its labels are wanted before an answer could come.
         self._looker = StudyWorker(model, self.rate, self.rules)
         warm_up(self._looker, model)
@@ -283,7 +284,7 @@ class _Talk:
             self._there.notify_all()
 
 
-def make_studies(place: StudyPlace | Studies, rate: float, model: MarkerModel) -> Studies | None:
+def make_studies(place: StudyPlace | Studies, rate: float, model: TrainedModel) -> Studies | None:
     """The studies of a stream, in the place given, or as they were made. Raises AsterismError where there is no such place."""
     if isinstance(place, StudyProcess):
         place.teach(model)
@@ -361,8 +362,8 @@ def main() -> None:
     # What is printed by anything that is called here is no message.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     with suppress(EOFError, OSError):
-        state, rate, rules = _read(there)
-        model = MarkerModel(state)
+        of_kind, state, rate, rules = _read(there)
+        model = of_kind(state)
         worker = StudyWorker(model, rate, rules)
         warm_up(worker, model)
         # Until now frames waited for it.

@@ -13,8 +13,7 @@ from asterism.findings import Finding
 from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.live.study import StreamFrames, Study, StudyPlan, StudyRules, frames_kept
-from asterism.labelling.marker_model import MarkerModel
-from asterism.labelling.recording_labeller import RecordingLabeller
+from asterism.labelling.recording_labeller import RecordingLabeller, TrainedModel
 from asterism.labelling.whole.label import subject_body
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, as_vertical
 from asterism.recording.verdict import CERTAIN
@@ -23,7 +22,7 @@ from asterism.recording.verdict import CERTAIN
 class StudyWorker:
     """Keeps the last seconds of a stream, and labels them as a whole. Memory: the points of `StudyRules.window`."""
 
-    def __init__(self, model: MarkerModel, rate: float, rules: StudyRules) -> None:
+    def __init__(self, model: TrainedModel, rate: float, rules: StudyRules) -> None:
         self._model, self._rate, self._rules = model, rate, rules
         self._labeller = RecordingLabeller(model)
         self._frames: deque[tuple[Floats, Ints]] = deque(maxlen=frames_kept(rate, rules))
@@ -107,7 +106,7 @@ class StudyWorker:
             return None
 
 
-def warm_up(worker: StudyWorker, model: MarkerModel) -> None:
+def warm_up(worker: StudyWorker, model: TrainedModel) -> None:
     """Have all kernels read or compiled, by a study of a body that stands."""
     body = model.body_labeller.body.mean[0]
     shown = np.ones((12, len(body)), dtype=np.bool_)
@@ -121,7 +120,7 @@ def warm_up(worker: StudyWorker, model: MarkerModel) -> None:
 class StudiesInPush:
     """Studies in the thread of the stream, taken over as late as those of a process would be, and the same each time."""
 
-    def __init__(self, model: MarkerModel, rate: float, rules: StudyRules) -> None:
+    def __init__(self, model: TrainedModel, rate: float, rules: StudyRules) -> None:
         self._rate, self.rules, self._markers = rate, rules, len(model.state.markers)
         self._worker, self._plan = StudyWorker(model, rate, rules), StudyPlan(rate, rules)
         self._looker = StudyWorker(model, rate, rules)
