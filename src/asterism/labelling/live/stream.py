@@ -264,7 +264,7 @@ class Stream:
         A ghost that moves with the body fits the marker beside it in every frame, and would get its label once the marker is hidden.
         before: rows of the frame before.
         """
-        stays = np.isin(before, self._tracks.current)
+        stays = self._tracks.among(before, self._tracks.current)
         if not stays.any() or not (self._tracks.frames(before[~stays]) > self._rules.marker_frames).any():
             return
         point_of, chance = self._known if self._known is not None else self._chances(before)
@@ -430,7 +430,7 @@ class Stream:
         """The oldest waiting frame's labels, from all evidence that its tracks have now."""
         waiting = self._waiting.popleft()
         labels = self._labels_of(waiting)
-        ended = np.setdiff1d(waiting.rows, self._tracks.current, assume_unique=True)
+        ended = waiting.rows[~self._tracks.among(waiting.rows, self._tracks.current)]
         self._tracks.release(ended, (frame.rows for frame in self._waiting))
         return labels
 
@@ -451,13 +451,15 @@ class Stream:
 
         None for none.
         """
-        current = self._tracks.current
-        if np.isin(current, rows).all():
+        tracks, current = self._tracks, self._tracks.current
+        began = ~tracks.among(current, rows)
+        # A flickering point is no marker that came back.
+        if not (tracks.frames(current[began]) > self._rules.marker_frames).any():
             return None
         point_of, chance = self._known = self._chances(current)
-        since = (point_of >= 0) & ~np.isin(current, rows)[point_of]
+        since = (point_of >= 0) & began[point_of]
         against = np.zeros((len(rows), len(point_of)))
-        against[np.ix_(np.isin(rows, current), since)] = self._against(chance[since])
+        against[np.ix_(tracks.among(rows, current), since)] = self._against(chance[since])
         return against
 
     def _chances(self, rows: Ints, against: Floats | None = None) -> tuple[Ints, Floats]:
@@ -504,7 +506,8 @@ class Stream:
         margins = _margins(scores, limited, point_of)
         if may_be_marker.all():
             return margins
-        kept = may_be_marker | np.isin(np.arange(len(rows)), point_of)
+        kept = may_be_marker.copy()
+        kept[point_of[point_of >= 0]] = True
         number = np.cumsum(kept) - 1
         of_lasting = lasts[point_of] & (point_of >= 0)
         among_lasting = _margins(scores[kept], limited[kept], np.where(of_lasting, number[point_of], NULL))

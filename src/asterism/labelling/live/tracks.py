@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logit
 
 from asterism.labelling.live.study import LEAST_CHANCE, Study
@@ -79,7 +80,7 @@ class TrackEvidence:
             # Over lost frames a track may go on as what came back beside it.
             self._excluded[rows[linked]] = 0.0
         rows[~linked] = self._new_rows(int((~linked).sum()))
-        ended = np.setdiff1d(self.current, rows, assume_unique=True)
+        ended = self.current[~self.among(self.current, rows)]
         self.current = rows
         self.release(ended, waiting)
         return previous
@@ -93,7 +94,9 @@ class TrackEvidence:
         both = np.nonzero((before >= 0) & (points >= 0) & self._may_join)[0]
         first, then = before[both], points[both]
         space = self._workspace
-        is_open = (self._previous[then] < 0) & (self._next_ends.age[first] == 1) & ~np.isin(first, self._previous)
+        goes_on = np.zeros(len(self._before[0]), dtype=np.bool_)
+        goes_on[self._previous[self._previous >= 0]] = True
+        is_open = (self._previous[then] < 0) & (self._next_ends.age[first] == 1) & ~goes_on[first]
         first, then = first[is_open], then[is_open]
         is_near = np.linalg.norm(self._points[then] - space.predicted[first], axis=1) <= space.gate[first]
         first, then = first[is_near], then[is_near]
@@ -104,7 +107,8 @@ class TrackEvidence:
         begun, rows = self.current[then], self._before[0][first]
         self.current[then], self.serial[rows], self.serial[begun] = rows, self._before[1][first], NULL
         # They have ended for the time of this push, and were not faded with the others.
-        self._free = [row for row in self._free if row not in set(rows.tolist())] + begun.tolist()
+        joined = set(rows.tolist())
+        self._free = [row for row in self._free if row not in joined] + begun.tolist()
         self._evidence[rows] *= self._decay
         self._frames[rows] *= self._decay
 
@@ -135,6 +139,12 @@ class TrackEvidence:
             free = [row for row in rows.tolist() if row not in needed]
             self.serial[free] = NULL
             self._free.extend(free)
+
+    def among(self, rows: Ints, others: Ints) -> NDArray[np.bool_]:
+        """Which of these rows of the table are among the others: as `numpy.isin`, which takes 50 times as long for so few."""
+        is_other = np.zeros(len(self), dtype=np.bool_)
+        is_other[others] = True
+        return is_other[rows]
 
     def fade(self) -> None:
         """Let the evidence of the current tracks decay by one frame."""
