@@ -23,7 +23,7 @@ from asterism.labelling.whole.point_labels import BodyInRecording
 from asterism.labelling.whole.relabel import LabelledTracklets, label_tracklets
 from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.progress import Progress
-from asterism.recording import NULL, Clouds, Ints, Labelling, MarkerSet
+from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet
 from asterism.recording.verdict import CERTAIN
 
 METHODS = ("whole-body", "partial-solvers", "thesis")
@@ -100,6 +100,14 @@ class WiderModel:
     columns: Ints
     named: NDArray[np.bool_]
 
+    def of_asked(self, indices: Ints, confidence: Floats) -> tuple[Ints, Floats]:
+        """Of indices and confidence (..., N) of all markers of the model those of the markers asked for, (..., M)."""
+        given, shape = self.columns != NULL, (*indices.shape[:-1], len(self.columns))
+        own, sure = np.full(shape, NULL, dtype=np.int64), np.zeros(shape)
+        own[..., given], sure[..., given] = indices[..., self.columns[given]], confidence[..., self.columns[given]]
+        sure[..., ~self.named] = np.minimum(sure[..., ~self.named], CERTAIN)
+        return own, sure
+
     def label(
         self, clouds: Clouds, progress: Progress | None, settings: LabellingSettings, names: Sequence[str]
     ) -> tuple[Labelling, Labelling]:
@@ -110,13 +118,10 @@ class WiderModel:
         whole = self.model.label_one_body(clouds, progress, settings=settings)
         given = self.columns != NULL
         rest = np.setdiff1d(np.arange(len(whole.names)), self.columns[given])
-        shape = (len(clouds), len(self.columns))
-        indices, confidence, candidates = np.full(shape, NULL, dtype=np.int64), np.zeros(shape), np.full(shape, NULL, dtype=np.int64)
-        some = self.columns[given]
-        indices[:, given], confidence[:, given] = whole.indices[:, some], whole.confidence[:, some]
-        confidence[:, ~self.named] = np.minimum(confidence[:, ~self.named], CERTAIN)
+        indices, confidence = self.of_asked(whole.indices, whole.confidence)
+        candidates = np.full_like(indices, NULL)
         if whole.candidates is not None:
-            candidates[:, given] = whole.candidates[:, some]
+            candidates[:, given] = whole.candidates[:, self.columns[given]]
         verdict = whole.verdict
         if verdict is not None:
             told = {whole.names[column]: names[m] for m, column in enumerate(self.columns) if column != NULL}

@@ -20,7 +20,6 @@ from asterism.labelling.marker_model import MarkerModel
 from asterism.labelling.recording_labeller import WiderModel
 from asterism.labelling.virtual_model import virtual_model
 from asterism.recording import NULL, Clouds, Floats, MarkerSet, Recording, as_vertical
-from asterism.recording.verdict import CERTAIN
 from asterism.session.labeller import findings_on_sets
 from asterism.session.wider import WiderRules, wider_model
 from asterism.session.worn import SetFinder, WornMarkers
@@ -191,14 +190,7 @@ class LiveLabeller:
 
     def _shifted(self, labels: FrameLabels) -> FrameLabels:
         """The labels of the markers that are told, under the frame's number since the first push."""
-        found = labels if self._wider is None else _asked_of(self._wider, labels)
-        return replace(found, frame=labels.frame + self._before)
-
-
-def _asked_of(wider: WiderModel, labels: FrameLabels) -> FrameLabels:
-    """Of the labels of a wider set those of the markers asked for."""
-    given = wider.columns != NULL
-    indices, confidence = np.full(len(given), NULL, dtype=np.int64), np.zeros(len(given))
-    indices[given], confidence[given] = labels.indices[wider.columns[given]], labels.confidence[wider.columns[given]]
-    confidence[~wider.named] = np.minimum(confidence[~wider.named], CERTAIN)
-    return replace(labels, indices=indices, confidence=confidence)
+        indices, confidence = labels.indices, labels.confidence
+        if self._wider is not None:
+            indices, confidence = self._wider.of_asked(indices, confidence)
+        return replace(labels, frame=labels.frame + self._before, indices=indices, confidence=confidence)

@@ -429,13 +429,6 @@ class Stream:
     def _labels(self) -> FrameLabels:
         """The oldest waiting frame's labels, from all evidence that its tracks have now."""
         waiting = self._waiting.popleft()
-        labels = self._labels_of(waiting)
-        ended = waiting.rows[~self._tracks.among(waiting.rows, self._tracks.current)]
-        self._tracks.release(ended, (frame.rows for frame in self._waiting))
-        return labels
-
-    def _labels_of(self, waiting: _WaitingFrame) -> FrameLabels:
-        """A frame's labels, from all evidence that its tracks have now."""
         against = self._hindsight(waiting.rows)
         point_of, chance = self._chances(waiting.rows, against)
         if waiting.rows is self._tracks.current:
@@ -444,6 +437,8 @@ class Stream:
         indices, confidence = np.full(self._model.names, NULL, dtype=np.int64), np.zeros(self._model.names)
         indices[self._model.markers[kept]] = waiting.place[point_of[kept]]
         confidence[self._model.markers] = chance
+        ended = waiting.rows[~self._tracks.among(waiting.rows, self._tracks.current)]
+        self._tracks.release(ended, (frame.rows for frame in self._waiting))
         return FrameLabels(waiting.frame, indices, confidence, self._verdict is None or self._verdict.fits)
 
     def _hindsight(self, rows: Ints) -> Floats | None:
