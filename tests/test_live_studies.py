@@ -134,7 +134,7 @@ def test_what_a_study_says_counts_beside_the_frames_of_its_tracks() -> None:
     tracks.take(study, 3.0)
     sure = 3.0 * np.log(0.99 / 0.01)
     expected = 2.0 + np.array([[-sure, sure, -sure], [0.0] * 3, [0.0] * 3, [0.0] * 3])
-    np.testing.assert_allclose(tracks.totals(tracks.current), expected)
+    np.testing.assert_allclose(tracks.totals(tracks.current)[0], expected)
     assert tracks.studied[tracks.current].tolist() == [1, NULL, 2, NULL] and tracks.seen[tracks.current].tolist() == [
         True,
         True,
@@ -144,12 +144,12 @@ def test_what_a_study_says_counts_beside_the_frames_of_its_tracks() -> None:
     # What is held against a track holds until a study gives it the label.
     tracks.exclude(tracks.current[:2], np.array([1]), np.array([4.0]))
     expected[:2, 1] -= 4.0
-    np.testing.assert_allclose(tracks.totals(tracks.current), expected)
+    np.testing.assert_allclose(tracks.totals(tracks.current)[0], expected)
     tracks.take(study, 3.0)
     expected[0, 1] += 4.0
-    np.testing.assert_allclose(tracks.totals(tracks.current), expected)
+    np.testing.assert_allclose(tracks.totals(tracks.current)[0], expected)
     tracks.clear(tracks.current[:1])
-    assert not tracks.totals(tracks.current[:1]).any() and not tracks.seen[tracks.current[0]]
+    assert not tracks.totals(tracks.current[:1])[0].any() and not tracks.seen[tracks.current[0]]
 
 
 def test_a_doubt_of_a_study_takes_back_a_label_and_a_study_that_is_sure_gives_it(walks, model) -> None:

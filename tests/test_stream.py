@@ -13,8 +13,9 @@ from asterism.labelling.body._score_kernels import best_pose
 from asterism.labelling.body._workspace_kernels import make_body_workspace
 from asterism.labelling.body.model import BodyRules, factors
 from asterism.labelling.body.subject import SubjectRules, adapt_body
+from asterism.labelling.live._evidence_kernels import add_up_evidence, margins_of_frame
 from asterism.labelling.live.body import LiveBody, LiveRules
-from asterism.labelling.live.stream import FrameLabels, Stream, _assign, _margins
+from asterism.labelling.live.stream import FrameLabels, Stream, _assign
 from asterism.labelling.live.tracks import TrackEvidence
 from asterism.labelling.live.twins import LiveTwins
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
@@ -134,7 +135,7 @@ def test_labels_join_what_motion_leaves_open() -> None:
     tracks.fade()
     tracks.join(np.array([0, 1, -1]), markers)
     assert tracks.serial[tracks.current].tolist()[:2] == begun[:2] and tracks.serial[tracks.current][2] not in begun
-    np.testing.assert_allclose(tracks.totals(tracks.current), np.diag([4.5, 4.5, 0.0]))
+    np.testing.assert_allclose(tracks.totals(tracks.current)[0], np.diag([4.5, 4.5, 0.0]))
     assert len(set(tracks.current.tolist())) == 3 and not set(tracks.current.tolist()) & set(tracks._free)
     # They have a velocity from now on.
     assert tracks.link(row + 2 * step, []).tolist()[:2] == [0, 1]
@@ -353,7 +354,8 @@ def test_margins_are_those_of_all_labellings_of_a_small_frame() -> None:
     for _ in range(50):
         scores = rng.normal(scale=4.0, size=(4, 3))
         rows = _assign(scores)
-        margins = _margins(scores, scores, rows)
+        margins = np.empty(3)
+        margins_of_frame(scores, scores, np.ones(4, dtype=np.bool_), rows, margins)
 
         def value(labels, scores=scores):
             return sum(scores[c, m] for m, c in enumerate(labels) if c >= 0)
@@ -387,3 +389,67 @@ def test_margins_are_those_of_all_labellings_of_a_small_frame() -> None:
             takes_free = margins[m] - (value(rows) - best)
             assert takes_free >= -1e-9
             assert margins[m] <= scores[rows[m], m] + 1e-9
+
+
+def _plain_margins(scores, limited, point_of):
+    """What `margins_of_frame` gives where all points count."""
+    free = np.ones(len(scores), dtype=np.bool_)
+    free[point_of[point_of >= 0]] = False
+    best_free = limited[free].max(axis=0, initial=-np.inf)
+    margins = np.minimum(best_free, 0.0)
+    given = np.nonzero(point_of >= 0)[0]
+    here = limited[point_of[given], given]
+    margins[given] = np.minimum(here, here - np.maximum(best_free[given], 0.0))
+    held, takes = scores[point_of[given], given], scores[point_of[given]]
+    cost = held[:, None] - takes
+    cost[:, given] += held[None, :] - np.maximum(takes[:, given].T, 0.0)
+    cost[np.arange(len(given)), given] = np.inf
+    margins[given] = np.minimum(margins[given], cost.min(axis=1, initial=np.inf))
+    return margins
+
+
+@pytest.mark.parametrize(("points", "markers"), [(0, 3), (1, 1), (4, 7), (9, 5)])
+def test_margins_of_a_frame_are_those_of_the_plain_twin_without_the_points_that_do_not_count(points, markers) -> None:
+    rng = np.random.default_rng(points)
+    for _ in range(20):
+        scores, limited = rng.normal(scale=4.0, size=(2, points, markers))
+        point_of = _assign(scores)
+        counts = rng.random(points) < 0.7
+        counts[point_of[point_of >= 0]] = True
+        margins, number = np.empty(markers), np.cumsum(counts) - 1
+        margins_of_frame(scores, limited, counts, point_of, margins)
+        among = np.where(point_of >= 0, number[point_of] if points else -1, -1)
+        np.testing.assert_array_equal(margins, _plain_margins(scores[counts], limited[counts], among))
+
+
+def test_points_are_given_to_markers_best_score_first() -> None:
+    rng = np.random.default_rng(0)
+    for shape in ((0, 2), (3, 3), (8, 5), (5, 8)):
+        scores = rng.normal(scale=4.0, size=shape)
+        expected, left = np.full(shape[1], -1), scores.copy()
+        while left.size and left.max() > 0.0:
+            point, marker = np.unravel_index(left.argmax(), shape)
+            expected[marker] = point
+            left[point], left[:, marker] = -np.inf, -np.inf
+        np.testing.assert_array_equal(_assign(scores), expected)
+
+
+def test_evidence_adds_up_as_much_as_so_many_independent_frames_say() -> None:
+    rng = np.random.default_rng(0)
+    evidence, prior, excluded = table = tuple(rng.normal(size=(3, 6, 4)))
+    frames, rows = np.array([0.0, 0.5, 1.0, 3.0, 30.0, 7.0]), np.array([4, 0, 3, 1])
+    totals, limited = np.empty((4, 4)), np.empty((4, 4))
+    add_up_evidence(table, frames, rows, 0.1, 2.5, totals, limited)
+    for most, found in ((np.inf, totals), (2.5, limited)):
+        share = np.minimum(1.0 + 0.1 * np.maximum(frames - 1.0, 0.0), most) / np.maximum(frames, 1.0)
+        np.testing.assert_array_equal(found, (evidence * share[:, None] + prior - excluded)[rows])
+
+
+def test_a_lost_frame_is_told_without_labels_and_costs_little(walks, ensemble) -> None:
+    stream = ensemble.stream(100.0)
+    for points in list(walks[1].clouds())[:30]:
+        stream.push(points)
+    weighed = []
+    stream._chances = lambda *of: weighed.append(of)  # Frames are lost where the chain is too slow: nothing must be weighed then.
+    lost = stream.push(np.empty((0, 3)))
+    assert not weighed and lost.frame == 30 and (lost.indices == -1).all() and not lost.confidence.any()

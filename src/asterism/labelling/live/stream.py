@@ -19,6 +19,7 @@ from scipy.special import expit, logit
 from asterism.errors import AsterismError
 from asterism.findings import Finding
 from asterism.geometry import rotate_z_up
+from asterism.labelling.body._assignment_kernels import assign_greedily
 from asterism.labelling.body._frame_kernels import frame_settings
 from asterism.labelling.body._refine_kernels import refine
 from asterism.labelling.body._score_kernels import best_pose, rescore
@@ -26,6 +27,7 @@ from asterism.labelling.body._search_kernels import MAX_LABELLINGS, find_labelli
 from asterism.labelling.body._workspace_kernels import BodyArrays, BodyWorkspace, FrameModel, FrameSettings, make_body_workspace
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyRules
+from asterism.labelling.live._evidence_kernels import margins_of_frame
 from asterism.labelling.live.body import LiveBody, LiveRules
 from asterism.labelling.live.study import LEAST_CHANCE, Studies, Study
 from asterism.labelling.live.tracks import TrackEvidence
@@ -324,7 +326,7 @@ class Stream:
         lasting = int(self._lasting(self._tracks.current)[1].sum())
         settings = frame_settings(self._model.labeller.settings, lasting or len(xyz), markers)
         frame = _Frame(xyz, settings, make_body_workspace(len(xyz), markers, latents))
-        carried = self._refined(frame, _assign(self._tracks.totals(self._tracks.current)))
+        carried = self._refined(frame, _assign(self._tracks.totals(self._tracks.current)[0]))
         self._age += 1
         is_young = self._age * self._independent < 1.0
         challenge, margin = self._challenge(frame, rival, carried, is_young)
@@ -401,9 +403,8 @@ class Stream:
 
     def _learn_body(self, frame: _Frame, live: LiveBody) -> None:
         """Give a frame to the live body model, if enough of its labels have large margins."""
-        scores = self._tracks.totals(self._tracks.current)
+        scores, limited = self._tracks.totals(self._tracks.current, self._rules.max_ghost_evidence)
         point_of = _assign(scores)
-        limited = self._tracks.totals(self._tracks.current, self._rules.max_ghost_evidence)
         margins = self._margins(self._tracks.current, scores, limited, point_of)
         certain = (point_of >= 0) & (margins >= live.rules.min_margin)
         if certain.sum() < live.rules.min_share * len(point_of):
@@ -429,6 +430,10 @@ class Stream:
     def _labels(self) -> FrameLabels:
         """The oldest waiting frame's labels, from all evidence that its tracks have now."""
         waiting = self._waiting.popleft()
+        if not len(waiting.rows):
+            # Nothing is to be weighed in a frame that was lost; where frames are lost because the chain is too slow, this must be cheap.
+            indices, confidence = np.full(self._model.names, NULL, dtype=np.int64), np.zeros(self._model.names)
+            return FrameLabels(waiting.frame, indices, confidence, self._verdict is None or self._verdict.fits)
         against = self._hindsight(waiting.rows)
         point_of, chance = self._chances(waiting.rows, against)
         if waiting.rows is self._tracks.current:
@@ -462,7 +467,7 @@ class Stream:
 
         For -1, that of the best candidate that was not given. against (n, M): nats to take from what the tracks say.
         """
-        scores, limited = self._tracks.totals(rows), self._tracks.totals(rows, self._rules.max_ghost_evidence)
+        scores, limited = self._tracks.totals(rows, self._rules.max_ghost_evidence)
         if against is not None:
             scores, limited = scores - against, limited - against
         point_of = _assign(scores)
@@ -488,24 +493,27 @@ class Stream:
             return certainty
         of, frames = rows[point_of], self._tracks.known_for
         studied, given, chance = self._tracks.studied[of], self._tracks.given[of], self._tracks.chance[of]
-        same = studied == np.arange(len(point_of))
-        own, found = logit(np.clip([certainty, np.where(same, chance, 1.0 - chance)], LEAST_CHANCE, 1.0 - LEAST_CHANCE))
-        share = frames / (frames + self._rules.evidence_memory * self.rate)
-        doubted = np.minimum(certainty, expit((1.0 - share) * own + share * found))
-        is_doubted = (point_of >= 0) & (studied >= 0) & (same != given)
-        return np.where(is_doubted, doubted, np.where((point_of >= 0) & same & given, np.maximum(certainty, chance), certainty))
+        same, labelled = studied == np.arange(len(point_of)), point_of >= 0
+        certainty = np.where(labelled & same & given, np.maximum(certainty, chance), certainty)
+        doubted = np.nonzero(labelled & (studied >= 0) & (same != given))[0]
+        if len(doubted):
+            said = np.where(same[doubted], chance[doubted], 1.0 - chance[doubted])
+            own, found = logit(np.clip([certainty[doubted], said], LEAST_CHANCE, 1.0 - LEAST_CHANCE))
+            share = frames / (frames + self._rules.evidence_memory * self.rate)
+            certainty[doubted] = np.minimum(certainty[doubted], expit((1.0 - share) * own + share * found))
+        return certainty
 
     def _margins(self, rows: Ints, scores: Floats, limited: Floats, point_of: Ints) -> Floats:
-        """`_margins` of a labelling of the tracks in these rows; a track that lasts has no rivals among those that flicker."""
+        """`margins_of_frame` of a labelling of the tracks in these rows; a track that lasts has no rivals among those that flicker."""
         lasts, may_be_marker = self._lasting(rows)
-        margins = _margins(scores, limited, point_of)
+        margins = np.empty(len(point_of))
+        margins_of_frame(scores, limited, np.ones(len(rows), dtype=np.bool_), point_of, margins)
         if may_be_marker.all():
             return margins
         kept = may_be_marker.copy()
         kept[point_of[point_of >= 0]] = True
-        number = np.cumsum(kept) - 1
-        of_lasting = lasts[point_of] & (point_of >= 0)
-        among_lasting = _margins(scores[kept], limited[kept], np.where(of_lasting, number[point_of], NULL))
+        of_lasting, among_lasting = lasts[point_of] & (point_of >= 0), np.empty(len(point_of))
+        margins_of_frame(scores, limited, kept, np.where(of_lasting, point_of, NULL), among_lasting)
         return np.where(of_lasting, among_lasting, margins)
 
     def _lasting(self, rows: Ints) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -530,35 +538,6 @@ def check_timing(rate: float, delay: int) -> None:
 
 def _assign(scores: Floats) -> Ints:
     """Points to markers, best score first, none below zero: (n, M) nats in, (M,) points out."""
-    point_of = np.full(scores.shape[1], NULL, dtype=np.int64)
-    points, markers = np.nonzero(scores > 0.0)
-    taken = np.zeros(len(scores), dtype=np.bool_)
-    for e in np.argsort(-scores[points, markers], kind="stable"):
-        if point_of[markers[e]] < 0 and not taken[points[e]]:
-            point_of[markers[e]] = points[e]
-            taken[points[e]] = True
+    point_of = np.empty(scores.shape[1], dtype=np.int64)
+    assign_greedily(np.ascontiguousarray(scores.T), 0.0, point_of)
     return point_of
-
-
-def _margins(scores: Floats, limited: Floats, point_of: Ints) -> Floats:
-    """By how many nats each marker's point beats the nearest other labelling: none, a free point, a swap, another marker taking the point.
-
-    A second frame hardly helps to distinguish a marker from a ghost that moves with the body; it does help to distinguish two markers.
-    For a marker without a point: minus the nats that its best free point lacks, not above 0.
-    scores (n, M) of all frames of each point's track; limited (n, M) of few independent ones; point_of (M,). Gives (M,).
-    """
-    points, markers = scores.shape
-    free = np.ones(points, dtype=np.bool_)
-    free[point_of[point_of >= 0]] = False
-    best_free = limited[free].max(axis=0) if free.any() else np.full(markers, -np.inf)
-    given = np.nonzero(point_of >= 0)[0]
-    margins = np.minimum(best_free, 0.0)
-    here = limited[point_of[given], given]
-    margins[given] = np.minimum(here, here - np.maximum(best_free[given], 0.0))
-    # what marker m' (columns) gains by the point of marker m (rows), and the other way round
-    held, takes = scores[point_of[given], given], scores[point_of[given]]
-    cost = held[:, None] - takes
-    cost[:, given] += held[None, :] - np.maximum(takes[:, given].T, 0.0)
-    cost[np.arange(len(given)), given] = np.inf
-    margins[given] = np.minimum(margins[given], cost.min(axis=1, initial=np.inf))
-    return margins

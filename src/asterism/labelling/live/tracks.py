@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logit
 
+from asterism.labelling.live._evidence_kernels import add_up_evidence
 from asterism.labelling.live.study import LEAST_CHANCE, Study
 from asterism.recording import NULL, Floats, Ints
 from asterism.tracking.link_kernels import extend_tracks, link_step
@@ -190,14 +191,16 @@ class TrackEvidence:
         at = np.ix_(rows, markers)
         self._excluded[at] = np.maximum(self._excluded[at], nats)
 
-    def totals(self, rows: Ints, max_frames: float = np.inf) -> Floats:
-        """What all frames of each track say for each marker, (n, M) nats: as much as so many independent frames say, at most.
+    def totals(self, rows: Ints, max_frames: float = np.inf) -> tuple[Floats, Floats]:
+        """What all frames of each track say for each marker, (n, M) nats; and as much of it as so many independent frames say, at most.
 
         What a study said, and what is excluded, counts in full beside them.
         """
-        frames = self._frames[rows]
-        share = np.minimum(1.0 + self._independent * np.maximum(frames - 1.0, 0.0), max_frames) / np.maximum(frames, 1.0)
-        return self._evidence[rows] * share[:, None] + self._prior[rows] - self._excluded[rows]
+        totals = np.empty((len(rows), self._evidence.shape[1]))
+        limited = np.empty_like(totals)
+        table = (self._evidence, self._prior, self._excluded)
+        add_up_evidence(table, self._frames, rows, self._independent, max_frames, totals, limited)
+        return totals, limited
 
 
 def _at_rate(ends: TrackEnds, step: float) -> None:
