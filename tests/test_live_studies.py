@@ -17,7 +17,7 @@ import asterism
 from asterism.errors import AsterismError
 from asterism.files.processes import FreeCores
 from asterism.labelling.live import study_process
-from asterism.labelling.live.stream import FrameLabels, Stream
+from asterism.labelling.live.stream import FrameLabels, Stream, _Frame, _RefinedLabelling
 from asterism.labelling.live.study import StreamFrames, Study, StudyPlan, StudyRules
 from asterism.labelling.live.study_process import StudyProcess, make_studies
 from asterism.labelling.live.study_worker import StudyWorker
@@ -171,6 +171,28 @@ def test_a_doubt_of_a_study_takes_back_a_label_and_a_study_that_is_sure_gives_it
     doubted, sure = of_stream(False, 0.3), of_stream(True, 0.9999)
     assert (found[-1].indices >= 0).all() and (doubted.confidence < found[-1].confidence).all() and (doubted.indices < 0).any()
     assert (sure.indices == found[-1].indices).all() and (sure.confidence >= 0.9999).all()
+
+
+def test_a_rival_labelling_must_outweigh_what_a_study_gave(walks, model) -> None:
+    clouds = list(walks[5].frames(slice(30)).clouds())
+
+    def taken_over(chance: float) -> bool:
+        def tell(xyz, serials, order):
+            known, of_point = stream._known or stream._chances(stream._tracks.current), np.full(len(xyz), NULL, dtype=np.int64)
+            of_point[known[0]] = np.arange(15)
+            return Study(10, 300, serials[order], of_point[order], np.ones(15, dtype=np.bool_), np.full(15, chance), None)
+
+        stream = model.stream(RATE, 0, studies=Told(tell))
+        for points in clouds:
+            stream.push(points)
+        carried = _RefinedLabelling(stream._labelled, 100.0, 0)
+        # It lacks two of the labels, and is ahead by ten nats more than a rival must be.
+        rival = _RefinedLabelling(np.where(np.arange(15) < 2, NULL, carried.point_of), 100.0, 0)
+        stream._refined = lambda *_: rival
+        frame = _Frame(clouds[-1], model.body_labeller.settings, None)
+        return stream._contest(frame, carried, rival.point_of, stream._rules.takeover_margin + 10.0)[0] is rival
+
+    assert taken_over(0.5) and not taken_over(0.99)
 
 
 def test_a_study_is_forgotten_with_its_tracks(walks, model) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +14,10 @@ from asterism.labelling.body._score_kernels import best_pose
 from asterism.labelling.body._workspace_kernels import make_body_workspace
 from asterism.labelling.body.model import BodyRules, factors
 from asterism.labelling.body.subject import SubjectRules, adapt_body
+from asterism.labelling.live import stream as stream_module
 from asterism.labelling.live._evidence_kernels import add_up_evidence, margins_of_frame
 from asterism.labelling.live.body import LiveBody, LiveRules
-from asterism.labelling.live.stream import FrameLabels, Stream, _assign
+from asterism.labelling.live.stream import FrameLabels, Stream, StreamModel, StreamRules, _assign
 from asterism.labelling.live.tracks import TrackEvidence
 from asterism.labelling.live.twins import LiveTwins
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
@@ -453,3 +455,33 @@ def test_a_lost_frame_is_told_without_labels_and_costs_little(walks, ensemble) -
     stream._chances = lambda *of: weighed.append(of)  # Frames are lost where the chain is too slow: nothing must be weighed then.
     lost = stream.push(np.empty((0, 3)))
     assert not weighed and lost.frame == 30 and (lost.indices == -1).all() and not lost.confidence.any()
+
+
+def _stream(model, rules: StreamRules, **changes) -> Stream:
+    """A stream of the model at 100 Hz, with a frame's search changed."""
+    state, labeller = model.state, model.body_labeller
+    labeller = replace(labeller, settings=labeller.settings._replace(**changes))
+    known = StreamModel(labeller, state.markers, len(model.marker_set), state.calibrations, model.least_confidence, state.body_rules)
+    return Stream(known, 100.0, rules=rules)
+
+
+@pytest.mark.parametrize(("budget", "first"), [(120, 3), (250, 1)])
+def test_a_body_that_a_frames_search_does_not_reach_is_sought_longer(walks, ensemble, budget, first) -> None:
+    """It takes 300 to 400 evaluations: the second search may make twice, the fourth four times as many as the first."""
+    clouds = list(walks[5].clouds())[:6]
+    for most, found in ((1, len(clouds)), (StreamRules().most_effort, first)):
+        stream = _stream(ensemble, StreamRules(most_effort=most), max_evaluations=budget)
+        given = [int((stream.push(points).indices >= 0).sum()) for points in clouds]
+        assert given == [0] * found + [15] * (len(clouds) - found)
+
+
+def test_what_many_searches_do_not_explain_is_sought_more_seldom(walks, ensemble, monkeypatch) -> None:
+    searches = list[int]()
+    search = stream_module.find_labellings
+    monkeypatch.setattr(stream_module, "find_labellings", lambda *given: searches.append(1) or search(*given))
+    stream, counts = ensemble.stream(100.0), []
+    for points in np.tile(walks[5].positions[:100], (2, 1, 1)):
+        searches.clear()
+        stream.push(np.concatenate([points[3:], [[9.0, 0.0, 1.0], [9.0, 1.0, 1.0], [9.0, 2.0, 1.0]]]))
+        counts.append(len(searches))
+    assert 1 <= sum(counts[50:100]) <= 4 and 1 <= sum(counts[120:]) <= 4, counts

@@ -51,13 +51,18 @@ class StreamRules:
     independent_after  s; frames of a track that are nearer in time than this repeat each other, and count for less
     max_score          nats, the most that one frame can say for or against a marker
     search_interval    s between searches where the carried labels explain the frames
-    retry_interval     s between searches where they do not
+    retry_interval     s until the next search where they do not; twice as long after each search, up to `search_interval`, until they explain
+                       less than at the last one
     search_effort      markers times labellings that one search refines at most, and markers times twins refined in one frame: so no push
                        of a large marker set takes long; twice as many may take twice as long
+    most_effort        times as many evaluations as for a frame alone that a search may take at most where those before found no body that fits:
+                       every second one takes twice, every fourth four times as many, and so on. With 59 markers a search of four times
+                       takes 6 ms, one of eight 12; at one, every third recording of them began with 0.1 s without a label
     max_ghost_evidence independent frames that count at most for whether a track is a marker or a ghost that moves with the body
     ghost_margin_loss  nats that a margin loses where points are left over, as a ghost that moves with the body fits frame after frame
     log_odds_scale     nats of what then remains that make one unit of log odds
-    takeover_margin    nats by which a labelling from a search must be better, summed over independent frames, to take over
+    takeover_margin    nats by which a labelling from a search must be better, summed over independent frames, to take over; more by what
+                       studies gave for labels that it changes
     marker_frames      frames after which a track is held for no flickering point where it has a label
     lost               s of empty frames behind which tracks go on, as of frames that were lost; in twice as many a body is elsewhere
     ghost_frames       frames after which an unlabelled one is; shorter ones say nothing against the label of a track that lasts
@@ -69,6 +74,7 @@ class StreamRules:
     search_interval: float = 0.5
     retry_interval: float = 0.05
     search_effort: int = 450
+    most_effort: int = 4
     max_ghost_evidence: float = 3.0
     ghost_margin_loss: float = 3.0
     log_odds_scale: float = 3.3
@@ -193,6 +199,10 @@ class Stream:
         self._tracks = TrackEvidence(len(self._model.markers), LinkRules(), self.rate, decay, self._independent)
         self._rival, self._margin = np.zeros(0, dtype=np.int64), 0.0
         self._last_search, self._age = -np.inf, 0
+        # s until the next search where labels do not explain the frames, and how many they lacked at the last one.
+        self._retry, self._lacking = self._rules.retry_interval, 0
+        # Searches since the last one that found a body that fits.
+        self._failed = 0
         self._twins.restart()
         self._last_twins, self._twins_compared = -1, False
         self._waiting: deque[_WaitingFrame] = deque()
@@ -366,7 +376,10 @@ class Stream:
             point_of[rival[rival >= 0]] = np.nonzero(rival >= 0)[0]
         usual = frame.settings.usual_score * carried.labelled - frame.settings.first_ghost_cost
         explained = carried.score >= usual and carried.labelled >= min(points, markers) - 1
-        wait = 0.0 if is_young else (self._rules.search_interval if explained else self._rules.retry_interval) * self.rate
+        lacking = min(points, markers) - carried.labelled
+        if lacking > self._lacking:
+            self._retry = self._rules.retry_interval
+        wait = 0.0 if is_young else (self._rules.search_interval if explained else self._retry) * self.rate
         if self._pushed - self._last_search >= wait and (point_of < 0).all():
             # the twins in one push and the search in the next, so that no push waits for both
             if carried.labelled >= 3 and not self._twins_compared:
@@ -374,6 +387,8 @@ class Stream:
                 twin = self._twins.compare(frame.xyz, carried.point_of)
                 return (twin, 0.0) if twin is not None else (point_of, self._margin)
             self._last_search, self._twins_compared = self._pushed, False
+            # What this search does not explain, the next one hardly will, until more is lacking.
+            self._retry, self._lacking = min(2.0 * self._retry, self._rules.search_interval), lacking
             return self._search(frame), 0.0
         return point_of, self._margin
 
@@ -386,7 +401,9 @@ class Stream:
         if np.array_equal(rival.point_of, carried.point_of) or margin < -self._rules.takeover_margin:
             return carried, 0.0
         rejected = carried.labelled < 0.5 * min(len(frame.xyz), len(challenge)) and rival.score > carried.score
-        if margin > self._rules.takeover_margin or rejected:
+        changed = np.nonzero((carried.point_of >= 0) & (carried.point_of != rival.point_of))[0]
+        studied = self._tracks.studied_for(self._tracks.current[carried.point_of[changed]], changed)
+        if margin > self._rules.takeover_margin + studied or rejected:
             self._take_over(carried, rival, len(frame.xyz))
             return rival, 0.0
         self._rival = marker_of(rival.point_of, len(frame.xyz))
@@ -398,7 +415,7 @@ class Stream:
             self._forget_person()
         changed = marker_of(rival.point_of, points) != marker_of(carried.point_of, points)
         self._tracks.clear(self._tracks.current[changed])
-        self._age = 0
+        self._age, self._retry = 0, self._rules.retry_interval
         self._twins.restart()
 
     def _learn_body(self, frame: _Frame, live: LiveBody) -> None:
@@ -416,15 +433,22 @@ class Stream:
 
     def _search(self, frame: _Frame) -> Ints:
         """The best labelling of the frame that a search finds without knowing the past: (M,)."""
-        labeller, settings = self._model.labeller, frame.settings
-        order = np.argsort(-frame.xyz[:, 2], kind="stable")
+        labeller, order = self._model.labeller, np.argsort(-frame.xyz[:, 2], kind="stable")
+        # Of many points one anchor may take what is allowed for a frame, and end before the body is found: every second search that follows
+        # one without a body may take twice as much, every fourth four times.
+        number = self._failed + 1
+        effort = min(number & -number, self._rules.most_effort)
+        settings = frame.settings._replace(max_evaluations=effort * frame.settings.max_evaluations)
         counters = np.zeros(4, dtype=np.int64)
         model = FrameModel(labeller.solvers, labeller.anchors, labeller.body, settings, labeller.twins)
         workspace = make_search_workspace(frame.workspace, self._candidates, settings.proposals_per_anchor)
         _, best = find_labellings(model, np.ascontiguousarray(frame.xyz[order]), workspace, counters)
+        self._failed += 1
         if best < 0 or not np.isfinite(self._candidates.scores[best]):
             return np.full(len(self._model.markers), NULL, dtype=np.int64)
         found = self._candidates.labellings[best]
+        if self._candidates.scores[best] >= settings.usual_score * (found >= 0).sum() - settings.first_ghost_cost:
+            self._failed = 0
         return np.where(found >= 0, order[found], NULL)
 
     def _labels(self) -> FrameLabels:

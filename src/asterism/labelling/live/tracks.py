@@ -186,6 +186,10 @@ class TrackEvidence:
         # It has weighed which tracks were there at once.
         self._excluded[rows[given], markers[given]] = 0.0
 
+    def studied_for(self, rows: Ints, markers: Ints) -> float:
+        """The nats that the last study gave for each of these tracks being these markers, (J,), added up."""
+        return float(np.maximum(self._prior[rows, markers], 0.0).sum())
+
     def exclude(self, rows: Ints, markers: Ints, nats: Floats) -> None:
         """Count so many nats (J,) against each of these tracks being these markers, (J,), until it ends or a study gives it the label."""
         at = np.ix_(rows, markers)
