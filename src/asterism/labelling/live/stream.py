@@ -51,13 +51,13 @@ class StreamRules:
     independent_after  s; frames of a track that are nearer in time than this repeat each other, and count for less
     max_score          nats, the most that one frame can say for or against a marker
     search_interval    s between searches where the carried labels explain the frames
-    retry_interval     s until the next search where they do not; twice as long after each search, up to `search_interval`, until they explain
-                       less than at the last one
+    retry_interval     s until the next search where they do not; twice as long after each search, up to `search_interval`, until they
+                       explain less than at the last one
     search_effort      markers times labellings that one search refines at most, and markers times twins refined in one frame: so no push
                        of a large marker set takes long; twice as many may take twice as long
-    most_effort        times as many evaluations as for a frame alone that a search may take at most where those before found no body that fits:
-                       every second one takes twice, every fourth four times as many, and so on. With 59 markers a search of four times
-                       takes 6 ms, one of eight 12; at one, every third recording of them began with 0.1 s without a label
+    most_effort        times as many evaluations as for a frame alone that a search may take at most where those before found no body that
+                       fits: every second one takes twice, every fourth four times as many, and so on. With 59 markers a search of four
+                       times takes 6 ms, one of eight 12; at one, every third recording of them began with 0.1 s without a label
     max_ghost_evidence independent frames that count at most for whether a track is a marker or a ghost that moves with the body
     ghost_margin_loss  nats that a margin loses where points are left over, as a ghost that moves with the body fits frame after frame
     log_odds_scale     nats of what then remains that make one unit of log odds
