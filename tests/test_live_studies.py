@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -85,6 +86,16 @@ def test_the_first_frame_that_shows_a_person_is_looked_at_by_itself(walks, model
     looked.flush()
     looked._studies.look = None
     looked.push(crowd)
+
+
+@pytest.mark.parametrize(("recordings", "given"), [(5, [True, True, False]), (0, [False, True, False])])
+def test_labels_of_one_frame_alone_must_be_surer_where_only_virtual_people_taught(model, recordings, given) -> None:
+    state = replace(model.state, about=model.about | {"recordings": recordings})
+    worker = StudyWorker(asterism.MarkerModel(state), RATE, StudyRules())
+    said = Study(0, 1, np.arange(3), np.arange(3), np.array([1, 1, 0]) > 0, np.array([0.9, 0.96, 0.97]), None)
+    worker.study = lambda frames: said
+    looked = worker.look(np.zeros((3, 3)), np.arange(3))
+    assert looked.given.tolist() == given and (looked.markers[looked.given] == np.arange(3)[looked.given]).all()
 
 
 def test_studies_in_pushes_give_the_same_each_time_and_after_a_flush(walks, model) -> None:

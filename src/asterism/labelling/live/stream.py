@@ -51,8 +51,8 @@ class StreamRules:
     independent_after  s; frames of a track that are nearer in time than this repeat each other, and count for less
     max_score          nats, the most that one frame can say for or against a marker
     search_interval    s between searches where the carried labels explain the frames
-    retry_interval     s until the next search where they do not; twice as long after each search, up to `search_interval`, until they
-                       explain less than at the last one
+    retry_interval     s until the next search where they do not; twice as long after each search, up to `search_interval`, until a marker
+                       has lost its label
     search_effort      markers times labellings that one search refines at most, and markers times twins refined in one frame: so no push
                        of a large marker set takes long; twice as many may take twice as long
     most_effort        times as many evaluations as for a frame alone that a search may take at most where those before found no body that
@@ -199,8 +199,8 @@ class Stream:
         self._tracks = TrackEvidence(len(self._model.markers), LinkRules(), self.rate, decay, self._independent)
         self._rival, self._margin = np.zeros(0, dtype=np.int64), 0.0
         self._last_search, self._age = -np.inf, 0
-        # s until the next search where labels do not explain the frames, and how many they lacked at the last one.
-        self._retry, self._lacking = self._rules.retry_interval, 0
+        # s until the next search where labels do not explain the frames, and the markers (M,) that had one at the last search.
+        self._retry, self._explained = self._rules.retry_interval, np.zeros(len(self._model.markers), dtype=np.bool_)
         # Searches since the last one that found a body that fits.
         self._failed = 0
         self._twins.restart()
@@ -376,8 +376,8 @@ class Stream:
             point_of[rival[rival >= 0]] = np.nonzero(rival >= 0)[0]
         usual = frame.settings.usual_score * carried.labelled - frame.settings.first_ghost_cost
         explained = carried.score >= usual and carried.labelled >= min(points, markers) - 1
-        lacking = min(points, markers) - carried.labelled
-        if lacking > self._lacking:
+        shown = carried.point_of >= 0
+        if (self._explained & ~shown).any():
             self._retry = self._rules.retry_interval
         wait = 0.0 if is_young else (self._rules.search_interval if explained else self._retry) * self.rate
         if self._pushed - self._last_search >= wait and (point_of < 0).all():
@@ -387,8 +387,8 @@ class Stream:
                 twin = self._twins.compare(frame.xyz, carried.point_of)
                 return (twin, 0.0) if twin is not None else (point_of, self._margin)
             self._last_search, self._twins_compared = self._pushed, False
-            # What this search does not explain, the next one hardly will, until more is lacking.
-            self._retry, self._lacking = min(2.0 * self._retry, self._rules.search_interval), lacking
+            # What this search does not explain, the next one hardly will, until a label is lost.
+            self._retry, self._explained = min(2.0 * self._retry, self._rules.search_interval), shown
             return self._search(frame), 0.0
         return point_of, self._margin
 

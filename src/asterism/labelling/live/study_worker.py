@@ -35,10 +35,10 @@ class StudyWorker:
         self._labelled: tuple[Ints, Ints] = (np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
 
     def look(self, xyz: Floats, serials: Ints) -> Study:
-        """What one frame says: the labels above `StudyRules.alone`."""
+        """What one frame says: the labels that `label` gives, of a model that no real person taught those above `StudyRules.alone`."""
         self.restart()
         found = self.study(StreamFrames(0, xyz, np.array([len(xyz)]), serials))
-        given = found.given & (found.chance >= self._rules.alone)
+        given = found.given & (found.chance >= (0.0 if self._model.state.about.get("recordings") else self._rules.alone))
         return replace(found, markers=np.where(given, found.markers, NULL), given=given, body=None)
 
     def study(self, new: StreamFrames) -> Study:
