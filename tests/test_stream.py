@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import tracemalloc
 from dataclasses import replace
 
@@ -196,6 +197,7 @@ def test_memory_does_not_grow_with_time(walks, ensemble) -> None:
         for _ in range(times):
             for points in clouds:
                 stream.push(points)
+        gc.collect()
         return tracemalloc.get_traced_memory()[0]
 
     tracemalloc.start()

@@ -43,6 +43,11 @@ _CROWD = 2.0
 55 of 73; with three 5, 40 and 82. Among hundreds of reflections a search that finds nobody may take seconds."""
 
 
+_YOUNG = 4.0
+"""Times as soon that a search comes again while labels are new: of 15 markers every hundredth of a second. At half of it what the first
+search missed is found later; at double, searches of 59 markers at 200 Hz take longer than frames do."""
+
+
 @dataclass(frozen=True)
 class StreamRules:
     """How a stream weighs the frames. All were chosen on gait subjects left out of the training (docs/recordings.md).
@@ -51,8 +56,8 @@ class StreamRules:
     independent_after  s; frames of a track that are nearer in time than this repeat each other, and count for less
     max_score          nats, the most that one frame can say for or against a marker
     search_interval    s between searches where the carried labels explain the frames
-    retry_interval     s until the next search where they do not; twice as long after each search, up to `search_interval`, until a marker
-                       has lost its label
+    retry_interval     s for each marker until the next search where they do not, since a search of more markers takes longer; twice as long
+                       after each search, up to `search_interval`, until a marker has lost its label
     search_effort      markers times labellings that one search refines at most, and markers times twins refined in one frame: so no push
                        of a large marker set takes long; twice as many may take twice as long
     most_effort        times as many evaluations as for a frame alone that a search may take at most where those before found no body that
@@ -72,7 +77,7 @@ class StreamRules:
     independent_after: float = 0.1
     max_score: float = 15.0
     search_interval: float = 0.5
-    retry_interval: float = 0.05
+    retry_interval: float = 0.003
     search_effort: int = 450
     most_effort: int = 4
     max_ghost_evidence: float = 3.0
@@ -173,6 +178,7 @@ class Stream:
         self._model, self._rules = model, rules or StreamRules()
         self._vertical = as_vertical(vertical)
         self._independent = 1.0 / (self._rules.independent_after * self.rate)
+        self._soonest_retry = min(self._rules.retry_interval * len(model.markers), self._rules.search_interval)
         labeller = model.labeller
         self._live = None if labeller.model.within is None else LiveBody(labeller.model, model.body_rules, self.rate, LiveRules())
         self._verdict = None if model.distances is None else LiveVerdict(model.distances, self.rate, LiveVerdictRules())
@@ -200,7 +206,7 @@ class Stream:
         self._rival, self._margin = np.zeros(0, dtype=np.int64), 0.0
         self._last_search, self._age = -np.inf, 0
         # s until the next search where labels do not explain the frames, and the markers (M,) that had one at the last search.
-        self._retry, self._explained = self._rules.retry_interval, np.zeros(len(self._model.markers), dtype=np.bool_)
+        self._retry, self._explained = self._soonest_retry, np.zeros(len(self._model.markers), dtype=np.bool_)
         # Searches since the last one that found a body that fits.
         self._failed = 0
         self._twins.restart()
@@ -370,16 +376,10 @@ class Stream:
 
     def _challenge(self, frame: _Frame, rival: Ints, carried: _RefinedLabelling, is_young: bool) -> tuple[Ints, float]:
         """The labelling that competes with the carried one, (M,), and its margin in nats: the rival as linked, or one from a new search."""
-        points, markers = len(frame.xyz), len(carried.point_of)
-        point_of = np.full(markers, NULL, dtype=np.int64)
+        point_of = np.full(len(carried.point_of), NULL, dtype=np.int64)
         if (rival >= 0).sum() >= 3:
             point_of[rival[rival >= 0]] = np.nonzero(rival >= 0)[0]
-        usual = frame.settings.usual_score * carried.labelled - frame.settings.first_ghost_cost
-        explained = carried.score >= usual and carried.labelled >= min(points, markers) - 1
-        shown = carried.point_of >= 0
-        if (self._explained & ~shown).any():
-            self._retry = self._rules.retry_interval
-        wait = 0.0 if is_young else (self._rules.search_interval if explained else self._retry) * self.rate
+        wait = self._search_interval(frame, carried, is_young) * self.rate
         if self._pushed - self._last_search >= wait and (point_of < 0).all():
             # the twins in one push and the search in the next, so that no push waits for both
             if carried.labelled >= 3 and not self._twins_compared:
@@ -388,9 +388,20 @@ class Stream:
                 return (twin, 0.0) if twin is not None else (point_of, self._margin)
             self._last_search, self._twins_compared = self._pushed, False
             # What this search does not explain, the next one hardly will, until a label is lost.
-            self._retry, self._explained = min(2.0 * self._retry, self._rules.search_interval), shown
+            self._retry, self._explained = min(2.0 * self._retry, self._rules.search_interval), carried.point_of >= 0
             return self._search(frame), 0.0
         return point_of, self._margin
+
+    def _search_interval(self, frame: _Frame, carried: _RefinedLabelling, is_young: bool) -> float:
+        """From the last search to the next one, in s."""
+        if (self._explained & (carried.point_of < 0)).any():
+            self._retry = self._soonest_retry
+        if is_young:
+            # At once where no body that fits was found.
+            return 0.0 if self._failed else self._soonest_retry / _YOUNG
+        usual = frame.settings.usual_score * carried.labelled - frame.settings.first_ghost_cost
+        explained = carried.score >= usual and carried.labelled >= min(len(frame.xyz), len(carried.point_of)) - 1
+        return self._rules.search_interval if explained else self._retry
 
     def _contest(self, frame: _Frame, carried: _RefinedLabelling, challenge: Ints, margin: float) -> tuple[_RefinedLabelling, float]:
         """The carried labelling or the challenging one, and the margin of the one that remains a rival, in nats."""
@@ -415,7 +426,7 @@ class Stream:
             self._forget_person()
         changed = marker_of(rival.point_of, points) != marker_of(carried.point_of, points)
         self._tracks.clear(self._tracks.current[changed])
-        self._age, self._retry = 0, self._rules.retry_interval
+        self._age, self._retry = 0, self._soonest_retry
         self._twins.restart()
 
     def _learn_body(self, frame: _Frame, live: LiveBody) -> None:
