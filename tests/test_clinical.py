@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import replace
+from itertools import permutations
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -28,7 +29,7 @@ from asterism.motion.clinical import (
     with_static_offsets,
 )
 from asterism.motion.clinical.measures import computed_by_the_file
-from asterism.motion.clinical.plug_in_gait import along, joint_centre, lower_body, turns
+from asterism.motion.clinical.plug_in_gait import along, axes_along, joint_centre, lower_body, normals, turns
 from asterism.simulation import simulate_walks
 
 GIVEN = SubjectMeasures(
@@ -89,6 +90,13 @@ def test_axes_of_limbs_and_their_turns_are_those_of_their_definition() -> None:
         np.testing.assert_allclose(axes[frame], np.stack([np.cross(across, up), across, up], axis=1), atol=1e-12)
     # what has no length, or is parallel, tells no axes
     assert np.isfinite(axes).all(axis=(1, 2)).tolist() == [True, False, False, False, True, True]
+    for first, second in permutations("xyz", 2):
+        axes = axes_along(first, line, second, left)
+        one, other, both = line[4] / np.linalg.norm(line[4]), axes[4, :, "xyz".index(second)], np.cross(line[4], left[4])
+        np.testing.assert_allclose(axes[4, :, "xyz".index(first)], one, atol=1e-12)
+        np.testing.assert_allclose(other, both / np.linalg.norm(both), atol=1e-12)
+        assert np.linalg.det(axes[4]) == pytest.approx(1.0)
+        np.testing.assert_allclose(normals(line, left), axes[:, :, "xyz".index(second)], atol=1e-12)
     # near to each other: of the two triples of a rotation that nearer to the frame before is given
     angles = rng.uniform(-1.0, 1.0, 3) + rng.uniform(-0.1, 0.1, (7, 3))
     parent = Rotation.random(7, random_state=1).as_matrix()
@@ -98,6 +106,16 @@ def test_axes_of_limbs_and_their_turns_are_those_of_their_definition() -> None:
         found = turns(parent, child, first)
         np.testing.assert_allclose(np.delete(found, 3, axis=0), np.delete(angles, 3, axis=0), atol=1e-12)
         assert np.isnan(found[3]).any()
+        mirrored = turns(parent, child, first, (-1.0, 1.0, 0.0), np.pi)
+        expected = angles * [-1.0, 1.0, 0.0] + [np.pi, 0.0, 0.0]
+        np.testing.assert_allclose(np.delete(mirrored, 3, axis=0), np.delete(within_half_a_turn(expected), 3, axis=0), atol=1e-12)
+    # what does not move is one row
+    np.testing.assert_array_equal(turns(parent[0], child), turns(np.repeat(parent[:1], 7, axis=0), child))
+
+
+def within_half_a_turn(angles: np.ndarray) -> np.ndarray:
+    """From -pi to pi."""
+    return (angles + np.pi) % (2 * np.pi) - np.pi
 
 
 def davis_hip(right: float) -> np.ndarray:

@@ -12,7 +12,7 @@ from asterism.gait import cycles_of, find_events, parameters_of
 from asterism.gait.events import OFF, STRIKE
 from asterism.live import AngleOptions, FrameAnalysis, LabelledFrame, LiveEvent, LiveFrame, MovementAnalysis
 from asterism.live.angles import _SkeletonFrames
-from asterism.live.walking._step_kernels import followed
+from asterism.live.walking._step_kernels import carried_point, followed, nearer_exchanged
 from asterism.live.walking.events import LiveEvents
 from asterism.live.walking.steps import LiveSteps
 from asterism.motion.clinical import SubjectMeasures, clinical_angles
@@ -272,6 +272,36 @@ def test_a_skeleton_follows_frames_as_the_whole_recording_is_solved(monkeypatch:
         live = np.array([one.values[coordinate.name] for one in found[320:380]])
         assert np.allclose(live, np.degrees(whole.coordinates[320:380, column]), atol=0.1), coordinate.name
     assert np.isnan(found[-1].values["left elbow flexion"])
+
+
+def test_a_point_is_the_mean_of_its_markers_and_is_carried_by_the_middle_move_of_its_part() -> None:
+    """The twin of the kernel, with all markers, with some hidden, and with none."""
+    rng = np.random.default_rng(2)
+    columns, part, last = np.array([4, 1]), np.array([1, 2, 4, 5]), rng.normal(size=3)
+    for hidden in ([], [2], [1], [2, 5], [1, 2, 4, 5]):
+        points, before = rng.normal(size=(6, 3)), rng.normal(size=(4, 3))
+        points[hidden] = np.nan
+        now, place, carried = np.empty((4, 3)), np.empty(3), np.empty(3)
+        apart = carried_point(points, columns, part, before, last, now, place, carried)
+        moved = (points[part] - before)[~np.isin(part, hidden)]
+        expected = last + (np.median(moved, axis=0) if len(moved) else np.nan)
+        np.testing.assert_array_equal(now, points[part])
+        np.testing.assert_allclose(place, points[columns].mean(axis=0))
+        np.testing.assert_allclose(carried, expected)
+        np.testing.assert_allclose(apart, np.abs(place - expected).max())
+
+
+def test_exchanged_feet_are_nearer_the_other_way_round() -> None:
+    """The twin of the kernel; what is not known leaves it open."""
+    feet, before, speeds = np.random.default_rng(3).normal(size=(3, 2, 2, 3))
+    expected = before + 0.01 * speeds
+    same, other = (np.linalg.norm((one - expected).mean(axis=1), axis=1).max() for one in (feet, feet[::-1]))
+    assert nearer_exchanged(feet, before, speeds, 0.01) == pytest.approx(same - other)
+    assert nearer_exchanged(expected[::-1].copy(), before, speeds, 0.01) > 0.0 > nearer_exchanged(expected, before, speeds, 0.01)
+    for given in (feet, before):
+        given[1, 0] = np.nan
+        assert np.isnan(nearer_exchanged(feet, before, speeds, 0.01))
+        given[1, 0] = 0.0
 
 
 def test_a_filter_of_curves_is_that_of_matrices() -> None:

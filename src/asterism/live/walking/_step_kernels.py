@@ -1,10 +1,71 @@
-"""A point's curves as they come in; how they go on, and how certain that is, out. Twin: tests/test_live_movement.py."""
+"""Points of the body and their curves as they come in; how they go on, and how certain that is, out. Twin: tests/test_live_movement.py."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from asterism._jit import kernel
+
+
+@kernel
+def carried_point(points, columns, part, before, last, now, place, carried):
+    """Where a point is by its own markers, and where if it moved as the markers of its part of the body did: the middle one of them.
+
+    IN  points (M, 3) m; columns (C,) of the markers whose mean the point is; part (P,) columns of all markers that move with it;
+        before (P, 3) m, where these were; last (3,) m, where the point was
+    OUT now (P, 3) m, where they are; place (3,) m, NaN where one of `columns` is hidden; carried (3,) m, NaN where none of `part` is known
+    Returns the largest difference of a coordinate of both, m; NaN where one of them is not known.
+    O(P^2), one allocation. Bounds: columns are at least one. Twin: numpy.
+    """
+    farthest = 0.0
+    moved = np.empty(len(part))
+    for k in range(3):
+        total = points[columns[0], k]
+        for n in range(1, len(columns)):
+            total += points[columns[n], k]
+        place[k] = total / len(columns)
+        known = 0
+        for n in range(len(part)):
+            now[n, k] = points[part[n], k]
+            way = now[n, k] - before[n, k]
+            if math.isfinite(way):
+                # Sorted as they come: they are few.
+                at = known
+                while at > 0 and moved[at - 1] > way:
+                    moved[at] = moved[at - 1]
+                    at -= 1
+                moved[at] = way
+                known += 1
+        middle = 0.5 * (moved[(known - 1) // 2] + moved[known // 2]) if known else math.nan
+        carried[k] = last[k] + middle
+        apart = abs(place[k] - carried[k])
+        # NaN stays.
+        farthest = apart if apart > farthest or math.isnan(apart) else farthest
+    return farthest
+
+
+@kernel
+def nearer_exchanged(feet, before, speeds, step):
+    """By how much feet are nearer to where they are expected if left and right are exchanged: m, of the foot that is farther off.
+
+    IN  feet, before (2, 2, 3) m, heel and toe of left and right in a frame and in the frame before; speeds (2, 2, 3) m/s; step s between
+    NaN where one of them is not known.
+    O(1), no allocation. Bounds: none. Twin: numpy.
+    """
+    as_told, exchanged = 0.0, 0.0
+    for side in range(2):
+        same, other = 0.0, 0.0
+        for k in range(3):
+            heel, toe = before[side, 0, k] + step * speeds[side, 0, k], before[side, 1, k] + step * speeds[side, 1, k]
+            same += ((feet[side, 0, k] - heel + feet[side, 1, k] - toe) / 2) ** 2
+            other += ((feet[1 - side, 0, k] - heel + feet[1 - side, 1, k] - toe) / 2) ** 2
+        # One that is not known leaves all unknown.
+        if not math.isfinite(same + other):
+            return math.nan
+        as_told, exchanged = max(as_told, math.sqrt(same)), max(exchanged, math.sqrt(other))
+    return as_told - exchanged
 
 
 @kernel

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from asterism.geometry import fit_rigid
+from asterism.live.walking._step_kernels import carried_point
 from asterism.live.walking.rules import LiveEventRules
 from asterism.recording import Floats
 
@@ -21,7 +22,7 @@ class CarriedPoint:
 
     def __init__(self, columns: list[int], others: list[int], rules: LiveEventRules) -> None:
         self._rules = rules
-        self._columns, self._all = columns, sorted({*columns, *others})
+        self._columns, self._all = np.array(columns, dtype=np.int64), np.array(sorted({*columns, *others}), dtype=np.int64)
         self.clear()
 
     def clear(self) -> None:
@@ -32,12 +33,9 @@ class CarriedPoint:
 
     def push(self, points: Floats, step: float) -> Floats:
         """(3,) m, by the markers (M, 3) m of a frame, s after the one before; NaN where none of them is known."""
-        now = points[self._all]
-        moved = now - self._before
-        place = points[self._columns].mean(axis=0)
+        now, place, carried = np.empty_like(self._before), np.empty(3), np.empty(3)
         # The others say where it is if it moved as they did: the middle one, since one of them may be another marker, too.
-        carried = self.place + _middle(moved)
-        apart = float(np.abs(place - carried).max())
+        apart = carried_point(points, self._columns, self._all, self._before, self.place, now, place, carried)
         if apart > self._rules.jump + FASTER * step and self._strange < self._rules.jumped and len(self._all) > 2:
             self._strange += step
             place[:] = np.nan
@@ -58,12 +56,3 @@ class CarriedPoint:
             carried = turn @ self._place_in_template + shift if off < 0.5 * self._rules.jump else carried
         self.place = carried
         return carried
-
-
-def _middle(moved: Floats) -> Floats:
-    """(3,) the median of the rows (N, 3) that are known; NaN where none is."""
-    seen = moved[np.isfinite(moved[:, 0])]
-    if not len(seen):
-        return np.full(3, np.nan)
-    seen.sort(axis=0)
-    return np.asarray(0.5 * (seen[(len(seen) - 1) // 2] + seen[len(seen) // 2]))

@@ -19,7 +19,7 @@ from asterism.findings import Finding, Severity
 from asterism.gait.events import LEVEL_IN, OFF, STRIKE, EventRules, events_by_markers, is_no_stance, rise_of_foot, slides
 from asterism.gait.feet import SIDES, TURNING, FootColumns, feet_of, foot_columns, markers_of_feet
 from asterism.live.analysis import LiveEvent
-from asterism.live.walking._step_kernels import followed
+from asterism.live.walking._step_kernels import followed, nearer_exchanged
 from asterism.live.walking.carried_point import FASTER, CarriedPoint
 from asterism.live.walking.foot import PLACES, LiveFoot, ToldStep
 from asterism.live.walking.rules import KINDS, LiveEventRules
@@ -53,6 +53,8 @@ class LiveEvents:
         # Compiled, and the sets' files read, before the first frame, which must not wait for it.
         markers_of_feet(("LHEE",))
         followed(np.zeros((2, 3)), np.eye(3), 0.01, self.rules.jerk, np.zeros(2), self.rules.noise**2)
+        CarriedPoint([0], [], self.rules).push(np.zeros((1, 3)), 0.01)
+        nearer_exchanged(*np.zeros((3, 2, 2, 3)), 0.01)
 
     def _begin(self) -> None:
         """A new stream."""
@@ -129,9 +131,10 @@ class LiveEvents:
             self._begin()
             self._began, step = time, math.nan
         self._time = time
-        before = self._shown
-        self._shown = before + (np.isfinite(points[:, 0]) & (before < self.rules.seen))
-        if (self._shown != before).any():
+        few = self._shown < self.rules.seen
+        # After some frames all markers that are worn have been seen often enough, and nothing is left to count.
+        if few.any() and (counted := few & np.isfinite(points[:, 0])).any():
+            self._shown = self._shown + counted
             columns = foot_columns(markers, self._shown >= self.rules.seen)
             if columns != self._columns:
                 self._columns = columns
@@ -155,30 +158,32 @@ class LiveEvents:
         pelvis = self._pelvis.push(points, since)
         row = np.full((5, 3), np.nan)
         row[_PELVIS] = pelvis
-        pointing = np.zeros(2)
         for foot in self.feet.values():
             for kind, place in foot.rows.items():
                 row[place] = foot.places[kind].push(points, since)
-            way = row[foot.rows[OFF], :2] - row[foot.rows[STRIKE], :2]
-            if math.isfinite(way[0]):
-                pointing += way
-        self._heading(pointing, step)
+        places = row.tolist()
+        self._heading(places, step)
         self._kept.append((time, row))
         while self._kept[0][0] < time - 2.0 * sum(self.rules.behind):
             self._kept.popleft()
         if not math.isfinite(step):
             return []
-        self._size(row, step)
+        self._size(places, step)
         found = list[LiveEvent]()
-        ahead = 2.0 * self._ahead[0] - self._ahead[1]
-        ahead = ahead / max(float(np.hypot(*ahead)), 1e-9)
+        (once_x, once_y), (twice_x, twice_y) = self._ahead.tolist()
+        ahead_x, ahead_y = 2.0 * once_x - twice_x, 2.0 * once_y - twice_y
+        length = max(float(np.hypot(ahead_x, ahead_y)), 1e-9)
+        ahead_x, ahead_y = ahead_x / length, ahead_y / length
         self._put_right(row, step)
+        places = row.tolist()
+        pelvis_x, pelvis_y, _ = places[_PELVIS]
         for foot in self.feet.values():
-            foot.follow(row[list(foot.rows.values())], time, step)
+            foot.follow([places[place] for place in foot.rows.values()], time, step)
             for kind, place in foot.rows.items():
                 curve = foot.curves[kind]
-                arm = row[place] - pelvis
-                curve.push(time, step, float(arm[0] * ahead[0] + arm[1] * ahead[1]), float(row[place, 2]), foot.places[kind].hidden)
+                x, y, height = places[place]
+                ahead = (x - pelvis_x) * ahead_x + (y - pelvis_y) * ahead_y
+                curve.push(time, step, ahead, height, foot.places[kind].hidden)
                 event = self._told(foot, kind, time)
                 if event is not None:
                     found.append(event)
@@ -191,28 +196,36 @@ class LiveEvents:
         # What is no step forwards of somebody upright is followed, and not told.
         return [] if found and (self._goes_backwards(time, pelvis) or self._upright < self.rules.upright or self._goes_round) else found
 
-    def _heading(self, pointing: Floats, step: float) -> None:
-        """Where the feet point: smoothed twice, so that a steady turn is not late."""
-        length = float(np.hypot(*pointing))
+    def _heading(self, places: list[list[float]], step: float) -> None:
+        """Where the feet point: smoothed twice, so that a steady turn is not late. The places (5, 3) m are those of a frame."""
+        x = y = 0.0
+        for foot in self.feet.values():
+            heel, toe = places[foot.rows[STRIKE]], places[foot.rows[OFF]]
+            if math.isfinite(toe[0] - heel[0]):
+                x, y = x + (toe[0] - heel[0]), y + (toe[1] - heel[1])
+        length = float(np.hypot(x, y))
         if length < 1e-6:
             return
-        unit = pointing / length
-        if not math.isfinite(self._ahead[0, 0]) or not math.isfinite(step):
+        unit = (x / length, y / length)
+        once, twice = self._ahead.tolist()
+        if not math.isfinite(once[0]) or not math.isfinite(step):
             self._ahead[:] = unit
             return
         share = 1.0 - math.exp(-step * 2.0 * math.pi * TURNING)
-        self._ahead[0] += share * (unit - self._ahead[0])
-        self._ahead[1] += share * (self._ahead[0] - self._ahead[1])
+        for k in range(2):
+            once[k] += share * (unit[k] - once[k])
+            self._ahead[:, k] = once[k], twice[k] + share * (once[k] - twice[k])
 
-    def _size(self, row: Floats, step: float) -> None:
-        """Follow the floor, the height of the pelvis, and whether it is above the feet."""
-        heels = row[[places[STRIKE] for places in PLACES.values()]]
-        heels, pelvis = heels[np.isfinite(heels[:, 0])], row[_PELVIS]
-        if not len(heels) or math.isnan(pelvis[0]):
+    def _size(self, places: list[list[float]], step: float) -> None:
+        """Follow the floor, the height of the pelvis, and whether it is above the feet, by the places (5, 3) m of a frame."""
+        heels = [heel for heel in (places[rows[STRIKE]] for rows in PLACES.values()) if math.isfinite(heel[0])]
+        pelvis = places[_PELVIS]
+        if not heels or math.isnan(pelvis[0]):
             return
-        lowest, limb, share = float(heels[:, 2].min()), pelvis - heels.mean(axis=0), min(step, 1.0)
+        lowest, share = min(heel[2] for heel in heels), min(step, 1.0)
+        limb = [pelvis[k] - sum(heel[k] for heel in heels) / len(heels) for k in range(3)]
         self._floor = lowest if math.isnan(self._floor) else min(lowest, self._floor + self.rules.climbs * step)
-        height, upright = float(pelvis[2]) - self._floor, float(limb[2]) / max(float(np.linalg.norm(limb)), 1e-9)
+        height, upright = pelvis[2] - self._floor, limb[2] / max(math.hypot(*limb), 1e-9)
         self.leg_length = height if math.isnan(self.leg_length) else self.leg_length + share * (height - self.leg_length)
         self._upright = upright if math.isnan(self._upright) else self._upright + share * (upright - self._upright)
         lies = self._upright < self.rules.upright
@@ -231,12 +244,11 @@ class LiveEvents:
     def _put_right(self, row: Floats, step: float) -> None:
         """Give left and right foot their own places again where a frame has each where the other one goes. Writes the row."""
         feet, before = row[:_PELVIS].reshape(2, 2, 3), self._before
-        expected = before + step * self._speeds
-        if not np.isfinite(feet).all() or not np.isfinite(expected).all():
+        nearer = nearer_exchanged(feet, before, self._speeds, step)
+        if math.isnan(nearer):
             self._before, self._speeds = feet.copy(), np.zeros_like(feet)
             return
-        same, other = (float(np.linalg.norm((one - expected).mean(axis=1), axis=1).max()) for one in (feet, feet[::-1]))
-        if same - other > self.rules.jump:
+        if nearer > self.rules.jump:
             self._exchanged += step
             # Who is wrong for so long was right: then it is what came before that was exchanged.
             if self._exchanged < self.rules.pause:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,10 +14,12 @@ from asterism.gait.feet import FootColumns
 from asterism.live.walking.carried_point import CarriedPoint
 from asterism.live.walking.rules import KINDS, LiveEventRules
 from asterism.live.walking.turning_curve import TurningCurve
-from asterism.recording import Floats
 
 PLACES = {"L": {STRIKE: 0, OFF: 1}, "R": {STRIKE: 2, OFF: 3}}
 """Where heel and toe of each foot are among the points of a frame, by the events that they tell."""
+
+_NOWHERE = (math.nan, math.nan, math.nan)
+"""m, an end of the foot that has not been seen."""
 
 
 @dataclass
@@ -51,31 +54,33 @@ class LiveFoot:
         """Nothing is known of where it is; what was learned of its steps is."""
         self.last: tuple[str, float] | None = None
         self.height = self.since = math.nan
-        self._stood, self._ground = np.full((2, 3), np.nan), np.full(2, np.nan)
+        self._stood: list[Sequence[float]]
+        self._stood, self._ground = [_NOWHERE, _NOWHERE], np.full(2, np.nan)
         self.moves = self.held = False
         for kind in KINDS:
             self.places[kind].clear()
             self.curves[kind].clear()
 
-    def follow(self, ends: Floats, time: float, step: float) -> None:
+    def follow(self, ends: Sequence[Sequence[float]], time: float, step: float) -> None:
         """Keep where heel and toe (2, 3) m were."""
-        way = ends - self._stood
-        known = [math.isfinite(way[0, 0]), math.isfinite(way[1, 0])]
-        if not all(known):
-            # An end that is seen again, or for the first time, stands where it is.
-            self._stood = np.where(np.isnan(self._stood), ends, self._stood)
-            way = np.nan_to_num(ends - self._stood)
-            known = [math.isfinite(ends[0, 0]), math.isfinite(ends[1, 0])]
-            if not any(known):
-                return
-        self._stood = self._stood + (1.0 - math.exp(-step / self._rules.pause)) * way
+        share = 1.0 - math.exp(-step / self._rules.pause)
         # One end alone turns about the other, which stands.
-        nearest = min(math.dist(end, stood) for end, stood, seen in zip(ends, self._stood, known, strict=True) if seen)
+        nearest = math.inf
+        for number, end in enumerate(ends):
+            if math.isnan(end[0]):
+                continue
+            # An end that is seen again, or for the first time, stands where it is.
+            before = end if math.isnan(self._stood[number][0]) else self._stood[number]
+            stood = [was + share * (now - was) for was, now in zip(before, end, strict=True)]
+            self._stood[number] = stood
+            nearest = min(nearest, math.dist(end, stood))
+        if math.isinf(nearest):
+            return
         moves = nearest > self._offline.still
         self.since = time if moves and not self.moves else self.since
         self.moves = moves
         if self.last is None or self.last[0] == STRIKE:
-            self._ground = np.fmin(self._ground, ends[:, 2])
+            self._ground = np.fmin(self._ground, [end[2] for end in ends])
 
     def flies(self, leg_length: float) -> bool:
         """Whether heel and toe are above where the foot stood last, and go up or down: who kicks, or marches, turns in the air."""
@@ -88,7 +93,7 @@ class LiveFoot:
         """Keep that it struck or left at a time."""
         self.last = (kind, at)
         if kind == STRIKE:
-            self._stood, self._ground = np.full((2, 3), np.nan), np.full(2, np.nan)
+            self._stood, self._ground = [_NOWHERE, _NOWHERE], np.full(2, np.nan)
 
     def swung(self, kind: str, rise: float) -> None:
         """Keep how far a heel or toe went."""

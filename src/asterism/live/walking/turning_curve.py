@@ -54,7 +54,8 @@ class TurningCurve:
         """Take a frame; ahead is NaN where the point is not known."""
         rules = self._rules
         if self._begun and math.isfinite(ahead):
-            expected = self.state[0, 0] + step * self.state[0, 1] + 0.5 * step * step * self.state[0, 2]
+            place, speed, change = self.state[0].tolist()
+            expected = place + step * speed + 0.5 * step * step * change
             back = self._hidden > 0 and hidden == 0
             if abs(ahead - expected) > rules.jump + 3.0 * self._sd(0, step) and not back:
                 self._strange += step
@@ -108,11 +109,12 @@ class TurningCurve:
 
     def _sd(self, which: int, soon: float) -> float:
         """Standard deviation of the place (0, m) or the speed (1, m/s), foretold so many s from now."""
-        cov, jerk = self._cov, self._rules.jerk
+        (cov00, cov01, cov02), (_, cov11, cov12), (_, _, cov22) = self._cov.tolist()
+        jerk = self._rules.jerk
         if which:
-            return math.sqrt(cov[1, 1] + 2.0 * soon * cov[1, 2] + soon**2 * cov[2, 2] + jerk * soon**3 / 3.0)
-        place = cov[0, 0] + 2.0 * soon * cov[0, 1] + soon**2 * (cov[1, 1] + cov[0, 2]) + soon**3 * cov[1, 2]
-        return math.sqrt(max(place + 0.25 * soon**4 * cov[2, 2] + jerk * soon**5 / 20.0, 0.0))
+            return math.sqrt(cov11 + 2.0 * soon * cov12 + soon**2 * cov22 + jerk * soon**3 / 3.0)
+        place = cov00 + 2.0 * soon * cov01 + soon**2 * (cov11 + cov02) + soon**3 * cov12
+        return math.sqrt(max(place + 0.25 * soon**4 * cov22 + jerk * soon**5 / 20.0, 0.0))
 
     def turned(self, time: float) -> float:
         """s, when it turned, or will."""

@@ -74,65 +74,69 @@ def joint_centres(upper, marker, wand, offset, turn, tilt, steps, centres):
 
 
 @kernel
-def steady_turns(known, other, first, found):
-    """Of two triples of turns of each frame that nearer to the frame before, by the sum of the three differences.
+def segment_axes(first, second, along, across, axes):
+    """Axes of a segment in each frame: one along a direction, one at right angles with it and with a second direction.
 
-    IN  known (K,) frames; other (T, 3) rad, the second triples; first (3,) rad, what comes before the first of the frames
-    OUT found (T, 3) rad, holds the first triples
-    O(K), no allocation. Bounds: none.
-    """
-    before = first.copy()
-    for frame in known:
-        here, there = 0.0, 0.0
-        for k in range(3):
-            here += abs((found[frame, k] - before[k] + math.pi) % (2 * math.pi) - math.pi)
-            there += abs((other[frame, k] - before[k] + math.pi) % (2 * math.pi) - math.pi)
-        for k in range(3):
-            if there < here:
-                found[frame, k] = other[frame, k]
-            before[k] = found[frame, k]
-
-
-@kernel
-def limb_axes(line, left, axes):
-    """Axes of a limb in each frame: z along a line, y as near as can be to a direction to the left.
-
-    IN  line, left (T, 3), of any length
+    IN  first, second (T, 3), of any length; along, across the columns of the axis along `first` and of that along the vector product of
+        that axis and `second`
     OUT axes (T, 3, 3), x, y and z as columns; NaN where what tells them is, or has a length of 1e-12 or less
-    O(T), no allocation per frame. Bounds: none.
+    O(T), no allocation per frame. Bounds: `along` and `across` are two of 0, 1, 2.
     """
-    up, ahead, across, side = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    one, other, third, way = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    last = 3 - along - across
     for frame in range(len(axes)):
         for k in range(3):
-            up[k], side[k] = line[frame, k], left[frame, k]
-        if not _unit(up) > 1e-12:
-            up[:] = math.nan
-        _cross(side, up, ahead)
-        if not _unit(ahead) > 1e-12:
-            ahead[:] = math.nan
-        _cross(up, ahead, across)
+            one[k], way[k] = first[frame, k], second[frame, k]
+        if not _unit(one) > 1e-12:
+            one[:] = math.nan
+        _cross(one, way, other)
+        if not _unit(other) > 1e-12:
+            other[:] = math.nan
+        # Right-handed: x, y and z in this order.
+        if (across - along) % 3 == 1:
+            _cross(one, other, third)
+        else:
+            _cross(other, one, third)
         for k in range(3):
-            axes[frame, k, 0], axes[frame, k, 1], axes[frame, k, 2] = ahead[k], across[k], up[k]
+            axes[frame, k, along], axes[frame, k, across], axes[frame, k, last] = one[k], other[k], third[k]
 
 
 @kernel
-def relative_turns(parent, child, x_first, found):
+def unit_normals(one, other, normals):
+    """The direction of the vector product of two vectors in each frame.
+
+    IN  one, other (T, 3), of any length
+    OUT normals (T, 3), of length 1; NaN where a vector is, or where the product has a length of 1e-12 or less
+    O(T), no allocation. Bounds: none.
+    """
+    for frame in range(len(normals)):
+        normal = normals[frame]
+        _cross(one[frame], other[frame], normal)
+        if not _unit(normal) > 1e-12:
+            normal[:] = math.nan
+
+
+@kernel
+def relative_turns(parent, child, x_first, near_right, signs, zero, found):
     """Turns of a child in its parent's axes in each frame, about y, x and z, or about x, y and z.
 
-    IN  parent, child (T, 3, 3), axes as columns; x_first, whether the turn about x comes first
-    OUT found (T, 3) rad, in the order of the turns; NaN where an input is
-    Returns the largest middle turn, rad, to either side; 0 where none is known.
+    IN  parent (T, 3, 3), or (1, 3, 3) the same in all frames; child (T, 3, 3): axes as columns; x_first, whether the turn about x comes
+        first; near_right rad: where no middle turn is larger to either side, none can have gone past a right angle; signs (3,) of the
+        turns in `found`; zero rad, what is added to the first of them
+    OUT found (T, 3) rad, in the order of the turns, from -pi to pi; NaN where an input is. Of the two triples that make one rotation that
+        nearer to the frame before, by the sum of the three differences; of the first frame's that with less of the other turns
     O(T), no allocation per frame. Bounds: none.
     """
     r = np.empty((3, 3))
     largest = 0.0
     for frame in range(len(found)):
+        fixed = 0 if len(parent) == 1 else frame
         for i in range(3):
             for k in range(3):
                 r[i, k] = (
-                    parent[frame, 0, i] * child[frame, 0, k]
-                    + parent[frame, 1, i] * child[frame, 1, k]
-                    + parent[frame, 2, i] * child[frame, 2, k]
+                    parent[fixed, 0, i] * child[frame, 0, k]
+                    + parent[fixed, 1, i] * child[frame, 1, k]
+                    + parent[fixed, 2, i] * child[frame, 2, k]
                 )
         sine = r[0, 2] if x_first else -r[1, 2]
         # Rounding may leave a sine beyond 1; NaN passes.
@@ -143,7 +147,55 @@ def relative_turns(parent, child, x_first, found):
         # NaN is never larger.
         if abs(found[frame, 1]) > largest:
             largest = abs(found[frame, 1])
-    return largest
+    # An arm may be raised in the first frame: there both triples are weighed.
+    if x_first or largest > near_right:
+        _steady(found)
+    for frame in range(len(found)):
+        for k in range(3):
+            angle = signs[k] * found[frame, k] + (zero if k == 0 else 0.0)
+            # Most are within half a turn, and a remainder takes as long as the turns themselves.
+            found[frame, k] = _within_half_a_turn(angle) if abs(angle) > math.pi else angle
+
+
+@kernel
+def any_known(values):
+    """Whether a value of some rows (T, 3) is finite. O(T), no allocation. Bounds: none."""
+    for row in values:
+        for value in row:
+            if math.isfinite(value):
+                return True
+    return False
+
+
+@kernel
+def _steady(found):
+    """See `relative_turns`: the triples of all frames, (T, 3) rad, the first ones before, the chosen ones after."""
+    before, other = np.empty(3), np.empty(3)
+    begun = False
+    for frame in range(len(found)):
+        if not math.isfinite(found[frame, 0] + found[frame, 1] + found[frame, 2]):
+            continue
+        for k in range(3):
+            other[k] = (found[frame, k] if k != 1 else -found[frame, k]) + math.pi
+        if not begun:
+            begun = True
+            here = abs(found[frame, 0]) + abs(found[frame, 2])
+            there = abs(_within_half_a_turn(other[0])) + abs(_within_half_a_turn(other[2]))
+            for k in range(3):
+                before[k] = _within_half_a_turn(other[k]) if there < here else found[frame, k]
+        here, there = 0.0, 0.0
+        for k in range(3):
+            here += abs(_within_half_a_turn(found[frame, k] - before[k]))
+            there += abs(_within_half_a_turn(other[k] - before[k]))
+        for k in range(3):
+            if there < here:
+                found[frame, k] = other[k]
+            before[k] = found[frame, k]
+
+
+@kernel(inline=True)
+def _within_half_a_turn(angle):
+    return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
 @kernel(inline=True)

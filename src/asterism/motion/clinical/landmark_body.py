@@ -13,10 +13,10 @@ from functools import cache, lru_cache
 import numpy as np
 
 from asterism.geometry import place_objects, rotate_z_up
+from asterism.motion.clinical._kernels import any_known
 from asterism.motion.clinical.hip import hip_centre
 from asterism.motion.clinical.measures import SIDES, SubjectMeasures
-from asterism.motion.clinical.plug_in_gait import Leg, LowerBody, along, turns
-from asterism.motion.rigid.rotations import unit_vectors
+from asterism.motion.clinical.plug_in_gait import Leg, LowerBody, along, axes_along, normals, turns
 from asterism.recording import Floats, Recording
 from asterism.recording.marker_set import canonical, plain_name, shipped_sets
 from asterism.recording.place import landmarks
@@ -243,20 +243,19 @@ def landmark_angles(made: LandmarkBody, room: Floats) -> dict[str, Floats]:
     one at right angles with both. Pelvis and foot in the room's axes (3, 3), see `walking_axes`. A joint that is never known is left out.
     """
     body, found = made.body, dict[str, Floats]()
-    rooms = np.broadcast_to(room, body.pelvis.shape)
+    pelvis = turns(room, body.pelvis)
     for side, leg in body.legs.items():
         left = 1.0 if side == "L" else -1.0
-        joint, seen = np.array([-1.0, -left, -left]), np.array([1.0, left, -left])
+        joint, knee, seen = (-1.0, -left, -left), (1.0, -left, -left), (1.0, left, -left)
         found |= {
-            f"{side}HipAngles": turns(body.pelvis, leg.thigh) * joint,
-            f"{side}KneeAngles": turns(leg.thigh, leg.shank) * joint * [-1.0, 1.0, 1.0],
-            f"{side}AnkleAngles": turns(leg.shank, made.feet[side]) * joint,
-            f"{side}PelvisAngles": turns(rooms, body.pelvis) * seen,
+            f"{side}HipAngles": turns(body.pelvis, leg.thigh, signs=joint),
+            f"{side}KneeAngles": turns(leg.thigh, leg.shank, signs=knee),
+            f"{side}AnkleAngles": turns(leg.shank, made.feet[side], signs=joint),
+            f"{side}PelvisAngles": pelvis * seen,
             # the vendor's first counts from a foot that points down, the second the other way
-            f"{side}FootProgressAngles": turns(rooms, made.feet[side]) * [1.0, left, -left] - [np.pi / 2, 0.0, 0.0],
+            f"{side}FootProgressAngles": turns(room, made.feet[side], signs=seen, zero=-np.pi / 2),
         }
-    wrapped = {name: (angles + np.pi) % (2 * np.pi) - np.pi for name, angles in found.items()}
-    return {name: angles for name, angles in wrapped.items() if np.isfinite(angles).any()}
+    return {name: angles for name, angles in found.items() if any_known(angles)}
 
 
 def _seen_landmarks(recording: Recording) -> WornLandmarks:
@@ -274,9 +273,7 @@ def _positions(recording: Recording, worn: WornLandmarks) -> dict[str, Floats]:
 
 def _pelvis(at: Mapping[str, Floats], sacrum: Floats) -> tuple[Floats, Floats]:
     origin = (at["LASI"] + at["RASI"]) / 2
-    y = unit_vectors(at["LASI"] - at["RASI"])
-    z = unit_vectors(np.cross(origin - sacrum, y))
-    return np.stack([np.cross(y, z), y, z], axis=2), origin
+    return axes_along("y", at["LASI"] - at["RASI"], "z", sacrum - origin), origin
 
 
 def _sacrum(at: Mapping[str, Floats], missing: Floats) -> Floats:
@@ -294,22 +291,17 @@ def _leg(at: Mapping[str, Floats], side: str, hip: Floats, missing: Floats, bone
     outwards = left * (mark("LM") - mark("MM"))
     shank = along(knee - ankle, outwards)
     if bones:
-        ahead = unit_vectors(np.cross(outwards, mark("HF") - ankle))
-        shin = mark("TT") - ankle
-        up = unit_vectors(shin - np.einsum("ti,ti->t", shin, ahead)[:, None] * ahead)
-        shank = np.stack([ahead, np.cross(up, ahead), up], axis=2)
+        # z is as near as can be to the tuberosity
+        ahead = normals(outwards, mark("HF") - ankle)
+        shank = axes_along("x", ahead, "y", ankle - mark("TT"))
     foot = np.full_like(shank, np.nan)
     if side + "CA" in at:
         if sole:
-            up = left * unit_vectors(np.cross(mark("FM") - mark("CA"), mark("VM") - mark("CA")))
+            up = left * normals(mark("FM") - mark("CA"), mark("VM") - mark("CA"))
             second = mark("SM") if side + "SM" in at else (mark("FM") + mark("VM")) / 2
-            reach = second - mark("CA")
-            ahead = unit_vectors(reach - np.einsum("ti,ti->t", reach, up)[:, None] * up)
-            foot = np.stack([ahead, np.cross(up, ahead), up], axis=2)
+            foot = axes_along("z", up, "y", second - mark("CA"))
         else:
-            ahead = unit_vectors((mark("SM") if side + "SM" in at else mark("TOE")) - mark("CA"))
-            up = unit_vectors(np.cross(ahead, outwards))
-            foot = np.stack([ahead, np.cross(up, ahead), up], axis=2)
+            foot = axes_along("x", (mark("SM") if side + "SM" in at else mark("TOE")) - mark("CA"), "z", outwards)
     # as Plug-in-Gait has it: x up, z backwards
     backwards = np.stack([foot[:, :, 2], foot[:, :, 1], -foot[:, :, 0]], axis=2)
     known = backwards if np.isfinite(foot).any() else None

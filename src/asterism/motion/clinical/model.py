@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.motion.clinical._kernels import any_known
 from asterism.motion.clinical.hip import REGRESSIONS, regression_of
 from asterism.motion.clinical.landmark_body import (
     StandingTrial,
@@ -19,7 +20,7 @@ from asterism.motion.clinical.landmark_body import (
     worn_landmarks,
 )
 from asterism.motion.clinical.measures import SIDES, SubjectMeasures
-from asterism.motion.clinical.plug_in_gait import LowerBody, angles_of, lower_body, walking_axes
+from asterism.motion.clinical.plug_in_gait import LowerBody, angles_of, lower_body, thorax_axes, walking_axes
 from asterism.motion.clinical.upper_body import upper_body_angles
 from asterism.recording import Floats, Recording
 
@@ -75,10 +76,12 @@ class ClinicalModel:
         upper  also those of head and arms; room  (3, 3), in whose axes pelvis, feet, thorax and head turn; by default `walking_axes`
         static  the standing trial as `standing_trial` made it, for who asks again and again
         """
+        named = with_plug_in_gait_names(recording)
+        thorax = thorax_axes(named)
         if self.name == "plug-in-gait":
             body = self.body(recording)
             room = walking_axes(body) if room is None else room
-            found = angles_of(with_plug_in_gait_names(recording), body, room)
+            found = angles_of(named, body, room, thorax)
         else:
             made = landmark_body(recording, self.measures, static or self.static)
             if made is None:
@@ -87,8 +90,8 @@ class ClinicalModel:
             room = walking_axes(body) if room is None else room
             found = landmark_angles(made, room)
         if upper:
-            found |= upper_body_angles(with_plug_in_gait_names(recording), self.measures, room)
-        return {name: angles for name, angles in found.items() if np.isfinite(angles).any()}
+            found |= upper_body_angles(named, self.measures, room, thorax)
+        return {name: angles for name, angles in found.items() if any_known(angles)}
 
     def carries(self, recording: Recording) -> bool:
         """Whether a landmark comes from the standing trial alone."""

@@ -13,11 +13,11 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
-from asterism.motion.clinical._kernels import joint_centres, limb_axes, relative_turns, steady_turns
+from asterism.motion.clinical._kernels import joint_centres, relative_turns, segment_axes, unit_normals
 from asterism.motion.clinical.hip import hip_centre
 from asterism.motion.clinical.measures import SIDES, LegMeasures, SubjectMeasures, all_computed_by_the_file
 from asterism.motion.joints.anatomy import sacrum_markers
-from asterism.motion.rigid.rotations import cross, unit_vectors
+from asterism.motion.rigid.rotations import cross
 from asterism.recording import Floats, Recording
 
 TURNS = 30
@@ -25,6 +25,8 @@ TURNS = 30
 
 WALKED = 0.8
 """m: a pelvis that moves less far from the first frame to the last stands, or is on a treadmill. As public copies of the model have it."""
+_YZX = np.array([0, 2, 1])
+"""Turns about y, x and z in the order of a foot's angles: its sole turns about x, its long axis is z."""
 _NEAR_RIGHT = np.radians(75.0)
 """rad: a turn about the middle axis that stays below was never past a right angle; at 100 frames/s none turns by 15 degrees in one."""
 
@@ -65,11 +67,10 @@ def lower_body(recording: Recording, measures: SubjectMeasures, sides: str = "LR
     """
     marker = marker_of(recording)
     left, right = marker("LASI"), marker("RASI")
-    sacrum = np.mean([marker(name) for name in sacrum_markers(recording)], axis=0)
+    back = [marker(name) for name in sacrum_markers(recording)]
+    sacrum = sum(back[1:], start=back[0]) / len(back)
     origin = (left + right) / 2
-    y = unit_vectors(left - right)
-    z = unit_vectors(cross(origin - sacrum, y))
-    pelvis = np.stack([cross(y, z), y, z], axis=2)
+    pelvis = axes_along("y", left - right, "z", sacrum - origin)
     legs = {}
     for side in sides:
         own = measures.of(side)
@@ -125,16 +126,28 @@ def joint_centre(upper: Floats, marker: Floats, wand: Floats, offset: float, tur
     is turned until it does.
     """
     centres = np.empty((len(marker), 3))
-    parts = (np.ascontiguousarray(part, dtype=np.float64) for part in (upper, marker, wand))
-    joint_centres(*parts, float(offset), float(turn), float(tilt), TURNS, centres)
+    joint_centres(*map(np.ascontiguousarray, (upper, marker, wand)), float(offset), float(turn), float(tilt), TURNS, centres)
     return centres
+
+
+def axes_along(first: str, line: Floats, second: str, other: Floats) -> Floats:
+    """(T, 3, 3) axes, x, y and z as columns: `first` ("x", "y" or "z") along a line (T, 3), `second` along the product of that axis and
+    another direction (T, 3). NaN where a direction is missing or has no length."""
+    axes = np.empty((len(line), 3, 3))
+    segment_axes(np.ascontiguousarray(line), np.ascontiguousarray(other), "xyz".index(first), "xyz".index(second), axes)
+    return axes
 
 
 def along(z: Floats, left: Floats) -> Floats:
     """(T, 3, 3) axes: z along the first, y as near as can be to the second."""
-    axes = np.empty((len(z), 3, 3))
-    limb_axes(*(np.ascontiguousarray(part, dtype=np.float64) for part in (z, left)), axes)
-    return axes
+    return axes_along("z", z, "x", -left)
+
+
+def normals(one: Floats, other: Floats) -> Floats:
+    """(T, 3) of length 1, along the vector products; NaN where a vector (T, 3) is missing, or both are along one line."""
+    found = np.empty((len(one), 3))
+    unit_normals(np.ascontiguousarray(one), np.ascontiguousarray(other), found)
+    return found
 
 
 def _about_x(angle: float) -> Floats:
@@ -152,28 +165,21 @@ def _about_z(angle: float) -> Floats:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def turns(parent: Floats, child: Floats, first: str = "y") -> Floats:
-    """(T, 3) rad: turns of the child in the parent's axes, about y, then x, then z; NaN where axes are missing.
+def turns(
+    parent: Floats, child: Floats, first: str = "y", signs: tuple[float, float, float] = (1.0, 1.0, 1.0), zero: float = 0.0
+) -> Floats:
+    """(T, 3) rad, from -pi to pi: turns of the child in the parent's axes, about y, then x, then z; NaN where axes are missing.
 
-    first  "y"; or "x", for turns about x, then y, then z, which come in this order
+    parent  (T, 3, 3), or (3, 3) of what does not move; child  (T, 3, 3)
+    first   "y"; or "x", for turns about x, then y, then z, which come in this order
+    signs   with which the three turns are given; zero  rad that is added to the first of them
 
     Two triples of turns make one rotation. The one nearer to the frame before is given, so that a foot that turns by more than a right
-    angle goes on.
+    angle goes on; of the first frame's two triples that with less of the other turns, since no foot is upside down.
     """
     found = np.empty((len(child), 3))
-    largest = relative_turns(*(np.ascontiguousarray(axes, dtype=np.float64) for axes in (parent, child)), first == "x", found)
-    # Only one that comes near a right angle can have gone past it; an arm may be raised in the first frame.
-    return _steady(found) if first == "x" or largest > _NEAR_RIGHT else found
-
-
-def _steady(found: Floats) -> Floats:
-    """The turns, each frame's triple near that before."""
-    known = np.nonzero(np.isfinite(found).all(axis=1))[0]
-    if len(known):
-        other = found * [1.0, -1.0, 1.0] + np.pi
-        # No foot is upside down: of the first frame's two triples, that with less of the other turns.
-        first = min((found[known[0]], (other[known[0]] + np.pi) % (2 * np.pi) - np.pi), key=lambda turn: np.abs(turn[[0, 2]]).sum())
-        steady_turns(known, other, first, found)
+    axes = parent if parent.ndim == 3 else parent[None]
+    relative_turns(np.ascontiguousarray(axes), np.ascontiguousarray(child), first == "x", _NEAR_RIGHT, signs, zero, found)
     return found
 
 
@@ -197,58 +203,49 @@ def thorax_axes(recording: Recording) -> Floats | None:
         return None
     marker = marker_of(recording)
     clavicle, neck, sternum, spine = (marker(name) for name in ("CLAV", "C7", "STRN", "T10"))
-    z = unit_vectors(clavicle + neck - sternum - spine)
-    y = unit_vectors(cross(z, clavicle + sternum - neck - spine))
-    return np.stack([cross(y, z), y, z], axis=2)
+    return axes_along("z", clavicle + neck - sternum - spine, "y", clavicle + sternum - neck - spine)
 
 
-def angles_of(recording: Recording, body: LowerBody, room: Floats | None = None) -> dict[str, Floats]:
+def angles_of(recording: Recording, body: LowerBody, room: Floats | None = None, thorax: Floats | None = None) -> dict[str, Floats]:
     """Angles (T, 3) rad by Plug-in-Gait's names: of hips, knees, ankles, pelvis, feet (FootProgress), thorax and spine.
 
-    room  (3, 3), see `walking_axes`, which are taken where none are given
+    room  (3, 3), see `walking_axes`, which are taken where none are given; thorax  (T, 3, 3) as `thorax_axes` gives it, for who has it
 
     Hip and knee: flexion, adduction, internal rotation. Ankle: dorsiflexion, then the foot's inversion and internal rotation. Pelvis and
     thorax: tilt ahead, obliquity, rotation, in the axes of the room.
     """
     room = walking_axes(body) if room is None else room
-    rooms = np.broadcast_to(room, body.pelvis.shape)
-    pelvis, found = turns(rooms, body.pelvis), dict[str, Floats]()
+    pelvis, found = turns(room, body.pelvis), dict[str, Floats]()
     for side, leg in body.legs.items():
         left = 1.0 if side == "L" else -1.0
         found |= _hip_and_knee(body, side)
         found[f"{side}PelvisAngles"] = pelvis * [1.0, left, -left]
         if leg.foot is not None:
-            for name, parent in (("Ankle", leg.distal_shank), ("FootProgress", rooms)):
-                about_y, about_x, about_z = turns(parent, leg.foot).T
-                # The foot's z points backwards, a right angle from the shank's.
-                angles = [-np.pi / 2 - about_y, -left * about_z, -left * about_x]
-                if name == "FootProgress":
-                    angles = [about_y, left * about_z, -left * about_x]
-                found[f"{side}{name}Angles"] = np.stack(angles, axis=1)
-    return _wrapped(found) | trunk_angles(recording, body.pelvis, room, "".join(body.legs))
+            # The foot's z points backwards, a right angle from the shank's.
+            ankle = turns(leg.distal_shank, leg.foot, signs=(-1.0, -left, -left), zero=-np.pi / 2)
+            found[f"{side}AnkleAngles"] = ankle.take(_YZX, axis=1)
+            found[f"{side}FootProgressAngles"] = turns(room, leg.foot, signs=(1.0, -left, left)).take(_YZX, axis=1)
+    return found | trunk_angles(recording, body.pelvis, room, "".join(body.legs), thorax)
 
 
-def trunk_angles(recording: Recording, pelvis: Floats, room: Floats, sides: str = "LR") -> dict[str, Floats]:
-    """Those of thorax, in the room's axes (3, 3), and spine, against the pelvis (T, 3, 3); none without the thorax' markers."""
-    thorax = thorax_axes(recording)
+def trunk_angles(recording: Recording, pelvis: Floats, room: Floats, sides: str = "LR", thorax: Floats | None = None) -> dict[str, Floats]:
+    """Those of thorax, in the room's axes (3, 3), and spine, against the pelvis (T, 3, 3); none without the thorax' markers.
+
+    thorax  (T, 3, 3) as `thorax_axes` gives it, for who has it
+    """
+    thorax = thorax_axes(recording) if thorax is None else thorax
     if thorax is None:
         return {}
-    against = {"Thorax": turns(np.broadcast_to(room, thorax.shape), thorax), "Spine": turns(thorax, pelvis) * [-1.0, 1.0, 1.0]}
+    against = {"Thorax": turns(room, thorax), "Spine": turns(thorax, pelvis, signs=(-1.0, 1.0, 1.0))}
     seen = {"L": [1.0, 1.0, -1.0], "R": [1.0, -1.0, 1.0]}
-    return _wrapped({f"{side}{name}Angles": angles * seen[side] for side in sides for name, angles in against.items()})
-
-
-def _wrapped(found: Mapping[str, Floats]) -> dict[str, Floats]:
-    # Most angles are within half a turn, and a remainder takes as long as the turns themselves.
-    return {name: (angles + np.pi) % (2 * np.pi) - np.pi if (np.abs(angles) > np.pi).any() else angles for name, angles in found.items()}
+    return {f"{side}{name}Angles": angles * seen[side] for side in sides for name, angles in against.items()}
 
 
 def _hip_and_knee(body: LowerBody, side: str) -> dict[str, Floats]:
     leg, left = body.legs[side], 1.0 if side == "L" else -1.0
     # Turns to the left are outwards on the left and inwards on the right.
-    mirrored = np.array([1.0, -left, -left])
-    hip, knee = turns(body.pelvis, leg.thigh), turns(leg.thigh, leg.shank)
-    return {f"{side}HipAngles": hip * mirrored * [-1.0, 1.0, 1.0], f"{side}KneeAngles": knee * mirrored}
+    hip, knee = (-1.0, -left, -left), (1.0, -left, -left)
+    return {f"{side}HipAngles": turns(body.pelvis, leg.thigh, signs=hip), f"{side}KneeAngles": turns(leg.thigh, leg.shank, signs=knee)}
 
 
 _RADII = np.arange(0.0025, 0.0151, 0.00025)

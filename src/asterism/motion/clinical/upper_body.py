@@ -12,12 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.motion.clinical.measures import SIDES, SubjectMeasures
-from asterism.motion.clinical.plug_in_gait import along, joint_centre, marker_of, thorax_axes, turns
-from asterism.motion.rigid.rotations import cross, unit_vectors
+from asterism.motion.clinical.plug_in_gait import along, axes_along, joint_centre, marker_of, normals, thorax_axes, turns
 from asterism.recording import Floats, Recording
 
 HEAD = ("LFHD", "RFHD", "LBHD", "RBHD")
 THORAX = ("CLAV", "C7", "STRN", "T10")
+_YXZ = np.array([1, 0, 2])
+"""Turns about x, y and z in the order of the shoulder's angles: flexion is about y."""
 
 
 def head_axes(recording: Recording, offset: float = 0.0) -> Floats | None:
@@ -29,32 +30,31 @@ def head_axes(recording: Recording, offset: float = 0.0) -> Floats | None:
         return None
     marker = marker_of(recording)
     left_front, right_front, left_back, right_back = (marker(name) for name in HEAD)
-    x = unit_vectors(left_front + right_front - left_back - right_back)
-    z = unit_vectors(cross(x, left_front + left_back - right_front - right_back))
+    axes = axes_along("x", left_front + right_front - left_back - right_back, "z", left_front + left_back - right_front - right_back)
     sine, cosine = np.sin(offset), np.cos(offset)
-    return np.stack([x, cross(z, x), z], axis=2) @ np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
+    return axes @ np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
 
 
-def upper_body_angles(recording: Recording, measures: SubjectMeasures, room: Floats) -> dict[str, Floats]:
+def upper_body_angles(recording: Recording, measures: SubjectMeasures, room: Floats, thorax: Floats | None = None) -> dict[str, Floats]:
     """Angles (T, 3) rad by Plug-in-Gait's names of what has its markers: LHeadAngles, LNeckAngles, LShoulderAngles, ..., both sides.
 
-    room  (3, 3), see `walking_axes`: the head's angles are in these axes
+    room    (3, 3), see `walking_axes`: the head's angles are in these axes
+    thorax  (T, 3, 3) as `thorax_axes` gives it, for who has it
 
     Head and neck: tilt, lateral bend, rotation. Shoulder: flexion, abduction, internal rotation. Elbow: flexion; the forearm turns about
     one axis alone in this model. Wrist: flexion, ulnar bend, rotation. A joint whose markers are not all worn is left out. O(T).
     """
     found: dict[str, Floats] = {}
-    thorax, head = thorax_axes(recording), head_axes(recording, measures.head_offset)
+    thorax, head = thorax_axes(recording) if thorax is None else thorax, head_axes(recording, measures.head_offset)
+    against = {} if head is None else {"Head": turns(room, head)}
+    if head is not None and thorax is not None:
+        against["Neck"] = turns(head, thorax)
     for side in SIDES:
         left = 1.0 if side == "L" else -1.0
-        if head is not None:
-            seen = [-1.0, left, -left]
-            found[f"{side}HeadAngles"] = turns(np.broadcast_to(room, head.shape), head) * seen
-            if thorax is not None:
-                found[f"{side}NeckAngles"] = turns(head, thorax) * seen
+        found |= {f"{side}{name}Angles": angles * [-1.0, left, -left] for name, angles in against.items()}
         if thorax is not None:
             found |= _arm(recording, side, measures, thorax)
-    return {name: (angles + np.pi) % (2 * np.pi) - np.pi for name, angles in found.items()}
+    return found
 
 
 def arm_measures_needed(outputs: Iterable[str], side: str) -> list[str]:
@@ -91,20 +91,18 @@ def arm_of(recording: Recording, side: str, measures: SubjectMeasures, thorax: F
     ahead = thorax[:, :, 0]
     chest = marker("CLAV") - radius * ahead
     # below the acromion, at a right angle with the line from the chest
-    down = left * cross(ahead, acromion - chest)
+    down = left * normals(ahead, acromion - chest)
     shoulder = joint_centre(chest, acromion, chest + down, own.shoulder_offset + radius)
     between = (thumb_side + little_side) / 2
     # the marker stands beside the elbow's axis, which is at a right angle with the plane of shoulder, marker and wrist
-    beside = left * unit_vectors(cross(shoulder - elbow_marker, between - elbow_marker))
+    beside = left * normals(shoulder - elbow_marker, between - elbow_marker)
     elbow = joint_centre(shoulder, elbow_marker, elbow_marker + beside, own.elbow_width / 2 + radius)
-    palm = left * unit_vectors(cross(thumb_side - little_side, elbow - between))
+    palm = left * normals(thumb_side - little_side, elbow - between)
     wrist = between + (own.wrist_width / 2 + radius) * palm
     # x ahead, y to the left, z up the limb
-    z = unit_vectors(shoulder - elbow)
-    y = unit_vectors(cross(z, wrist - elbow))
-    humerus = np.stack([cross(y, z), y, z], axis=2)
+    humerus = axes_along("z", shoulder - elbow, "y", wrist - elbow)
     # the elbow is a hinge: both have its axis
-    forearm = along(elbow - wrist, y)
+    forearm = along(elbow - wrist, humerus[:, :, 1])
     hand = None
     if f"{side}FIN" in recording.labels:
         knuckle = joint_centre(wrist, marker(f"{side}FIN"), between, own.hand_thickness / 2 + radius)
@@ -116,11 +114,10 @@ def _arm(recording: Recording, side: str, measures: SubjectMeasures, thorax: Flo
     arm, left = arm_of(recording, side, measures, thorax), 1.0 if side == "L" else -1.0
     if arm is None:
         return {}
-    seen = [-1.0, left, -left]
     found = {
-        f"{side}ShoulderAngles": turns(thorax, arm.humerus, first="x")[:, [1, 0, 2]] * seen,
-        f"{side}ElbowAngles": turns(arm.humerus, arm.forearm) * [-1.0, 0.0, 0.0],
+        f"{side}ShoulderAngles": turns(thorax, arm.humerus, "x", (left, -1.0, -left)).take(_YXZ, axis=1),
+        f"{side}ElbowAngles": turns(arm.humerus, arm.forearm, signs=(-1.0, 0.0, 0.0)),
     }
     if arm.hand is not None:
-        found[f"{side}WristAngles"] = turns(arm.forearm, arm.hand) * seen
+        found[f"{side}WristAngles"] = turns(arm.forearm, arm.hand, signs=(-1.0, left, -left))
     return found
