@@ -201,12 +201,13 @@ def test_memory_does_not_grow_with_time(walks, ensemble) -> None:
         return tracemalloc.get_traced_memory()[0]
 
     tracemalloc.start()
-    before = walk_on(2)
+    # Python and Numba keep some objects of their first calls.
+    before = walk_on(3)
     size = len(stream._tracks)
-    grown = walk_on(2) - before
+    grown = walk_on(1) - before
     tracemalloc.stop()
     assert len(stream._tracks) <= 2 * size
-    assert grown < 50_000, f"{grown} bytes more after 400 frames more"
+    assert grown < 25_000, f"{grown} bytes more after 200 frames more"
 
 
 def test_bad_input_is_named_and_the_stream_goes_on(walks, ensemble) -> None:
