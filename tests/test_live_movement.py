@@ -11,6 +11,7 @@ from on_the_spot import kicking, marching, pedalling, standing_movements
 from asterism.gait import cycles_of, find_events, parameters_of
 from asterism.gait.events import OFF, STRIKE
 from asterism.live import AngleOptions, FrameAnalysis, LabelledFrame, LiveEvent, LiveFrame, MovementAnalysis
+from asterism.live._angle_kernels import nearer_triples
 from asterism.live.angles import _SkeletonFrames
 from asterism.live.walking._step_kernels import carried_point, followed, nearer_exchanged
 from asterism.live.walking.events import LiveEvents
@@ -272,6 +273,26 @@ def test_a_skeleton_follows_frames_as_the_whole_recording_is_solved(monkeypatch:
         live = np.array([one.values[coordinate.name] for one in found[320:380]])
         assert np.allclose(live, np.degrees(whole.coordinates[320:380, column]), atol=0.1), coordinate.name
     assert np.isnan(found[-1].values["left elbow flexion"])
+
+
+def test_triples_of_turns_go_on_from_the_frame_before() -> None:
+    """The same rotation, near the last angles, whichever of its two triples came; a hinge and what is hidden stay."""
+    rng = np.random.default_rng(4)
+    middle = np.array([0, 1, 2, -1, 1])
+    last = rng.uniform(-1.4, 1.4, (5, 3))
+    near = last + rng.uniform(-0.1, 0.1, (5, 3))
+    other = near + np.pi
+    other[np.arange(4), middle[:4]] = np.pi - near[np.arange(4), middle[:4]]
+    found = (other + np.pi) % (2 * np.pi) - np.pi
+    found[4] = np.nan
+    hinge, before = found[3].copy(), last.copy()
+    nearer_triples(found, middle, last)
+    np.testing.assert_allclose(found[:3], near[:3])
+    np.testing.assert_array_equal(found[3], hinge)
+    np.testing.assert_array_equal(last[:4], found[:4])
+    assert np.isnan(found[4]).all() and (last[4] == before[4]).all()
+    nearer_triples(near, middle, before)
+    np.testing.assert_array_equal(near, before)
 
 
 def test_a_point_is_the_mean_of_its_markers_and_is_carried_by_the_middle_move_of_its_part() -> None:

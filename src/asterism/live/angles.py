@@ -16,6 +16,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.geometry import rotate_z_up
+from asterism.live._angle_kernels import nearer_triples
 from asterism.motion.clinical import ClinicalAngles, ClinicalModel, SubjectMeasures, clinical_angles, complete_legs
 from asterism.motion.clinical.landmark_body import standing_trial, with_plug_in_gait_names, worn_landmarks
 from asterism.motion.joints.anatomy import sacrum_markers
@@ -223,7 +224,7 @@ class _ClinicalFrames:
     def __init__(self, first: Recording, found: ClinicalAngles, estimated: bool) -> None:
         self._labels, self._rate, self._up = first.labels, first.rate, first.vertical
         # A model asks which markers are worn: a frame that shows all of them stands before each one.
-        self._worn = np.asarray(nan_median(first.positions, axis=0))
+        self._worn = rotate_z_up(np.asarray(nan_median(first.positions, axis=0)), self._up)
         self._model = _fixed(found.model, first)
         given = self._model.static if self._model.name == "landmarks" else None
         self._static = None if given is None else standing_trial(given, self._model.measures)
@@ -235,6 +236,9 @@ class _ClinicalFrames:
         self._pelvis = self._outputs.index("LPelvisAngles") if "LPelvisAngles" in self._outputs else -1
         self._middle = np.array([_middle_turn(name, self._model.name) for name in self._outputs])
         self._last = np.full((len(self._outputs), 3), np.nan)
+        # Compiled before the first frame, which must not wait for it.
+        nearer_triples(np.zeros_like(self._last), self._middle, self._last)
+        self._last[:] = np.nan
         # A recording's gaps could be filled; here only what is worn and labelled helps.
         mend = "Look whether these markers are worn and labelled; medial ones may be in the standing trial (--static) alone."
         self.findings = [
@@ -249,7 +253,8 @@ class _ClinicalFrames:
 
     def push(self, points: Floats) -> Floats:
         """See `_FrameAngles.push`."""
-        recording = Recording(np.stack([self._worn, points]), self._labels, self._rate, vertical=self._up)
+        # Turned once, which each part of the model would do for itself.
+        recording = Recording(np.array([self._worn, rotate_z_up(points, self._up)]), self._labels, self._rate)
         found = self._radians(recording)
         rotation = found[self._pelvis, 2] if self._pelvis >= 0 else np.nan
         if abs(rotation) > _TURNED:
@@ -266,15 +271,8 @@ class _ClinicalFrames:
 
     def _steady(self, found: Floats) -> Floats:
         """Of the two triples of turns that make one rotation the one nearer to the frame before, as `turns` of a recording chooses."""
-        half = 2.0 * np.pi
-        other = found + np.pi
-        rows = np.arange(len(found))
-        other[rows, self._middle] = np.pi - found[rows, self._middle]
-        other = (other + np.pi) % half - np.pi
-        here, there = (np.abs((one - self._last + np.pi) % half - np.pi).sum(axis=1) for one in (found, other))
-        chosen = np.where(((there < here) & (self._middle >= 0))[:, None], other, found)
-        self._last = np.where(np.isfinite(chosen), chosen, self._last)
-        return np.asarray(chosen)
+        nearer_triples(found, self._middle, self._last)
+        return found
 
 
 def _middle_turn(name: str, model: str) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -53,6 +54,6 @@ def _davis(measures: SubjectMeasures, side: str, lengths: Mapping[str, float | N
     trochanter = own.asis_trochanter if own.asis_trochanter is not None else 0.1288 * (lengths[side] or known[0]) - 0.04856
     constant, theta, beta = 0.115 * sum(known) / len(known) - 0.0153, 0.5, 0.314
     back = -trochanter - measures.marker_radius
-    ahead = back * np.cos(beta) + constant * np.cos(theta) * np.sin(beta)
-    up = back * np.sin(beta) - constant * np.cos(theta) * np.cos(beta)
-    return float(ahead), float(between / 2 - constant * np.sin(theta)), float(up)
+    ahead = back * math.cos(beta) + constant * math.cos(theta) * math.sin(beta)
+    up = back * math.sin(beta) - constant * math.cos(theta) * math.cos(beta)
+    return ahead, between / 2 - constant * math.sin(theta), up

@@ -77,7 +77,7 @@ class ClinicalModel:
         static  the standing trial as `standing_trial` made it, for who asks again and again
         """
         named = with_plug_in_gait_names(recording)
-        thorax = thorax_axes(named)
+        thorax = thorax_axes(named) if upper or self.name == "plug-in-gait" else None
         if self.name == "plug-in-gait":
             body = self.body(recording)
             room = walking_axes(body) if room is None else room

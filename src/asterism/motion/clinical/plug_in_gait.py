@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -25,6 +26,8 @@ TURNS = 30
 
 WALKED = 0.8
 """m: a pelvis that moves less far from the first frame to the last stands, or is on a treadmill. As public copies of the model have it."""
+_SEEN = {"L": np.array([1.0, 1.0, -1.0]), "R": np.array([1.0, -1.0, 1.0])}
+"""Signs of what has no side, turns about y, x and z, as the angles of a side count them."""
 _YZX = np.array([0, 2, 1])
 """Turns about y, x and z in the order of a foot's angles: its sole turns about x, its long axis is z."""
 _NEAR_RIGHT = np.radians(75.0)
@@ -150,16 +153,19 @@ def normals(one: Floats, other: Floats) -> Floats:
     return found
 
 
+@lru_cache(maxsize=64)
 def _about_x(angle: float) -> Floats:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
+@lru_cache(maxsize=64)
 def _about_y(angle: float) -> Floats:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
+@lru_cache(maxsize=64)
 def _about_z(angle: float) -> Floats:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -219,7 +225,7 @@ def angles_of(recording: Recording, body: LowerBody, room: Floats | None = None,
     for side, leg in body.legs.items():
         left = 1.0 if side == "L" else -1.0
         found |= _hip_and_knee(body, side)
-        found[f"{side}PelvisAngles"] = pelvis * [1.0, left, -left]
+        found[f"{side}PelvisAngles"] = pelvis * _SEEN[side]
         if leg.foot is not None:
             # The foot's z points backwards, a right angle from the shank's.
             ankle = turns(leg.distal_shank, leg.foot, signs=(-1.0, -left, -left), zero=-np.pi / 2)
@@ -237,8 +243,7 @@ def trunk_angles(recording: Recording, pelvis: Floats, room: Floats, sides: str 
     if thorax is None:
         return {}
     against = {"Thorax": turns(room, thorax), "Spine": turns(thorax, pelvis, signs=(-1.0, 1.0, 1.0))}
-    seen = {"L": [1.0, 1.0, -1.0], "R": [1.0, -1.0, 1.0]}
-    return {f"{side}{name}Angles": angles * seen[side] for side in sides for name, angles in against.items()}
+    return {f"{side}{name}Angles": angles * _SEEN[side] for side in sides for name, angles in against.items()}
 
 
 def _hip_and_knee(body: LowerBody, side: str) -> dict[str, Floats]:
