@@ -20,6 +20,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.clock import StreamTimes
 from asterism.live.frames import FARTHEST, MOST_POINTS, LiveFrame, SourceAbout
+from asterism.live.json_reading import json_of
 from asterism.live.reporting import times_made
 from asterism.recording.display import counted, listed
 
@@ -90,7 +91,7 @@ class DamagedJson:
 def _read(data: bytes, arrived: float) -> LiveFrame | str:
     """The frame, or what is wrong with it."""
     try:
-        content = json.loads(data.decode("utf-8"))
+        content = json_of(data)
     except (ValueError, RecursionError):
         return "it is no JSON in UTF-8 without a byte order mark, or was cut"
     if not isinstance(content, dict):
@@ -253,6 +254,8 @@ _TIMESTAMPS = 35
 _OVERFLOWS = 40
 """SO_RXQ_OVFL, the same for how many datagrams it has left out, since no more of them could wait."""
 _TIMESPEC, _COUNT = struct.Struct("@ll"), struct.Struct("@I")
+_NOTES = socket.CMSG_SPACE(_TIMESPEC.size) + socket.CMSG_SPACE(_COUNT.size) if hasattr(socket, "CMSG_SPACE") else 0
+"""Bytes of both, as the system lays them out; Windows has none."""
 
 
 class DatagramReader:
@@ -286,7 +289,7 @@ class DatagramReader:
         if not self._stamps:
             data, sender = self._socket.recvfrom(most)
             return data, sender, time.monotonic()
-        data, notes, _, sender = self._socket.recvmsg(most, socket.CMSG_SPACE(_TIMESPEC.size) + socket.CMSG_SPACE(_COUNT.size))
+        data, notes, _, sender = self._socket.recvmsg(most, _NOTES)
         came = now = time.monotonic()
         for level, kind, note in notes:
             if level == socket.SOL_SOCKET and kind == _TIMESTAMPS and len(note) == _TIMESPEC.size:

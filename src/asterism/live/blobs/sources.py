@@ -17,6 +17,7 @@ from asterism.formats.blobs_2d import read_2d
 from asterism.live.camera_frames import LiveBlobs
 from asterism.live.datagrams import LARGEST_NUMBER, HostPort, ListeningSocket, overflow
 from asterism.live.frames import SourceEnded
+from asterism.live.json_reading import json_of
 from asterism.live.replay import Playback
 from asterism.recording import Floats
 
@@ -100,8 +101,11 @@ def blobs_of_json(data: bytes, arrived: float) -> LiveBlobs | None:
     size is a diameter in px, and may be left out. Blobs that are not finite are left out.
     """
     try:
-        content = json.loads(data.decode("utf-8"))
+        content = json_of(data)
         camera, number, at, rows = content["camera"], content["frame"], float(content["time"]), content["blobs"]
+        if type(camera) is float:
+            # A whole number that is too long for `json_of`; the standard library tells it from a float.
+            camera = json.loads(data.decode("utf-8"))["camera"]
         if type(camera) not in (str, int) or type(number) is not int or abs(number) > LARGEST_NUMBER or not math.isfinite(at):
             return None
         if not isinstance(rows, list) or len(rows) > MOST_BLOBS:
@@ -109,8 +113,9 @@ def blobs_of_json(data: bytes, arrived: float) -> LiveBlobs | None:
         xy, sizes = _table(rows)
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError, IndexError):
         return None
-    near = (np.abs(xy) < _FARTHEST).all(axis=1)
-    if not near.all():
+    # One look at all of them, which is false where one is NaN, too.
+    if len(xy) and not np.abs(xy).max() < _FARTHEST:
+        near = (np.abs(xy) < _FARTHEST).all(axis=1)
         xy, sizes = xy[near], sizes[near]
     return LiveBlobs(str(camera), number, at, arrived, xy, sizes)
 

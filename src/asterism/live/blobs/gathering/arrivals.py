@@ -81,7 +81,10 @@ class CameraArrivals:
     @property
     def wait(self) -> float:
         """s that it is waited for beyond the moment at which it could have come: by how late it has been."""
-        return LONGEST_WAIT if self.count.received < FEWEST else min(LONGEST_WAIT, max(_LEAST_WAIT, _MARGIN * self.lag.most))
+        late = _MARGIN * self.lag.most
+        if self.count.received < FEWEST or late > LONGEST_WAIT:
+            return LONGEST_WAIT
+        return late if late > _LEAST_WAIT else _LEAST_WAIT
 
     def takes(self, blobs: LiveBlobs) -> bool:
         """Whether an image that came is a new one."""

@@ -25,9 +25,12 @@ class ByNumber:
         self._open: dict[int, dict[int, LiveBlobs]] = {}
         self._begun: dict[int, float] = {}
         self._gone: int | None = None
+        self._due: float | None = None
+        """When the oldest frame waits no longer, as `ready` found; None where images came since"""
 
     def push(self, camera: int, blobs: LiveBlobs) -> float | None:
         """Take the blobs of a camera. Returns when they were taken on the common clock, NaN while that is not known; None if not new."""
+        self._due = None
         state, restarts = self.cameras[camera], self.cameras[camera].count.restarts
         if not state.takes(blobs):
             return None
@@ -52,7 +55,7 @@ class ByNumber:
 
     def _usual(self) -> int:
         """The number at which most cameras are."""
-        numbers = sorted(state.latest for state in self.cameras if state.latest is not None and not state.away)
+        numbers = sorted([state.latest for state in self.cameras if state.latest is not None and not state.away])
         return numbers[(len(numbers) - 1) // 2]
 
     def ready(self, now: float) -> Iterator[RigFrame]:
@@ -60,8 +63,11 @@ class ByNumber:
         while self._open:
             number = min(self._open)
             missing = self._missing(number)
-            if missing and now < self._until(number, missing):
-                return
+            if missing:
+                self._due = self._until(number, missing)
+                if now < self._due:
+                    return
+            self._due = None
             taken = self._open.pop(number)
             self._gone = number
             for camera in missing:
@@ -72,6 +78,8 @@ class ByNumber:
         """s on this machine's clock, when the oldest frame waits no longer; infinite where none waits."""
         if not self._open:
             return math.inf
+        if self._due is not None:
+            return self._due
         number = min(self._open)
         return self._until(number, self._missing(number))
 
@@ -85,7 +93,7 @@ class ByNumber:
         ]
 
     def _until(self, number: int, missing: list[int]) -> float:
-        return self._begun[number] + max((self.cameras[c].wait for c in missing), default=0.0)
+        return self._begun[number] + max([self.cameras[c].wait for c in missing], default=0.0)
 
     def _frame(self, number: int, taken: dict[int, LiveBlobs]) -> RigFrame:
         xy, sizes = [np.empty((0, 2))] * len(self.cameras), [np.empty(0)] * len(self.cameras)
