@@ -62,11 +62,15 @@ class ClinicalModel:
     def body(self, recording: Recording) -> LowerBody:
         """Joint centres and segments, NaN where a marker is missing. Raises AsterismError where the pelvis has no markers."""
         if self.name == "plug-in-gait":
-            return lower_body(with_leg_markers(with_plug_in_gait_names(recording), self.sides), self.measures, self.sides)
+            return self._by_wands(with_plug_in_gait_names(recording))
         made = landmark_body(recording, self.measures, self.static)
         if made is None:
             raise AsterismError(f"{recording.metadata.get('file', 'the recording')} has no markers on both anterior iliac spines.")
         return replace(made.body, legs={side: leg for side, leg in made.body.legs.items() if side in self.sides})
+
+    def _by_wands(self, named: Recording) -> LowerBody:
+        """The body by the markers that have Plug-in-Gait's names."""
+        return lower_body(with_leg_markers(named, self.sides), self.measures, self.sides)
 
     def outputs(
         self, recording: Recording, *, upper: bool = True, room: Floats | None = None, static: StandingTrial | None = None
@@ -79,7 +83,7 @@ class ClinicalModel:
         named = with_plug_in_gait_names(recording)
         thorax = thorax_axes(named) if upper or self.name == "plug-in-gait" else None
         if self.name == "plug-in-gait":
-            body = self.body(recording)
+            body = self._by_wands(named)
             room = walking_axes(body) if room is None else room
             found = angles_of(named, body, room, thorax)
         else:
