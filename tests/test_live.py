@@ -18,6 +18,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -63,6 +64,7 @@ from asterism.live import (
     recording_of,
     session_findings,
 )
+from asterism.live import recording as live_recording
 from asterism.live.analog import AnalogDevice, AnalogSamples
 from asterism.live.chain import LabelChain, Labeller
 from asterism.live.datagrams import DatagramReader
@@ -750,6 +752,21 @@ def test_a_disk_that_fails_ends_the_recording_and_not_the_session(tmp_path: Path
     assert "recording ended" in recorder.problem and recorder.kept == 1
     assert told == [recorder.problem], "it is said while the session goes on, once"
     assert len(recording_of(tmp_path / "walk.live").clouds) == 1
+
+
+def test_labels_that_a_busy_disk_leaves_out_are_counted_and_told(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(live_recording, "_MOST", 2)
+    monkeypatch.setattr(live_recording, "WritingThread", lambda *_: SimpleNamespace(close=lambda: None))
+    recorder, chain = LiveRecorder(tmp_path / "walk.live", "given", None), LabelChain(Numbers(), RATE)
+    for frame in frames(range(5)):
+        recorder.frame(frame)
+        labelled = chain.push(frame)
+        assert labelled is not None
+        recorder.labelled(labelled)
+    recorder.close()
+    assert (recorder.lost, recorder.unlabelled) == (3, 3)
+    finding = next(each for each in session_findings(Health(labelled=5, shown=5), "given", recorder) if each.code == "live-not-recorded")
+    assert "3 frames and the labels of 3 frames not recorded, since the disk was busy" in finding.sentence
 
 
 @pytest.fixture(scope="module")

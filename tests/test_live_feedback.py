@@ -49,6 +49,7 @@ from asterism.live import (
     measures,
 )
 from asterism.live.feedback import _KEYS
+from asterism.live.measures import Change
 from asterism.recording import Floats
 
 NAMES = ("LTHI", "LKNE", "LANK", "RANK")
@@ -798,3 +799,22 @@ def test_the_command_says_what_is_silent_and_how_late_sounds_were(
     assert content["tone_ms"] == {"p50": 8.0, "p99": 8.0, "sounds": 40} and content["findings"][0]["code"] == "live-rule-silent"
     assert main([*words, "--feedback", "squat"]) == 2
     assert "squat is no file and no example" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("samples", [50, 12_000])
+def test_a_change_is_of_the_mean_of_the_seconds_before(monkeypatch, samples) -> None:
+    """With a sum that goes along; where more samples come than are kept, of the last of them."""
+    monkeypatch.setattr(measures, "_MOST_SAMPLES", samples)
+    rng, change, seen = np.random.default_rng(samples), Change("before", 0.5), list[tuple[float, float]]()
+    times = np.cumsum(rng.uniform(0.001, 0.012, 500))
+    for t, value in zip(times.tolist(), rng.normal(90.0, 40.0, 500).tolist(), strict=True):
+        found, before = change.push(t, value), [v for at, v in seen[-samples:] if t - at <= 0.5]
+        assert math.isnan(found) if t - times[0] < 0.5 else abs(found - (value - np.mean(before))) < 1e-9
+        seen.append((t, value))
+
+
+def test_an_empty_file_of_rules_says_what_a_rule_is(tmp_path) -> None:
+    path = tmp_path / "rules.toml"
+    path.write_text("")
+    with pytest.raises(AsterismError, match=r"rules\.toml is empty; write a table \[\[rule\]\] for each, with what it tells of"):
+        load_feedback(path)

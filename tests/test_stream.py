@@ -189,6 +189,14 @@ def test_lost_frames_cost_no_labels(walks, ensemble, lost) -> None:
     assert right > 0.975 * seen
 
 
+def test_labels_are_sure_where_only_they_tell_which_point_goes_on(walks, ensemble) -> None:
+    # At 20 frames per second the points of a walk step farther than they are apart: without labels, four of five labels are sure.
+    stream = ensemble.stream(20.0)
+    found = [stream.push(points) for points in list(walks[5].clouds())[::5]]
+    sure = np.mean([labels.confidence > 0.99 for labels in found])
+    assert sure > 0.92, sure
+
+
 def test_memory_does_not_grow_with_time(walks, ensemble) -> None:
     clouds, _ = simulate_gaps_and_ghosts(walks[5], 2, 3, 0)
     stream = ensemble.stream(100.0, 10)

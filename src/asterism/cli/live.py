@@ -90,7 +90,6 @@ def _run(session: LiveSession, options: LiveOptions, unfinished: Path | None) ->
         leave_recorded(recorder, options.output)
         raise
     finally:
-        session.source.close()
         recorder.close()
     write_recorded(recorder, options.output, options.rate)
     return health, recorder

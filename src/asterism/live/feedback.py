@@ -56,7 +56,7 @@ half of it, it does; with twice as much a person hears nothing of a bound that t
 _SETTLED = 5.0
 """s after the first labels at which all values are there: angles are found from one to three seconds that show the person. Half of it calls
 values of a fitted skeleton unknown that are about to come; with twice as much a person waits ten seconds for a word that is misspelt."""
-_RULES_NEED = "with what it tells of: " + ", ".join(_KINDS[:-1]) + f" or {_KINDS[-1]}"
+_WRITE_RULES = f"write a table [[rule]] for each, with what it tells of: {', '.join(_KINDS[:-1])} or {_KINDS[-1]}"
 
 
 def example_names() -> list[str]:
@@ -76,9 +76,11 @@ def load_feedback(given: str | Path) -> tuple[FeedbackRule, ...]:
             raise AsterismError(f"{given} is no file and no example; give a TOML file, or one of {', '.join(example_names())}.")
         with resources.as_file(resources.files("asterism").joinpath("live", "examples", f"{given}.toml")) as shipped:
             return load_feedback(shipped)
+    if path.is_file() and not path.stat().st_size:
+        raise AsterismError(f"{path} is empty; {_WRITE_RULES}.")
     tables = read_toml(path).get("rule")
     if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
-        raise AsterismError(f"{path} has no rule; write a table [[rule]] for each, {_RULES_NEED}.")
+        raise AsterismError(f"{path} has no rule; {_WRITE_RULES}.")
     rules = tuple(_rule(table, f"{path}, rule {number}") for number, table in enumerate(tables, start=1))
     names = [rule.name for rule in rules]
     if len(set(names)) < len(names):

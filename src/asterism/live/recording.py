@@ -51,8 +51,8 @@ class LiveRecorder:
     tell  what hears at once that the recording ended
     rate  frames per second that the source says; NaN where it does not
 
-    Memory is bounded by `_MOST` frames: where the disk takes longer, frames are not kept, and `lost` counts them. A disk that fails
-    ends the recording and not the session: `problem` says why.
+    Memory is bounded by `_MOST` frames: where the disk takes longer, frames are not kept, and `lost` counts them, or their labels are not,
+    and `unlabelled` counts those. A disk that fails ends the recording and not the session: `problem` says why.
     """
 
     def __init__(
@@ -66,7 +66,8 @@ class LiveRecorder:
     ) -> None:
         if path.exists():
             raise AsterismError(f"{path} exists; name another file to record to, or remove it.")
-        self.path, self.problem, self.lost, self.kept, self._tell = path, "", 0, 0, tell
+        self.path, self.problem, self._tell = path, "", tell
+        self.kept, self.lost, self.unlabelled = 0, 0, 0
         self._journal = Journal(path, _WORK)
         up = [0.0, 0.0, 1.0] if vertical is None else vertical.tolist()
         head: dict[str, Any] = {"name": name, "vertical": up, "begun": time.time(), "markers": markers}
@@ -88,8 +89,12 @@ class LiveRecorder:
     def labelled(self, frame: LabelledFrame) -> None:
         """Keep its labels; returns at once."""
         with self._guard:
-            if not self.problem and len(self._chunk.labels) < _MOST:
-                self._chunk.labels.append(frame)
+            if self.problem:
+                return
+            if len(self._chunk.labels) >= _MOST:
+                self.unlabelled += 1
+                return
+            self._chunk.labels.append(frame)
 
     def close(self) -> None:
         """Write the rest."""

@@ -97,8 +97,10 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
     for output, count in health.unsent.items():
         sentence = f"{output}: {counted(count, 'frame')} could not be passed on."
         found.append(Finding("live-unsent", _WARNING, output, sentence, "Look whether who receives them runs, and keeps up."))
-    if recorder is not None and (recorder.problem or recorder.lost):
-        sentence = recorder.problem or f"{recorder.path}: {counted(recorder.lost, 'frame')} not recorded, since the disk was busy."
+    if recorder is not None and (recorder.problem or recorder.lost or recorder.unlabelled):
+        lacking = [counted(recorder.lost, "frame")] if recorder.lost else []
+        lacking += [f"the labels of {counted(recorder.unlabelled, 'frame')}"] if recorder.unlabelled else []
+        sentence = recorder.problem or f"{recorder.path}: {' and '.join(lacking)} not recorded, since the disk was busy."
         found.append(Finding("live-not-recorded", _ERROR, where, sentence, "Make space, or record to another disk."))
     return found
 
