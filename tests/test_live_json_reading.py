@@ -30,7 +30,7 @@ def test_messages_are_taken_and_refused_alike(place: str, monkeypatch: pytest.Mo
         return list(zip(said, map(why_damaged, messages), strict=True))
 
     with_orjson = read()
-    monkeypatch.setattr(json_reading, "orjson", None)
+    monkeypatch.setattr(json_reading, "_quick_loads", None)
     assert with_orjson == read()
 
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from typing import Any
 
+_quick_loads: Callable[[bytes], Any] | None
 try:
     import orjson
+
+    _quick_loads = orjson.loads
 except ImportError:
-    orjson = None
+    _quick_loads = None
 
 
 def json_of(data: bytes) -> Any:
@@ -17,9 +21,9 @@ def json_of(data: bytes) -> Any:
     orjson takes a seventh of the time. What it refuses is read again, since the standard library takes more: NaN, infinities, numbers
     beyond floats, and halves of surrogate pairs. One difference stays: whole numbers of 65 bits and more may be floats.
     """
-    if orjson is not None:
+    if _quick_loads is not None:
         try:
-            return orjson.loads(data)
+            return _quick_loads(data)
         except ValueError:
             pass
     return json.loads(data.decode("utf-8"))
