@@ -379,6 +379,8 @@ class Stream:
         point_of = np.full(len(carried.point_of), NULL, dtype=np.int64)
         if (rival >= 0).sum() >= 3:
             point_of[rival[rival >= 0]] = np.nonzero(rival >= 0)[0]
+        if (self._explained & (carried.point_of < 0)).any():
+            self._retry = self._soonest_retry
         wait = self._search_interval(frame, carried, is_young) * self.rate
         if self._pushed - self._last_search >= wait and (point_of < 0).all():
             # the twins in one push and the search in the next, so that no push waits for both
@@ -394,8 +396,6 @@ class Stream:
 
     def _search_interval(self, frame: _Frame, carried: _RefinedLabelling, is_young: bool) -> float:
         """From the last search to the next one, in s."""
-        if (self._explained & (carried.point_of < 0)).any():
-            self._retry = self._soonest_retry
         if is_young:
             # At once where no body that fits was found.
             return 0.0 if self._failed else self._soonest_retry / _YOUNG
