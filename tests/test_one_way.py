@@ -375,7 +375,7 @@ def ask(app: Any, method: str, path: str) -> Any:
 
 
 # Five doors label each case, some of them in a process: those whose kind another case shows as well are for --all.
-_DEAR = ("no model, props", "nothing labelled", "names contradicting", "two people, one model")
+_DEAR = ("nothing labelled", "names contradicting", "two people, one model")
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow) if name in _DEAR else name for name in CASES])

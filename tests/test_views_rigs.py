@@ -78,8 +78,7 @@ def test_a_rig_that_is_a_little_off_is_said_and_costs_no_labels(degrees: float, 
     assert "views-rig-inexact" in codes(result) and "views-camera-misfit" not in codes(result), f"{codes(result)}"
 
 
-@pytest.mark.slow  # That a camera is off is said of three of them above, for less.
-@pytest.mark.parametrize("degrees", [1.0, 3.0])
+@pytest.mark.parametrize("degrees", [1.0, pytest.param(3.0, marks=pytest.mark.slow)])
 def test_two_cameras_of_which_one_was_moved_are_said_to_contradict_each_other(degrees: float) -> None:
     """That a right rig of two cameras has no finding is asked where the walk of two cameras is labelled."""
     given = walk(2)
