@@ -191,3 +191,13 @@ class Says:
 )
 def test_who_knows_why_is_heard_and_nobody_says_it_again(health: Health, said: list[str], codes: list[str]) -> None:
     assert [finding.code for finding in session_findings(health, "lab", None, [Says(*said)])] == codes
+
+
+@pytest.mark.parametrize(("seconds", "pauses", "codes"), [(3.0, (1.0,), []), (3.0, (), []), (3.0, (0.5, 1.0, 1.2, 1.5), ["live-rate"])])
+def test_one_pause_of_a_sender_makes_no_other_rate(seconds: float, pauses: tuple[float, ...], codes: list[str]) -> None:
+    watch, indices, paused = SessionWatch("lab", None, tell=lambda finding: None), np.arange(20), 0.0
+    for n in range(round(seconds * RATE)):
+        paused += 3.0 * (n / RATE in pauses)
+        frame = LiveFrame(n, n / RATE, 50.0 + n / RATE + paused, BODY)
+        watch.add(LabelledFrame(frame, MARKERS, indices, np.ones(20), frame.arrived), RATE, "")
+    assert [finding.code for finding in watch.findings()] == codes

@@ -230,14 +230,17 @@ class SessionWatch:
         return replace(finding, mend=f"{finding.mend} {sets}".strip())
 
     def _of_rate(self, rate: float) -> Finding | None:
-        first, last = self._looks[0], self._looks[-1]
-        frames, seconds = last.found.frame.number - first.found.frame.number, last.found.frame.arrived - first.found.frame.arrived
-        if frames <= 0 or seconds <= 0:
+        frames = np.diff([look.found.frame.number for look in self._looks])
+        seconds = np.diff([look.found.frame.arrived for look in self._looks])
+        if len(frames) < 1 or frames.sum() <= 0 or seconds.sum() <= 0:
             return None
-        seen = frames / seconds
-        if abs(seen / rate - 1.0) <= _RATE_OFF:
-            self._kept_rate = True
-            return None
+        # A sender that pauses once is no slower for it.
+        steady = np.arange(len(seconds)) != seconds.argmax()
+        for kept in (np.ones(len(seconds), dtype=np.bool_), steady):
+            if seconds[kept].sum() > 0 and abs(frames[kept].sum() / seconds[kept].sum() / rate - 1.0) <= _RATE_OFF:
+                self._kept_rate = True
+                return None
+        seen = float(frames.sum() / seconds.sum())
         sentence = f"{self.name}: {significant(seen, 3)} frames come a second, not {significant(rate, 3)}."
         if self._kept_rate:
             mend = "Cameras that have more to see may be slower: lower their rate until it is held."
