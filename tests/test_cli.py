@@ -489,6 +489,7 @@ def test_an_interruption_within_a_callback_of_a_library_is_not_lost() -> None:
         raise KeyboardInterrupt
 
     before, sys.unraisablehook = sys.unraisablehook, _interrupted_elsewhere
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job starts with SIGINT ignored
     try:
         with pytest.raises(KeyboardInterrupt):
             callback()
@@ -496,6 +497,7 @@ def test_an_interruption_within_a_callback_of_a_library_is_not_lost() -> None:
             for _ in range(1000):
                 time.sleep(0.01)
     finally:
+        signal.signal(signal.SIGINT, handler)
         sys.unraisablehook = before
 
 
