@@ -159,7 +159,11 @@ def relative_turns(parent, child, x_first, near_right, signs, zero, found):
 
 @kernel
 def any_known(values):
-    """Whether a value of some rows (T, 3) is finite. O(T), no allocation. Bounds: none."""
+    """Whether a value of some rows is known.
+
+    IN  values (T, 3), NaN for what is missing
+    Returns whether one of them is finite. O(T).
+    """
     for row in values:
         for value in row:
             if math.isfinite(value):
