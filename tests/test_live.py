@@ -31,7 +31,7 @@ from waiting import until
 import asterism
 from asterism import AsterismError
 from asterism.cameras.files import write_rig
-from asterism.cli import main
+from asterism.cli import _console, main
 from asterism.cli._live_options import LiveOptions
 from asterism.cli._live_recordings import write_recorded
 from asterism.cli._live_sessions import ended_by_signals, run_session
@@ -67,7 +67,8 @@ from asterism.live import (
 from asterism.live import recording as live_recording
 from asterism.live.analog import AnalogDevice, AnalogSamples
 from asterism.live.chain import LabelChain, Labeller
-from asterism.live.datagrams import DatagramReader
+from asterism.live.clock import StreamTimes
+from asterism.live.datagrams import DatagramReader, socket_for
 from asterism.live.pauses import short_pauses
 from asterism.live.replay import Replay
 from asterism.recording import MarkerSet, Recording
@@ -168,6 +169,49 @@ def test_a_clock_that_drifts_is_followed_and_one_that_is_set_is_begun_anew() -> 
     assert clock.lateness(3600.0, 1060.01) == 0.0, "an hour ahead: nothing is known of the new clock"
     assert clock.jumps == 1
     assert clock.lateness(3600.01, 1060.05) == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize("rate", [RATE, math.nan], ids=["rate known", "by arrival"])
+@pytest.mark.parametrize(("tick", "frames_per_second"), [(0.0156, 100.0), (0.0156, 200.0), (1.0, 100.0)])
+def test_times_of_a_coarse_clock_go_on_in_steps_of_a_frame(rate: float, tick: float, frames_per_second: float) -> None:
+    times = StreamTimes(frames_per_second if rate > 0 else rate)
+    true = 1.7e9 + np.arange(1500) / frames_per_second
+    told = np.array([times.of(n, float(at // tick * tick), float(at) - 1.7e9) for n, at in enumerate(true)])
+    steps = np.diff(told)[5:] * frames_per_second
+    assert times.made and steps.min() > 0.94 and steps.max() < 1.06
+    assert np.abs(told - true).max() < tick + 0.001
+
+
+def test_times_that_move_are_those_of_the_sender_and_a_clock_that_is_set_is_followed() -> None:
+    times = StreamTimes(RATE)
+    assert [times.of(n, at, 0.0) for n, at in ((0, 5.0), (1, 5.01), (1, 5.01), (3, 5.03), (2, 5.02), (4, 5.04))] == [
+        5.0,
+        5.01,
+        5.01,
+        5.03,
+        5.02,
+        5.04,
+    ]
+    assert not times.made
+    assert times.of(5, 5.04, 0.0) == pytest.approx(5.05) and times.of(4, 5.04, 0.0) == pytest.approx(5.04) and times.made
+    assert times.of(6, 3605.0, 0.0) == 3605.0 and times.of(0, 7.0, 0.0) == 7.0, "set by an hour; begun anew"
+
+
+def test_frames_that_come_together_show_how_many_came() -> None:
+    session = LiveSession(Given(frames([0, 1])), lambda rate, up: Numbers(), waits=True)
+    session._arrivals.extend([time.monotonic() - 0.2] * 90)
+    assert session.health().arriving == 90.0
+
+
+def test_a_name_with_two_addresses_means_the_one_of_four_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = [
+        (socket.AF_INET6, socket.SOCK_DGRAM, 17, "", ("::1", 5000, 0, 0)),
+        (socket.AF_INET, socket.SOCK_DGRAM, 17, "", ("127.0.0.1", 5000)),
+    ]
+    monkeypatch.setattr("socket.getaddrinfo", lambda *_, **__: found)
+    made, address = socket_for(HostPort("localhost", 5000), "udp://127.0.0.1:5000")
+    made.close()
+    assert made.family == socket.AF_INET and address == ("127.0.0.1", 5000)
 
 
 @given(st.lists(st.integers(0, 40), max_size=60))
@@ -523,8 +567,9 @@ def test_what_came_before_a_session_failed_is_kept_and_said(tmp_path: Path, caps
 
 def test_a_signal_while_the_recording_is_written_breaks_nothing_off(tmp_path: Path, monkeypatch, capsys) -> None:
     def written(*args: Any) -> None:
-        signal.raise_signal(signal.SIGTERM)
-        signal.raise_signal(signal.SIGINT)
+        for number in ("SIGTERM", "SIGINT", "SIGHUP"):
+            if hasattr(signal, number):
+                signal.raise_signal(getattr(signal, number))
         write_recorded(*args)
 
     session = LiveSession(Given(frames([0, 1, 2])), lambda rate, up: Numbers(), waits=True)
@@ -533,6 +578,15 @@ def test_a_signal_while_the_recording_is_written_breaks_nothing_off(tmp_path: Pa
         _run(session, LiveOptions(output=tmp_path / "x.c3d"), tmp_path / "x.c3d.live")
     assert [path.name for path in tmp_path.iterdir()] == ["x.c3d"]
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+def test_what_nobody_can_read_ends_no_session(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Gone(io.StringIO):
+        def write(self, text: str) -> int:
+            raise BrokenPipeError
+
+    monkeypatch.setattr("sys.stderr", Gone())
+    _console.notice("the disk is full")
 
 
 def test_the_line_on_a_terminal_is_gone_before_results_are_printed(monkeypatch: pytest.MonkeyPatch) -> None:

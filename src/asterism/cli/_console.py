@@ -174,13 +174,15 @@ def notice(sentence: str, *, in_progress_line: bool = False) -> None:
     if _bars and in_progress_line:
         _bars[-1](sentence.rstrip("."))
         return
-    if _bars:
-        from rich.console import Console
+    # what nobody can read must not end the work that it tells of
+    with suppress(OSError):
+        if _bars:
+            from rich.console import Console
 
-        Console(stderr=True, highlight=False).print(printable(sentence), markup=False)
-        return
-    sys.stdout.flush()
-    print(printable(sentence), file=sys.stderr, flush=True)
+            Console(stderr=True, highlight=False).print(printable(sentence), markup=False)
+            return
+        sys.stdout.flush()
+        print(printable(sentence), file=sys.stderr, flush=True)
 
 
 class Batch:

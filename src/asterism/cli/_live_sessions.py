@@ -140,13 +140,16 @@ def _warn(session: LiveSession, ended: threading.Event) -> None:
 
 @contextmanager
 def ended_by_signals(session: LiveSession) -> Iterator[None]:
-    """Ctrl-C and SIGTERM, by which services and containers are stopped, end the session and nothing else, however often they come."""
+    """What asks a program to end, ends the session and nothing else, however often it comes.
+
+    Ctrl-C; SIGTERM, by which services and containers are stopped; and SIGHUP, of a terminal that was closed.
+    """
     import signal
 
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    wanted = [signal.SIGINT, signal.SIGTERM]
+    wanted = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
     # Who started this in the background may have it ignore Ctrl-C.
     before = {number: signal.getsignal(number) for number in wanted}
     for number in wanted:

@@ -294,9 +294,20 @@ class SampleNumbers:
         self._spread = float(np.quantile(np.abs(np.array(self._steps) / self._period - 1.0), 0.9)) / (1.645 * 2**0.5)
 
 
+_CLOCK_SET = 2.0
+"""s by which the time of a coarse clock may be off before the clock counts as set: stamps of whole seconds are off by one. Half of it takes
+these for clocks that are set; twice as much follows one that was set by 3 s for a minute."""
+_FOLLOWS = 0.05
+"""Share of a frame's time by which times that are made follow a coarse clock at most: speeds are wrong by as much. Half of it and double
+follow clocks that run apart by far more than clocks do."""
+
+
 @dataclass
 class StreamTimes:
-    """The times of frames, also of a sender whose timestamps do not move: by number and rate, or by arrival where there is no rate.
+    """The times of frames, also of a sender whose timestamps do not move, or move in steps in which several frames have one.
+
+    By number and rate, or by arrival where there is no rate; behind a clock that moves, so that they stay with it. The clock of Windows, by
+    which programs stamp frames, stands still for 16 ms: speeds would be infinite.
 
     >>> times = StreamTimes(rate=100.0)
     >>> [times.of(number, 0.0, 5.0 + 0.01 * number) for number in (7, 8, 10)], times.made
@@ -306,16 +317,24 @@ class StreamTimes:
     rate: float
     made: bool = False
     """Whether times had to be made."""
-    _first: tuple[int, float, float] | None = None
-    _moves: bool = False
+    _said: float = math.nan
+    """s that the sender said of the last frame, and below its number, what was told of it, and when it arrived."""
+    _number: int = 0
+    _told: float = 0.0
+    _arrived: float = 0.0
 
     def of(self, number: int, time: float, arrived: float) -> float:
         """s of the frame, of which the sender said `time`."""
-        if self._first is None:
-            self._first = (number, time, arrived)
-        first_number, first_time, first_arrived = self._first
-        if number == first_number or self._moves or time != first_time:
-            self._moves = self._moves or time != first_time
-            return time
-        self.made = True
-        return first_time + ((number - first_number) / self.rate if self.rate > 0 else arrived - first_arrived)
+        self.made = self.made or (time == self._said and number > self._number)
+        step = (number - self._number) / self.rate if self.rate > 0 else arrived - self._arrived
+        told, off = self._told + step, time - self._told - step
+        if not self.made or (time != self._said and abs(off) > _CLOCK_SET):
+            told = time
+        elif number <= self._number:
+            # What comes late moves nothing on.
+            return told
+        elif time != self._said:
+            # Of a clock that stands still there is nothing to follow.
+            told += min(max(step * off, -_FOLLOWS * step), _FOLLOWS * step)
+        self._said, self._number, self._told, self._arrived = time, number, told, arrived
+        return told

@@ -238,7 +238,9 @@ class JsonDatagrams(JsonSource):
 def socket_for(place: HostPort, example: str) -> tuple[socket.socket, Any]:
     """A UDP socket of the family of an address, and the address as sockets take it; example: of one. Raises AsterismError."""
     try:
-        family, kind, _, _, address = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
+        found = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)
+        # Of a name with both, such as localhost, most programs mean the address of four numbers.
+        family, kind, _, _, address = min(found, key=lambda each: each[0] != socket.AF_INET)
         return socket.socket(family, kind), address
     except (OSError, OverflowError) as problem:
         raise AsterismError(f"{place} is no address; write for example {example}.") from problem

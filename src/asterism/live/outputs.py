@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import socket
 import sys
 import threading
 from collections import deque
@@ -86,6 +87,8 @@ class ToDatagrams:
         self._socket, self._address = socket_for(place, "udp://127.0.0.1:5001")
         # A full buffer of the network must not hold the next frame back.
         self._socket.setblocking(False)
+        # All machines of a network may be meant, as by udp://192.168.1.255:5001.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
 
     def send(self, frame: AnalysedFrame) -> None:
         """Send a frame; a datagram that is too large raises OSError, as one that the network does not take."""

@@ -143,6 +143,6 @@ def reconnected(where: str, times: int, mend: str, *, is_back: bool = True) -> F
 
 
 def times_made(where: str) -> Finding:
-    """A source without times."""
-    sentence = f"{where}: its frames have no times; they are taken from the frame numbers and the rate, or from their arrival."
+    """A source without times, or with one for several frames."""
+    sentence = f"{where}: its frames have no times of their own; they are taken from the frame numbers and the rate, or from their arrival."
     return Finding("live-no-times", _NOTE, where, sentence, "Give the rate with --rate where it is not told.")

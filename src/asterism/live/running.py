@@ -31,6 +31,9 @@ system; with twice as much what is shown is a fifth of a second old."""
 _SILENT = 1.0
 """s without a frame after which the source counts as silent: ten frames of the slowest camera. Half of it calls five of these a silence;
 with twice as much a cable that is out is shown a second later."""
+_SHOWN = 0.5
+"""s over which frames of the last second must be spread to tell their rate, else they are counted. Of half of it, frames that radio brings
+together show twice their rate; double is more than there is."""
 _AT_ONCE = 0.002
 """s within which a frame that was there already is read; a tenth of a millisecond is usual. Twice as long takes a new frame for an old one
 at 500 Hz; with half of it a busy machine takes an old one for new."""
@@ -294,7 +297,9 @@ class LiveSession:
         arrivals = np.array(self._arrivals)
         health.silent = float(now - arrivals[-1]) if len(arrivals) else 0.0
         recent = arrivals[arrivals > now - 1.0]
-        health.arriving = float((len(recent) - 1) / (recent[-1] - recent[0])) if len(recent) > 1 else 0.0
+        # Frames of one moment say nothing of how many come in a second.
+        shown = float(recent[-1] - recent[0]) if len(recent) > 1 else 0.0
+        health.arriving = (len(recent) - 1) / shown if shown > _SHOWN else float(len(recent))
         health.rate = self._rate
         if self._latencies:
             p50, p999 = np.quantile(np.array(self._latencies), (0.5, 0.999))

@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
@@ -19,11 +19,12 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.live.addresses import Query, in_words
 from asterism.live.analysis import AnalysedFrame
+from asterism.live.clock import StreamTimes
 from asterism.live.datagrams import JsonSource, frame_of_json
 from asterism.live.frames import LiveFrame, SourceAbout
 from asterism.live.outputs import WAITING, labels_as_json, leave_one_out, tells_more
 from asterism.live.packages import packages_for
-from asterism.live.reporting import reconnected
+from asterism.live.reporting import reconnected, times_made
 
 _LARGEST = 1 << 18
 """Bytes of a message that is believed: twice what the most points that a frame may have take with their names. Half of it refuses verbose
@@ -243,6 +244,7 @@ class FromWebSocket(JsonSource):
         super().__init__()
         self.about = SourceAbout(f"JSON at {place.name}", rate)
         self._came: deque[LiveFrame] = deque(maxlen=WAITING)
+        self._times = StreamTimes(rate)
         self._there = threading.Condition()
         self._closed = False
         self._endpoint = _Endpoint(place, self._listen, 1)
@@ -269,11 +271,13 @@ class FromWebSocket(JsonSource):
         with self._there:
             if not self._came and not self._closed:
                 self._there.wait(timeout)
-            return self._came.popleft() if self._came else None
+            frame = self._came.popleft() if self._came else None
+        return None if frame is None else replace(frame, time=self._times.of(frame.number, frame.time, frame.arrived))
 
     def findings(self) -> list[Finding]:
-        """See `_Endpoint.findings`; and what is wrong with the first message that could not be read."""
-        return [*self._endpoint.findings(), *self._damaged.findings(self.about.name)]
+        """See `_Endpoint.findings`; frames without times; and what is wrong with the first message that could not be read."""
+        made = [times_made(self.about.name)] if self._times.made else []
+        return [*made, *self._endpoint.findings(), *self._damaged.findings(self.about.name)]
 
     def close(self) -> None:
         """Let go of the sender."""
