@@ -17,7 +17,7 @@ import typer
 import asterism
 from asterism.cli._options import SearchStrategy
 from asterism.cli._plain_values import PlainValuesCommand
-from asterism.recording.arrays import nan_median, nan_quantile
+from asterism.recording.arrays import nan_mean, nan_median, nan_quantile, nan_var
 from asterism.simulation import simulate_walks
 
 HEAVY = ("numba", "llvmlite", "scipy", "cv2", "plotly", "jinja2", "pydantic", "numpy.ma")
@@ -98,16 +98,21 @@ def test_plain_values_are_taken_as_typer_takes_them(line: str, taken: bool) -> N
     assert isinstance(plain, list) is taken
 
 
-def test_quantiles_of_what_is_there_are_those_of_numpy() -> None:
+def test_statistics_of_what_is_there_are_those_of_numpy_without_its_warnings() -> None:
     values = np.random.default_rng(0).normal(size=(40, 7, 3))
     values[np.random.default_rng(1).random((40, 7)) < 0.4] = np.nan
     values[0] = np.nan
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        for axis in (0, 1):
-            np.testing.assert_allclose(nan_median(values, axis), np.nanmedian(values, axis=axis), rtol=1e-13)
-            shares = [0.0, 0.03, 0.5, 0.97, 1.0]
-            np.testing.assert_allclose(nan_quantile(values, shares, axis), np.nanquantile(values, shares, axis=axis), rtol=1e-12)
+    shares = [0.0, 0.03, 0.5, 0.97, 1.0]
+    for axis in (0, 1):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)
+            median, quantiles = np.nanmedian(values, axis), np.nanquantile(values, shares, axis)
+            mean, var = np.nanmean(values, axis), np.nanvar(values, axis)
+        np.testing.assert_allclose(nan_median(values, axis), median, rtol=1e-13)
+        np.testing.assert_allclose(nan_quantile(values, shares, axis), quantiles, rtol=1e-12)
+        np.testing.assert_array_equal(nan_mean(values, axis), mean)
+        np.testing.assert_array_equal(nan_var(values, axis), var)
+    assert np.isnan(nan_mean(values[:0], axis=0)).all()
 
 
 def test_every_name_of_the_front_door_is_listed_and_found() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.recording import Floats, plain_name
-from asterism.recording.arrays import nan_median, nan_quantile
+from asterism.recording.arrays import nan_mean, nan_median, nan_quantile
 
 SAMPLED_FRAMES = 2_000
 """Frames, evenly spread, that tell the vertical of a recording, however long it is: `info` and the reader of long files see the same."""
@@ -116,8 +115,7 @@ def signs_of(positions: Floats, labels: Sequence[str] = ()) -> dict[str, Floats]
     if not len(now):
         return {}
     # Columns without a point in these frames give NaN, and NumPy would warn of each.
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
+    with np.errstate(divide="ignore", invalid="ignore"):
         signs = _by_place(now, then)
         if signs and len(labels) == positions.shape[1]:
             signs["named"] = _by_names(now, labels)
@@ -159,7 +157,7 @@ def _by_place(now: Floats, then: Floats) -> dict[str, Floats]:
 
 def _along(height: Floats, rise: Floats, moving: NDArray[np.bool_], size: float) -> dict[str, float]:
     """The signs of one direction. height, rise (T, P) along it; moving (T,) bool."""
-    low, top = np.nanmin(height, axis=1), np.nanmax(height, axis=1)
+    low, top = np.fmin.reduce(height, axis=1), np.fmax.reduce(height, axis=1)
     # A tenth of the frames may be below: jumps down from something, and ghosts.
     floor, late = nan_quantile(low, [0.1, 0.9], axis=0)
     # The lowest of each frame that reaches the floor: who travels passes any place with all points.
@@ -195,7 +193,7 @@ def _by_names(now: Floats, labels: Sequence[str]) -> Floats:
     # Two levels above the pelvis are too near to each other to tell up from ahead.
     if len(known) < 2 or known[0] > _PELVIS:
         return np.zeros(6)
-    heights = [np.nanmean(now[:, levels == level], axis=1) for level in known]
+    heights = [nan_mean(now[:, levels == level], axis=1) for level in known]
     # Each pair of levels votes with the distance between them, so that far ones count more.
     rise = np.nansum(np.stack([high - low for i, low in enumerate(heights) for high in heights[i + 1 :]]), axis=0)
     length = np.linalg.norm(rise, axis=1, keepdims=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -40,6 +39,7 @@ from asterism.labelling.whole.label import run_trials
 from asterism.labelling.whole.settings import RecordingLabellingSettings
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording, subject_of
+from asterism.recording.arrays import nan_mean, nan_var
 
 ONE_PLACE = 1e-3
 """m: a usual frame whose points lie within it shows no body. The smallest markers are 3 mm wide; half and double of it are the same."""
@@ -361,14 +361,12 @@ def _shares_of_postures(frames: Floats, people: Ints, count: int) -> Floats:
     """
     placed = align_about_z(frames, frames[np.argmax((~np.isnan(frames[:, :, 0])).sum(axis=1))])
     means, moved = np.empty((2, int(people.max()) + 1, *frames.shape[1:]))
-    with warnings.catch_warnings():
-        # of a marker that a person does not show
-        warnings.simplefilter("ignore", RuntimeWarning)
-        for person in range(len(means)):
-            own = placed[people == person]
-            means[person], moved[person] = np.nanmean(own, axis=0), np.nanvar(own, axis=0)
-        # zero for a marker that none of the others wears: it tells nothing of how people move
-        usual, differ = (np.nan_to_num(of_others) for of_others in (np.nanmean(moved[count:], axis=0), np.nanvar(means[count:], axis=0)))
+    for person in range(len(means)):
+        # NaN for a marker that the person does not show
+        own = placed[people == person]
+        means[person], moved[person] = nan_mean(own, axis=0), nan_var(own, axis=0)
+    # zero for a marker that none of the others wears: it tells nothing of how people move
+    usual, differ = (np.nan_to_num(of_others) for of_others in (nan_mean(moved[count:], axis=0), nan_var(means[count:], axis=0)))
     worn = np.where(np.isnan(moved[:count]), 0.0, usual)
     shown = np.nansum(np.minimum(moved[:count], usual), axis=(1, 2)) / worn.sum(axis=(1, 2))
     apart = float(differ.sum() / usual.sum())

@@ -6,8 +6,6 @@ of the body; those of other placements, and of wrongly labelled markers, differ 
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,6 +16,7 @@ from scipy.special import expit, logit
 from asterism.labelling.whole._distance_kernels import LEAST_DISTANCE, frame_deviations, frame_scatters
 from asterism.labelling.whole.scene import RecordingScene, labels_of_body, placed_points
 from asterism.recording import NULL, Floats, Ints
+from asterism.recording.arrays import nan_mean, nan_median, nan_var
 from asterism.recording.verdict import CERTAIN, FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, UNKNOWN, Verdict
 
 MAX_JUDGED = 1200
@@ -143,7 +142,7 @@ class RigidDistances:
             median, std = median_and_std(_some(frames[people == person], rules.frames), first, second)
             medians.append(median)
             stds.append(std)
-        std = _quietly(np.nanmax, np.stack(stds), axis=0)
+        std = np.fmax.reduce(np.stack(stds), axis=0)
         rigid = std < rules.max_rigid_std * unit
         moving = bool((std > 1.5 * rules.max_rigid_std * unit).mean() > 0.2)
         return cls(first[rigid], second[rigid], np.stack(medians)[:, rigid], moving, rules.min_limit, unit, rules).with_limit()
@@ -172,10 +171,10 @@ class RigidDistances:
         others do.
         """
         logs = log_distances(self.median)
-        typical = _quietly(np.nanmean, logs, axis=0)
+        typical = nan_mean(logs, axis=0)
         apart = logs - typical
-        apart -= _quietly(np.nanmedian, apart.T, axis=0)[:, None]
-        variance = _quietly(np.nanvar, apart, axis=0)
+        apart -= nan_median(apart, axis=1)[:, None]
+        variance = nan_var(apart, axis=0)
         known = (~np.isnan(apart)).sum(axis=0) >= self.rules.min_people
         variance[~known] = np.median(variance[known]) if known.any() else 0.0
         least = self.rules.min_limit / self.rules.many_limit
@@ -190,7 +189,7 @@ class RigidDistances:
     def log_references(self) -> Floats:
         """The logs of the distances (R, N) that a body may be near to: the people's mean, then each of several, unless they are many."""
         logs = log_distances(self.median)
-        mean = _quietly(np.nanmean, logs, axis=0)
+        mean = nan_mean(logs, axis=0)
         return np.stack([mean, *(logs if len(logs) > 1 and self.spread is None else ())])
 
     @property
@@ -409,9 +408,10 @@ def median_and_std(frames: Floats, first: Ints, second: Ints, least: int = MIN_F
     """Median and robust standard deviation (N,) m of distances in frames (E, M, 3); NaN where known in fewer than `least` frames."""
     distance = np.linalg.norm(frames[:, first] - frames[:, second], axis=2)
     missing = np.isnan(distance)
-    middle = np.nanmedian if missing.any() else np.median  # the first takes five times as long
-    median = _quietly(middle, distance, axis=0)
-    std = 1.4826 * _quietly(middle, np.abs(distance - median), axis=0)
+    # The first takes several times as long.
+    middle = nan_median if missing.any() or not len(frames) else np.median
+    median = middle(distance, axis=0)
+    std = 1.4826 * middle(np.abs(distance - median), axis=0)
     unknown = (~missing).sum(axis=0) < max(1, least)
     return np.where(unknown, np.nan, median), np.where(unknown, np.nan, std)
 
@@ -424,12 +424,3 @@ def log_distances(distance: Floats) -> Floats:
 def _some(frames: Floats, most: int) -> Floats:
     """At most so many frames, evenly spread."""
     return frames if len(frames) <= most else frames[np.linspace(0, len(frames) - 1, most).round().astype(np.int64)]
-
-
-def _quietly(function: Callable[..., Floats], values: Floats, axis: int) -> Floats:
-    """A statistic that leaves NaN out, without the warning that all are missing."""
-    if not len(values):
-        return np.full(values.shape[1:], np.nan)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        return function(values, axis=axis)
