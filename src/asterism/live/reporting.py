@@ -33,6 +33,8 @@ _NO_LABELS = (
 _NO_POINTS_TOLD = ("reconstruct-no-points", "reconstruct-no-fit", "live-camera-silent", "live-camera-size")
 _SILENT_TOLD = ("live-unconnected", "live-unknown-camera", "live-camera-silent", "live-camera-not-opened")
 _DAMAGED_TOLD = ("live-format", "live-camera-size", "live-camera-damaged")
+NUMBER_FRAMES = "number each frame one higher than the last, and let one sender send."
+"""What a person can do whose frames have numbers that stand still."""
 _NOTE, _WARNING, _ERROR = Severity.NOTE, Severity.WARNING, Severity.ERROR
 
 
@@ -73,7 +75,7 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         found.append(Finding("live-lost", _WARNING, where, sentence, "Use a cable instead of radio, or a lower rate."))
     if health.late:
         sentence = f"{where}: {counted(health.late, 'frame')} came twice or after a later one: not used."
-        mend = "Number each frame one higher than the last, and let one sender send." if most else "Look at the network."
+        mend = NUMBER_FRAMES.capitalize() if most else "Look at the network."
         found.append(Finding("live-late", _WARNING if most else _NOTE, where, sentence, mend))
     if health.others:
         sentence = f"{where}: two programs send through one address: {counted(health.others, 'frame')} of the second not used."
@@ -101,7 +103,7 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         lacking = [counted(recorder.lost, "frame")] if recorder.lost else []
         lacking += [f"the labels of {counted(recorder.unlabelled, 'frame')}"] if recorder.unlabelled else []
         sentence = recorder.problem or f"{recorder.path}: {' and '.join(lacking)} not recorded, since the disk was busy."
-        found.append(Finding("live-not-recorded", _ERROR, where, sentence, "Make space, or record to another disk."))
+        found.append(Finding("live-not-recorded", _ERROR, where, sentence, recorder.mend))
     return found
 
 
