@@ -73,6 +73,7 @@ from asterism.live.datagrams import DatagramReader, socket_for
 from asterism.live.pauses import short_pauses
 from asterism.live.replay import Replay
 from asterism.recording import MarkerSet, Recording
+from asterism.recording.rates import TO_RATE
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import ring_rig
 
@@ -562,6 +563,17 @@ def test_numbers_that_stand_still_are_no_wrong_times() -> None:
     still = [LiveFrame(0, n / RATE, n / RATE, np.zeros((1, 3))) for n in range(800)]
     with pytest.raises(AsterismError, match="given: most of its frames have the number of an earlier one; number each frame one higher"):
         LiveSession(Given(still, math.nan), lambda rate, up: Numbers(), waits=True).run()
+
+
+def test_numbers_that_stand_still_and_times_that_do_not_go_as_a_clock_are_told_while_they_come() -> None:
+    for numbers, times, code in (([0] * 40, np.arange(40.0) / RATE, "live-late"), (range(40), 10.0 * np.arange(40.0), "live-times")):
+        session = LiveSession(Given([]), lambda rate, up: Numbers())
+        session._rate = RATE
+        for count, (number, at) in enumerate(zip(numbers, times, strict=True), start=1):
+            session._take(LiveFrame(number, at, count / RATE, np.zeros((1, 3))))
+            assert [finding.code for finding in session.findings()] == ([code] if count >= TO_RATE else [])
+        health = session.health()
+        assert [finding.code for finding in session_findings(health, "given", parts=[session])].count(code) == 1
 
 
 def test_times_in_milliseconds_are_to_be_sent_in_seconds() -> None:
